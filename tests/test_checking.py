@@ -24,19 +24,21 @@ from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import to_world
-from svu_mi.checking.appearance import read_texture, texture_fit
-from svu_mi.checking.apply import apply_fixes
-from svu_mi.checking.frames import Frames, reduced
-from svu_mi.checking.hypotheses import light_hypotheses, pose_hypotheses
+from svu_mi.checking.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
+from svu_mi.checking.decisions import LIGHT_GAIN, judge_light, judge_poses, judge_texture
 from svu_mi.checking.light import LightScore, score_light
-from svu_mi.checking.points import look, open_cosines, scatter_points
-from svu_mi.checking.poses import score_poses
+from svu_mi.checking.pose_scores import check_views, score_poses
 from svu_mi.checking.record import Finding
 from svu_mi.checking.run import find_mistakes
-from svu_mi.checking.silhouettes import silhouettes
 from svu_mi.checking.sky import DIRECTIONS, Sky, emitter_of
-from svu_mi.checking.verdicts import LIGHT_GAIN, judge_light, judge_poses, judge_texture
-from svu_mi.checking.views import check_views
+from svu_mi.checking.surface_samples import (
+    look,
+    open_cosines,
+    read_texture,
+    scatter_points,
+    texture_fit,
+)
+from svu_mi.checking.thumbnails import Frames, reduced, silhouettes
 from svu_mi.cli.main import main
 from svu_mi.formats.fixes import FIXES, fixes_named, turn_of
 from svu_mi.formats.geometry import LEFT_OUT

@@ -17,13 +17,20 @@ from svu_mi import scenes
 from svu_mi.bench.captures import some_views
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
-from svu_mi.checking.brightness import Arriving, Excess, excess, too_bright, unit_of
-from svu_mi.checking.frames import Frames, reduced
-from svu_mi.checking.gains import Samples, relative_gains
-from svu_mi.checking.points import Sightings, look, scatter_points
+from svu_mi.checking.exposure import (
+    Arriving,
+    Excess,
+    Reflections,
+    excess,
+    relative_gains,
+    too_bright,
+    unit_of,
+)
 from svu_mi.checking.record import Finding
 from svu_mi.checking.run import find_gains
 from svu_mi.checking.sky import Sky, emitter_of
+from svu_mi.checking.surface_samples import Sightings, look, scatter_points
+from svu_mi.checking.thumbnails import Frames, reduced
 from svu_mi.light.environment import directions, read_environment
 from svu_mi.scenes import lights
 
@@ -248,13 +255,13 @@ def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():
     shown[3] *= 1.3
     side = np.arange(count) % 8
     seen = np.ones((views, count), bool)
-    found = relative_gains(Samples(seen, shown, diffuse, lobes, side))
+    found = relative_gains(Reflections(seen, shown, diffuse, lobes, side))
     assert found.explained > 0.99
     np.testing.assert_array_equal(np.flatnonzero(found.odd), [3])
     np.testing.assert_allclose(
         np.exp(found.log), np.where(np.arange(views) == 3, 1.3, 1), rtol=0.01
     )
-    nothing = relative_gains(Samples(np.zeros_like(seen), shown, diffuse, lobes, side))
+    nothing = relative_gains(Reflections(np.zeros_like(seen), shown, diffuse, lobes, side))
     assert not nothing.known.any() and not nothing.odd.any()
 
 
@@ -271,7 +278,7 @@ def test_of_photographs_that_show_nothing_no_gain_is_known(vase):
     seen = look(points, Frames.of(small))
     seen = replace(seen, seen=np.zeros_like(seen.seen))
     arriving = Arriving.of(small.scene, points, read_environment(emitter))
-    samples = Samples.of(small.scene, points, seen, (Sky.of(emitter, np.eye(3)), arriving))
+    samples = Reflections.of(small.scene, points, seen, (Sky.of(emitter, np.eye(3)), arriving))
     assert np.isinf(relative_gains(samples).noise).all()
 
 
@@ -284,7 +291,7 @@ def test_mirrors_look_the_light_up_where_it_is(vase):
     explained = []
     for turn in (np.eye(3), np.diag([-1.0, 1.0, -1.0])):
         light = (Sky.of(emitter, turn), arriving)
-        explained.append(relative_gains(Samples.of(small.scene, points, seen, light)).explained)
+        explained.append(relative_gains(Reflections.of(small.scene, points, seen, light)).explained)
     assert explained[0] > explained[1] + 0.1, explained
 
 

@@ -13,8 +13,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.scene import to_world
-from svu_mi.checking.frames import Frames
-from svu_mi.checking.silhouettes import silhouettes
+from svu_mi.checking.thumbnails import Frames, silhouettes
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
 

@@ -1,11 +1,17 @@
-"""How the environment map lies: what each of 48 ways predicts, against the photographs.
+"""Scores of the 48 orientations of an environment map, and of a constant light.
 
-Neither reflectance nor roughness is known, so only what survives that is compared:
+Reflectance and roughness are unknown, so the comparison uses
 
-* shading: how brightness changes between neighbouring points, since neighbours mostly are of
-  one colour; once as it is, and once without what the texture (or, if there is none, the
-  points' own hue) explains;
-* highlights: how the brightness of one point changes between views, up to a factor per point.
+* shading: differences of brightness between neighbouring points, which mostly have one colour;
+  as they are, and without the part that texture (or else the points' hue) explains;
+* highlights: changes of the brightness of one point between views, up to a factor per point.
+
+Under a constant light, brightness depends on colour and openness, not on the normal. It is doubted
+if the normal explains both many of the differences between neighbours and much of all brightness;
+paint may do either, but hardly both. On our own three objects, 16 photographs of 96 pixels, in
+their own colours and in matte, glossy and metal ones, ``local`` and ``spread`` are at most 0.05 and
+0.06 under constant light; with constant light given for the studio, the clear sky or the window at
+least 0.11 and 0.50; for the overcast sky, which differs little from it, 0.01 and 0.07.
 """
 
 from __future__ import annotations
@@ -16,27 +22,35 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from svu_mi.checking.appearance import DARK, FEWEST, Texture, typical
-from svu_mi.checking.hypotheses import Hypothesis, light_hypotheses
-from svu_mi.checking.points import Points, Sightings
+from svu_mi.checking.axis_hypotheses import FEWER, Hypothesis, light_hypotheses
 from svu_mi.checking.sky import Sky
+from svu_mi.checking.surface_samples import (
+    DARK,
+    FEWEST,
+    SHADING_DEGREE,
+    Points,
+    Sightings,
+    Texture,
+)
 from svu_mi.formats.fixes import turn_of
+from svu_mi.light.environment import basis_at
 
 NEIGHBORS = 8
-CLIP = 1.5  # of the median difference of neighbours: edges between colours count no more
+CLIP = 1.5  # of the median difference of neighbours, against edges between colours
 ALBEDO_FLOOR = 0.08  # added before taking logarithms: dark surfaces reflect at least some gloss
-SPECIAL = 0.3  # of the typical radiance, that a point's changes are relative to at least
-FEWER = 0.02  # of the score, that one more correction must be worth
+SPECIAL = 0.3  # of the typical radiance, added to a point's own before division
+FEWEST_EVEN = 200  # points, to doubt a constant light
+LOCAL, SPREAD = 0.08, 0.25  # beyond both, a constant light is doubted
 
 
 @dataclass(frozen=True)
 class LightScore:
-    """How well one hypothesis explains the photographs.
+    """Score of one orientation.
 
     Attributes:
         hypothesis: the corrections.
-        shading: correlation of differences between neighbours, with the predicted irradiance's.
-        bare: the same without what colours explain.
+        shading: correlation of differences between neighbours with the predicted irradiance's.
+        bare: the same without the part that colours explain.
         highlights: part of the variance between views that filtered light explains.
     """
 
@@ -47,12 +61,12 @@ class LightScore:
 
     @property
     def cues(self) -> dict[str, float]:
-        """What the score is made of, by name."""
+        """Parts of the score, by name."""
         return {"shading": self.shading, "shading alone": self.bare, "highlights": self.highlights}
 
     @property
     def total(self) -> float:
-        """What hypotheses are ranked by: the information in all three, less a cost per word."""
+        """Information in all three, less a cost per correction."""
         rest = (1 - max(self.shading, 0) ** 2, 1 - max(self.bare, 0) ** 2, 1 - self.highlights)
         return -float(np.log(np.maximum(rest, 1e-3)).sum()) - FEWER * len(self.hypothesis.fixes)
 
@@ -61,17 +75,17 @@ def score_light(
     sky: Sky, points: Points, sightings: Sightings, cosines: np.ndarray,
     texture: Texture | None, step: Callable[[int, int], None],
 ) -> tuple[LightScore, ...]:  # fmt: skip
-    """Try all hypotheses; best first. None if next to nothing of the object is seen.
+    """Score all orientations, best first; none if next to nothing of the object is seen.
 
     Args:
         sky: the light.
         points: on the object.
-        sightings: what the views show of them.
-        cosines: (N, K), at which light arrives from ``sky.DIRECTIONS`` (``open_cosines``).
+        sightings: of the points.
+        cosines: (N, K), ``open_cosines`` of ``sky.DIRECTIONS``.
         texture: of the object, None if it has none.
-        step: called with (hypotheses done, all of them).
+        step: called with (hypotheses done, total).
     """
-    shown, known = typical(sightings)
+    shown, known = sightings.typical()
     if known.sum() < FEWEST:
         return ()
     shading = _Shading.of(points.position[known], shown[known], _features(shown, texture, known))
@@ -90,12 +104,12 @@ def score_light(
 
 
 def _features(shown: np.ndarray, texture: Texture | None, known: np.ndarray) -> np.ndarray:
-    """Return (M, F) polynomials in what reflectance is likely to depend on, orthonormal."""
+    """Return (M, F) orthonormal polynomials in texture, or else in the points' hue."""
     colors = shown[known] + DARK if texture is None else texture.albedo[known] + ALBEDO_FLOOR
     logs = np.log(colors)
     grey = logs.mean(axis=1, keepdims=True)
     hue = (logs - grey)[:, :2]
-    # Photographs without a texture say the hue alone: their brightness is what is compared.
+    # Without a texture only the hue: brightness itself is compared.
     axes = hue if texture is None else np.concatenate([grey, hue], axis=1)
     axes = 2 * np.tanh((axes - axes.mean(axis=0)) / (axes.std(axis=0) + 1e-3) / 2)
     powers = np.stack(np.meshgrid(*[np.arange(4)] * axes.shape[1]), -1).reshape(-1, axes.shape[1])
@@ -107,14 +121,8 @@ def _features(shown: np.ndarray, texture: Texture | None, known: np.ndarray) -> 
 
 @dataclass(frozen=True)
 class _Shading:
-    """Differences of log radiance between neighbouring points.
-
-    Attributes:
-        pairs: (P, 2) indices of neighbours.
-        features: (M, F), orthonormal columns.
-        differences: (P, 3), clipped.
-        bare: the same without what features explain.
-    """
+    """Clipped differences (P, 3) of log radiance between pairs (P, 2) of neighbouring points, with
+    and without (``bare``) the part that orthonormal features (M, F) explain."""
 
     pairs: np.ndarray
     features: np.ndarray
@@ -147,10 +155,14 @@ def neighbors_of(position: np.ndarray) -> np.ndarray:
 
 
 def clipped_differences(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Return differences (P, ...) of values (N, ...) in pairs; edges count no more than others."""
-    found = values[pairs[:, 0]] - values[pairs[:, 1]]
+    """Return differences (P, ...) of values (N, ...) in pairs, clipped at edges."""
+    found = _differences(values, pairs)
     limit = CLIP * float(np.median(np.abs(found)))
     return np.clip(found, -limit, limit)
+
+
+def _differences(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    return values[pairs[:, 0]] - values[pairs[:, 1]]
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
@@ -160,10 +172,10 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class _Highlights:
-    """How what views show of one point differs between them.
+    """Differences between views of one point.
 
     Attributes:
-        mirror: (V N, 3) directions that views of N points mirror, in the frame of the mesh.
+        mirror: (V N, 3) mirrored directions, in the frame of the mesh.
         seen: (V, N, 1) bool, of points that several views see.
         weight: (N, 1), one over the point's brightness.
         changes: (V, N, 3) weighted radiance less the point's mean, 0 where not seen.
@@ -176,9 +188,7 @@ class _Highlights:
 
     @staticmethod
     def of(points: Points, sightings: Sightings) -> _Highlights:
-        toward, shown = sightings.toward, sightings.radiance
-        cosine = np.einsum("vni,ni->vn", toward, points.normal)[..., None]
-        mirror = 2 * cosine * points.normal - toward
+        shown, (_, mirror) = sightings.radiance, sightings.mirrored(points)
         seen = (sightings.seen & (sightings.seen.sum(axis=0) >= 2))[..., None]
         mean = _means(shown, seen).mean(axis=1, keepdims=True)
         unit = float(mean.mean(where=seen.any(axis=0))) if seen.any() else 1.0
@@ -186,7 +196,7 @@ class _Highlights:
         return _Highlights(mirror.reshape(-1, 3), seen, weight, weight * _changes(shown, seen))
 
     def explained(self, reflected: np.ndarray) -> float:
-        """Return the part of the changes that (L, V N, 3) light explains, by the best lobe."""
+        """Return the part of the changes that the best of L lobes (L, V N, 3) explains."""
         whole = (self.changes**2).sum()
         best = 0.0
         for light in reflected.reshape(len(reflected), *self.changes.shape):
@@ -209,5 +219,56 @@ def _changes(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
 def indistinguishable(
     scores: Sequence[LightScore], best: LightScore, margin: float
 ) -> list[LightScore]:
-    """Return the other hypotheses that explain the photographs as well, to a margin."""
+    """Return the other hypotheses whose score is that of ``best``, to a margin."""
     return [s for s in scores if s is not best and s.total > best.total - margin]
+
+
+@dataclass(frozen=True)
+class Facing:
+    """Dependence of brightness on the normal.
+
+    Attributes:
+        local: part of the differences in log brightness of neighbours, in [0, 1].
+        spread: standard deviation of log brightness.
+    """
+
+    local: float
+    spread: float
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether a constant light is implausible."""
+        return self.local > LOCAL and self.spread > SPREAD
+
+
+def facing(points: Points, sightings: Sightings, cosines: np.ndarray) -> Facing | None:
+    """Regress brightness on the normal; None if too little of the object is seen.
+
+    ``cosines``: (N, K), ``open_cosines`` of even directions.
+    """
+    shown, known = sightings.typical()
+    if known.sum() < FEWEST_EVEN:
+        return None
+    shown, arriving = shown[known].mean(axis=1), cosines[known].sum(axis=1, dtype=np.float64)
+    if not (shown > 0).any() or not (arriving > 0).any():
+        return None
+    brightness, openness = (np.log(x + DARK * x.mean()) for x in (shown, arriving))
+    sides = basis_at(points.normal[known], SHADING_DEGREE)[:, 1:]  # the first is constant
+    pairs = neighbors_of(points.position[known])
+    steps = clipped_differences(brightness, pairs)
+    open_steps = np.stack(
+        [clipped_differences(openness, pairs), _differences(openness, pairs)], axis=1
+    )
+    side_steps = np.concatenate([open_steps, _differences(sides, pairs)], axis=1)
+    plain = np.stack([np.ones_like(openness), openness], axis=1)
+    fit = np.linalg.lstsq(np.concatenate([plain, sides], axis=1), brightness, rcond=None)[0]
+    return Facing(
+        local=_explained(side_steps, steps) - _explained(open_steps, steps),
+        spread=float((sides @ fit[plain.shape[1] :]).std()),
+    )
+
+
+def _explained(features: np.ndarray, values: np.ndarray) -> float:
+    """Return the part of (P,) values that (P, F) features explain, in [0, 1]."""
+    rest = values - features @ np.linalg.lstsq(features, values, rcond=None)[0]
+    return 1 - float((rest @ rest) / max(values @ values, 1e-300))

@@ -1,4 +1,4 @@
-"""Does a capture fit its photographs, and if not, which known mistake explains it?"""
+"""The check of a capture against its photographs."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from svu_mi.capture.ignored import ignored
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.capture.winding import MOST, has_front_outside, part_from_behind
-from svu_mi.checking import verdicts
-from svu_mi.checking.appearance import Texture, read_texture, texture_fit
-from svu_mi.checking.apply import apply_fixes
-from svu_mi.checking.brightness import Arriving, excess, unit_of
-from svu_mi.checking.even import facing
-from svu_mi.checking.frames import Frames, reduced, some
-from svu_mi.checking.gains import VIEWS as FEWEST
-from svu_mi.checking.gains import Samples, relative_gains
-from svu_mi.checking.light import score_light
-from svu_mi.checking.points import Points, Sightings, look, open_cosines, scatter_points
-from svu_mi.checking.poses import score_poses
+from svu_mi.checking import decisions, exposure
+from svu_mi.checking.axis_hypotheses import apply_fixes
+from svu_mi.checking.light import facing, score_light
+from svu_mi.checking.pose_scores import check_views, score_poses
 from svu_mi.checking.record import Check, Finding
 from svu_mi.checking.sky import DIRECTIONS, Sky, emitter_of, is_even
-from svu_mi.checking.views import check_views
+from svu_mi.checking.surface_samples import (
+    Points,
+    Sightings,
+    look,
+    open_cosines,
+    read_texture,
+    scatter_points,
+)
+from svu_mi.checking.thumbnails import Frames, reduced, some
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.formats.fixes import fixes_named, turn_of
 from svu_mi.formats.geometry import LEFT_OUT
@@ -37,7 +38,7 @@ from svu_mi.light.environment import read_environment
 from svu_mi.progress import Progress
 
 SIDE = 128  # pixels of the photographs that are compared
-VIEWS = 40  # that colours are compared in
+VIEWS = 40  # in which colours are compared
 Findings = tuple[Finding, Finding, Finding]  # about poses, light and texture
 
 
@@ -45,17 +46,16 @@ def check(
     capture: Capture, *, gains: Callable[[], FoundGains] | None = None,
     progress: Progress | None = None,
 ) -> Check:  # fmt: skip
-    """Compare a capture with its photographs, and look for a known mistake about axes.
+    """Compare a capture with its photographs, and search for known mistakes about axes.
 
     Nothing of the capture is modified.
 
     Args:
-        capture: photographs, poses, mesh and light; masks help, but need not be there. Without a
-            light (``load_capture(light="optional")``), silhouettes and texture are looked at.
-        gains: estimates those of the photographs that are used, which is asked of it once cameras,
-            mesh and light fit. Without, photographs are compared, and those told that differ by
-            much.
-        progress: shows what is going on.
+        capture: photographs, poses, mesh and light; masks help, but are optional. Without a light
+            (``load_capture(light="optional")``), only silhouettes and texture are compared.
+        gains: estimates those of the photographs that are used; called once cameras, mesh and
+            light fit. Without, only photographs whose gain differs by much are found.
+        progress: displays the progress.
 
     Raises:
         SvuEnvironmentError: no suitable Mitsuba variant is active.
@@ -89,19 +89,15 @@ def check(
 def find_mistakes(
     capture: Capture, *, progress: Progress | None = None
 ) -> tuple[Findings, np.ndarray]:
-    """Try every known mistake about axes on a capture.
+    """Test every known mistake about axes on a capture, whose photographs may be reduced.
 
-    First which side of the mesh is its front; then the poses of cameras and mesh, by silhouettes
-    and by whether views agree on what they show; then the V axis of the texture, under any light;
-    then the 48 ways the environment map could lie.
-
-    Args:
-        capture: see ``check``; its photographs may be reduced already.
-        progress: shows what is going on.
+    In this order: the front of the mesh; the poses of cameras and mesh, by silhouettes and
+    agreement of views; the V axis of the texture, under any light; the 48 orientations of the
+    environment map.
 
     Returns:
-        The findings about poses, light and texture, and the (4, 4) camera axes that a
-        ``camera-inverse`` among them has assumed.
+        The findings about poses, light and texture, and the (4, 4) camera axes of a
+        ``camera-inverse`` among them.
     """
     require_variant()
     progress = progress or Progress()
@@ -111,44 +107,48 @@ def find_mistakes(
     behind = part_from_behind(capture.scene, mesh, eyes)
     if behind < MOST or has_front_outside(mesh):  # with the cameras inside
         return _find_mistakes(capture, progress)
-    turned = apply_fixes(capture, fixes_named([verdicts.INSIDE_OUT]))
+    turned = apply_fixes(capture, fixes_named([decisions.INSIDE_OUT]))
     (poses, light, flip), axes = _find_mistakes(turned, progress)
     if poses.verdict == "unclear" and not poses.fixes:  # cameras may as well be within the mesh
         return _find_mistakes(capture, progress)
-    return (verdicts.with_inside_out(poses, behind), light, flip), axes
+    return (decisions.with_inside_out(poses, behind), light, flip), axes
 
 
 def _find_mistakes(capture: Capture, progress: Progress) -> tuple[Findings, np.ndarray]:
-    """Try mistakes on a capture whose mesh has its front outside."""
+    """Test mistakes on a capture whose mesh has its front outside."""
     points = scatter_points(capture.shape)
     texture = read_texture(capture, points)
     with progress.stage("Trying poses") as stage:
         scores = score_poses(capture, points, texture, stage.update)
-        poses, chosen = verdicts.judge_poses(scores)
+        poses, chosen = decisions.judge_poses(scores)
     axes = chosen.hypothesis.camera_axes
     if poses.verdict == "unclear" and not poses.fixes:
         reason = "cameras and mesh have to fit first"
-        light = verdicts.light_unknown(reason)
-        flip = verdicts.texture_unknown(f"V cannot be judged: {reason}")
-        return (poses, light, flip), axes
+        flip = decisions.unknown("texture", f"V cannot be judged: {reason}")
+        return (poses, decisions.unknown("light", reason), flip), axes
     frames = Frames.of(capture)
     seen = look(points, frames.posed(chosen.hypothesis.relative_poses(frames.poses)))
     with progress.stage("Trying textures"):
-        flip, texture = _judged_texture(seen, points, texture)
+        if texture is None:
+            reason = "The object has no texture, so nothing depends on the V axis"
+            flip = decisions.unknown("texture", reason)
+        else:
+            flip = decisions.judge_texture(*texture.fits(seen, points))
+            texture = texture.turned() if flip.verdict == "wrong" else texture
     emitter = emitter_of(capture)
     if emitter is None:
-        return (poses, verdicts.light_unknown("the capture has none"), flip), axes
+        return (poses, decisions.unknown("light", "the capture has none"), flip), axes
     cosines = open_cosines(capture.scene, points, DIRECTIONS)
     if is_even(emitter):
-        return (poses, verdicts.judge_even(facing(points, seen, cosines)), flip), axes
+        return (poses, decisions.judge_even(facing(points, seen, cosines)), flip), axes
     with progress.stage("Trying lights") as stage:
         sky = Sky.of(emitter, turn_of(chosen.hypothesis.fixes, "mesh"))
         tried = score_light(sky, points, seen, cosines, texture, stage.update)
-        return (poses, verdicts.judge_light(tried), flip), axes
+        return (poses, decisions.judge_light(tried), flip), axes
 
 
 def _contradict(axial: Sequence[Finding]) -> bool:
-    """Whether something about axes is wrong, or may be: then nothing else can be compared."""
+    """Return whether axes are or may be wrong, so that nothing else can be compared."""
     return any(one.verdict in ("wrong", "unclear") for one in axial)
 
 
@@ -157,17 +157,17 @@ def _estimated(capture: Capture, small: Capture, find: Callable[[], FoundGains])
     try:
         gains = find()
     except SvuError as error:
-        return verdicts.gain_unknown(str(error).rstrip("."))
-    emitter, excessive = emitter_of(capture), None
+        return decisions.unknown("gain", str(error).rstrip("."))
+    emitter, excess = emitter_of(capture), None
     if emitter is not None:
-        excessive = excess(*_under(small, emitter), unit_of(capture, small))
-    return verdicts.gains_found(excessive, gains, list(gain_sentences(gains, capture)))
+        excess = exposure.excess(*_under(small, emitter), exposure.unit_of(capture, small))
+    return decisions.gains_found(excess, gains, gain_sentences(gains, capture))
 
 
-def _under(small: Capture, emitter: Any) -> tuple[Sightings, Points, Arriving]:
-    """Return what photographs show of points, the points, and the light that arrives there."""
+def _under(small: Capture, emitter: Any) -> tuple[Sightings, Points, exposure.Arriving]:
+    """Return points with their samples and the light that arrives there."""
     points = scatter_points(small.shape)
-    arriving = Arriving.of(small.scene, points, read_environment(emitter))
+    arriving = exposure.Arriving.of(small.scene, points, read_environment(emitter))
     return look(points, Frames.of(small)), points, arriving
 
 
@@ -177,25 +177,25 @@ def find_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Fi
     Args:
         capture: see ``check``.
         small: the same, reduced.
-        axial: what was found about axes: without the right ones, nothing can be compared.
+        axial: findings about axes, which must fit.
     """
     emitter = emitter_of(capture)
     if emitter is None:
-        return verdicts.gain_unknown("the capture has no light")
+        return decisions.unknown("gain", "the capture has no light")
     if _contradict(axial):
-        return verdicts.gain_unknown("cameras, mesh and light have to fit first")
+        return decisions.unknown("gain", "cameras, mesh and light have to fit first")
     sightings, points, arriving = _under(small, emitter)
-    names = list(compress(small.names, small.used))
-    excessive = excess(sightings, points, arriving, unit_of(capture, small))
-    if len(names) < FEWEST:
-        return verdicts.judge_gains(excessive, None, names)
-    sky = Sky.of(emitter, np.eye(3))
-    samples = Samples.of(small.scene, points, sightings, (sky, arriving))
-    return verdicts.judge_gains(excessive, relative_gains(samples), names)
+    names, gains = list(compress(small.names, small.used)), None
+    excess = exposure.excess(sightings, points, arriving, exposure.unit_of(capture, small))
+    if len(names) >= exposure.VIEWS:
+        light = Sky.of(emitter, np.eye(3)), arriving
+        reflections = exposure.Reflections.of(small.scene, points, sightings, light)
+        gains = exposure.relative_gains(reflections)
+    return decisions.judge_gains(excess, gains, names)
 
 
 def _ignored(capture: Capture) -> tuple[Finding, ...]:
-    """Return a note about what is not accounted for, if scene or import have said anything."""
+    """Return a note about ignored parts of scene or import, if there are any."""
     notes = ignored(capture.scene, capture.shape)
     description = None if capture.source is None else capture_folder.read(capture.source)
     said = description.imported.get("notes") if description else None
@@ -203,15 +203,3 @@ def _ignored(capture: Capture) -> tuple[Finding, ...]:
     if not notes:
         return ()
     return (Finding(question="ignored", verdict="note", sentence=" ".join(notes)),)
-
-
-def _judged_texture(
-    seen: Sightings, points: Points, texture: Texture | None
-) -> tuple[Finding, Texture | None]:
-    """Decide on the V axis; return the texture the way it fits."""
-    if texture is None:
-        reason = "The object has no texture, so nothing depends on the V axis"
-        return verdicts.texture_unknown(reason), None
-    fits = [texture_fit(seen, points, albedo) for albedo in (texture.albedo, texture.flipped)]
-    found = verdicts.judge_texture(*fits)
-    return found, texture.turned() if found.verdict == "wrong" else texture

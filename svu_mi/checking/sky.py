@@ -1,4 +1,4 @@
-"""The given light, as hypotheses about how it lies look it up."""
+"""The given light: irradiance and highlights for any orientation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from svu_mi.light.levels import Levels, filter_light
 from svu_mi.light.lighting import band_limit, look_up
 from svu_mi.reflection.lobes import zonal_profile
 
-DIRECTIONS = fibonacci(256)  # that visibility is traced in
+DIRECTIONS = fibonacci(256)  # for visibility
 CELLS, COARSE = 2048, 64  # of the light, that irradiance is summed from, and that they split
 SAME = 1e-3  # of a map's radiance, that it may vary by and still be even
 WIDTHS = (0.06, 0.18, 0.4)  # alpha of the lobes that highlights are compared with
@@ -43,12 +43,7 @@ class Sky:
 
     @staticmethod
     def of(emitter: Any, mesh_turn: np.ndarray) -> Sky:
-        """Filter an environment emitter.
-
-        Args:
-            emitter: the light.
-            mesh_turn: (3, 3), by which corrections turn the mesh before it is lit.
-        """
+        """Filter an emitter; corrections turn the mesh by ``mesh_turn`` (3, 3) before it is lit."""
         environment = read_environment(emitter)
         flux, toward = read_cells(light_cells(environment, COARSE, CELLS).fine)
         return Sky(
@@ -59,17 +54,13 @@ class Sky:
         )
 
     def arriving(self, matrix: np.ndarray) -> np.ndarray:
-        """Return (K, 3), the flux around ``DIRECTIONS`` of the mesh's frame.
-
-        Args:
-            matrix: (3, 3), by which a hypothesis turns the map.
-        """
+        """Return the flux (K, 3) around ``DIRECTIONS`` of a map turned by ``matrix`` (3, 3)."""
         cell = scipy.spatial.cKDTree(self._local(DIRECTIONS, matrix)).query(self.toward)[1]
         count = len(DIRECTIONS)
         return np.stack([np.bincount(cell, self.flux[:, c], count) for c in range(3)], axis=-1)
 
     def reflected(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-        """Return (L, S, 3), the light under lobes around directions (S, 3) of the mesh's frame."""
+        """Return the light (L, S, 3) under lobes around directions (S, 3) of the mesh's frame."""
         local = owned(mi.Vector3f, self._local(directions, matrix).T)
         found = [look_up(texture, local) for texture in self.lobes.textures]
         return np.array([[channel.numpy() for channel in one] for one in found]).swapaxes(1, 2)

@@ -62,7 +62,7 @@ class Entropy(Common):
         return 0
 
     def _run(self, progress: Progress, size: tuple[int, int], place: Claim) -> str:
-        from svu_mi.checking.brightness import warn_if_too_bright
+        from svu_mi.checking.exposure import warn_if_too_bright
         from svu_mi.options import NOTHING, Skip
         from svu_mi.output import Knowledge, Run, write_outputs
 

@@ -148,7 +148,7 @@ class Recover(Common):
             checkpoint.unlink()
 
     def _run(self, progress: Progress, place: Claim) -> Knowledge:
-        from svu_mi.checking.brightness import warn_if_too_bright
+        from svu_mi.checking.exposure import warn_if_too_bright
         from svu_mi.observed import observe
         from svu_mi.output import Knowledge, Run
         from svu_mi.output.recovery import Draws, write_recovery

@@ -100,7 +100,7 @@ class Report(Common):
     def _write(
         self, progress: Progress, size: tuple[int, int], textures: Textures | None
     ) -> Knowledge:
-        from svu_mi.checking.brightness import warn_if_too_bright
+        from svu_mi.checking.exposure import warn_if_too_bright
         from svu_mi.output.report.report import write_report
         from svu_mi.output.textures import require_textures_of
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from statistics import median
 
 from svu_mi.errors import CaptureError
-from svu_mi.formats.lines import lines_of
 from svu_mi.formats.source import Frame
+from svu_mi.formats.source_files import lines_of
 
 EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
 

@@ -18,7 +18,7 @@ from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 from svu_mi.formats import gltf
 from svu_mi.formats.normals import repaired
-from svu_mi.formats.paths import inside
+from svu_mi.formats.source_files import inside
 from svu_mi.formats.textures import (
     Textures,
     ignored_of,

@@ -15,7 +15,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from svu_mi.errors import MeshError
-from svu_mi.formats.paths import inside
+from svu_mi.formats.source_files import inside
 
 SUFFIXES = (".glb", ".gltf")
 COMPRESSION = (

@@ -24,8 +24,8 @@ import scipy
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.formats.beside import mask_folder, photographs, pictures
 from svu_mi.formats.source import LARGEST, OPENCV, RIGID, Frame, Source
+from svu_mi.formats.source_files import folder_of, photographs_of_poses, pictures
 from svu_mi.npz import read_foreign_arrays
 
 if TYPE_CHECKING:
@@ -80,12 +80,13 @@ def read_idr(
     worlds, sphere = _matrices(file)
     if sphere is None and normalized:
         raise OptionError(f"{file}: has no {SCALE}_0; leave --normalized out.")
-    files = photographs(file.parent, images, IMAGES, file, len(worlds))
-    shapes = _masks(mask_folder(file.parent, masks, MASKS), files)
+    root = file.parent
+    files = photographs_of_poses(root, images, IMAGES, file, len(worlds))
+    shapes = _masks(folder_of("masks", masks, (root / name for name in MASKS)), files)
     turn = sphere if sphere is not None and normalized else np.eye(4)
     return Source(
         format="idr",
-        root=file.parent,
+        root=root,
         frames=[
             _frame(world @ turn, image, mask, f"{file}: {WORLD}_{index}")
             for index, (world, image, mask) in enumerate(zip(worlds, files, shapes, strict=True))
@@ -96,11 +97,7 @@ def read_idr(
 
 
 def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
-    """Return all ``world_mat``, and the ``scale_mat`` of all, None if there is none.
-
-    Raises:
-        CaptureError: one is missing or not of the kind, or spheres differ.
-    """
+    """Return all ``world_mat``, and the ``scale_mat`` of all, None if there is none."""
     try:
         arrays = read_foreign_arrays(file, NUMBERED, LARGEST_FILE)
     except ValueError as error:
@@ -158,11 +155,7 @@ def _frame(matrix: np.ndarray, image: Path, mask: Path | None, label: str) -> Fr
 
 
 def decomposed(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
-    """Take a projection K [R | t] apart.
-
-    Args:
-        matrix: (3, 4), world to pixel times the depth, up to a positive factor; finite.
-        label: the file and matrix, for messages.
+    """Decompose a projection (3, 4), world to pixel times the depth, up to a positive factor.
 
     Returns:
         K (3, 3), upper triangular with positive focal lengths and K[2, 2] = 1, and the pose
@@ -196,7 +189,7 @@ def decomposed(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _masks(folder: Path | None, files: Sequence[Path]) -> Sequence[Path | None]:
-    """Return the masks of photographs by their order; DTU calls both by other numbers."""
+    """Return the masks of photographs by their order: in DTU their numbers differ."""
     if folder is None:
         return [None] * len(files)
     found = pictures(folder)
@@ -213,12 +206,9 @@ def _notes(file: Path, sphere: np.ndarray | None, normalized: bool) -> list[str]
         return []
     size, center = np.cbrt(np.linalg.det(sphere[:3, :3])), sphere[:3, 3]
     where = f"scale {size:.6g} and centre {', '.join(f'{c:.6g}' for c in center)}"
+    note = f"the unit sphere of {SCALE} ({where})"
     if normalized:
-        return [
-            f"{file}: poses are in the unit sphere of {SCALE} ({where}); a mesh in the world of "
-            f"{WORLD} needs an import without --normalized."
-        ]
-    return [
-        f"{file}: poses are in the world of {WORLD}; a mesh in the unit sphere of {SCALE} "
-        f"({where}), as meshes of NeuS are, needs --normalized."
-    ]
+        note = f"{note}; a mesh in the world of {WORLD} needs an import without --normalized."
+    else:
+        note = f"the world of {WORLD}; a mesh in {note}, as meshes of NeuS are, needs --normalized."
+    return [f"{file}: poses are in {note}"]

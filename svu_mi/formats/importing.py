@@ -29,10 +29,10 @@ from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fi
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
 from svu_mi.formats.options import ImportOptions, Light
-from svu_mi.formats.paths import name_in
 from svu_mi.formats.photographs import Converted, about, convert, with_response
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Source
+from svu_mi.formats.source_files import name_in
 from svu_mi.formats.textures import write_pictures
 from svu_mi.limits import require_views
 from svu_mi.memory import Sizes

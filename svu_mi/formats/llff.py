@@ -10,7 +10,6 @@ centre, and nothing is said of the lens.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,8 +17,8 @@ import numpy as np
 
 from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError
-from svu_mi.formats.beside import mask_folder, mask_of, photographs
 from svu_mi.formats.source import DOWN_RIGHT_BACK, LARGEST, Frame, Source
+from svu_mi.formats.source_files import folder_of, mask_of, photographs_of_poses
 from svu_mi.npz import read_foreign_array
 
 if TYPE_CHECKING:
@@ -60,8 +59,14 @@ def read_llff(path: str | Path, *, images: Path | None = None, masks: Path | Non
     file = path / FILE if path.is_dir() else path
     rows = _rows(file)
     root = file.parent
-    files = photographs(root, images, IMAGES, file, len(rows))
-    found = _masks(mask_folder(root, masks, MASKS), files)
+    files = photographs_of_poses(root, images, IMAGES, file, len(rows))
+    folder = folder_of("masks", masks, (root / name for name in MASKS))
+    found = [None if folder is None else mask_of(folder, Path(file.name)) for file in files]
+    if folder is not None and not any(found):
+        raise CaptureError(
+            f"{folder}: has no mask of {files[0].name} or any other photograph; call masks as "
+            "their photographs, or give their folder with --masks."
+        )
     return Source(
         format="llff",
         root=root,
@@ -79,11 +84,7 @@ def read_llff(path: str | Path, *, images: Path | None = None, masks: Path | Non
 
 
 def _rows(file: Path) -> np.ndarray:
-    """Return the table (N, 17).
-
-    Raises:
-        CaptureError: it is not such a table.
-    """
+    """Return the table (N, 17)."""
     try:
         rows = read_foreign_array(file, LARGEST_FILE)
     except ValueError as error:
@@ -120,16 +121,3 @@ def _frame(row: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame
         center=(width / 2, height / 2),
         size=(int(width), int(height)),
     )
-
-
-def _masks(folder: Path | None, files: Sequence[Path]) -> list[Path | None]:
-    """Return the masks of photographs by their names."""
-    if folder is None:
-        return [None] * len(files)
-    found = [mask_of(folder, Path(file.name)) for file in files]
-    if not any(found):
-        raise CaptureError(
-            f"{folder}: has no mask of {files[0].name} or any other photograph; call masks as "
-            "their photographs, or give their folder with --masks."
-        )
-    return found

@@ -11,7 +11,7 @@ from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import Transfer, decoded
 from svu_mi.capture.rounding import CURVE, Rounding
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.formats.lines import lines_of
+from svu_mi.formats.source_files import lines_of
 
 SMALLEST = 1e-9  # step, of a curve that is flat
 TYPICAL = 0.9  # part of the codes whose steps are no larger than is said of all

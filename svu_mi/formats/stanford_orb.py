@@ -27,8 +27,8 @@ import numpy as np
 
 from svu_mi.capture.picture import open_picture
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.formats.paths import inside
 from svu_mi.formats.source import OPENGL, Frame, Light, Source
+from svu_mi.formats.source_files import inside
 from svu_mi.formats.transforms import parse_frame, read_poses
 
 if TYPE_CHECKING:

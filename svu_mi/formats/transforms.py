@@ -1,4 +1,4 @@
-"""``transforms.json``: poses as NeRF tools, Blender and nerfstudio write and read them.
+"""``transforms.json``: poses of NeRF tools, Blender and nerfstudio.
 
 There, camera space is +X right, +Y up, and the camera looks along -Z (``OPENGL``). World space is
 the scene's own; Blender's and nerfstudio's have +Z up. The keys are nerfstudio's:
@@ -18,15 +18,15 @@ from svu_mi.capture.picture import SUFFIXES, open_picture
 from svu_mi.errors import CaptureError, OptionError, excerpt
 from svu_mi.files import read_json, write_json
 from svu_mi.formats.lenses import COEFFICIENTS, Lens
-from svu_mi.formats.paths import inside, name_in
 from svu_mi.formats.source import OPENGL, Frame, Source
+from svu_mi.formats.source_files import inside, name_in
 
 if TYPE_CHECKING:
     from svu_mi.formats.reading import ReadOptions
 
 FILE = "transforms.json"
 SPLITS = ("train", "test", "val")  # parts that a folder usually has
-UNKNOWN = ("k5", "k6")  # numbers of lenses that are not in the model
+UNKNOWN = ("k5", "k6")  # coefficients that the lens model lacks
 BENT = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")  # parts of models' names
 
 
@@ -94,11 +94,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
 
 
 def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
-    """Return what a file says as a whole, and the frames that it lists, at least one.
-
-    Raises:
-        CaptureError: the file is not such JSON.
-    """
+    """Return the JSON object of a file and its frames, at least one; a CaptureError otherwise."""
     record = read_json(path)
     frames = record.get("frames") if isinstance(record, dict) else None
     if not isinstance(frames, list) or not frames:
@@ -152,17 +148,13 @@ def _matrix(value: Any) -> np.ndarray:
 
 
 def parse_frame(
-    record: Mapping[str, Any],
-    given: Any,
-    root: Path,
-    label: str,
-    before: np.ndarray,
+    record: Mapping[str, Any], given: Any, root: Path, label: str, before: np.ndarray,
     usual: tuple[int, int] | None = None,
-) -> Frame:
+) -> Frame:  # fmt: skip
     """Read one frame.
 
     Args:
-        record: what holds for all frames.
+        record: values common to all frames.
         given: the frame.
         root: folder that files are named relative to.
         label: the file and frame, for messages.
@@ -177,35 +169,29 @@ def parse_frame(
         matrix = _matrix(known["transform_matrix"])
         image = _image(root, known.get("file_path"), label)
         masked = known.get("mask_path")
-        mask = None if masked is None else inside(root, masked, label)
-        size = _size(known, image, usual)
-        fl_x = _focal(known, "x", size[0])
-        fl_y = _focal(known, "y", size[1], fl_x)  # instant-ngp may say camera_angle_y
-        center = (float(known.get("cx", size[0] / 2)), float(known.get("cy", size[1] / 2)))
-        exposure = float(known.get("exposure", 1.0))
-        lens = _lens(known, label)
+        size = width, height = _size(known, image, usual)
+        fl_x = _focal(known, "x", width)
+        with np.errstate(all="ignore"):  # what is not finite is refused by the frame
+            return Frame(
+                label=label,
+                image=image,
+                mask=None if masked is None else inside(root, masked, label),
+                to_world=before @ matrix @ OPENGL,
+                focal=(fl_x, _focal(known, "y", height, fl_x)),  # camera_angle_y of instant-ngp
+                center=(float(known.get("cx", width / 2)), float(known.get("cy", height / 2))),
+                size=size,
+                exposure=float(known.get("exposure", 1.0)),
+                lens=_lens(known, label),
+            )
     except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
         raise CaptureError(
             f"{label}: {excerpt(repr(error))}; a frame needs transform_matrix, w, h, and fl_x or "
             "camera_angle_x."
         ) from error
-    with np.errstate(all="ignore"):  # what is not finite is refused by the frame
-        to_world = before @ matrix @ OPENGL
-    return Frame(
-        label=label,
-        image=image,
-        mask=mask,
-        to_world=to_world,
-        focal=(fl_x, fl_y),
-        center=center,
-        size=size,
-        exposure=exposure,
-        lens=lens,
-    )
 
 
 def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
-    """Return what bends lines, None if nothing does; refuse cameras that are no pinholes at all."""
+    """Return the lens, None without distortion; refuse cameras that are not pinholes."""
     model = str(known.get("camera_model", "")).upper()
     if any(name in model for name in BENT) or known.get("is_fisheye"):
         raise CaptureError(
@@ -231,14 +217,10 @@ def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
     return Lens.of(dict(zip(COEFFICIENTS, numbers, strict=True)))
 
 
-def _size(
-    known: Mapping[str, Any], image: Path, usual: tuple[int, int] | None
-) -> tuple[int, int]:
+def _size(known: Mapping[str, Any], image: Path, usual: tuple[int, int] | None) -> tuple[int, int]:
     if _says_size(known) or known.get("file_path") is None:
         return int(known["w"]), int(known["h"])
-    if usual is not None and not image.is_file():
-        return usual
-    return open_picture(image).size
+    return usual if usual is not None and not image.is_file() else open_picture(image).size
 
 
 def _says_size(known: Mapping[str, Any]) -> bool:
@@ -248,32 +230,25 @@ def _says_size(known: Mapping[str, Any]) -> bool:
 def _usual_size(
     path: Path, record: Mapping[str, Any], frames: Sequence[Any]
 ) -> tuple[int, int] | None:
-    """Return the size of the first photograph, for others whose size nobody says.
-
-    Raises:
-        CaptureError: none of the photographs is there.
-    """
+    """Return the size of the first photograph that exists, for frames without a size."""
     named = {
         k: frame["file_path"] for k, frame in enumerate(frames)
         if isinstance(frame, dict) and "file_path" in frame and not _says_size(frame)
     }  # fmt: skip
     if _says_size(record) or not named:
         return None
-    first = None
-    for index, name in named.items():
-        image = _image(path.parent, name, f"{path}: frame {index}")
-        if image.is_file():
-            return open_picture(image).size
-        first = first or image
+    label = f"{path}: frame "
+    images = [_image(path.parent, name, f"{label}{index}") for index, name in named.items()]
+    found = next((image for image in images if image.is_file()), None)
+    if found is not None:
+        return open_picture(found).size
     raise CaptureError(
         f"{path}: {len(named)} of {len(frames)} photographs are missing, first "
-        f"{name_in(path.parent, first or path)}; put them where the poses name them."
+        f"{name_in(path.parent, images[0])}; put them where the poses name them."
     )
 
 
-def _focal(
-    known: Mapping[str, Any], axis: str, side: int, default: float | None = None
-) -> float:
+def _focal(known: Mapping[str, Any], axis: str, side: int, default: float | None = None) -> float:
     """Return the focal length along an axis, given itself or as an angle over a side."""
     if f"fl_{axis}" in known:
         return float(known[f"fl_{axis}"])
@@ -283,7 +258,7 @@ def _focal(
 
 
 def _image(root: Path, given: Any, label: str) -> Path:
-    """Return the photograph of a frame; poses alone name none."""
+    """Return the photograph of a frame, which need not name one."""
     if given is None:
         return root / "none"
     path = inside(root, given, label)

@@ -22,7 +22,7 @@ from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
 from svu_mi.capture.picture import quantized, srgb
 from svu_mi.capture.poses import affine
 from svu_mi.capture.scene import find_environment, to_world
-from svu_mi.checking.appearance import base_color
+from svu_mi.checking.surface_samples import base_color
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import prepare_folder
 from svu_mi.formats.geometry import read_geometry

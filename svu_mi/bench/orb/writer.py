@@ -17,8 +17,8 @@ from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.errors import MeshError
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, replacing, write_json, write_text
-from svu_mi.formats.paths import inside
 from svu_mi.formats.source import OPENGL
+from svu_mi.formats.source_files import inside
 from svu_mi.formats.stanford_orb import ALBEDO, ENVIRONMENTS, MESH, SUFFIXES, TRUTH
 
 # What the scans' normals look like in the data set.

@@ -17,11 +17,10 @@ import scipy
 
 from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.formats.beside import mask_of
 from svu_mi.formats.colmap.model import Camera, View, is_model, read_model
 from svu_mi.formats.lenses import Lens
-from svu_mi.formats.paths import inside
 from svu_mi.formats.source import OPENCV, Frame, Source
+from svu_mi.formats.source_files import folder_of, inside, mask_of, no_folder
 
 if TYPE_CHECKING:
     from svu_mi.formats.reading import ReadOptions
@@ -34,15 +33,9 @@ IMAGES, MASKS = "images", "masks"
 
 @dataclass(frozen=True, kw_only=True)
 class Project:
-    """A sparse model and its pictures.
+    """A sparse model with cameras by their number, and V views in the order of their names.
 
-    Attributes:
-        model: folder of the model.
-        cameras: by their number.
-        views: V views, in the order of their names.
-        images: folder of the photographs.
-        photographs: V files in there.
-        masks: V files; None for each that has none.
+    ``images`` is the folder of the V photographs; ``masks`` has None for each without one.
     """
 
     model: Path
@@ -109,27 +102,18 @@ def find_model(path: Path) -> Path | None:
 def read_project(
     path: Path, images: Path | None, masks: Path | None, *, partly: bool = False
 ) -> Project:
-    """Read the model and find its pictures.
+    """Read the model and find its pictures, some of which may be missing if ``partly``.
 
-    Args:
-        path: the model's folder, or a project with ``sparse/0``, ``sparse`` or ``dense/sparse``.
-        images: folder of the photographs; None = ``images`` beside the model.
-        masks: folder of the masks; None = ``masks`` beside the model, if there is one.
-        partly: whether some of the photographs may be missing.
-
-    Raises:
-        CaptureError: the model is missing or damaged, or photographs are missing.
+    Arguments and errors are those of ``read_colmap``.
     """
     model = find_model(path)
     if model is None:
         raise CaptureError(f"{path}: not a COLMAP model; expected cameras.bin or .txt in sparse/0.")
     cameras, views = read_model(model)
-    images = images or _beside(model, IMAGES) or model / IMAGES
-    if not images.is_dir():
-        raise CaptureError(f"{images}: no such folder; give that of the photographs with --images.")
-    if masks is not None and not masks.is_dir():
-        raise CaptureError(f"{masks}: no such folder; give that of the masks with --masks.")
-    masks = masks or _beside(model, MASKS)
+    images = folder_of(IMAGES, images, _near(model, IMAGES))
+    if images is None:
+        raise no_folder(IMAGES, model / IMAGES)
+    masks = folder_of(MASKS, masks, _near(model, MASKS))
     files = [inside(images, view.name, _label(model, view)) for view in views]
     missing = [file for file in files if not file.is_file()]
     if missing and not (partly and len(missing) < len(files)):
@@ -151,12 +135,11 @@ def _label(model: Path, view: View) -> str:
     return f"{model}: image {excerpt(repr(view.name))}"
 
 
-def _beside(model: Path, name: str) -> Path | None:
-    """Return a folder in the model's own or one above, as far as projects nest it."""
+def _near(model: Path, name: str) -> list[Path]:
+    """Return places of a folder in the model's own or one above, as deep as projects nest it."""
     nested = model.absolute().parts[-3:-2] == ("colmap",)
     ways = (".", "..", "../..", *(["../../.."] if nested else []))
-    folders = [Path(os.path.normpath(model / up / name)) for up in ways]
-    return next((folder for folder in folders if folder.is_dir()), None)
+    return [Path(os.path.normpath(model / up / name)) for up in ways]
 
 
 def _lens(camera: Camera, label: str) -> Lens:

@@ -1,4 +1,4 @@
-"""Small copies of the photographs, looked at from wherever a hypothesis says they were taken."""
+"""Reduced photographs, seen from any poses, and silhouettes of the mesh in them."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.rays import RAY_FLOATS
+from svu_mi.capture.rays import RAY_FLOATS, film_ray
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError
 from svu_mi.formats.resampling import squared
@@ -24,11 +26,11 @@ POSITION = slice(12, 15)  # and the camera
 
 @dataclass(frozen=True)
 class Frames:
-    """The V photographs that are used of a reduced capture, as kernels look them up.
+    """The V used photographs of a reduced capture, packed for kernels.
 
     Attributes:
         capture: see ``reduced``.
-        views: the same packed; pixels on silhouettes are among them.
+        views: the same packed, including pixels on silhouettes.
         poses: (V, 4, 4) float64, camera to world.
     """
 
@@ -63,18 +65,15 @@ class Frames:
         return float(shown.var(axis=0).mean()) if len(shown) else 0.0
 
     def posed(self, poses: np.ndarray) -> Frames:
-        """Return the same photographs, taken from elsewhere: (V, 4, 4), camera to world."""
+        """Return the same photographs with other poses (V, 4, 4), camera to world."""
         rays = self.views.rays.numpy().reshape(-1, RAY_FLOATS).copy()
-        cameras = self.views.cameras.numpy().reshape(-1, CAMERA_FLOATS)
-        rays[:, POSE] = poses[:, :3].reshape(-1, 12)
+        cameras = self.views.cameras.numpy().reshape(-1, CAMERA_FLOATS).copy()
         projections = cameras[:, ROWS].reshape(-1, 3, 4) @ self.poses @ np.linalg.inv(poses)
-        cameras = cameras.copy()
+        rays[:, POSE] = poses[:, :3].reshape(-1, 12)
         cameras[:, ROWS], cameras[:, POSITION] = projections.reshape(-1, 12), poses[:, :3, 3]
         kind = type(self.views.cameras)
-        views = replace(
-            self.views, cameras=owned(kind, cameras.ravel()), rays=owned(kind, rays.ravel())
-        )
-        return replace(self, views=views, poses=poses)
+        packed = {"cameras": owned(kind, cameras.ravel()), "rays": owned(kind, rays.ravel())}
+        return replace(self, views=replace(self.views, **packed), poses=poses)
 
 
 def tone(radiance: np.ndarray) -> np.ndarray:
@@ -83,12 +82,11 @@ def tone(radiance: np.ndarray) -> np.ndarray:
 
 
 def reduced(capture: Capture, side: int) -> Capture:
-    """Return a capture with photographs of at most ``side`` pixels per side, and their sensors.
+    """Reduce photographs and sensors to at most ``side`` pixels per side.
 
-    Photographs are reduced by whole numbers, so they may end up smaller than ``side``. A pixel is
-    the mean over the usable ones of a block, NaN without any; one that is left over at the end of a
-    side belongs to none. The median of all pixels that are not black is 1, which is a part of the
-    exposures from then on. Photographs that are not used stay as they are.
+    Factors are whole numbers. A pixel is the mean over the usable ones of a block, NaN without any;
+    incomplete blocks at the borders are dropped. Radiance is divided by the median of pixels that
+    are not black, which is multiplied to the exposures. Unused photographs stay as they are.
 
     Raises:
         CaptureError: no photograph is used.
@@ -99,7 +97,8 @@ def reduced(capture: Capture, side: int) -> Capture:
         )
     sensors, images, masks = list(capture.sensors), list(capture.images), list(capture.masks)
     exposures = list(capture.exposures)
-    for index in np.flatnonzero(capture.used):
+    used = np.flatnonzero(capture.used)
+    for index in used:
         sensor, image, mask = sensors[index], images[index], masks[index]
         block = min(-(-max(image.shape) // side), *image.shape[:2])
         frame, _ = squared(frame_of(sensor, Path(capture.names[index])), block)
@@ -107,10 +106,10 @@ def reduced(capture: Capture, side: int) -> Capture:
         images[index] = _usable_mean(image, block)
         if mask is not None and block > 1:
             masks[index] = _mean(mask[..., None], block)[..., 0] >= 0.5
-    grey = np.concatenate([image.mean(axis=2).ravel() for image in compress(images, capture.used)])
+    grey = np.concatenate([images[index].mean(axis=2).ravel() for index in used])
     lit = grey[grey > 0]  # NaN is not
     unit = np.float32(np.median(lit) if len(lit) else 1)
-    for index in np.flatnonzero(capture.used):
+    for index in used:
         images[index] = images[index] / unit
         exposures[index] = exposures[index] * float(unit)
     return replace(
@@ -120,21 +119,66 @@ def reduced(capture: Capture, side: int) -> Capture:
 
 
 def some(capture: Capture, most: int) -> Capture:
-    """Return the capture with at most so many of its photographs in use, evenly spread."""
+    """Use at most ``most`` of the used photographs, evenly spaced."""
     used = np.flatnonzero(capture.used)
     chosen = used[evenly_spaced(len(used), most)]
     return replace(capture, used=tuple(index in chosen for index in range(capture.count)))
 
 
 def _mean(values: np.ndarray, block: int) -> np.ndarray:
-    """Average (H, W, C) over square blocks; what is left over at the end of a side is left out."""
+    """Average (H, W, C) over complete square blocks."""
     height, width = (length // block for length in values.shape[:2])
     blocks = values[: height * block, : width * block].reshape(height, block, width, block, -1)
     return blocks.mean(axis=(1, 3), dtype=np.float32)
 
 
 def _usable_mean(image: np.ndarray, block: int) -> np.ndarray:
+    """Average the finite pixels of blocks, NaN without any."""
     usable = np.isfinite(image).all(axis=2, keepdims=True)
     share = _mean(usable, block)
     total = _mean(np.where(usable, image, 0), block)
     return np.where(share > 0, total / np.maximum(share, 1e-30), np.nan).astype(np.float32)
+
+
+def silhouettes(frames: Frames) -> list[np.ndarray]:
+    """Trace the object's masks, V arrays (h, w) bool, through the centres of all pixels."""
+    shapes = [image.shape[:2] for image in frames.radiance]
+    counts = [height * width for height, width in shapes]
+    row, column = np.concatenate([np.indices(s).reshape(2, -1) for s in shapes], axis=1) + 0.5
+    ray = film_ray(
+        frames.views.rays,
+        owned(mi.UInt32, np.repeat(np.arange(len(shapes), dtype=np.uint32), counts)),
+        owned(mi.Float, column.astype(np.float32)),
+        owned(mi.Float, row.astype(np.float32)),
+    )
+    hit = frames.capture.scene.ray_intersect_preliminary(ray, coherent=True)
+    # Opaque: as a literal, every scene would get a kernel of its own.
+    seen = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, frames.capture.shape))
+    parts = np.split(np.broadcast_to(np.array(seen, bool), sum(counts)), np.cumsum(counts)[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+
+
+def overlap(seen: np.ndarray, mask: np.ndarray) -> float:
+    """Return intersection over union of two (h, w) masks; 1 if both are empty."""
+    union = (seen | mask).sum()
+    return float((seen & mask).sum() / union) if union else 1.0
+
+
+def outline(seen: np.ndarray) -> np.ndarray:
+    """Return the pixels (h, w) of an object with a neighbour outside of it."""
+    edge = np.zeros_like(seen)
+    down, right = seen[1:] != seen[:-1], seen[:, 1:] != seen[:, :-1]
+    edge[1:] |= down
+    edge[:-1] |= down
+    edge[:, 1:] |= right
+    edge[:, :-1] |= right
+    return edge & seen
+
+
+def contrast(radiance: np.ndarray) -> np.ndarray:
+    """Return the rank in [0, 1] of the gradient at every pixel (h, w); NaN is not usable."""
+    grey = np.nan_to_num(radiance.mean(axis=2), nan=np.nanmax(radiance, initial=0))
+    shown = grey / (grey + max(float(np.median(grey)), 1e-12))
+    gradient = np.hypot(*np.gradient(shown)) if min(shown.shape) > 1 else np.zeros(shown.shape)
+    rank = np.searchsorted(np.sort(gradient.ravel()), gradient, side="left")
+    return rank / gradient.size

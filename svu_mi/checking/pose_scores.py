@@ -1,4 +1,4 @@
-"""Where the cameras stand against the mesh: every known mistake, tried on the photographs."""
+"""Scores of camera and mesh corrections, and the fit of each photograph."""
 
 from __future__ import annotations
 
@@ -8,31 +8,46 @@ from dataclasses import dataclass
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.checking.appearance import Texture, agreement, texture_fit
-from svu_mi.checking.frames import Frames, reduced, some
-from svu_mi.checking.hypotheses import Hypothesis, pose_hypotheses
-from svu_mi.checking.points import Points, look
-from svu_mi.checking.silhouettes import contrast, outline, overlap, silhouettes
+from svu_mi.checking.axis_hypotheses import FEWER, Hypothesis, pose_hypotheses
+from svu_mi.checking.record import ViewCheck
+from svu_mi.checking.sky import DIRECTIONS, Sky, emitter_of
+from svu_mi.checking.surface_samples import (
+    Points,
+    Texture,
+    agreement,
+    look,
+    open_cosines,
+    read_texture,
+    scatter_points,
+)
+from svu_mi.checking.thumbnails import (
+    Frames,
+    contrast,
+    outline,
+    overlap,
+    reduced,
+    silhouettes,
+    some,
+)
 
-VIEWS, SMALL = 24, 64  # that all hypotheses are tried on, and pixels of their sides
-NEAR = 0.2  # a hypothesis whose silhouettes fit worse than the best by more need not be looked at
-FEWEST, KEPT = 5, 12  # hypotheses whose colours are looked at
-FEWER = 0.02  # of the score, that one more correction must be worth
+VIEWS, SMALL = 24, 64  # for silhouettes of all hypotheses, and pixels of their sides
+NEAR = 0.2  # distance to the best silhouettes within which colours are compared
+FEWEST, KEPT = 5, 12  # hypotheses whose colours are compared
 CERTAIN = 3.0  # standard errors
-AGREEING = 0.3  # least agreement of views that speaks for anything
+AGREEING = 0.3  # least agreement of views that is evidence
 DECISIVE = 0.1  # of the silhouettes' fit
 
 
 @dataclass(frozen=True)
 class PoseScore:
-    """How well one hypothesis explains the photographs.
+    """Score of one hypothesis.
 
     Attributes:
         hypothesis: the corrections.
         masked: whether silhouettes are compared with masks.
         fits: (V,) per view: intersection over union with the mask, or rank of the gradient
             along the outline.
-        agreement: of views about points, see ``appearance.agreement``.
+        agreement: of views about points, see ``surface_samples.agreement``.
         texture: correlation with the object's texture, as it is or flipped; 0 without.
         misfit: (N,) squared differences behind ``texture``, NaN for points that are not seen.
     """
@@ -51,13 +66,13 @@ class PoseScore:
 
     @property
     def cues(self) -> dict[str, float]:
-        """What the score is made of, by name."""
+        """Parts of the score, by name."""
         kind = "silhouettes" if self.masked else "edges"
         return {kind: self.silhouette, "views agree": self.agreement, "texture": self.texture}
 
     @property
     def total(self) -> float:
-        """What hypotheses are ranked by."""
+        """Weighted sum, less a cost per correction."""
         cost = FEWER * len(self.hypothesis.fixes)
         return 2 * self.silhouette + self.agreement + max(self.texture, 0.0) - cost
 
@@ -65,14 +80,7 @@ class PoseScore:
 def score_poses(
     capture: Capture, points: Points, texture: Texture | None, step: Callable[[int, int], None]
 ) -> tuple[PoseScore, ...]:
-    """Try all hypotheses; best first.
-
-    Args:
-        capture: reduced photographs, to look points up in.
-        points: on the object.
-        texture: of the object, None if it has none.
-        step: called with (hypotheses done, all of them).
-    """
+    """Score all hypotheses on reduced photographs, best first; see ``light.score_light``."""
     frames = Frames.of(capture)
     small = Frames.of(some(reduced(capture, SMALL), VIEWS))
     hypotheses = pose_hypotheses()
@@ -82,18 +90,15 @@ def score_poses(
         fits.append(judge(silhouettes(small.posed(hypothesis.relative_poses(small.poses)))))
         step(index + 1, len(hypotheses))
     means = np.array([one.mean() for one in fits])
-    order = [int(i) for i in np.argsort(-means, kind="stable")]
-    near = sum(means >= means.max() - NEAR)
+    near = int((means >= means.max() - NEAR).sum())
+    order = np.argsort(-means, kind="stable")[: max(FEWEST, min(near, KEPT))]
     spread, scores = frames.spread, []
-    for index in dict.fromkeys([0, *order[: max(FEWEST, min(near, KEPT))]]):
+    for index in dict.fromkeys([0, *order.tolist()]):
         hypothesis = hypotheses[index]
         seen = look(points, frames.posed(hypothesis.relative_poses(frames.poses)))
         best, misfit = 0.0, np.full(len(points.position), np.nan)
         if texture is not None:
-            best, misfit = max(
-                (texture_fit(seen, points, albedo) for albedo in (texture.albedo, texture.flipped)),
-                key=lambda pair: pair[0],
-            )
+            best, misfit = max(texture.fits(seen, points), key=lambda pair: pair[0])
         views = agreement(seen, spread)
         scores.append(PoseScore(hypothesis, masked, fits[index], views, best, misfit))
     return tuple(sorted(scores, key=lambda score: -score.total))
@@ -103,7 +108,7 @@ Judge = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 
 def _judge(frames: Frames) -> tuple[bool, Judge]:
-    """Return whether there are masks that silhouettes can be compared with, and the comparison."""
+    """Return whether there are enough masks, and the comparison of silhouettes to use."""
     pairs = [(k, mask) for k, mask in enumerate(frames.masks) if mask is not None and mask.any()]
     if len(pairs) >= min(frames.views.number, 3):
         return True, lambda seen: np.array([overlap(seen[view], mask) for view, mask in pairs])
@@ -120,10 +125,9 @@ def outline_contrast(seen: np.ndarray, rank: np.ndarray) -> float | None:
 
 
 def clearly_better(one: PoseScore, other: PoseScore) -> bool:
-    """Return whether a hypothesis is better than another beyond chance, and in no way worse.
+    """Return whether a hypothesis is significantly better than another, and in no way worse.
 
-    Much better silhouettes decide alone: a shiny object agrees less between views than whatever
-    is behind it.
+    Much better silhouettes decide alone: views of a shiny object agree less than its background.
     """
     for better, worse in ((one, other), (other, one)):
         closer = better.fits - worse.fits
@@ -133,12 +137,12 @@ def clearly_better(one: PoseScore, other: PoseScore) -> bool:
 
 
 def _gains(one: PoseScore, other: PoseScore) -> tuple[bool, bool, bool]:
-    """Whether silhouettes, agreement of views and texture speak for one against another."""
+    """Return whether silhouettes, agreement of views and texture favour one over another."""
     closer = one.silhouette - other.silhouette
     shapes = closer > 0.005 and 1 - other.silhouette > 1.3 * (1 - one.silhouette)
     shapes = shapes if one.masked else closer > 0.015
     shapes &= certain(one.fits - other.fits)
-    # Little agreement says little: of something flat or shiny, the background agrees more.
+    # Little agreement is no evidence: behind a flat or shiny object, the background agrees more.
     views = one.agreement > max(AGREEING, other.agreement + 0.15, 1.5 * other.agreement)
     known = np.isfinite(one.misfit) & np.isfinite(other.misfit)
     colors = one.texture - other.texture > 0.015
@@ -147,7 +151,7 @@ def _gains(one: PoseScore, other: PoseScore) -> tuple[bool, bool, bool]:
 
 
 def certain(differences: np.ndarray) -> bool:
-    """Return whether the mean of differences is above 0 beyond chance."""
+    """Return whether the mean of differences is significantly above 0."""
     if len(differences) < 4:
         return bool(len(differences) and differences.min() > 0)
     error = differences.std(ddof=1) / np.sqrt(len(differences))
@@ -155,12 +159,9 @@ def certain(differences: np.ndarray) -> bool:
 
 
 def simplest(scores: Sequence[PoseScore]) -> tuple[PoseScore, list[PoseScore]]:
-    """Choose among the hypotheses that none is clearly better than: that with fewest corrections.
+    """Choose the hypothesis with the fewest corrections among those not significantly worse.
 
-    A symmetric object looks the same with a mirror or a turn more, which nobody needs.
-
-    Args:
-        scores: best first.
+    A symmetric object looks the same with one more mirror or turn. Scores are given best first.
 
     Returns:
         The choice, and others that are as good and as simple, or need a single correction.
@@ -170,3 +171,46 @@ def simplest(scores: Sequence[PoseScore]) -> tuple[PoseScore, list[PoseScore]]:
     names = chosen.hypothesis.names
     others = [score for score in equal if len(score.hypothesis.fixes) <= max(len(names), 1)]
     return chosen, [score for score in others if score.hypothesis.names != names]
+
+
+def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
+    """Compare every used photograph of a reduced capture with mesh, texture and light."""
+    frames = Frames.of(capture)
+    found = zip(
+        np.flatnonzero(capture.used).tolist(), silhouettes(frames), frames.masks, frames.radiance,
+        _color_errors(capture, frames), strict=True,
+    )  # fmt: skip
+    return tuple(
+        ViewCheck(
+            view=view,
+            name=capture.names[view],
+            overlap=None if mask is None else overlap(seen, mask),
+            contrast=outline_contrast(seen, contrast(radiance)),
+            color_error=error,
+        )
+        for view, seen, mask, radiance, error in found
+    )
+
+
+def _color_errors(capture: Capture, frames: Frames) -> list[float | None]:
+    """Return each view's mean relative error as a diffuse object, None where none is seen or
+    without a light.
+
+    Reflectance is the texture, or one colour, times the best factor per channel.
+    """
+    emitter = emitter_of(capture)
+    if emitter is None:
+        return [None] * frames.views.number
+    points = scatter_points(capture.shape)
+    sightings, texture = look(points, frames), read_texture(capture, points)
+    flux = Sky.of(emitter, np.eye(3)).arriving(np.eye(3))
+    albedo = 1.0 if texture is None else texture.albedo
+    predicted = albedo * (open_cosines(capture.scene, points, DIRECTIONS) @ flux) / np.pi
+    view, point = np.nonzero(sightings.seen)
+    shown, model = sightings.radiance[view, point], predicted[point]
+    ratio = shown / np.maximum(model, 1e-3 * predicted.mean() + 1e-300)
+    model = model * (np.median(ratio, axis=0) if len(ratio) else 1.0)
+    count = len(sightings.seen)
+    error = np.bincount(view, np.abs(shown - model).mean(axis=1), count)
+    whole = np.bincount(view, shown.mean(axis=1), count)
+    return [float(e / w) if w > 0 else None for e, w in zip(error, whole, strict=True)]

@@ -1,0 +1,152 @@
+"""Combinations of axis mistakes, and their corrections applied to a loaded capture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import product
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.capture.mesh import arrays, make
+from svu_mi.capture.poses import affine, describe, make_sensor
+from svu_mi.capture.repaint import is_same, scene_of
+from svu_mi.capture.scene import find_environment, to_world
+from svu_mi.formats.fixes import FIXES, Fix, Kind, corrected_mesh, corrected_poses, turn_of
+from svu_mi.formats.source import OPENCV, OPENGL
+from svu_mi.light.environment import read_environment
+from svu_mi.light.levels import resolved
+
+CONVENTION = np.eye(4)  # of the cameras' axes in the file, see ``formats.source``
+CAMERA_AXES = (CONVENTION, OPENGL, OPENCV)  # that a file may have had before it was imported
+FEWER = 0.02  # of a score, that one more correction must be worth
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Corrections of cameras and mesh, or of the light, in the order of their application.
+
+    ``camera_axes`` (4, 4) are those of ``apply_fixes``.
+    """
+
+    fixes: tuple[Fix, ...] = ()
+    camera_axes: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the corrections."""
+        return tuple(fix.name for fix in self.fixes)
+
+    def relative_poses(self, poses: np.ndarray) -> np.ndarray:
+        """Return poses (V, 4, 4) relative to the uncorrected mesh, so that one scene serves all."""
+        for fix in self.fixes:
+            if fix.kind == "camera":
+                poses = corrected_poses(poses, fix, self.camera_axes)
+            elif fix.matrix is not None:
+                poses = affine(fix.matrix.T) @ poses
+        return poses
+
+
+def _known(kind: Kind) -> list[Fix]:
+    return [fix for fix in FIXES.values() if fix.kind == kind]
+
+
+@cache
+def pose_hypotheses() -> tuple[Hypothesis, ...]:
+    """Return all combinations of wrong camera axes, inverse poses, and a wrong mesh.
+
+    The first corrects nothing, then come single corrections.
+    """
+    inverse = FIXES["camera-inverse"]
+    turns = [(), *((fix,) for fix in _known("camera") if fix is not inverse)]
+    cameras = [(turn, np.eye(4)) for turn in turns]
+    cameras += [((inverse, *turn), axes) for turn, axes in product(turns, CAMERA_AXES)]
+    meshes = [(), *((fix,) for fix in _known("mesh"))]
+    combined = [
+        Hypothesis(camera + mesh, axes) for (camera, axes), mesh in product(cameras, meshes)
+    ]
+    return tuple(sorted(combined, key=lambda one: len(one.fixes)))
+
+
+@cache
+def light_hypotheses() -> tuple[Hypothesis, ...]:
+    """Return the 48 orientations of a map, each by the fewest corrections.
+
+    The first corrects nothing, then come single corrections.
+    """
+    queue = [Hypothesis()]
+    found = {}
+    for known in queue:  # grows while it is walked through: shortest first
+        key = turn_of(known.fixes, "light").astype(int).tobytes()  # axes go to axes
+        if key not in found:
+            found[key] = known
+            queue += [Hypothesis((*known.fixes, fix)) for fix in _known("light")]
+    return tuple(found.values())
+
+
+def apply_fixes(
+    capture: Capture, fixes: Sequence[Fix], camera_axes: np.ndarray = CONVENTION
+) -> Capture:
+    """Return a copy of a capture with corrections applied in order.
+
+    ``camera_axes`` (4, 4): what the importer multiplied camera-to-world matrices by from the right;
+    only ``camera-inverse`` depends on it.
+    """
+    for fix in fixes:
+        capture = _applied(capture, fix, camera_axes)
+    return capture
+
+
+def _applied(capture: Capture, fix: Fix, camera_axes: np.ndarray) -> Capture:
+    if fix.kind == "camera":
+        poses = np.array([to_world(sensor) for sensor in capture.sensors]).reshape(-1, 4, 4)
+        poses = corrected_poses(poses, fix, camera_axes)
+        moved = zip(capture.sensors, poses, strict=True)
+        return replace(capture, sensors=tuple(_moved(sensor, pose) for sensor, pose in moved))
+    if fix.kind == "light":
+        return _lit(capture, fix)
+    return _shaped(capture, fix)
+
+
+def _moved(sensor: Any, pose: np.ndarray) -> Any:
+    return make_sensor({**describe(sensor), "to_world": pose.tolist()}, sensor.id())
+
+
+def _shaped(capture: Capture, fix: Fix) -> Capture:
+    """Correct the mesh of the object."""
+    shape = make(capture.shape.id(), corrected_mesh(arrays(capture.shape), fix))
+    shape.set_bsdf(capture.shape.bsdf())
+    mesh = shape
+    if capture.mesh is not capture.shape:
+        mesh = make(capture.mesh.id(), corrected_mesh(arrays(capture.mesh), fix))
+    others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
+    return replace(
+        capture, shape=shape, mesh=mesh, scene=scene_of([shape, *capture.scene.emitters(), *others])
+    )
+
+
+def _lit(capture: Capture, fix: Fix) -> Capture:
+    """Turn the light; a constant one stays, a sky becomes a map."""
+    emitter = find_environment(capture.scene, str(capture.source or "scene"))
+    if emitter.class_name() == "ConstantBackgroundEmitter":
+        return capture
+    turned = to_world(emitter) @ affine(fix.matrix)
+    if emitter.class_name() == "EnvironmentMapEmitter":
+        params = mi.traverse(emitter)
+        bitmap = params["data"].numpy()[:, 1:-1]  # Mitsuba 3.9 keeps a halo column on each side
+        scale = float(np.array(params["scale"]).ravel()[0])
+    else:
+        bitmap, scale = resolved(read_environment(emitter)), 1.0
+    light = mi.load_dict({
+        "type": "envmap",
+        "id": emitter.id(),
+        "bitmap": mi.Bitmap(np.ascontiguousarray(bitmap, np.float32)),
+        "scale": scale,
+        "to_world": mi.ScalarTransform4f(turned),
+    })  # fmt: skip
+    scene = scene_of([*capture.scene.shapes(), light])
+    return replace(capture, scene=scene, doubt=None, found_light=None)

@@ -1,0 +1,337 @@
+"""Checks of exposure gains: of all photographs against the light, and against each other.
+
+Common gain: an opaque surface is never brighter than all the light that reaches it, seen from many
+sides. Photographs where more of it is (``Excess``) have another unit than the light. Photographs
+that are too dark look like dark paint. Constants were chosen on our own objects and lights, and
+eight uniform materials, in 8 to 24 views. Unchanged, our own textures exceed the bound on .3 % of
+the surface, white paint (base colour .9, in the sun) on 8 %, whiter paint on 16 % (.95) and 40 %
+(1), by factors of at most 1.14 and 1.15. Twice as bright, in 24 views our own textures do on 14 to
+80 % by factors of 1.18 to 1.76 (the knot by the window 1.11, which is like paint), in 8 views on
+4 to 80 %. Polished metal that mirrors a window is three times as bright as white, but from one
+side only. These numbers are for 512 cells of the light; with 1024, factors differ by .002 at most,
+and parts by .001.
+
+Single gains: every point is fitted by a diffuse and a glossy part of its own, and the gain of a
+view is the median ratio to that. It takes half a second, and finds single gains of 1.5 and .67 in
+9 of 10 captures of 24 views, 8 of 10 of 12, 7 of 10 of 8; none in right captures. The estimate with
+calibrated materials (``illumination.exposure``) is more precise, but takes ten times longer.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import scipy
+
+from svu_mi.checking.sky import COARSE, DIRECTIONS, Sky, read_cells
+from svu_mi.checking.surface_samples import Points, Sightings, look, open_cosines, scatter_points
+from svu_mi.checking.thumbnails import Frames
+from svu_mi.errors import SvuWarning
+from svu_mi.interop import owned
+from svu_mi.light.cells import Cells, fibonacci, light_cells
+from svu_mi.reflection.principled import F0
+from svu_mi.visibility.reach import is_open
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.light.environment import Environment
+    from svu_mi.pipeline import Estimate
+
+LEAST = 3  # views of a point
+
+CELLS = 1024  # of the light, as many as are traced by default; smaller where it is brighter
+FACING = 0.5  # least cosine to the camera: gloss near the rim is brighter than the bound
+NARROW = 0.95  # length of the mean of unit directions to the cameras, in a cone of 50 degrees
+DIMMER = 5  # one of this many views may be dimmer than white, because of noise
+LIT = 0.8  # of the median light: in shadow, most light comes from the object itself
+OPEN = 0.9  # free part of the sky, weighted by the cosine, for the same reason
+AROUND = 2.0  # brightness of occluders, relative to the mean of the object
+FEWEST = 50  # points
+MOST = 0.1  # of the points, that may be brighter than white
+WHITEST = 1.16  # times white: gloss and interreflection on white paint
+BRIGHT = 0.98  # quantile of the points' factors that is reported
+
+GRAZING = 0.3  # least cosine to the camera for single gains
+VIEWS = 8  # fewer have too few points in common
+STEPS = 8  # alternations of gains and materials
+DARK = 0.05  # of the median radiance, added before taking ratios
+TYPICAL = 0.3  # of a point's mean radiance, likewise, in the first step
+OUTLIER = 0.3  # log ratio from which a sample counts half
+EXPLAINED = 0.12  # largest median log ratio of a point over its views
+SHARE = 0.65  # of the samples that must be explained: reflections may be too sharp
+SIDES = fibonacci(16)  # directions that normals are grouped by, since model errors are alike there
+OF_SIDE = 4  # points
+FEWEST_SIDES = 3  # that a view has to show
+LARGEST = 0.2  # log gain that is accepted
+CERTAIN = 4.0  # standard errors
+
+
+class Arriving(NamedTuple):
+    """Radiance (N, 3) of a white diffuse surface at N points, irradiance / pi, and the free part
+    (N,) of the sky, weighted by the cosine."""
+
+    white: np.ndarray
+    free: np.ndarray
+
+    @staticmethod
+    def of(
+        scene: Any, points: Points, environment: Environment, cells: Cells | None = None
+    ) -> Arriving:
+        """Sum the cells of the light; occlusion is traced in a few even directions."""
+        cells = cells or light_cells(environment, COARSE, CELLS).fine
+        flux, toward = read_cells(cells)
+        cosines = open_cosines(scene, points, DIRECTIONS)
+        whole = np.maximum(points.normal @ DIRECTIONS.T, 0)
+        # A cell is hidden if the direction next to it is; what lies below the horizon hides none.
+        free = (cosines > 0) | (whole <= 0)
+        nearest = scipy.spatial.cKDTree(DIRECTIONS).query(toward)[1]
+        arriving = points.normal.astype(np.float32) @ toward.T  # fresh memory takes time: once
+        np.maximum(arriving, 0, out=arriving)
+        arriving *= free[:, nearest]
+        white = (arriving @ flux).astype(np.float64) / np.pi
+        return Arriving(white, cosines.sum(axis=1) / whole.sum(axis=1))
+
+
+class Excess(NamedTuple):
+    """Part of the points that are brighter than white, in [0, 1], and by which factor."""
+
+    part: float
+    factor: float
+
+    @property
+    def sentence(self) -> str | None:
+        """Problem and remedy, None without a problem."""
+        if self.part <= MOST or self.factor <= WHITEST:
+            return None
+        return (
+            f"{100 * self.part:.0f} % of the surface reflects more than all the light that reaches "
+            f"it: the photographs are too bright for this light, by a factor of {self.factor:.1f} "
+            "or more; check their gain (svu import --exposures, or divide the "
+            "photographs) and the light's (--environment-scale, or scale in the scene)."
+        )
+
+    @property
+    def of_found_light(self) -> str | None:
+        """The same for light that was estimated from these photographs, up to its scale."""
+        if self.sentence is None:
+            return None
+        return (
+            f"{100 * self.part:.0f} % of the surface reflects more than all the light that was "
+            f"found, which is too dark by a factor of {self.factor:.1f} or more; fix its "
+            "brightness with --grey-card, --mean-albedo or --light-scale of svu light."
+        )
+
+
+def excess(sightings: Sightings, points: Points, arriving: Arriving, unit: float) -> Excess | None:
+    """Compare N points in V views with the bound; None if too few points are reliable.
+
+    ``unit``: radiance of a sighting of 1.
+    """
+    cosine, _ = sightings.mirrored(points)
+    seen = sightings.seen & (cosine > FACING)
+    views, brightness = seen.sum(axis=0), arriving.white.mean(axis=1)
+    judged = (views >= LEAST) & (arriving.free > OPEN) & _around(sightings, seen)
+    judged &= (brightness >= LIT * np.median(brightness)) & (brightness > 0)
+    if judged.sum() < FEWEST:
+        return None
+    around = AROUND * unit * sightings.radiance[sightings.seen].mean(axis=0)
+    white = arriving.white + np.clip(1 - arriving.free, 0, 1)[:, None] * around
+    shown = np.where(seen[..., None], unit * sightings.radiance, np.inf)[:, judged]
+    dim = views[judged] // DIMMER
+    dimmest = np.take_along_axis(np.sort(shown, axis=0), dim[None, :, None], axis=0)[0]
+    ratio = (dimmest / np.maximum(white[judged], 1e-300)).max(axis=1)
+    return Excess(float((ratio > 1).mean()), float(np.quantile(ratio, BRIGHT)))
+
+
+def _around(sightings: Sightings, seen: np.ndarray) -> np.ndarray:
+    """Return which points (N,) are seen from many sides, and not all in the mirror of one lamp."""
+    total = np.einsum("vn,vni->ni", seen, sightings.toward)
+    return np.linalg.norm(total, axis=1) < NARROW * seen.sum(axis=0)
+
+
+def unit_of(capture: Capture, small: Capture) -> float:
+    """Return the radiance of a pixel of 1 in a reduced capture."""
+    view = capture.used.index(True)
+    return small.exposures[view] / capture.exposures[view]
+
+
+def too_bright(estimate: Estimate) -> str | None:
+    """Return a sentence if an estimate's photographs are too bright for its light, else None."""
+    seen = estimate.observed
+    if seen is None:
+        return None
+    points = scatter_points(seen.capture.shape)
+    sightings = look(points, Frames(seen.capture, seen.views, np.zeros((0, 4, 4))))
+    light = seen.lighting.environment, seen.cells(CELLS).fine
+    arriving = Arriving.of(seen.capture.scene, points, *light)
+    found = excess(sightings, points, arriving, 1.0)
+    if found is None:
+        return None
+    return found.sentence if seen.capture.found_light is None else found.of_found_light
+
+
+def warn_if_too_bright(estimate: Estimate) -> None:
+    """Warn if an estimate's photographs are too bright for its light."""
+    sentence = too_bright(estimate)
+    if sentence is not None:
+        warnings.warn(sentence, SvuWarning, stacklevel=2)
+
+
+class Reflections(NamedTuple):
+    """Grey samples of N points in V views, and what reflects there.
+
+    Attributes:
+        seen: (V, N) bool.
+        shown: (V, N) radiance, positive where seen.
+        diffuse: (N,) radiance of a white diffuse surface.
+        lobes: (L, V, N) radiance of glossy ones.
+        side: (N,) index of the direction in ``SIDES`` next to the normal.
+    """
+
+    seen: np.ndarray
+    shown: np.ndarray
+    diffuse: np.ndarray
+    lobes: np.ndarray
+    side: np.ndarray
+
+    @staticmethod
+    def of(
+        scene: Any, points: Points, sightings: Sightings, light: tuple[Sky, Arriving]
+    ) -> Reflections:
+        """Look up the light that points mirror to the cameras."""
+        sky, arriving = light
+        cosine, mirror = sightings.mirrored(points)
+        reflected = sky.reflected(mirror.reshape(-1, 3), np.eye(3)).mean(axis=2)
+        reflected = reflected.reshape(-1, *cosine.shape)
+        fresnel = F0 + (1 - F0) * (1 - np.clip(cosine, 0, 1)) ** 5
+        seen = sightings.seen & (cosine > GRAZING)
+        seen &= _sees_sky(scene, points, mirror, seen)
+        kept = seen.sum(axis=0) >= LEAST
+        return Reflections(
+            seen=seen[:, kept],
+            shown=sightings.radiance.mean(axis=2)[:, kept],
+            diffuse=arriving.white.mean(axis=1)[kept],
+            lobes=np.concatenate([reflected, reflected * fresnel])[..., kept],
+            side=(points.normal[kept] @ SIDES.T).argmax(axis=1),
+        )
+
+
+def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """Return which of (V, N) samples mirror the light, not the object."""
+    if not asked.any():
+        return np.zeros(asked.shape, bool)
+    view, point = np.nonzero(asked)
+    surface = points.surface(owned(mi.UInt32, point.astype(np.uint32)))
+    direction = owned(mi.Vector3f, mirror[view, point].T.astype(np.float32))
+    above = dr.dot(surface.geometric_normal, direction) > 0
+    free = np.zeros(asked.shape, bool)
+    free[view, point] = is_open(scene, surface, direction, above, coherent=False).numpy()
+    return free
+
+
+@dataclass(frozen=True)
+class Gains:
+    """The gains of V photographs, relative to their median.
+
+    Attributes:
+        log: (V,) natural logarithms.
+        noise: (V,) standard errors of those; infinite where unknown.
+        explained: part of the samples that the model explains, in [0, 1].
+    """
+
+    log: np.ndarray
+    noise: np.ndarray
+    explained: float
+
+    @property
+    def known(self) -> np.ndarray:
+        """(V,) bool, the photographs that can be compared."""
+        return np.isfinite(self.noise) & (self.explained >= SHARE)
+
+    @property
+    def odd(self) -> np.ndarray:
+        """(V,) bool, the photographs whose gain differs significantly."""
+        limit = np.maximum(LARGEST, CERTAIN * np.where(self.known, self.noise, 0))
+        return self.known & (np.abs(self.log) > limit)
+
+
+def relative_gains(samples: Reflections) -> Gains:
+    """Estimate gains and materials alternately, starting from equal gains."""
+    seen, shown = samples.seen, samples.shown
+    log = np.zeros(len(shown))
+    if not seen.any():
+        return Gains(log, np.full(len(log), np.inf), 0.0)
+    unit = DARK * max(float(np.median(shown[seen])), 1e-30)
+    count = seen.sum(axis=0)
+    mean = np.where(seen, shown, 0).sum(axis=0) / count
+    weight = seen / (shown + unit + TYPICAL * mean) ** 2
+    for _ in range(STEPS):
+        even = shown * np.exp(-log)[:, None]
+        model = _fitted(even, weight, samples)
+        ratio = np.where(seen, np.log((even + unit) / (model + unit)), np.nan)
+        weight = seen / (model + unit) ** 2 / (1 + (np.nan_to_num(ratio) / OUTLIER) ** 2)
+        # Two views of a point are always explained.
+        error = _medians(np.abs(ratio - _medians(ratio, 1)[:, None]), 0) * np.sqrt(
+            count / (count - 2)
+        )
+        known = np.where(error < EXPLAINED, ratio, np.nan)
+        log = log + np.nan_to_num(_medians(known, 1))
+        log = log - np.median(log)
+    return Gains(log, _noise(known, samples.side), float(np.isfinite(known).sum() / seen.sum()))
+
+
+def _fitted(shown: np.ndarray, weight: np.ndarray, samples: Reflections) -> np.ndarray:
+    """Return the best fit (V, N) of each point by a diffuse part and one lobe, both positive."""
+    least, model = np.full(shown.shape[1], np.inf), np.zeros_like(shown)
+    diffuse = np.broadcast_to(samples.diffuse, shown.shape)
+    for lobe in samples.lobes:
+        found = _mixed(shown, weight, diffuse, lobe)
+        error = (weight * (shown - found) ** 2).sum(axis=0)
+        model, least = np.where(error < least, found, model), np.minimum(error, least)
+    return model
+
+
+def _mixed(
+    shown: np.ndarray, weight: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray
+) -> np.ndarray:
+    """Fit shown = a diffuse + b lobe at every point by weighted least squares, a and b positive."""
+
+    def product(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return (weight * one * other).sum(axis=0)
+
+    aa, bb, ab = product(diffuse, diffuse), product(lobe, lobe), product(diffuse, lobe)
+    sa, sb = product(shown, diffuse), product(shown, lobe)
+    determinant = aa * bb - ab * ab
+    is_both = determinant > 1e-6 * aa * bb
+    divisor = np.where(is_both, determinant, 1)
+    a, b = (sa * bb - sb * ab) / divisor, (sb * aa - sa * ab) / divisor
+    # Else one of them alone, that which explains more.
+    alone_a, alone_b = sa / np.maximum(aa, 1e-30), sb / np.maximum(bb, 1e-30)
+    is_both &= (a >= 0) & (b >= 0)
+    is_diffuse = alone_a * sa >= alone_b * sb
+    a = np.where(is_both, a, np.where(is_diffuse, alone_a, 0))
+    b = np.where(is_both, b, np.where(is_diffuse, 0, alone_b))
+    return a * diffuse + b * lobe
+
+
+def _noise(ratio: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Return standard errors (V,) of the medians of ratios (V, N), by the spread over sides."""
+    medians = []
+    for number in np.unique(side):
+        of_side = ratio[:, side == number]
+        enough = np.isfinite(of_side).sum(axis=1) >= OF_SIDE
+        medians.append(np.where(enough, _medians(of_side, 1), np.nan))
+    table = np.stack(medians, axis=1)
+    count = np.isfinite(table).sum(axis=1)
+    spread = 1.48 * _medians(np.abs(table - _medians(table, 1)[:, None]), 1)
+    return np.where(count >= FEWEST_SIDES, spread / np.sqrt(np.maximum(count, 1)), np.inf)
+
+
+def _medians(values: np.ndarray, axis: int) -> np.ndarray:
+    """Return medians of finite values, NaN without any."""
+    return np.ma.median(np.ma.masked_invalid(values), axis=axis).filled(np.nan)

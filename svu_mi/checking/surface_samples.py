@@ -1,0 +1,227 @@
+"""Points of the surface: what photographs and texture show there, and which light arrives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
+from svu_mi.checking.thumbnails import Frames, tone
+from svu_mi.interop import owned
+from svu_mi.light.environment import basis_at
+from svu_mi.visibility.observe import Surface, observe
+from svu_mi.visibility.reach import is_open
+
+COUNT = 2000
+SEED = 6151
+FACING = 0.25  # least cosine to the camera: pixels near the rim mix with the background
+OFFSET = 1e-4  # of the object's size, that rays start above the surface
+ENOUGH = 2  # views of a point, to compare them
+FEWEST = 30  # points, to compare a texture
+PLAIN = 0.01  # standard deviation of a base colour that is not a texture
+GLOSS = 0.04  # reflectance of a black dielectric
+DARK = 0.01  # of the photographs' unit, added before taking logarithms
+SHADING_DEGREE = 2  # harmonics that hold 99 % of any irradiance [Ramamoorthi and Hanrahan 2001]
+
+
+@dataclass(frozen=True)
+class Points:
+    """N points, evenly spread over the surface of a mesh.
+
+    Attributes:
+        position: (N, 3) float64.
+        normal: (N, 3) float64, unit shading normals.
+        facing: (N, 3) float64, unit face normals on the side of the shading normals.
+        uv: (N, 2) float64, or None when the mesh has none.
+        offset: distance from the surface that rays start at.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    facing: np.ndarray
+    uv: np.ndarray | None
+    offset: float
+
+    def surface(self, index: Any) -> Surface:
+        """Return the points of a UInt32 array of indices as lanes of a kernel."""
+
+        def of(kind: Any, values: np.ndarray) -> Any:
+            return dr.gather(kind, owned(mi.Float, values.astype(np.float32).ravel()), index)
+
+        return Surface(
+            position=of(mi.Point3f, self.position), normal=of(mi.Normal3f, self.normal),
+            geometric_normal=of(mi.Normal3f, self.facing), offset=dr.opaque(mi.Float, self.offset),
+        )  # fmt: skip
+
+
+def scatter_points(mesh: Any, count: int = COUNT) -> Points:
+    """Draw points on a mesh, by area; always the same ones."""
+    source = arrays(mesh)
+    crosses = source.crosses
+    random = np.random.default_rng(SEED)
+    # Stratified by area: as even as random points get.
+    face = faces_at(crosses, (np.arange(count) + random.random(count)) / count)
+    a, b = np.sqrt(random.random(count)), random.random(count)
+    weights = np.stack([1 - a, a * (1 - b), a * b], axis=-1)
+
+    def mixed(values: np.ndarray) -> np.ndarray:
+        return np.einsum("nk,nki->ni", weights, values[source.faces[face]])
+
+    flat = unit_vectors(crosses[face])
+    normal = flat if source.normals is None else unit_vectors(mixed(source.normals))
+    side = np.where(np.einsum("ni,ni->n", flat, normal) < 0, -1, 1)
+    return Points(
+        position=mixed(source.positions),
+        normal=normal,
+        facing=flat * side[:, None],
+        uv=None if source.uvs is None else mixed(source.uvs),
+        offset=OFFSET * float(np.linalg.norm(np.ptp(source.positions, axis=0))),
+    )
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Samples of N points in V photographs.
+
+    Attributes:
+        seen: (V, N) bool: in the picture, not occluded, and its pixels are usable.
+        radiance: (V, N, 3) float32; 0 where not seen.
+        toward: (V, N, 3) float32, unit directions to the cameras, in the frame of the mesh.
+    """
+
+    seen: np.ndarray
+    radiance: np.ndarray
+    toward: np.ndarray
+
+    def mirrored(self, points: Points) -> tuple[np.ndarray, np.ndarray]:
+        """Return cosines (V, N) to the normals and mirrored directions (V, N, 3)."""
+        cosine = np.einsum("vni,ni->vn", self.toward, points.normal)
+        return cosine, 2 * cosine[..., None] * points.normal - self.toward
+
+    def typical(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the median (N, 3) over the views of each point, and which points are seen."""
+        known = self.seen.sum(axis=0) >= 1
+        values = np.where(self.seen[..., None], self.radiance, np.nan)
+        result = np.zeros(values.shape[1:])
+        result[known] = np.nanmedian(values[:, known], axis=0)
+        return result, known
+
+
+def look(points: Points, frames: Frames) -> Sightings:
+    """Sample all points in all photographs; poses are relative to the mesh of the scene."""
+    shape = frames.views.number, len(points.position)
+    view, point = _pairs(shape)
+    surface = points.surface(point)
+    found = observe(frames.views, surface, view)
+    facing = dr.minimum(found.cosine, dr.dot(surface.geometric_normal, found.direction)) > FACING
+    seen = found.seen & facing
+    return Sightings(
+        seen=seen.numpy().reshape(shape),
+        radiance=dr.select(seen, found.radiance, 0).numpy().T.reshape(*shape, 3),
+        toward=found.direction.numpy().T.reshape(*shape, 3),
+    )
+
+
+def open_cosines(scene: Any, points: Points, directions: np.ndarray) -> np.ndarray:
+    """Return (N, K) float32 cosines of light from directions (K, 3), 0 where it is occluded."""
+    shape = len(points.position), len(directions)
+    point, cell = _pairs(shape)
+    surface = points.surface(point)
+    toward = owned(mi.Float, directions.astype(np.float32).ravel())
+    direction = dr.gather(mi.Vector3f, toward, cell)
+    cosine = dr.dot(surface.normal, direction)
+    above = (cosine > 0) & (dr.dot(surface.geometric_normal, direction) > 0)
+    free = is_open(scene, surface, direction, above, coherent=False)
+    return dr.select(free, cosine, 0).numpy().reshape(shape)
+
+
+def _pairs(shape: tuple[int, int]) -> tuple[Any, Any]:
+    """Return row and column of every place of a table, UInt32."""
+    place, width = dr.arange(mi.UInt32, shape[0] * shape[1]), dr.opaque(mi.UInt32, shape[1])
+    row = place // width
+    return row, place - row * width
+
+
+def agreement(sightings: Sightings, spread: float) -> float:
+    """Return the intraclass correlation of points over tone-mapped photographs, 0 to 1.
+
+    It is 1 if each point looks the same from everywhere and points differ. ``spread``: variance of
+    the photographs' pixels; an even background would agree perfectly without it.
+    """
+    kept = sightings.seen.sum(axis=0) >= ENOUGH
+    if not kept.any():
+        return 0.0
+    seen, shown = sightings.seen[:, kept, None], tone(sightings.radiance[:, kept])
+    count = seen.sum(axis=0)
+    mean = np.where(seen, shown, 0).sum(axis=0) / count
+    within = np.where(seen, (shown - mean) ** 2, 0).sum(axis=0) / (count - 1)
+    between = max(float((mean.var(axis=0) - (within / count).mean(axis=0)).mean()), 0.0)
+    return between / (between + float(within.mean()) + 0.02 * spread + 1e-12)
+
+
+@dataclass(frozen=True)
+class Texture:
+    """The base colour (N, 3) of the scene's material at N points, as it is and with V flipped."""
+
+    albedo: np.ndarray
+    flipped: np.ndarray
+
+    def turned(self) -> Texture:
+        """Return the texture with V flipped."""
+        return Texture(self.flipped, self.albedo)
+
+    def fits(self, sightings: Sightings, points: Points) -> list[tuple[float, np.ndarray]]:
+        """Return ``texture_fit`` of both."""
+        return [texture_fit(sightings, points, albedo) for albedo in (self.albedo, self.flipped)]
+
+
+def read_texture(capture: Capture, points: Points) -> Texture | None:
+    """Return the object's texture, or None without one that varies."""
+    if points.uv is None or capture.shape.bsdf() is None:
+        return None
+    albedo = base_color(capture.shape, points.uv)
+    if not np.isfinite(albedo).all() or albedo.std(axis=0).mean() < PLAIN:
+        return None
+    return Texture(albedo, base_color(capture.shape, points.uv * [1, -1] + [0, 1]))
+
+
+def base_color(shape: Any, uv: np.ndarray) -> np.ndarray:
+    """Return the diffuse reflectance (N, 3) of a shape's material at texture coordinates."""
+    si = dr.zeros(mi.SurfaceInteraction3f, len(uv))
+    si.uv = owned(mi.Point2f, uv.T.astype(np.float32))
+    si.wi = mi.Vector3f(0, 0, 1)
+    color = shape.bsdf().eval_diffuse_reflectance(si)
+    return np.stack(
+        [np.broadcast_to(np.array(channel, float), len(uv)) for channel in color], axis=-1
+    )
+
+
+def texture_fit(
+    sightings: Sightings, points: Points, albedo: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Correlate a base colour (N, 3) with the photographs under unknown light.
+
+    Logarithms of both are compared after removing what smooth shading could explain.
+
+    Returns:
+        The correlation, and (N,) the rest of each point's variance after prediction; 1 in the mean
+        if nothing is explained, NaN where not seen.
+    """
+    shown, known = sightings.typical()
+    misfit = np.full(len(albedo), np.nan)
+    if known.sum() < FEWEST:
+        return 0.0, misfit
+    shading = basis_at(points.normal[known], SHADING_DEGREE)
+    a, b = np.log(albedo[known] + GLOSS), np.log(shown[known] + DARK)
+    # Colours as differences of channels, too: light moves them less than brightness.
+    a, b = (np.concatenate([x, x - x.mean(axis=1, keepdims=True)], axis=1) for x in (a, b))
+    a, b = (x - shading @ np.linalg.lstsq(shading, x, rcond=None)[0] for x in (a, b))
+    a, b = (x / max(np.sqrt((x * x).sum()), 1e-12) for x in (a, b))
+    correlation = float((a * b).sum())
+    misfit[known] = known.sum() * ((b - max(correlation, 0.0) * a) ** 2).sum(axis=1)
+    return correlation, misfit
