@@ -15,20 +15,16 @@ import trimesh
 from PIL import Image
 
 from svu_mi import scenes
-from svu_mi.bench import BENCHMARKS, captures, experiment, recovery
+from svu_mi.bench import BENCHMARKS, captures, experiment
 from svu_mi.bench.accuracy.scores import judge_posterior
 from svu_mi.bench.captures import capture_of, some_views
 from svu_mi.bench.cases import convert_glb, data_cells, own_cells
-from svu_mi.bench.estimators import VARIANTS
-from svu_mi.bench.experiment import Bench, Experiment, file_name
-from svu_mi.bench.markdown import Bar, Column, bar_table, columns, seconds, table
+from svu_mi.bench.experiment import Bench, Experiment
+from svu_mi.bench.markdown import Bar, bar_table
 from svu_mi.bench.problem_sizes import Sizes
-from svu_mi.bench.recovery import Recovered
-from svu_mi.bench.recovery.methods import PATH, ROWS, SH, choose_rows, find_row
 from svu_mi.bench.result_cache import Store, key_of
 from svu_mi.bench.study import Asked, Study, run_bench
 from svu_mi.capture.scene import load_scene
-from svu_mi.cli.bench import names
 from svu_mi.cli.main import main
 from svu_mi.errors import MeshError, OptionError, SceneError, ShapeError, SvuWarning
 from svu_mi.metrics import GroundTruth
@@ -139,21 +135,6 @@ def test_what_cannot_be_measured_is_told_and_left_out(bench):
     assert "| the word abba: . | a dot |" in text and "3 versions of the code" in text
 
 
-def test_a_cell_without_a_second_light_is_left_out(bench, monkeypatch):
-    def other(cell, *_):
-        if cell.light == "window":
-            raise OptionError("no second light")
-        return cell
-
-    monkeypatch.setattr(recovery, "under_another_light", other)
-    monkeypatch.setattr(Recovered, "head", lambda _: {})
-    monkeypatch.setattr(Recovered, "measure", lambda *_: {})
-    asked = Asked(cells=own_cells(["vase"], ["window", "studio"]), rows=[SH.label])
-    with pytest.warns(SvuWarning, match="vase / window is left out: no second light"):
-        record = recovery.STUDY.experiment(bench, asked).run(bench)
-    assert len(record["cells"]) == len(record["failed"]) == 1
-
-
 def test_a_module_and_a_line_are_a_benchmark(bench, monkeypatch):
     """What CONTRIBUTING.md says: its name among ``BENCHMARKS``, and a module with a ``STUDY``."""
     letters = (Letter("a"),)
@@ -170,12 +151,6 @@ def test_a_module_and_a_line_are_a_benchmark(bench, monkeypatch):
     assert record["words"]["cells"] == [{"word": "vase", "rows": {"a": {"count": 1}}}]
     text = (bench.folder / "bench.md").read_text()
     assert "# Words" in text and "| letters | 4 | <= 3 | **no** |" in text and "\nvase" in text
-
-
-def test_labels_of_rows_are_different_files():
-    for rows in (ROWS, VARIANTS):
-        assert len({file_name(row.label) for row in rows}) == len(rows)
-    assert file_name("SH + path") == "sh_with_path"
 
 
 def test_a_record_counts_only_under_its_key(tmp_path):
@@ -204,27 +179,6 @@ def test_the_cells_of_svu_mi():
         own_cells(["teapot"])
     with pytest.raises(OptionError, match="no light 'moon'"):
         own_cells(lights=["moon"])
-
-
-def test_names_of_the_command_line():
-    assert names("", "--objects") == ()
-    assert names("vase, knot", "--objects") == ("vase", "knot")
-    with pytest.raises(OptionError, match="--objects"):
-        names("vase,,knot", "--objects")
-
-
-def test_rows_are_found_by_label_and_cheap_ones_come_first():
-    assert find_row("path") is PATH
-    assert choose_rows(["path", "SH (ours)"]) == (SH, PATH)
-    with pytest.raises(OptionError, match="no row 'poth'"):
-        choose_rows(["poth"])
-
-
-def test_what_run_bench_refuses(bench):
-    with pytest.raises(OptionError, match="no benchmark 'power'; use one of accuracy"):
-        run_bench(bench, ["power"], Asked(cells=CELLS))
-    with pytest.raises(OptionError, match="no object and light"):
-        run_bench(bench, ["speed"], Asked())
 
 
 def test_an_unknown_benchmark_is_one_line(tmp_path, capsys, variant):
@@ -335,16 +289,6 @@ def test_a_glb_keeps_its_pictures_where_they_were(tmp_path):
     np.testing.assert_allclose(metal, 200 / 255, atol=1e-3)
 
 
-def test_factors_without_textures(tmp_path):
-    """Colour factors are linear light: 0.2 stays 0.2 through the sRGB file."""
-    path = box(tmp_path, baseColorFactor=[51, 102, 255, 255], roughnessFactor=0.25,
-               metallicFactor=0.75)  # fmt: skip
-    color, rough, metal, _ = parameters_at(convert_glb(path, tmp_path / "c"), [[0.3, 0.6]] * 2)
-    np.testing.assert_allclose(color[0], [0.2, 0.4, 1], atol=4e-3)
-    np.testing.assert_allclose(rough, 0.25, atol=3e-3)
-    np.testing.assert_allclose(metal, 0.75, atol=3e-3)
-
-
 def test_glb_files_that_are_refused(tmp_path):
     (tmp_path / "bad.glb").write_bytes(b"not a GLB")
     with pytest.raises(MeshError, match="bad.glb: not a readable mesh"):
@@ -408,20 +352,6 @@ def test_a_posterior_at_the_truth_is_judged_perfect():
     assert grey["parameters"]["roughness"]["mae"] == 0
     with pytest.raises(ShapeError, match="do not fit a grid of"):
         judge_posterior(p[:, :4], axes, truth, rng.random(30), kept)
-
-
-def test_text():
-    assert [seconds(t) for t in (0.0123, 1.26, 45.2, 300, 9000, 4e5)] == [
-        "0.012 s", "1.3 s", "45.2 s", "5 min", "2.5 h", "4.63 d"
-    ]  # fmt: skip
-    assert table(("a", "b"), [[1, "x|y"]]) == "| a | b |\n| --- | --- |\n| 1 | x\\|y |"
-
-
-def test_columns_leave_out_what_a_record_does_not_have():
-    shown = (Column("a", lambda r: r["a"]), Column("b", lambda r: r.get("b"), "{:.1f}".format))
-    assert columns(shown, [{"a": 1, "b": 2}, {"a": 3}]) == (
-        "| a | b |\n| --- | --- |\n| 1 | 2.0 |\n| 3 |  |"
-    )
 
 
 def test_a_bar_holds_on_its_own_side():

@@ -16,7 +16,7 @@ from svu_mi.bench import speed
 from svu_mi.bench.cases import own_cells
 from svu_mi.bench.estimators import Variant
 from svu_mi.bench.experiment import Bench
-from svu_mi.bench.guidance import Shoot, few_lights
+from svu_mi.bench.guidance import Shoot
 from svu_mi.bench.guidance.tables import compare, mean_gain, times_as_many, views_needed
 from svu_mi.bench.problem_sizes import GuidanceSizes, RecoverySizes, Sizes
 from svu_mi.bench.recovery import under_another_light
@@ -67,16 +67,6 @@ def capture(finished):
 
 
 # --- the whole ----------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_one_benchmark_writes_its_page(tmp_path):
-    bench = Bench(tmp_path, SIZES, quick=True)
-    record = run_bench(bench, ["accuracy"], ASKED, "svu b")
-    assert json.loads((tmp_path / "bench.json").read_text())["accuracy"]["summary"]
-    assert LABEL in (tmp_path / "bench.md").read_text()
-    (cell,) = record["accuracy"]["cells"]
-    assert 0.3 < cell["rows"][LABEL]["pearson"] <= 1
 
 
 def test_figures_tables_and_plots_are_written(finished):
@@ -173,13 +163,6 @@ def test_every_strategy_adds_views_that_are_judged(finished):
 # --- recovery -----------------------------------------------------------------------------
 
 
-def test_every_cell_is_relit_by_another_light(tmp_path):
-    for cell in own_cells(["knot"]):
-        other = under_another_light(cell, None, tmp_path)
-        assert other.object == cell.object and other.light != cell.light
-        assert other.defines["max_depth"] == "2"
-
-
 def test_true_textures_have_no_error_and_others_do(capture, tmp_path):
     grid = texels(capture.mesh, 48)
     judge = Judge.of(capture, grid, poor=2)
@@ -232,10 +215,6 @@ def test_views_needed_is_where_a_curve_crosses_for_good():
     assert np.isnan(views_needed(MARKS, [10, 11.5, 11.5, 10.9], 1.0))
 
 
-def test_mean_gain_is_the_area_under_a_curve():
-    assert mean_gain(MARKS, [5, 6, 7, 9]) == pytest.approx((0.5 + 1.5 + 2 * 3) / 4)
-
-
 def runs_of(first, second, starts=1):
     """Runs of two strategies in as many cells as there are rows; a start per column."""
     return [
@@ -264,12 +243,6 @@ def test_who_never_gets_there_needs_at_least_all_views():
     runs = runs_of([[[1.0, 2.0]]], [[[0.1, 0.2]]])
     assert times_as_many(runs, sizes, "entropy", "random") == pytest.approx(2)
     assert np.isnan(times_as_many(runs, sizes, "random", "entropy"))
-
-
-def test_few_lights_of_every_object():
-    cells = own_cells(["vase", "knot"])
-    kept = few_lights(cells, 2)
-    assert [cell.object for cell in kept] == ["vase", "vase", "knot", "knot"]
 
 
 def test_farthest_is_the_library_s_own(finished, capture):

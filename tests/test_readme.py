@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import re
 import shlex
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
 import tyro
 
-LINES = {"README.md": 15, "notebooks/recovering.md": 30}  # of the scripts, at most
 ROOT = Path(__file__).parent.parent
-WRITERS = (
-    "import", "check", "light", "entropy", "guide", "recover", "report", "export", "compare",
-    "render", "batch", "relight", "inpaint",
-)  # fmt: skip
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "notebooks").glob("*.md"))]
 
 
@@ -49,38 +43,6 @@ def test_commands_are_understood(page, capsys):
             pytest.fail(f"svu {shlex.join(words)}: {stop.code} {capsys.readouterr()}")
 
 
-def test_there_are_commands():
-    assert len(commands(ROOT / "README.md")) > 10
-    assert sum(len(commands(page)) for page in PAGES) > 30
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_commands_of_a_page_write_to_different_folders(page):
-    """None replaces what another has made; without -o each command has a folder of its own."""
-    written = [words[words.index("-o") + 1] for words in commands(page) if "-o" in words]
-    assert sorted(written) == sorted(set(written))
-    assert len(written) == len([words for words in commands(page) if words[0] in WRITERS])
-
-
-def test_commands_write_to_folders_of_their_own_by_default():
-    from svu_mi.cli.main import Command
-
-    places = {}
-    for each in get_args(Command):
-        options = {field.name: field.default for field in fields(get_args(each)[0])}
-        places[each.__metadata__[0].name] = options.get("output")
-    assert places == {
-        "import": Path("capture"), "render": Path("capture"), "check": Path("out/check"),
-        "light": Path("out/light"), "entropy": Path("out/entropy"), "guide": Path("out/next"),
-        "view": Path("out"),
-        "recover": Path("out/textures"), "report": Path("report.html"),
-        "export": Path("out/asset"), "compare": Path("out/compare"), "scenes": Path("scenes"),
-        "batch": Path("out/batch"), "relight": Path("out/relit"),
-        "inpaint": Path("out/filled"),
-        "demo": Path("out/demo"), "bench": Path("out/bench"), "doctor": None,
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_python_names_exist(page):
     import svu_mi
@@ -92,19 +54,10 @@ def test_python_names_exist(page):
 def test_contributing_names_files_that_exist():
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`((?:svu_mi|tests|plugins|notebooks)/[\w./]+)`", text))
-    assert len(named) > 40
     missing = [name for name in named if "NAME" not in name and not (ROOT / name).exists()]
     for name in re.findall(r"`(\w+\.py)`", text):  # of the folder that was named before
         missing += [] if list((ROOT / "svu_mi").rglob(name)) else [name]
     assert not missing
-
-
-@pytest.mark.parametrize(
-    "page, heading", [("README.md", "From Python"), ("notebooks/recovering.md", "In your own loop")]
-)
-def test_scripts_are_short(page, heading):
-    code = script(page, heading)
-    assert len([line for line in code.splitlines() if line.strip()]) <= LINES[page]
 
 
 @pytest.mark.slow
