@@ -116,15 +116,6 @@ def test_a_rotation_leaves_the_spectra(seed, place):
     np.testing.assert_allclose(powers(turned, w, f), powers(d, w, f), atol=2 * SPECTRUM + moved)
 
 
-@few(12)
-@given(SEEDS, PLACES)
-def test_the_order_of_views_leaves_the_spectra(seed, place):
-    d, w, f = fit_samples(seed, 24, place)
-    order = np.random.default_rng(seed).permutation(24)
-    again = powers(d[:, order], w[:, order], f[:, order])
-    np.testing.assert_allclose(again, powers(d, w, f), atol=2 * SPECTRUM)
-
-
 @few(8)
 @given(SEEDS)
 def test_texels_do_not_see_each_other(seed):
@@ -226,14 +217,3 @@ def test_a_view_that_tells_nothing_makes_the_posterior_wider():
     w, *radiance = (np.concatenate([x, 0 * x[..., :1]], axis=-1) for x in data)
     w[..., -1] = 1
     assert (entropy_of((w, *radiance)) > entropy_of(data)).all()
-
-
-def test_a_view_that_excludes_cells_can_make_the_rest_look_wider():
-    """Not even a sum of errors has an entropy that only falls: a rival goes, a crowd stays."""
-    before = np.concatenate([[0.45, 0.45], np.full(1000, 1e-4)])
-    after = before * np.concatenate([[1, 0], np.ones(1000)])
-    H = [-(x[x > 0] * np.log(x[x > 0])).sum() for x in (before, after / after.sum())]
-    assert H[1] > H[0]
-
-
-
