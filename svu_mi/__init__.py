@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from svu_mi.checking.run import check
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.export.asset import Asset
-    from svu_mi.export.export import export_asset
-    from svu_mi.export.options import ExportOptions
+    from svu_mi.export.export import ExportOptions, export_asset
     from svu_mi.export.reading import load_asset
     from svu_mi.formats.importing import ImportOptions, import_capture
     from svu_mi.formats.reading import read_source
@@ -91,7 +90,7 @@ _HOME = {
     "DescentOptions": "recovery.options", "PathOptions": "recovery.options",
     "ShOptions": "recovery.options",
     "GlobalSharing": "regularization", "TotalVariation": "regularization",
-    "Asset": "export.asset", "ExportOptions": "export.options",
+    "Asset": "export.asset", "ExportOptions": "export.export",
     "export_asset": "export.export", "load_asset": "export.reading",
     "SvuError": "errors", "SvuWarning": "errors",
 }  # fmt: skip

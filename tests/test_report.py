@@ -17,7 +17,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
 from svu_mi.output.knowledge import Intervals, Knowledge
-from svu_mi.output.report import errors, findings, pictures, plots, report
+from svu_mi.output.report import findings, pictures, plots, report
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result
 from svu_mi.output.upright import front_and_right, upright
@@ -89,7 +89,7 @@ def table(capture):
 def page(capture, estimate, tmp_path, monkeypatch):
     """Write a page without renders, changed in some way, and return its text."""
     def page(capture=capture, estimate=estimate, compared=0, **options):
-        monkeypatch.setattr(errors, "COMPARED", compared)
+        monkeypatch.setattr(pictures, "COMPARED", compared)
         svu.write_report(capture, estimate, tmp_path / "page.html", **options)
         return (tmp_path / "page.html").read_text(encoding="utf-8")
 
@@ -207,9 +207,9 @@ def test_points_are_shown_with_their_intervals(estimate, table):
     result = Result.of(estimate)
     (low, high) = (np.array(end) for end in estimate.posterior.interval("roughness"))
     for example in plots.examples(table, estimate, result, 0.9, [None] * 4):
-        column, row = map(int, re.search(r"column (\d+), row (\d+)", example.sentence).groups())
+        column, row = map(int, re.search(r"column (\d+), row (\d+)", example["sentence"]).groups())
         texel = list(estimate.texels.index.numpy()).index(row * 48 + column)
-        told = {name: interval for name, _, interval in example.plots}
+        told = {name: interval for name, _, interval in example["plots"]}
         assert told["roughness"] == f"{low[texel]:.2f} to {high[texel]:.2f}"
         assert re.fullmatch(r"R [\d.]+ to [\d.]+, G .*, B .*", told["base colour"])
 
@@ -343,7 +343,7 @@ def test_channels_have_lines_of_their_own(capture, estimate):
     assert list(drawn) == ["roughness", "base colour"]
     assert {style for style, _, _ in drawn["base colour"].lines} >= {"red", "green", "blue"}
     assert len(drawn["roughness"].heights) == 8 and not len(drawn["base colour"].heights)
-    assert errors.most_probable(found).resolution == (48, 24)
+    assert pictures.most_probable(found).resolution == (48, 24)
     assert "metallic = 0" in " ".join(findings.skipped(found))
 
 
@@ -356,17 +356,17 @@ def test_many_photographs_are_thinned_out(capture, estimate):
     many.count = len(many.sensors)
     shown, left_out = pictures.thumbnails(many, estimate)
     assert (len(shown), len(left_out)) == (60, 12)
-    assert sum(thumbnail.first for thumbnail in shown) == 12
+    assert sum(thumbnail["first"] for thumbnail in shown) == 12
     assert pictures.spread(range(200), 5) == [0, 50, 100, 149, 199]
 
 
 def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
-    monkeypatch.setattr(errors, "COMPARED", 2)
-    good = errors.errors(capture, errors.most_probable(estimate), grey=True)
-    bad = errors.errors(capture, uniform(estimate.texels, 0.02), grey=False)
-    assert [name for name, _ in good.rows] == [capture.names[0], capture.names[3]]
-    assert good.views == 4 and len(good.shown) == 2
-    percent = [float(found.mean.split("\u202f")[0]) for found in (good, bad)]
+    monkeypatch.setattr(pictures, "COMPARED", 2)
+    good = pictures.errors(capture, pictures.most_probable(estimate), grey=True)
+    bad = pictures.errors(capture, uniform(estimate.texels, 0.02), grey=False)
+    assert [name for name, _ in good["rows"]] == [capture.names[0], capture.names[3]]
+    assert good["views"] == 4 and len(good["shown"]) == 2
+    percent = [float(found["mean"].split("\u202f")[0]) for found in (good, bad)]
     assert percent[0] < 5 < 20 < percent[1]
 
 

@@ -54,8 +54,7 @@ class Export(Common):
 
     def run(self, console: Console) -> int:
         """Read the result, and write the asset."""
-        from svu_mi.export.export import export_asset
-        from svu_mi.export.options import ExportOptions
+        from svu_mi.export.export import ExportOptions, export_asset
         from svu_mi.export.reading import load_asset
 
         options = ExportOptions(

@@ -7,21 +7,66 @@ export_asset(Asset.of(capture, recovery, estimate), "asset", ExportOptions(bits=
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
-from svu_mi.export import glb, materialx, mitsuba_xml
+from svu_mi.export import glb, scene_files
 from svu_mi.export.asset import RECORD, TEXTURES, Asset, Written
 from svu_mi.export.charts import at_vertices, with_gutters
 from svu_mi.export.images import write_exr_images, write_png_images
-from svu_mi.export.options import ExportOptions
 from svu_mi.export.reading import load_asset
 from svu_mi.files import prepare_folder
 from svu_mi.output.manifest import environment_record, write_manifest
+from svu_mi.output.upright import Axis
 from svu_mi.results.transaction import writing
+from svu_mi.settings import require, require_types
 
 FORMAT, VERSION = "svu-asset", 1
 MODEL = "principled, specular 0.5 (F0 = 0.04), alpha = roughness^2: glTF's metallic-roughness"
+Format = Literal["exr", "png", "glb", "xml", "materialx"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+NEEDS: dict[Format, Format] = {"xml": "exr", "materialx": "png"}
+"""Formats that refer to textures in another, which is then written, too."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Which files are written, and how."""
+
+    formats: tuple[Format, ...] = FORMATS
+    """``exr``: linear masters; ``png``: sRGB base colour, grey maps and the packed ``orm``;
+    ``glb``: one file with mesh and textures, and another with entropy as vertex colours; ``xml``:
+    an object for Mitsuba scenes and a preview; ``materialx``: ``standard_surface`` and an OBJ."""
+
+    bits: int = 8
+    """Of PNG, per channel: 8 or 16. The textures inside a GLB always have 8."""
+
+    half: bool = False
+    """EXR in half instead of single precision."""
+
+    gutter: int | None = None
+    """Texels that charts are carried on over their borders; None fills everything between them,
+    which no reduction of the textures (mip-mapping) can look beyond."""
+
+    up: Axis | None = None
+    """Axis of the world that points upwards; None is the asset's own, as its cameras have it. glTF
+    has +Y up: a +Z-up world is turned in the GLB, and there alone."""
+
+    def __post_init__(self) -> None:
+        require_types(self)
+        known = all(name in FORMATS for name in self.formats)
+        require(self, known and bool(self.formats), "formats", f"of {', '.join(FORMATS)}")
+        require(self, self.bits in (8, 16), "bits", "8 or 16")
+        fits = self.gutter is None or (type(self.gutter) is int and self.gutter >= 0)
+        require(self, fits, "gutter", "None or a whole number, at least 0")
+        require(self, self.up in (None, *get_args(Axis)), "up", "None, y or z")
+
+    @property
+    def written(self) -> tuple[Format, ...]:
+        """The formats, and those they need."""
+        needed = {*self.formats, *(NEEDS[name] for name in self.formats if name in NEEDS)}
+        return tuple(name for name in FORMATS if name in needed)
 
 
 def export_asset(
@@ -57,20 +102,20 @@ def export_asset(
 
 
 def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
-    files, up = [], options.up or asset.up
-    if "exr" in options.written:
+    files, up, formats = [], options.up or asset.up, options.written
+    if "exr" in formats:
         files += write_exr_images(asset, folder, half=options.half)
-    if "png" in options.written:
+    if "png" in formats:
         files += write_png_images(asset, folder, bits=options.bits)
-    if "glb" in options.written:
+    if "glb" in formats:
         found = {name: at_vertices(asset.mesh, image) for name, image in asset.maps.items()}
         files.append(glb.write_asset_glb(asset, folder, found, up=up))
         if "entropy" in found:
             files.append(glb.write_entropy_glb(asset, folder, found["entropy"], up=up))
-    if "xml" in options.written:
-        files += mitsuba_xml.write_mitsuba(asset, folder, up=up)
-    if "materialx" in options.written:
-        files += materialx.write_materialx(asset, folder)
+    if "xml" in formats:
+        files += scene_files.write_mitsuba(asset, folder, up=up)
+    if "materialx" in formats:
+        files += scene_files.write_materialx(asset, folder)
     return files
 
 

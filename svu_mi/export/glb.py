@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 import svu_mi
+from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.export.asset import Asset, Written
 from svu_mi.export.images import packed
-from svu_mi.export.mesh import as_trimesh, upward_uvs
 from svu_mi.files import replacing
 from svu_mi.output.style import COLORMAP
 from svu_mi.output.upright import Axis
@@ -28,15 +28,7 @@ def write_asset_glb(
 ) -> Written:
     """Write ``asset.glb``: mesh and textures (8-bit PNG) in one file.
 
-    Args:
-        asset: the asset.
-        folder: an existing folder.
-        at_vertices: (N,) values of each map; they become the attributes ``_ENTROPY`` and
-            ``_COVERAGE``, which viewers ignore.
-        up: axis of the world that points upwards.
-
-    Raises:
-        OutputError: the file cannot be written.
+    Maps at the vertices (N,) become the attributes ``_ENTROPY`` and so on, which viewers ignore.
     """
     from PIL import Image
     from trimesh.visual import TextureVisuals
@@ -65,15 +57,6 @@ def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Ax
     """Write ``entropy.glb``: the mesh with entropy as vertex colours, to be seen without light.
 
     A file of its own, since glTF multiplies vertex colours with the textures.
-
-    Args:
-        asset: the asset.
-        folder: an existing folder.
-        entropy: (N,) in [0, 1].
-        up: axis of the world that points upwards.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
     from matplotlib import colormaps
     from trimesh.visual import ColorVisuals
@@ -119,3 +102,33 @@ def _write(
     )
     with replacing(path) as temporary:
         temporary.write_bytes(data)
+
+
+def as_trimesh(
+    mesh: MeshArrays, visual: Any, attributes: Mapping[str, np.ndarray] | None = None
+) -> Any:
+    """Return a ``trimesh.Trimesh`` with the same vertices in the same order, and normals if any."""
+    import trimesh
+
+    return trimesh.Trimesh(
+        mesh.positions, front_faces(mesh), vertex_normals=mesh.normals, visual=visual,
+        vertex_attributes=dict(attributes or {}), process=False,
+    )  # fmt: skip
+
+
+def front_faces(mesh: MeshArrays) -> np.ndarray:
+    """Return (F, 3) faces wound counter-clockwise as seen from where their normals point.
+
+    Mitsuba goes by normals; everybody else shows or hides a face by its winding.
+    """
+    if mesh.normals is None:
+        return mesh.faces
+    normal = mesh.normals[mesh.faces].sum(axis=1)
+    away = np.einsum("fi,fi->f", mesh.crosses, normal) < 0
+    return np.where(away[:, None], mesh.faces[:, ::-1], mesh.faces)
+
+
+def upward_uvs(mesh: MeshArrays) -> np.ndarray:
+    """Return (N, 2) UVs with v = 0 at the bottom of an image, as trimesh and OBJ have them."""
+    assert mesh.uvs is not None
+    return flipped_v(mesh.uvs)

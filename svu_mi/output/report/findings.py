@@ -1,9 +1,8 @@
-"""What an estimate says, in words and in parts of the surface."""
+"""Findings of a report: parts of the surface by interval width, and sentences."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,41 +49,24 @@ SKIPPED = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Parts:
-    """Parts of the area of the surface seen, 1 in all, by the interval of one parameter.
+class Parts(NamedTuple):
+    """Parts of the surface seen, by area, 1 in all: half-width of the interval of a parameter."""
 
-    Attributes:
-        settled: half-width of 0.05 and less.
-        roughly: of more, up to 0.15.
-        wide: of more.
-    """
-
-    settled: float
-    roughly: float
+    settled: float  # 0.05 and less
+    roughly: float  # up to 0.15
     wide: float
 
     @classmethod
-    def of(
-        cls, estimate: Any, half_width: np.ndarray, chosen: np.ndarray | None = None
-    ) -> Parts:
-        """Measure the parts, of which some texel must be seen, by half-widths of intervals (t,) of
-        some texels; of all by default."""
-        texels = slice(None) if chosen is None else chosen
-        seen = is_seen(estimate)[texels]
-        area = areas(estimate)[texels][seen]
+    def of(cls, estimate: Any, half_width: np.ndarray) -> Parts:
+        """Return the parts by half-widths of intervals (T,); some texel must be seen."""
+        seen = is_seen(estimate)
+        area = areas(estimate)[seen]
         settled, roughly = (within(half_width[seen], x) for x in (TOLERANCE, ROUGHLY))
         return cls(part(area, settled), part(area, roughly & ~settled), part(area, ~roughly))
 
 
 def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
-    """Return ``upwards`` or ``downwards`` if that is where some texels mostly face, else None.
-
-    Args:
-        estimate: says where texels are.
-        chosen: (T,) bool.
-        up: unit vector.
-    """
+    """Return ``upwards`` or ``downwards`` if some texels (T,) bool mostly face there, else None."""
     area = areas(estimate)[chosen]
     heights = np.array(estimate.texels.normal, np.float64).T[chosen] @ up
     if not area.sum() > 0:
@@ -94,7 +76,7 @@ def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
 
 
 def skipped(estimate: Any) -> list[str]:
-    """Return what was not computed as sentences, without what there is nothing of."""
+    """Return a sentence for each kind of work that was skipped."""
     about = {
         "unseen": f"{estimate.posterior.prior_entropy:.3g}",
         "known": ", ".join(f"{words(n)} = {value:g}" for n, value in known(estimate).items()),

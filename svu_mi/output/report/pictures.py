@@ -1,9 +1,9 @@
-"""Pictures of a report: photographs, the object on a turntable, maps."""
+"""Pictures of a report: photographs, the object on a turntable, maps, errors of renders."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,17 +12,28 @@ from svu_mi.capture import Capture
 from svu_mi.capture.shown import shrunk, tone_mapped
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.interop import evenly_spaced
-from svu_mi.output import surface_maps
+from svu_mi.output import relit, surface_maps, views
 from svu_mi.output.figures import map_colors
 from svu_mi.output.knowledge import Intervals
 from svu_mi.output.light_page import deviation_colors, known_colors, light_colors
-from svu_mi.output.page import THUMBNAIL, Picture, drawing, grouped, percent, photograph
+from svu_mi.output.page import (
+    NARROW_SPACE,
+    THUMBNAIL,
+    Picture,
+    drawing,
+    grouped,
+    percent,
+    photograph,
+)
+from svu_mi.output.relit import Comparison
+from svu_mi.output.report.plots import Plot
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import is_seen, open_axes
 from svu_mi.output.surface_maps import SurfaceMap
+from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.textures import Textures, lay_out
 
 SHOWN = 60  # photographs in a report; of more, every other, or fewer
 FIRST = 12  # of them that are shown without asking
@@ -31,47 +42,45 @@ OVERSAMPLED = 4  # pixels that a thumbnail's is averaged over, along each side
 MAP_SIDE = 256  # pixels of a texture; a page shows it a little larger
 CHECKS, LIGHT, DARK = 24, 0.72, 0.5  # fields across a texture and greys of what was not seen
 
+COMPARED = 30  # most views that are rendered
+ERROR_SIDE = 64  # pixels of renders that only errors are taken of
+SAMPLES = 36  # per pixel: with fewer, their noise would be most of the error
+SHOWN_SIDE, SHOWN_SAMPLES = 224, 16  # of renders that are shown, and no errors taken of
+CHART_WIDTH = 900  # of the chart
+
 MapPictures = tuple[SurfaceMap, Picture, Picture]  # a map, on the object and as a texture
 
 
-@dataclass(frozen=True)
-class Thumbnail:
-    """A photograph.
+def thumbnails(
+    capture: Capture, estimate: Estimate
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return photographs that were used, and some that were left out.
 
-    Attributes:
-        picture: small.
-        name: of its file.
-        notes: what there is to say of it.
-        first: whether it is one of those that stand for all.
+    ``first`` are those that are shown without asking.
     """
-
-    picture: Picture
-    name: str
-    notes: str
-    first: bool
-
-
-def thumbnails(capture: Capture, estimate: Estimate) -> tuple[list[Thumbnail], list[Thumbnail]]:
-    """Return photographs that were used, and some that were left out."""
     used = [view for view in range(capture.count) if capture.used[view]]
     left_out = [view for view in range(capture.count) if not capture.used[view]]
     seen = dict(zip(used, np.asarray(estimate.seen_per_view), strict=False))
     chosen = spread(used, SHOWN)
-    first, shown = spread(chosen, FIRST), []
-    for view in chosen:
+    first = spread(chosen, FIRST)
+
+    def thumbnail(view: int, notes: str, first: bool) -> dict[str, Any]:
+        return {"picture": photograph(_small(capture, view)), "name": capture.names[view],
+                "notes": notes, "first": first}  # fmt: skip
+
+    def notes(view: int) -> str:
         part = seen.get(view, 0) / max(estimate.texels.count, 1)
-        notes = [f"shows {percent(part)} of the points"]
+        found = [f"shows {percent(part)} of the points"]
         if capture.unusable[view]:
-            notes.append(f"{grouped(capture.unusable[view])} unusable pixels")
+            found.append(f"{grouped(capture.unusable[view])} unusable pixels")
         if capture.exposures[view] != 1:
-            notes.append(f"exposure × {capture.exposures[view]:.3g}")
-        picture = photograph(_small(capture, view))
-        shown.append(Thumbnail(picture, capture.names[view], ", ".join(notes), view in first))
-    return shown, [
-        Thumbnail(photograph(_small(capture, view)), capture.names[view],
-                  _why_left_out(capture.images[view]), True)
+            found.append(f"exposure × {capture.exposures[view]:.3g}")
+        return ", ".join(found)
+
+    return [thumbnail(view, notes(view), view in first) for view in chosen], [
+        thumbnail(view, _why_left_out(capture.images[view]), True)
         for view in left_out[:SHOWN_LEFT_OUT]
-    ]  # fmt: skip
+    ]
 
 
 def spread(views_: Sequence[int], most: int) -> list[int]:
@@ -164,3 +173,79 @@ def _pictures(
         texture = drawing(np.dstack([colors, inside.astype(np.float32)]), MAP_SIDE)
         drawn.append((one, drawing(table.frame(colors, 0)), texture))
     return drawn
+
+
+def errors(capture: Capture, textures: Textures, grey: bool) -> dict[str, Any] | None:
+    """Render views in some textures and compare them with the photographs; ``grey``: brightness.
+
+    Mean differences of views that are spread evenly over their order, as sentences have them, and
+    pictures of the best, a typical and the worst; None if no photograph shows the object.
+    """
+    used = [view for view in range(capture.count) if capture.used[view]]
+    compared = _compare(capture, textures, spread(used, COMPARED), grey, (ERROR_SIDE, SAMPLES))
+    found = {c.view: e for c in compared if (e := c.mean_difference) is not None}
+    if not found:
+        return None
+    values = np.array(list(found.values()))
+    rows = [(capture.names[view], _percent(error)) for view, error in found.items()]
+    order = np.array(list(found))[np.argsort(values, kind="stable")].tolist()
+    extremes = list(dict.fromkeys([order[0], order[len(order) // 2], order[-1]]))
+    size = SHOWN_SIDE, SHOWN_SAMPLES
+    return {
+        "rows": rows, "mean": _percent(values.mean()), "chart": _chart(values, rows),
+        "views": len(used),
+        "shown": [(capture.names[c.view], _compared(c), _percent(found[c.view]))
+                  for c in _compare(capture, textures, extremes, grey, size)],
+    }  # fmt: skip
+
+
+def most_probable(estimate: Any) -> Textures | None:
+    """Return the most probable materials as textures, if they are Mitsuba's ``principled``."""
+    best = {name: np.array(values) for name, values in estimate.posterior.map().items()}
+    if set(best) != set(NAMES):
+        return None
+    color = best["base_color"].reshape(estimate.texels.count, -1)
+    best["base_color"] = np.broadcast_to(color, (len(color), CHANNELS["base_color"]))
+    return lay_out(estimate.texels, best)
+
+
+def _chart(values: np.ndarray, rows: list[tuple[str, str]]) -> Plot:
+    ends = [(0.5, rows[0][0]), (len(rows) - 0.5, rows[-1][0])]
+    return Plot(
+        words="Mean difference of each view.", edges=np.arange(len(values) + 1), heights=values,
+        labels=[": ".join(row) for row in rows], top=1.1 * max(values.max(), 0.01),
+        x_ticks=ends[: len(rows)], y_ticks=[(0, "0"), (values.max(), _percent(values.max()))],
+        width=CHART_WIDTH,
+    )  # fmt: skip
+
+
+def _compare(
+    capture: Capture, textures: Textures, chosen: list[int], grey: bool, size: tuple[int, int]
+) -> list[Comparison]:
+    """Compare views in pictures of some size: pixels of their longer side, and samples of each."""
+    side, spp = size
+    compared = relit.explain(capture, textures, chosen, spp, side)
+
+    def brightness(image: np.ndarray) -> np.ndarray:
+        return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)
+
+    return [
+        replace(c, photograph=brightness(c.photograph), render=brightness(c.render)) if grey else c
+        for c in compared
+    ]
+
+
+def _compared(comparison: Comparison) -> list[Picture]:
+    window = views.object_window(comparison.inside)
+    usable = np.isfinite(comparison.difference)
+    image, render, difference, inside, usable = (
+        views.crop(i, window) for i in (*comparison.pictures, comparison.inside, usable)
+    )
+    return [
+        photograph(image), drawing(np.dstack([render, inside])),
+        drawing(np.dstack([difference, usable])),
+    ]  # fmt: skip
+
+
+def _percent(difference: float) -> str:
+    return f"{100 * difference:.1f}{NARROW_SPACE}%"

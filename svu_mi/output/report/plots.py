@@ -1,14 +1,13 @@
-"""Plots of a report: how often which entropy occurs, marginals of all texels and of single ones."""
+"""Plots of a report: histogram of the entropy, marginals of all texels and of single ones."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from svu_mi.output.chart import Plot
 from svu_mi.output.figures import bar_edges
 from svu_mi.output.knowledge import Intervals
 from svu_mi.output.page import Picture, grouped
@@ -29,27 +28,67 @@ CHANNEL_STYLES = ("red", "green", "blue")
 # Texels to look at: names, and the part of all seen texels that have a lower entropy.
 EXAMPLES = (("Low entropy", 0.01), ("Median entropy", 0.5), ("High entropy", 0.99))
 ALIKE = 200  # texels of about that entropy, of which the one that is shown best is taken
+LEFT, RIGHT, TOP, BOTTOM = 44, 8, 10, 26  # margins, where the words of the axes are
+GAP = 0.12  # between bars, in parts of one
 
 
-@dataclass(frozen=True)
-class Example:
-    """One texel.
+@dataclass(frozen=True, kw_only=True)
+class Plot:
+    """Bars and lines in pixels of an SVG.
 
     Attributes:
-        name: what it stands for.
-        sentence: what is known of it.
-        picture: the object; None if no frame shows the texel.
-        x: where it is in the picture, in percent from the left.
-        y: the same from the top.
-        plots: of each open parameter its name, its marginal, and its interval in words.
+        words: alternative text.
+        edges: (N + 1,) borders of the bars, increasing.
+        heights: (N,) of the bars; empty for lines alone.
+        labels: (N,) words that appear when a bar is pointed at.
+        colors: (N,) of the bars; empty for the page's own.
+        lines: style of ``page.css`` (``red``, ``prior``, ...), x and y of each.
+        top: value at the upper end.
+        x_ticks: values and what to write below them.
+        y_ticks: the same, on the left.
     """
 
-    name: str
-    sentence: str
-    picture: Picture | None
-    x: float
-    y: float
-    plots: tuple[tuple[str, Plot, str], ...]
+    words: str
+    edges: np.ndarray
+    heights: Sequence[float] | np.ndarray = ()
+    labels: Sequence[str] = ()
+    colors: Sequence[str] = ()
+    lines: Sequence[tuple[str, np.ndarray, np.ndarray]] = ()
+    top: float
+    x_ticks: Sequence[tuple[float, str]] = ((0, "0"), (0.5, "0.5"), (1, "1"))
+    y_ticks: Sequence[tuple[float, str]]
+    width: float = 320
+    height: float = 170
+
+    @property
+    def box(self) -> tuple[float, float, float]:
+        """Left and right end of the bars, and their floor."""
+        return LEFT, self.width - RIGHT, self.height - BOTTOM
+
+    def x(self, value: float) -> float:
+        """Return how far a value is from the left."""
+        (left, right, _), low, high = self.box, self.edges[0], self.edges[-1]
+        return round(float(left + (value - low) / (high - low) * (right - left)), 2)
+
+    def y(self, value: float) -> float:
+        """Return how far a value is from the top; beyond the ends of the axis, an end."""
+        floor = self.box[2]
+        return round(float(floor - min(max(value / self.top, 0), 1) * (floor - TOP)), 2)
+
+    def bars(self) -> Iterator[dict[str, float]]:
+        """Yield x, y, width and height of each bar."""
+        for first, last, value in zip(self.edges, self.edges[1:], self.heights, strict=False):
+            width = self.x(last) - self.x(first)
+            x, y = round(self.x(first) + GAP / 2 * width, 2), self.y(value)
+            yield {"x": x, "y": y, "width": round((1 - GAP) * width, 2),
+                   "height": round(self.box[2] - y, 2)}  # fmt: skip
+
+    def polylines(self) -> Iterator[tuple[str, str]]:
+        """Yield style and points of each line, as SVG has them."""
+        for style, across, up in self.lines:
+            yield style, " ".join(
+                f"{self.x(a)},{self.y(b)}" for a, b in zip(across, up, strict=True)
+            )
 
 
 def histogram(result: Result) -> Plot | None:
@@ -80,9 +119,11 @@ def marginals(estimate: Any, result: Result) -> Iterator[tuple[str, Plot]]:
 
 def examples(
     table: Turntable, estimate: Any, result: Result, level: float, frames: list[Picture]
-) -> Iterator[Example]:
-    """Yield a texel of low, one of median and one of high entropy, if any is seen; ``level`` is
-    the probability that an interval holds."""
+) -> Iterator[dict[str, Any]]:
+    """Yield texels of low, median and high entropy, if any is seen, with their marginals.
+
+    ``x`` and ``y`` is their place in ``picture``, in percent, if a frame shows them.
+    """
     seen = np.flatnonzero(result.seen)
     order = seen[np.argsort(result.entropy[seen], kind="stable")]
     for name, part in EXAMPLES if len(order) else ():
@@ -94,14 +135,13 @@ def examples(
         marginals = estimate.posterior.marginals([texel])
         count = int(result.coverage[texel])
         column, row = place_of(estimate, texel)
-        yield Example(
-            name,
-            f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
+        yield {
+            "name": name, "picture": frames[number] if place else None, "x": 100 * x, "y": 100 * y,
+            "sentence": f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
             f"photograph{'s' if count != 1 else ''}; column {column}, row {row} of the texture.",
-            frames[number] if place else None, 100 * x, 100 * y,
-            tuple((words(n), _marginal_of(estimate.posterior, n, marginals[n]),
-                   _interval_words(intervals, n)) for n in open_axes(estimate)),
-        )  # fmt: skip
+            "plots": [(words(n), _marginal_of(estimate.posterior, n, marginals[n]),
+                       _interval_words(intervals, n)) for n in open_axes(estimate)],
+        }  # fmt: skip
 
 
 def _interval_words(intervals: Intervals, name: str) -> str:

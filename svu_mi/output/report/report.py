@@ -19,7 +19,7 @@ from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.page import NARROW_SPACE, grouped, page_of, percent
 from svu_mi.output.relit import WORST
-from svu_mi.output.report import errors, findings, pictures, plots
+from svu_mi.output.report import findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, is_seen, known, open_axes, words
 from svu_mi.output.upright import upright
@@ -118,11 +118,11 @@ def _light(capture: Capture) -> dict[str, Any] | None:
 
 def _errors(
     capture: Capture, estimate: Estimate, textures: Textures | None
-) -> errors.Errors | None:
+) -> dict[str, Any] | None:
     grey = textures is None and estimate.posterior.groups == 1
     if textures is None and is_seen(estimate).any():
-        textures = errors.most_probable(estimate)
-    return None if textures is None else errors.errors(capture, textures, grey)
+        textures = pictures.most_probable(estimate)
+    return None if textures is None else pictures.errors(capture, textures, grey)
 
 
 def _summary(
@@ -136,7 +136,7 @@ def _summary(
     return {
         "seen": knowledge.seen_part,
         "settled": [
-            (words(name), findings.Parts.of(estimate, intervals.half_width(name), intervals.chosen),
+            (words(name), findings.Parts.of(estimate, intervals.half_width(name)),
              f"±{knowledge.median_half_width[name]:.2f}")
             for name in knowledge.known_part
         ],

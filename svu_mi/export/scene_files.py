@@ -1,0 +1,149 @@
+"""Scene files of an asset: Mitsuba XML, and MaterialX with an OBJ.
+
+MaterialX takes the lower left corner of an image for (0, 0) (Specification 1.38, "Image Nodes").
+In the OBJ, v runs upwards accordingly; a program that reads the GLB turns its v over to the same.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Comment, Element, SubElement
+
+import mitsuba as mi
+import numpy as np
+
+import svu_mi
+from svu_mi.capture import scene_xml
+from svu_mi.capture.mesh import make
+from svu_mi.capture.poses import bounding_sphere, sphere_sensors
+from svu_mi.export.asset import TEXTURES, Asset, Written
+from svu_mi.export.glb import as_trimesh, upward_uvs
+from svu_mi.files import write_text
+from svu_mi.names import materialx_name, obj_name
+from svu_mi.output.textures import FILES, object_node
+from svu_mi.output.upright import DIRECTION, Axis
+from svu_mi.parameters import CHANNELS
+
+OBJECT, PREVIEW, MESH = "object.xml", "preview.xml", "mesh.ply"
+FILM = (512, 512)
+ROOM, LAMP = 0.5, 16.0  # radiance
+USE = """ Written by svu_mi {version}. To use the object in another scene:
+       <path value="this folder"/>
+       <include filename="object.xml"/>
+     In a scene with two such objects, write its folder before each filename below. """
+MATERIAL, OBJ = "material.mtlx", "mesh.obj"
+DIGITS = 10  # after the point: objects of a millimetre in metres keep single precision
+VERSION = "1.38"  # later ones read it, too
+INDEX_OF_REFRACTION = 1.5  # F0 = 0.04, as specular = 0.5 of Mitsuba's principled
+# Inputs of standard_surface, by parameter.
+INPUTS = {
+    "base_color": "base_color", "roughness": "specular_roughness", "metallic": "metalness",
+}  # fmt: skip
+
+
+def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[Written]:
+    """Write ``object.xml``, ``mesh.ply`` and ``preview.xml``; textures are those written as EXR.
+
+    ``up`` is the top of the preview's camera.
+    """
+    textures = {name: f"{TEXTURES}/{file}" for name, file in FILES.items()}
+    node = object_node(
+        asset.name, asset.mesh, folder, file=MESH, textures=textures, two_sided=asset.two_sided
+    )
+    _write(folder / OBJECT, [Comment(USE.format(version=svu_mi.__version__)), node])
+    _write(folder / PREVIEW, _preview(asset, up))
+    return [
+        Written(file=OBJECT, format="xml", holds="object", values="for <include> of a scene"),
+        Written(file=PREVIEW, format="xml", holds="scene", values="object, light and camera"),
+        Written(file=MESH, format="xml", holds="mesh", values="v = 0 at an image's top"),
+    ]  # fmt: skip
+
+
+def _preview(asset: Asset, up: Axis) -> list[Element]:
+    """Return the nodes of a scene: the object in a grey room, lit from above the camera's left."""
+    shape = make(asset.name, asset.mesh)
+    camera = sphere_sensors(shape, 1, FILM, up=DIRECTION[up], lowest=-0.4)[0]
+    pose = np.array(camera.world_transform().matrix, np.float64).reshape(4, 4)
+    center, radius = bounding_sphere(shape)
+    left, above, forward = pose[:3, :3].T
+    place = center + 3 * radius * (0.8 * left + above - 0.8 * forward)
+    turn = mi.ScalarTransform4f().look_at(
+        list(map(float, place)), list(map(float, center)), list(map(float, above))
+    ).scale(float(radius))  # fmt: skip
+    # The object may itself be called lamp, or camera.
+    room, lamp, view = (f"{asset.name}_{what}" for what in ("room", "lamp", "camera"))
+    matrix = np.array(turn.matrix, np.float64)
+    square = scene_xml.plugin("shape", "rectangle", id=lamp, to_world=matrix)
+    square.append(scene_xml.plugin("emitter", "area", radiance=[LAMP] * 3))
+    return [
+        Element("default", name="spp", value=str(scene_xml.SAMPLES)),
+        scene_xml.plugin("integrator", "path", max_depth=8),
+        scene_xml.sensor(camera, view),
+        scene_xml.plugin("emitter", "constant", id=room, radiance=[ROOM] * 3),
+        square,
+        Element("include", filename=OBJECT),
+    ]
+
+
+def _write(path: Path, children: list[Any]) -> None:
+    root = Element("scene", version="3.0.0")
+    root.extend(children)
+    scene_xml.write_document(root, path)
+
+
+def write_materialx(asset: Asset, folder: Path) -> list[Written]:
+    """Write ``material.mtlx`` and ``mesh.obj``; the textures are those written as PNG.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    scene_xml.write_document(_document(materialx_name(asset.name)), folder / MATERIAL)
+    _write_obj(asset, folder / OBJ)
+    return [
+        Written(file=MATERIAL, format="materialx", holds="material",
+                values="standard_surface; colour space of the document lin_rec709"),
+        Written(file=OBJ, format="materialx", holds="mesh", values="v = 0 at an image's bottom"),
+    ]  # fmt: skip
+
+
+def _document(name: str) -> Element:
+    root = Element("materialx", version=VERSION, colorspace="lin_rec709")
+    kinds = {parameter: "color3" if CHANNELS[parameter] == 3 else "float" for parameter in INPUTS}
+    for parameter, kind in kinds.items():
+        image = SubElement(root, "image", name=f"{name}_{parameter}", type=kind)
+        file = _input(image, "file", "filename", value=f"{TEXTURES}/{parameter}.png")
+        if kind == "color3":  # numbers have no colour space, and are taken as they are
+            file.set("colorspace", "srgb_texture")
+    surface = SubElement(root, "standard_surface", name=f"{name}_surface", type="surfaceshader")
+    _input(surface, "base", "float", value="1")
+    for parameter, kind in kinds.items():
+        _input(surface, INPUTS[parameter], kind, nodename=f"{name}_{parameter}")
+    _input(surface, "specular_IOR", "float", value=str(INDEX_OF_REFRACTION))
+    material = SubElement(root, "surfacematerial", name=name, type="material")
+    _input(material, "surfaceshader", "surfaceshader", nodename=f"{name}_surface")
+    look = SubElement(root, "look", name=f"{name}_look")
+    SubElement(look, "materialassign", name=f"{name}_assign", material=name, geom="/")
+    return root
+
+
+def _input(parent: Element, name: str, kind: str, **attributes: str) -> Element:
+    return SubElement(parent, "input", {"name": name, "type": kind, **attributes})
+
+
+def _write_obj(asset: Asset, path: Path) -> None:
+    from trimesh.exchange.obj import export_obj
+    from trimesh.visual import TextureVisuals
+
+    mesh = as_trimesh(asset.mesh, TextureVisuals(uv=upward_uvs(asset.mesh)))
+    text, _ = export_obj(
+        mesh,
+        include_normals=asset.mesh.normals is not None,
+        return_texture=True,
+        header=None,
+        digits=DIGITS,
+    )
+    # trimesh names a material of its own, which is grey; ours is in the other file.
+    left_out = ("mtllib", "usemtl")
+    kept = [line for line in text.splitlines() if line and not line.startswith(left_out)]
+    write_text(path, "\n".join([f"o {obj_name(asset.name)}", *kept]))
