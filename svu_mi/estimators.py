@@ -25,7 +25,7 @@ from svu_mi.posterior import (
     calibrated_posterior,
     spectrum_posterior,
 )
-from svu_mi.posterior.tiled import TiledPosterior
+from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.progress import Progress, Stage
 from svu_mi.skipping import Plan
 from svu_mi.statistics import Factors
@@ -63,10 +63,12 @@ def from_angles(run: Run, switches: AngularPreset) -> Posterior:
     if run.whole:
         return _of_all_in_tiles(run, switches)
     with run.progress.stage("Gathering statistics", count) as stage:
-        tiled = TiledPosterior(
-            grid=run.grid, observed=counted(seen, switches) > 0,
-            make=lambda texels: _of_tile(run, switches, texels), report=stage.update,
+        observed = counted(seen, switches) > 0
+        kernel = TiledKernel(
+            grid=run.grid, observed=observed, report=stage.update,
+            make=lambda texels: _of_tile(run, switches, texels).kernel,
         )  # fmt: skip
+        tiled = Posterior(kernel=kernel, observed=observed)
         tiled.entropy()
     return tiled
 
@@ -96,8 +98,8 @@ def _of_all_in_tiles(run: Run, switches: AngularPreset) -> Posterior:
     rounded: list[np.ndarray | None] = []
 
     def of_tiles(stage: Stage) -> Iterator[Factors]:
-        for first in range(0, len(texels), TiledPosterior.size):
-            part = seen.subset(texels[first : first + TiledPosterior.size])
+        for first in range(0, len(texels), TiledKernel.size):
+            part = seen.subset(texels[first : first + TiledKernel.size])
             yield _factors(run, part, switches, None)
             rounded.append(_rounding(part, switches))
             stage.update(first + len(part.seen), len(texels))
@@ -197,7 +199,6 @@ def from_spectra(run: Run, switches: Preset) -> Posterior:
             prefilter=seen.lighting.prefilter,
             prior=run.prior,
             observed=seen.found.coverage > 0,
-            samples=mi.Float(seen.found.coverage),
             irradiance=irradiance,
             copies=plan.copies,
         )

@@ -36,7 +36,7 @@ from svu_mi.posterior import (
     spectrum_grid,
 )
 from svu_mi.posterior.streaming import log_prior
-from svu_mi.posterior.tiled import TiledPosterior
+from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.progress import Progress
 from svu_mi.skipping import make_plan, with_known
 from svu_mi.surface import Texels
@@ -97,7 +97,7 @@ class Estimate:
     def in_one_piece(self, progress: Progress | None = None) -> Estimate:
         """Return the estimate with the statistics of all its texels, made again if they were not
         kept (see ``estimate``)."""
-        if not isinstance(self.posterior, TiledPosterior):
+        if not isinstance(self.posterior.kernel, TiledKernel):
             return self
         grid: Any = self.posterior.grid
         method: Any = self.method
@@ -228,7 +228,7 @@ def estimate(
             from has left out what it has.
         whole: keep the statistics of all texels in memory (3 kB per texel), as recovery and
             guidance need them. Otherwise more than 2^18 texels are worked on tile by tile, and
-            what maps do not show is computed again when it is asked for (``TiledPosterior``).
+            what maps do not show is computed again when it is asked for (``TiledKernel``).
         progress: shows what is going on and collects timings.
 
     Raises:

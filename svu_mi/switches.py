@@ -13,15 +13,15 @@ from svu_mi.errors import OptionError
 from svu_mi.settings import require, require_ranges, require_types
 
 GridSpacing = Literal["uniform", "dielectric"]
-ChannelRule = Literal["grey", "sum", "joint", "minimum"]
-NoiseRule = Literal["fixed", "relative", "marginal"]
+ChannelRule = Literal["grey", "sum"]
+NoiseRule = Literal["fixed", "relative"]
 
 Fresnel = Literal["none", "schlick", "split_sum"]
 Lobe = Literal["gaussian", "ggx"]
 Diffuse = Literal["lambert", "disney"]
 Parameters = Literal["principled", "specular"]
 AngularChannels = Literal["grey", "joint"]
-AngularNoise = Literal["estimated", "fixed", "relative", "heteroscedastic", "marginal"]
+AngularNoise = Literal["estimated", "fixed", "relative", "heteroscedastic"]
 Errors = Literal["mean", "sum"]
 BandLimit = Literal["photographs", "growing"]
 
@@ -83,14 +83,12 @@ class Preset(_Channels):
     """Nodes of Ks: ``uniform`` on [0, 1], or ``dielectric``: 0.04 + 0.96 t^2, t uniform."""
 
     channels: ChannelRule = "grey"
-    """How R, G, B combine: ``grey`` fits their mean; ``joint`` shares what a row of the grid
-    has (roughness, metallic) and gives each channel its own base colour or Ks, the others
-    marginalised; ``sum`` adds them in d (one Ks), ``minimum`` keeps the smallest of three
-    separate entropies: both are over (roughness, Ks) whatever ``parameters`` say."""
+    """How R, G, B combine: ``grey`` fits their mean; ``sum`` adds them in d, over (roughness, Ks)
+    whatever ``parameters`` say."""
 
     noise: NoiseRule = "relative"
     """``fixed``: sigma in squared radiance (depends on exposure); ``relative``: sigma times
-    the capture's mean observed power; ``marginal``: sigma unknown, p ~ d^(-nu/2)."""
+    the capture's mean observed power."""
 
     sigma: float = 0.004
     """Standard deviation of a degree's power, in the unit that ``noise`` says."""
@@ -110,7 +108,7 @@ class Preset(_Channels):
     @property
     def principled(self) -> bool:
         """Whether the posterior is over principled parameters."""
-        return self.parameters == "principled" and self.channels in ("grey", "joint")
+        return self.parameters == "principled" and self.channels == "grey"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +180,7 @@ class AngularPreset(_Channels):
     """``estimated``: of every texel, from the photographs (``posterior/noise.py``), and every
     view counts. The others take the mean squared error over views: ``fixed``: sigma in radiance;
     ``relative``: sigma times the capture's mean radiance; ``heteroscedastic``: that, growing with
-    the sample's own radiance; ``marginal``: sigma unknown, p ~ d^(-nu/2)."""
+    the sample's own radiance."""
 
     sigma: float = 0.08
     """Standard deviation of a texel's root mean squared error, in the unit that ``noise``
@@ -236,9 +234,9 @@ class AngularPreset(_Channels):
         require(self, traced, "cells", "in [256, 4096], or 0 to trace none")
         if self.fit is not None:
             self._require_printed()
-        if self.errors == "sum" and self.noise in ("estimated", "marginal"):
+        if self.errors == "sum" and self.noise == "estimated":
             raise OptionError(
-                f"AngularPreset: noise={self.noise!r} counts views itself; errors='sum' is "
+                "AngularPreset: noise='estimated' counts views itself; errors='sum' is "
                 "for noise='fixed', 'relative' or 'heteroscedastic'."
             )
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from svu_mi.output.textures import write_textures
-from svu_mi.posterior import CalibratedPosterior, calibrated_posterior
+from svu_mi.posterior import CalibratedKernel, calibrated_posterior
 from svu_mi.reflection.principled import (
     columns,
     diffuse_from_principled,
@@ -56,7 +56,7 @@ def check_posterior() -> None:
     assert list(found.axes) == ["roughness", "metallic", "specular", "base_color"]
     # A multiple of the 4 halves of cells, not below 14.
     metal, gloss, color = parts(16, switches.metals), parts(16, 0), (np.arange(400) + 0.5) / 400
-    precision = 1 / (2 * found.noise**2 * switches.overdispersion)
+    precision = 1 / (2 * found.kernel.noise**2 * switches.overdispersion)
     weight = np.empty((TEXELS, len(metal[0]), len(gloss[0]), len(color)))
     for k, value in enumerate(metal[0]):
         y, colors = gloss[0][:, None, None, None], color[:, None, None]
@@ -88,7 +88,7 @@ def check_recovery(folder: Path) -> None:
     texels = svu.texels(capture.mesh, 16)
     grid = svu.PrincipledGrid(4, 3, 3, specular=3)
     estimate = svu.estimate(capture, texels, grid=grid)
-    assert isinstance(estimate.posterior, CalibratedPosterior)
+    assert isinstance(estimate.posterior.kernel, CalibratedKernel)
     assert 0 < np.array(estimate.entropy).mean() < 1
     textures = svu.recover(estimate, method="sh").textures
     assert np.array(textures.specular).shape == (16, 16, 1)

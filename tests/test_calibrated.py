@@ -12,6 +12,7 @@ from scipy import stats
 import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior import calibrated_posterior, object_prior
+from svu_mi.posterior.calibrated import rows_of
 from svu_mi.posterior.cells import color_of_rows
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.truncated import Channel, erfcx
@@ -198,7 +199,7 @@ def test_agrees_with_its_oracle(setting: tuple[svu.Posterior, oracle.Truth]) -> 
         assert np.abs(np.array(found.mean(name)) - truth.mean[name]).max() < 1e-5, name
         assert np.abs(np.array(found.sd(name)) - truth.sd[name]).max() < 1e-5, name
     assert np.abs(np.array(found.probabilities) - truth.cells).max() < 1e-5
-    assert np.abs(found.noise / truth.noise - 1).max() < 1e-5
+    assert np.abs(found.kernel.noise / truth.noise - 1).max() < 1e-5
 
 
 @pytest.mark.parametrize("level", [0.5, 0.9])
@@ -420,12 +421,12 @@ def test_rows_are_sums_over_colours(gaps: bool, copies: int) -> None:
     chosen = np.array([5, 7, 0, 1])
     p = np.array(found.probabilities_of(chosen)).reshape(4, 64, 8, 3)
     p = p[..., : 3 // copies]
-    masses, colors = found.rows_of(chosen)
+    masses, colors = rows_of(found, chosen)
     np.testing.assert_allclose(masses, p[..., 0].sum(axis=2, dtype=np.float64), atol=1e-9)
     # Sums of the p of colours are in single precision, in an order of their own.
-    np.testing.assert_allclose(colors, color_of_rows(p, found.problem.edges), atol=1e-6)
+    np.testing.assert_allclose(colors, color_of_rows(p, found.kernel.problem.edges), atol=1e-6)
     if gaps:
-        assert (colors != means_of(p, found.problem.edges)).any()
+        assert (colors != means_of(p, found.kernel.problem.edges)).any()
 
 
 def means_of(p: np.ndarray, edges: np.ndarray) -> np.ndarray:

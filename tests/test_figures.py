@@ -19,8 +19,7 @@ from svu_mi.output.figures import (
     draw_posterior,
 )
 from svu_mi.output.style import OUTSIDE, UNSEEN
-from svu_mi.posterior import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.tabulated import TabulatedPosterior
+from svu_mi.posterior import ParameterGrid, Posterior, PrincipledGrid, tabulated_posterior
 
 
 @pytest.fixture(scope="module")
@@ -87,12 +86,12 @@ def test_on_the_object_are_the_colours_of_the_map(vase):
     assert middle[0] > 0.3 and middle[1] < 0.02 and middle[2] < 0.1
 
 
-def posterior(grid, cell) -> TabulatedPosterior:
+def posterior(grid, cell) -> Posterior:
     """Two texels: uniform; and all in one cell."""
     energies = np.zeros((2, *grid.shape))
     energies[1] = 60
     energies[(1, *cell)] = 0
-    return TabulatedPosterior(grid=grid, observed=np.ones(2, bool), energies=energies)
+    return tabulated_posterior(energies, grid, np.ones(2, bool))
 
 
 def test_a_posterior_has_its_mode_where_it_belongs():

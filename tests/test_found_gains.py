@@ -64,7 +64,7 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
 
     materials = materials_of(shared(posterior))
     slopes, r = _slopes_and_samples(transport, np.exp(x), materials)
-    w = samples.weight / (posterior.noise[samples.owner] ** 2 * tau)
+    w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
     count, n = samples.count, 3 * 6
     J = np.zeros((count, 3, n + 5 * samples.texels))
     for s in range(count):

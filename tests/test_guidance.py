@@ -875,8 +875,8 @@ class TestNextBestView:
         forecast = prospect(estimate, svu.Candidates.around(capture, 3)).forecast
         s = np.sqrt(0.5 / (forecast.precision.numpy() * switches.overdispersion))
         seen = np.array(estimate.coverage) > 0
-        np.testing.assert_allclose(s[seen], posterior.noise, rtol=1e-5)
-        np.testing.assert_allclose(s[~seen], np.median(posterior.noise), rtol=1e-5)
+        np.testing.assert_allclose(s[seen], posterior.kernel.noise, rtol=1e-5)
+        np.testing.assert_allclose(s[~seen], np.median(posterior.kernel.noise), rtol=1e-5)
         assert forecast.kappa == pytest.approx(switches.knee * estimate.observed.unit)
         assert not forecast.averaged and forecast.channels == 3
         p = np.exp(-forecast.prior.numpy()).reshape(8, 8)
@@ -888,7 +888,7 @@ class TestNextBestView:
         four = baselines.farthest(directions_of(capture.sensors, np.zeros(3)), [0], 3)
 
         def usual(views):
-            return np.median(estimated(*views).posterior.noise)
+            return np.median(estimated(*views).posterior.kernel.noise)
 
         before = usual(four)
         for view in [view for view in range(20) if view not in four][::5]:
@@ -1032,10 +1032,9 @@ class TestNextBestView:
         specular = preset("fixed", method="angular", parameters="specular")
         with pytest.raises(svu.SvuError, match="parameters='principled'"):
             svu.next_best_view(svu.estimate(some(capture, (0, 1)), texels, preset=specular))
-        for switches in ({"noise": "marginal"}, {"channels": "joint"}):
-            other = preset("fixed", method="angular", **switches)
-            with pytest.raises(svu.SvuError, match="does not predict"):
-                svu.next_best_view(svu.estimate(some(capture, (0, 1)), texels, preset=other))
+        other = preset("fixed", method="angular", channels="joint")
+        with pytest.raises(svu.SvuError, match="does not predict"):
+            svu.next_best_view(svu.estimate(some(capture, (0, 1)), texels, preset=other))
         paper = estimated(0, 1, method="spectrum", preset="paper")
         with pytest.raises(svu.SvuError, match="error needs"):
             svu.next_best_view(paper, strategy="error")

@@ -232,7 +232,7 @@ def test_materials_are_eliminated_as_from_the_whole_normal_equations():
     posterior = found.posterior(SWITCHES)
     tau = SWITCHES.overdispersion
     found = system_of(transport, np.exp(x), posterior, tau, Known(prior_of(64)))
-    w = samples.weight / (posterior.noise[samples.owner] ** 2 * tau)
+    w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
     joint = Joint(samples, x, materials_of(shared(posterior)), w)
     H, g = joint.normal()
     n = 3 * 64

@@ -10,7 +10,7 @@ import pytest
 
 from svu_mi.errors import OptionError
 from svu_mi.output.knowledge import Intervals, Knowledge
-from svu_mi.posterior import ParameterGrid, PrincipledGrid, TabulatedPosterior
+from svu_mi.posterior import ParameterGrid, PrincipledGrid, tabulated_posterior
 from svu_mi.posterior.intervals import spread
 
 AXES = {"roughness": np.linspace(0, 1, 21), "base_color": np.linspace(0, 1, 21)}
@@ -143,7 +143,7 @@ def certain(grid, cell):
     """A texel of which one cell is left."""
     energies = np.full((1, *grid.shape), 80.0)
     energies[(0, *cell)] = 0
-    return TabulatedPosterior(grid=grid, observed=np.ones(1, bool), energies=energies)
+    return tabulated_posterior(energies, grid, np.ones(1, bool))
 
 
 def test_a_coarse_grid_knows_no_better_than_its_cells():

@@ -28,7 +28,7 @@ from svu_mi.light.environment import directions, quadrature, synthesize
 from svu_mi.light.lighting import lat_long_texture, look_up
 from svu_mi.options import Fit, preset
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import ParameterGrid, PrincipledGrid, TabulatedPosterior
+from svu_mi.posterior import ParameterGrid, PrincipledGrid, tabulated_posterior
 from svu_mi.posterior.spectrum import spectrum_grid
 from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS
 from svu_mi.recovery.path.objective import l1
@@ -575,9 +575,7 @@ def sphere() -> SimpleNamespace:
     where = svu.texels(mesh, RESOLUTION)
     rng = np.random.default_rng(104)
     energies = rng.gamma(1.0, 2.0, (where.count, 4, 3))
-    posterior = TabulatedPosterior(
-        grid=ParameterGrid(4, 3), observed=np.ones(where.count, bool), energies=energies
-    )
+    posterior = tabulated_posterior(energies, ParameterGrid(4, 3), np.ones(where.count, bool))
     estimate = Estimate(
         method="angular", preset=preset("paper", method="angular"), texels=where,
         posterior=posterior, coverage=dr.full(mi.UInt32, 1, where.count),

@@ -15,7 +15,7 @@ from helpers import render_ball
 import svu_mi as svu
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError, ShapeError, SvuError
-from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import CalibratedKernel
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.recovery.options import DescentOptions, ShOptions, sh_preset
 from svu_mi.recovery.sh.objective import Likelihood, Pull, moments, values_of
@@ -141,7 +141,7 @@ def test_recovery_goes_on_from_an_estimate(
     for method, preset in (("angular", "fast"), ("angular", "fixed"), ("spectrum", "paper")):
         other = svu.estimate(found, method=method, preset=preset)  # type: ignore[arg-type]
         recovered = svu.recover(other, sh=brief())
-        assert isinstance(recovered.estimate.posterior, CalibratedPosterior)
+        assert isinstance(recovered.estimate.posterior.kernel, CalibratedKernel)
         assert recovered.settings["estimate"]["method"] == method
 
 
@@ -189,7 +189,7 @@ def test_sharing_twice_adds_nothing(shared: svu.Recovery) -> None:
 def test_nothing_known_is_one_also_where_texels_share(shared: svu.Recovery) -> None:
     """Entropy is a part of that of the prior, the learned one, channel by channel."""
     posterior = shared.estimate.posterior
-    blind = replace(posterior.problem, scale=0 * posterior.problem.scale)
+    blind = replace(posterior.kernel.problem, scale=0 * posterior.kernel.problem.scale)
     blind = replace(blind, least=0 * blind.least)
     blind = replace(blind, least=kernel.least(blind, excess=True))
     entropy = np.array(replace(posterior, problem=blind).entropy())
@@ -205,7 +205,7 @@ def test_the_options_of_a_method_decide_how_it_shares(capture: Capture, grid: Te
         sh=replace(sh_preset("paper"), descent=DescentOptions(steps=2)),
         path=svu.PathOptions(epochs=0.05, max_depth=2),
     )  # fmt: skip
-    assert both.estimate.posterior.learned
+    assert both.estimate.posterior.kernel.learned
     found = [
         svu.recover(capture, grid, "path", path=svu.PathOptions(epochs=0.05, max_depth=2),
                     sh=replace(ShOptions(), robust=robust), sharing=True)
@@ -266,14 +266,14 @@ def test_a_pull_is_a_squared_distance_and_its_gradient() -> None:
 def test_the_likelihood_is_that_of_the_posterior(known: svu.Estimate, grid: Texels) -> None:
     """In nats, from double-precision sums, the posterior's noise and overdispersion."""
     posterior, observed, switches = known.posterior, known.observed, known.preset
-    levels = posterior.problem.factors.roughness
+    levels = posterior.kernel.problem.factors.roughness
     sums = observed.statistics(
         levels, switches, 3,
         weighting=Weighting(switches.kappa(observed.unit), switches.edges),
     )
     m, c = 0.25, 0.5
     error = sums.errors(np.array([m]), np.array([c]))[:, 3, :, 0, 0].sum(axis=1)
-    nats = sums.weight * error / (2 * posterior.noise**2 * switches.overdispersion)
+    nats = sums.weight * error / (2 * posterior.kernel.noise**2 * switches.overdispersion)
     constant = {"base_color": c, "roughness": levels[3], "metallic": m}
     tensors = {n: mi.TensorXf(np.full((SIZE, SIZE, 3 if n == "base_color" else 1), v, np.float32))
                for n, v in constant.items()}  # fmt: skip
@@ -287,7 +287,7 @@ def test_a_pull_is_that_of_the_moments(known: svu.Estimate, grid: Texels) -> Non
     posterior = known.posterior
     means, sds = moments(posterior)
     pull, trust = Pull.of(posterior, grid), Pull.by_trust(posterior, grid)
-    seen = posterior.problem.factors.texel.numpy()
+    seen = posterior.kernel.problem.factors.texel.numpy()
     for name in TRUE:
         for k, (mean, sd) in enumerate(zip(means[name][:, seen], sds[name][:, seen], strict=True)):
             np.testing.assert_allclose(pull.target[name][k].numpy(), mean, atol=1e-6)

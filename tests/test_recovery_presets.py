@@ -15,7 +15,7 @@ import svu_mi as svu
 from svu_mi.cli.recover import Recover
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.options import PRESETS, Fit, preset
-from svu_mi.posterior import ParameterGrid, SpectrumPosterior
+from svu_mi.posterior import ParameterGrid, SpectrumKernel
 from svu_mi.recovery import run as running
 from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import (
@@ -218,7 +218,7 @@ def test_the_paper_s_presets_share_as_printed(seen, grid, told, method, name, so
     found = svu.recover(given, None, method, name, sharing=True)
     (sharing,) = told.sharing  # both parts of sh+path have the same one
     posterior = sharing.estimate.posterior
-    assert isinstance(posterior, SpectrumPosterior)
+    assert isinstance(posterior.kernel, SpectrumKernel)
     assert posterior.grid == ParameterGrid(8, 8, "uniform")
     assert sharing.estimate.preset == PRESETS["paper"]
     assert sharing.mesh.seams > 0  # minima are those on the surface

@@ -110,7 +110,7 @@ def test_four_corners_give_all_of_a_row_exactly_where_paths_are_shared(capture, 
     a, b = (
         reference_posterior(
             capture, layout, 30, 8, grid=GRID, method=m, seed=SEED
-        ).posterior.energies
+        ).posterior.kernel.energies
         for m in ("linear", "brute")
     )
     ends = [0, 2]
@@ -334,7 +334,8 @@ def test_a_noise_that_is_estimated_gives_the_estimator_s_own_posterior(capture, 
         a = np.array(ours.posterior.mean(name))[reference.subset]
         assert np.abs(a - np.array(reference.posterior.mean(name))).mean() < bar, name
     # More of the paths' noise can only be taken for noise of the photographs.
-    assert 1 < np.median(reference.posterior.noise) / np.median(ours.posterior.noise) < 2
+    noise, usual = (np.median(p.kernel.noise) for p in (reference.posterior, ours.posterior))
+    assert 1 < noise / usual < 2
     assert reference.split_half().correlation > 0.85
 
 
@@ -398,7 +399,7 @@ def test_few_paths_do_not_bias_the_products_of_halves(capture, layout):
         reference_posterior(capture, layout, some, 2, grid=GRID, seed=SEED + k) for k in range(6)
     ]
     cross = np.array([energies(run)[cell].mean() for run in runs])
-    whole = np.array([run.posterior.energies[cell].mean() for run in runs])
+    whole = np.array([run.posterior.kernel.energies[cell].mean() for run in runs])
     error = cross.std(ddof=1) / np.sqrt(len(cross))
     assert abs(cross.mean() - exact) < 5 * error
     assert whole.mean() - exact > 10 * error
@@ -555,7 +556,7 @@ def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, trace
         assert np.array_equal(a, b), name
     if noise == "estimated":
         assert np.array_equal(first.traced.weight, second.traced.weight)
-        assert np.array_equal(first.posterior.noise, second.posterior.noise)
+        assert np.array_equal(first.posterior.kernel.noise, second.posterior.kernel.noise)
     else:
         assert np.array_equal(energies(first), energies(second))
     assert second.split_half().correlation == first.split_half().correlation

@@ -19,7 +19,8 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import preset
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import ParameterGrid, Posterior, TabulatedPosterior
+from svu_mi.posterior import ParameterGrid, Posterior, tabulated_posterior
+from svu_mi.posterior.tabulated import TabulatedKernel
 from svu_mi.regularization.seeds import find_seeds, least_minima, minima, smoothed
 from svu_mi.regularization.sharing import divergences
 from svu_mi.surface import Texels, neighbors, texels
@@ -246,7 +247,7 @@ def test_wrong_arguments_are_refused():
 
 
 def an_estimate(energies: np.ndarray, observed: np.ndarray, where: Texels) -> Estimate:
-    posterior = TabulatedPosterior(grid=GRID, observed=observed, energies=energies)
+    posterior = tabulated_posterior(energies, GRID, observed)
     return Estimate(
         method="angular", preset=preset("default", method="angular"), texels=where,
         posterior=posterior, coverage=owned(mi.UInt32, observed.astype(np.uint32)),
@@ -371,19 +372,18 @@ def test_a_single_texel_shares_with_itself():
 def test_all_posteriors_of_the_package_share():
     """A distribution per channel: the mean of their divergences, as Posterior.kl has it."""
 
-    class PerChannel(TabulatedPosterior):
-        @property
-        def groups(self) -> int:
-            return 3
+    class PerChannel(TabulatedKernel):
+        groups = 3
 
-        def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            p, best = super()._tables(chosen)
+        def tables(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            p, best = super().tables(texels)
             p = np.concatenate([p, np.roll(p, 1, axis=1), p[:, ::-1]], axis=-1)
             return p, np.repeat(best, 3, axis=-1)
 
     estimate = materials(29)
     posterior: Any = estimate.posterior
-    colored = PerChannel(grid=GRID, observed=posterior.observed, energies=posterior.energies)
+    kernel = PerChannel(GRID, posterior.kernel.energies)
+    colored = replace(posterior, kernel=kernel)
     expected = np.array(colored.kl(colored))[:, [5, 60]].T
     found = divergences(colored, np.array([5, 60]), "forward")
     np.testing.assert_allclose(found, expected, atol=1e-4)

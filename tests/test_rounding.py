@@ -162,7 +162,7 @@ def test_photographs_that_round_alike_are_not_sure(vase):
     least = said.observed.rounding(
         Weighting(said.switches.kappa(said.observed.unit), said.switches.edges)
     )
-    assert np.all(said.posterior.noise >= 0.999 * np.sqrt(least))
+    assert np.all(said.posterior.kernel.noise >= 0.999 * np.sqrt(least))
     seen = said.posterior.observed
     assert np.array(said.entropy)[seen].mean() > np.array(unsaid.entropy)[seen].mean() + 0.05
 

@@ -15,7 +15,6 @@ from svu_mi.cli.options import recovered_textures
 from svu_mi.cli.report import SIDE
 from svu_mi.guidance.forecast import Forecast
 from svu_mi.output.report import pictures
-from svu_mi.posterior.part import PartOfPosterior
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import uniform
 
@@ -25,7 +24,7 @@ def test_the_most_probable_cell_is_that_of_the_table(vase):
     posterior = vase.estimate.posterior
     p = np.array(posterior.probabilities, np.float64)
     rows = p[..., 0].sum(axis=-1).reshape(len(p), -1)
-    found = posterior._best_of_all
+    found = posterior.kernel.best(np.arange(len(p)))
     row = np.ravel_multi_index(tuple(found[:, :-1, 0].T), p.shape[1:-2])
     best = rows.max(axis=1)
     taken = rows[np.arange(len(p)), row]
@@ -34,22 +33,6 @@ def test_the_most_probable_cell_is_that_of_the_table(vase):
     given = p.reshape(len(p), -1, *p.shape[-2:])[np.arange(len(p)), row]
     color = np.take_along_axis(given, found[:, -1][:, None, :], axis=1)[:, 0]
     np.testing.assert_allclose(color[seen], given.max(axis=1)[seen], rtol=1e-5)
-
-
-def test_some_texels_are_told_the_same_alone_as_among_all(vase):
-    whole, chosen = vase.estimate.posterior, np.arange(3, vase.texels.count, 7)
-    part = PartOfPosterior.of(whole, chosen)
-    np.testing.assert_array_equal(part.entropy().numpy(), whole.entropy().numpy()[chosen])
-    for name in whole.axes:
-        for some, every in (
-            (part.map()[name], whole.map()[name]), (part.mean(name), whole.mean(name)),
-            (part.sd(name), whole.sd(name)), (part.interval(name)[1], whole.interval(name)[1]),
-            (part.draw(2, 5)[name][1], whole.draw(2, 5)[name][1]),
-        ):  # fmt: skip
-            seen = part.observed  # others draw from the prior
-            np.testing.assert_array_equal(np.array(some)[seen], np.array(every)[chosen][seen])
-        np.testing.assert_allclose(part.marginal(name), np.array(whole.marginal(name))[chosen])
-    assert part.continuous and part.prior_entropy == whole.prior_entropy
 
 
 def test_half_a_width_is_that_of_the_least_known_channel(vase):
@@ -66,8 +49,6 @@ def test_half_a_width_is_that_of_the_least_known_channel(vase):
         assert np.abs(found - expected).max() < part
         assert (np.abs(found - expected) < 1e-6).mean() > 0.98
         assert (half.max(axis=1) - found)[seen].mean() < 0.002
-        part_of = PartOfPosterior.of(posterior, chosen)
-        np.testing.assert_array_equal(np.array(part_of.half_width(name)), found)
     assert half.shape[1] == 3 and np.ptp(half[seen]) > 0.05
 
 

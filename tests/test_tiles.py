@@ -11,7 +11,7 @@ from support.photographs import in_integers
 import svu_mi as svu
 from svu_mi import estimators
 from svu_mi.posterior import calibrated_kernel
-from svu_mi.posterior.tiled import TiledPosterior
+from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.recovery.field.field import texture_field
 
 MAPS = [f"roughness_{what}" for what in ("mean", "sd", "low", "high")]
@@ -26,7 +26,7 @@ def tiled(monkeypatch):
 
     def estimated(*args, do=svu.estimate, **options):
         monkeypatch.setattr(estimators, "TILE", SMALL)
-        monkeypatch.setattr(TiledPosterior, "size", SMALL)
+        monkeypatch.setattr(TiledKernel, "size", SMALL)
         monkeypatch.setattr(calibrated_kernel, "SPAN", SMALL)
         found = do(*args, **options)
         monkeypatch.undo()
@@ -48,7 +48,7 @@ def shown(request, vase):
 def test_tiles_say_what_all_texels_say_together(vase, shown, tiled, preset):
     together = svu.estimate(shown, vase.texels, preset=preset)
     apart = tiled(shown, vase.texels, preset=preset)
-    assert isinstance(apart.posterior, TiledPosterior)
+    assert isinstance(apart.posterior.kernel, TiledKernel)
     assert apart.posterior.count > 3 * SMALL
     names = ["entropy", "coverage", *(MAPS if "metallic" in apart.posterior.axes else [])]
     for name in names:
@@ -67,7 +67,7 @@ def test_what_is_asked_of_some_texels_is_made_again_for_them(vase, tiled):
         lambda p: p.marginal("metallic", chosen),
         lambda p: p.map(chosen)["roughness"],
         lambda p: p.sd("base_color"),
-        lambda p: p.noise_of(np.flatnonzero(p.observed)[::7]),
+        lambda p: p.kernel.noise_of(np.flatnonzero(p.observed)[::7]),
     ):
         np.testing.assert_allclose(np.array(ask(apart)), np.array(ask(together)), atol=2e-6)
     np.testing.assert_array_equal(apart.prior, together.prior)
@@ -102,8 +102,8 @@ def test_guidance_and_recovery_go_on_from_tiles(vase, tiled):
 def test_statistics_of_tiles_are_kept_for_those_who_go_on_from_them(vase, shown, tiled, preset):
     together = svu.estimate(shown, vase.texels, preset=preset)
     apart = tiled(shown, vase.texels, preset=preset, whole=True)
-    assert type(apart.posterior) is type(together.posterior)
-    one, other = (found.posterior.problem.factors for found in (apart, together))
+    assert type(apart.posterior.kernel) is type(together.posterior.kernel)
+    one, other = (found.posterior.kernel.problem.factors for found in (apart, together))
     np.testing.assert_allclose(one.table(), other.table(), rtol=1e-6, atol=1e-7)
     np.testing.assert_array_equal(one.texel.numpy(), other.texel.numpy())
     np.testing.assert_array_equal(one.views.numpy(), other.views.numpy())
@@ -131,8 +131,8 @@ def test_the_same_few_texels_are_gathered_once_for_several_questions(vase, tiled
         made.append(len(texels))
         return original(texels)
 
-    original = posterior.make
-    object.__setattr__(posterior, "make", make)
+    original = posterior.kernel.make
+    object.__setattr__(posterior.kernel, "make", make)
     few = np.arange(0, posterior.count, 13)
     kept = [posterior.half_width(name, 0.9, few) for name in posterior.axes]
     assert not made  # the first pass has kept those of some texels
@@ -142,7 +142,7 @@ def test_the_same_few_texels_are_gathered_once_for_several_questions(vase, tiled
         )
     first = [posterior.half_width(name, 0.8, few) for name in posterior.axes]
     assert len([count for count in made if count > 1]) == 1
-    posterior._last.clear()
+    posterior.kernel._last.clear()
     again = posterior.half_width("roughness", 0.8, few)
     np.testing.assert_array_equal(np.array(first[0]), np.array(again))
 

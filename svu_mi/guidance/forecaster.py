@@ -22,10 +22,16 @@ from svu_mi.light.lighting import band_limit
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.pipeline import Estimate, observed_of
-from svu_mi.posterior import CalibratedPosterior, ParameterGrid, Posterior, PrincipledGrid
-from svu_mi.posterior.angular import AngularPosterior
+from svu_mi.posterior import (
+    AngularKernel,
+    CalibratedKernel,
+    ParameterGrid,
+    Posterior,
+    PrincipledGrid,
+    SpectrumKernel,
+)
+from svu_mi.posterior.calibrated import rows_of
 from svu_mi.posterior.nodes import cell_edges, cell_widths
-from svu_mi.posterior.spectrum import SpectrumPosterior
 from svu_mi.visibility import Surface, Views
 
 Look = Callable[[Surface, Respond, int], Responses]
@@ -49,21 +55,21 @@ def forecast_of(
     def draw(weights: np.ndarray, prior: np.ndarray) -> Hypotheses:
         return Hypotheses.draw(weights, options.hypotheses, starts, int((prior > 0).sum()))
 
-    if isinstance(estimate.posterior, SpectrumPosterior):
+    if isinstance(estimate.posterior.kernel, SpectrumKernel):
         known = _spectrum(estimate.posterior, estimate.switches, observed, texels, look, draw)
         if options.band_limit == "photographs":
             return known
         return _growing(known, estimate.posterior, observed, texels, look)
-    assert isinstance(estimate.posterior, CalibratedPosterior | AngularPosterior)
+    assert isinstance(estimate.posterior.kernel, CalibratedKernel | AngularKernel)
     return _angular(estimate.posterior, estimate.switches, observed, texels, look, draw)
 
 
 def _angular(
-    posterior: CalibratedPosterior | AngularPosterior, switches: AnyPreset, observed: Observed,
+    posterior: Posterior[CalibratedKernel | AngularKernel], switches: AnyPreset, observed: Observed,
     texels: np.ndarray, look: Look, draw: Draw,
 ) -> AngularForecast:  # fmt: skip
     """With the energies of the estimate."""
-    grid, by_nodes = posterior.grid, isinstance(posterior, AngularPosterior)
+    grid, by_nodes = posterior.grid, isinstance(posterior.kernel, AngularKernel)
     if not isinstance(grid, PrincipledGrid):
         raise OptionError(
             "next_best_view(): an angular estimate of (roughness, Ks) does not predict "
@@ -81,9 +87,8 @@ def _angular(
             "taken; give --method spectrum with --preset paper for Eq. 13, or another preset.",
         )
     if by_nodes:
-        _require(switches, noise=("estimated", "fixed", "relative", "heteroscedastic"),
-                 channels=("grey",))  # fmt: skip
-    channels = posterior.problem.factors.channels
+        _require(switches, channels=("grey",))
+    channels = posterior.kernel.problem.factors.channels
     # Grey light has one lobe for all channels.
     lobes = 1 if observed.lighting.environment.grey else channels
     model = observed.model(grid.roughness_nodes, switches, lobes, texels)
@@ -97,7 +102,7 @@ def _angular(
         usual = np.full(len(usual), 1 / len(usual))
     prior, given = prior_tables(posterior.prior, usual)
     nodes = grid.base_color_nodes if by_nodes else None
-    colors = Colors(edges, posterior.problem.copies, given, nodes)
+    colors = Colors(edges, posterior.kernel.problem.copies, given, nodes)
     rows, truths = _rows(posterior, texels)
     variance = _variance(posterior, switches, observed.unit)[texels]
     return AngularForecast(
@@ -110,35 +115,36 @@ def _angular(
 
 
 def _rows(
-    posterior: CalibratedPosterior | AngularPosterior, texels: np.ndarray
+    posterior: Posterior[Any], texels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Probabilities (t, rows) of texels whatever the base colour, and what this is if a row is the
     truth, (t, rows, C)."""
-    if isinstance(posterior, CalibratedPosterior):
-        return posterior.rows_of(texels)
+    if isinstance(posterior.kernel, CalibratedKernel):
+        return rows_of(posterior, texels)
     nodes = posterior.grid.axes["base_color"]
     p = np.array(posterior.probabilities_of(texels))
     p = p.reshape(len(p), -1, len(nodes), posterior.groups)
-    p = p[..., : posterior.problem.factors.channels]
+    p = p[..., : posterior.kernel.problem.factors.channels]
     # Between nodes, no colour might explain what a row shows.
     return p[..., 0].sum(axis=2, dtype=np.float64), nodes[p.argmax(axis=2)]
 
 
 def _variance(
-    posterior: CalibratedPosterior | AngularPosterior, switches: AngularPreset, unit: float
+    posterior: Posterior[CalibratedKernel | AngularKernel], switches: AngularPreset, unit: float
 ) -> np.ndarray:
     """s^2 tau of all texels, (T,); of those nobody saw, the median of the others."""
-    if isinstance(posterior, AngularPosterior):
+    if isinstance(posterior.kernel, AngularKernel):
         sigma = switches.sigma * (1.0 if switches.noise == "fixed" else unit)
         return np.full(posterior.count, sigma**2)
-    variance = np.full(posterior.count, np.median(posterior.noise) ** 2)
-    variance[posterior.problem.factors.texel.numpy()] = posterior.noise**2
+    noise = posterior.kernel.noise
+    variance = np.full(posterior.count, np.median(noise) ** 2)
+    variance[posterior.kernel.problem.factors.texel.numpy()] = noise**2
     return variance * switches.overdispersion
 
 
 def _spectrum(
-    posterior: SpectrumPosterior, switches: AnyPreset, observed: Observed, texels: np.ndarray,
-    look: Look, draw: Draw,
+    posterior: Posterior[SpectrumKernel], switches: AnyPreset, observed: Observed,
+    texels: np.ndarray, look: Look, draw: Draw,
 ) -> SpectrumForecast:  # fmt: skip
     grid = posterior.grid
     if not isinstance(grid, ParameterGrid):
@@ -156,15 +162,15 @@ def _spectrum(
     return SpectrumForecast(
         responses=look(surface, respond, spectral.columns(switches)),
         hypotheses=draw(p.reshape(len(p), -1), posterior.prior.ravel()), grid=grid,
-        prior=_energies(posterior.problem.prior),
+        prior=_energies(posterior.kernel.problem.prior),
         measure=_entropy(posterior), switches=switches,
-        sigma=float(posterior.problem.sigma[0]), prefilter=observed.lighting.prefilter,
+        sigma=float(posterior.kernel.problem.sigma[0]), prefilter=observed.lighting.prefilter,
     )  # fmt: skip
 
 
 def _growing(
-    known: SpectrumForecast, posterior: SpectrumPosterior, observed: Observed, texels: np.ndarray,
-    look: Look,
+    known: SpectrumForecast, posterior: Posterior[SpectrumKernel], observed: Observed,
+    texels: np.ndarray, look: Look,
 ) -> GrowingForecast:  # fmt: skip
     """In the light of one view more, with truths that the photographs make likely in it."""
     switches, environment = known.switches, observed.lighting.environment
@@ -175,7 +181,7 @@ def _growing(
         respond = spectral.respond(observed.views.scene, surface, lighting, switches)
         return look(surface, respond, spectral.columns(switches)), lighting.prefilter
 
-    problem, seen = posterior.problem, posterior.observed[texels]
+    problem, seen = posterior.kernel.problem, posterior.observed[texels]
     (channels,) = problem.groups
     shown = problem.outgoing.numpy().reshape(posterior.count, problem.degree + 1, -1)
     cells = np.broadcast_to(posterior.prior.ravel(), (len(texels), posterior.prior.size))

@@ -19,7 +19,7 @@ from svu_mi.guidance.responses import cosines
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.observed import Observed
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import CalibratedKernel
 from svu_mi.posterior.cells import marginals_of
 from svu_mi.visibility import Surface, Survey, Views, pack_sensors
 
@@ -86,8 +86,9 @@ class Prospect:
     def by_error(self) -> Greedy:
         """Return candidates by the squared error to expect, relative to that of seen texels."""
         posterior, seen = self.estimate.posterior, self.observed.coverage > 0
-        if isinstance(posterior, CalibratedPosterior):
-            posterior = posterior.apart()  # no candidate tells how bright the light is
+        if isinstance(posterior.kernel, CalibratedKernel):
+            # No candidate tells how bright the light is.
+            posterior = replace(posterior, kernel=posterior.kernel.apart())
         present, prior = [], []
         for name, p in marginals_of(posterior.prior, list(posterior.axes)).items():
             nodes = posterior.axes[name]

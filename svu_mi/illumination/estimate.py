@@ -180,7 +180,7 @@ class World:
         system = system_of(transport, np.exp(x), posterior, now.overdispersion, known, logarithm)
         change = system.step()
         if gains is not None:
-            noise = posterior.noise if heat == 1 else None
+            noise = posterior.kernel.noise if heat == 1 else None
             gains, common = updated(gains, self.samples, system, change[len(x) :], noise)
             x = x + common
         x = x + change[: len(x)]

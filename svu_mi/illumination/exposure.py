@@ -79,7 +79,7 @@ def estimate_gains(
             posterior = Moments.of(transport.samples, columns).posterior(now)
             tau = now.overdispersion
             system = system_of(transport, light, posterior, tau, gains=gains.logarithm)
-            noise = posterior.noise if heat == 1 else None
+            noise = posterior.kernel.noise if heat == 1 else None
             gains, _ = updated(gains, samples, system, system.step(), noise)
             heat = max(heat * COOLING, 1.0)
             stage.update(done + 1, ROUNDS)

@@ -10,7 +10,7 @@ from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Columns, Materials, Transport
 from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
-from svu_mi.posterior import CalibratedPosterior, calibrated_posterior
+from svu_mi.posterior import CalibratedKernel, Posterior, calibrated_posterior
 from svu_mi.reflection.principled import columns
 from svu_mi.statistics import Statistics
 from svu_mi.statistics.factors import PAIRS
@@ -50,7 +50,7 @@ class Moments:
 
     def posterior(
         self, switches: AngularPreset, factor: np.ndarray | float = 1.0
-    ) -> CalibratedPosterior:
+    ) -> Posterior[CalibratedKernel]:
         """Return the posterior of the texels' parameters.
 
         Args:
@@ -72,7 +72,7 @@ class Moments:
         return calibrated_posterior(statistics, scale=samples.unit, preset=switches)
 
 
-def materials_of(posterior: CalibratedPosterior) -> Materials:
+def materials_of(posterior: Posterior[CalibratedKernel]) -> Materials:
     """Return the means of a posterior."""
 
     def mean(name: str) -> np.ndarray:
@@ -82,14 +82,14 @@ def materials_of(posterior: CalibratedPosterior) -> Materials:
     return Materials(mean("roughness"), mixed, mean("base_color"))
 
 
-def misfit_of(posterior: CalibratedPosterior, unit: float) -> float:
+def misfit_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
     """Return the noise of the median texel as a part of a radiance: what light cannot explain."""
-    return float(np.median(posterior.noise)) / unit
+    return float(np.median(posterior.kernel.noise)) / unit
 
 
-def noise_of(posterior: CalibratedPosterior, unit: float) -> float:
+def noise_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
     """Return the geometric mean of the texels' noise as a part of a radiance."""
-    return float(np.exp(np.log(posterior.noise).mean())) / unit
+    return float(np.exp(np.log(posterior.kernel.noise).mean())) / unit
 
 
 def tempered(switches: AngularPreset, factor: float) -> AngularPreset:

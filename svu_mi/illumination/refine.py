@@ -16,7 +16,7 @@ from svu_mi.illumination.prior import CellLooks, Prior
 from svu_mi.illumination.record import FoundGains
 from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Materials, Transport
-from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import CalibratedKernel, Posterior
 from svu_mi.posterior.object_prior import shared
 from svu_mi.reflection.principled import slope
 
@@ -96,7 +96,7 @@ class Known(NamedTuple):
 
 
 def system_of(
-    transport: Transport, light: np.ndarray, posterior: CalibratedPosterior,
+    transport: Transport, light: np.ndarray, posterior: Posterior[CalibratedKernel],
     overdispersion: float, known: Known | None = None, gains: np.ndarray | None = None,
 ) -> System:  # fmt: skip
     """Linearise the samples around a light, gains, and the most likely materials.
@@ -152,7 +152,7 @@ def _with_gains(
 class _Texels(NamedTuple):
     """Posterior and materials of n texels, and derivatives (S, 3, P) of samples by these."""
 
-    posterior: CalibratedPosterior
+    posterior: Posterior[CalibratedKernel]
     materials: Materials
     slopes: np.ndarray
 
@@ -161,7 +161,7 @@ def _eliminated(
     prior: System, samples: Samples, J: np.ndarray, texels: _Texels, overdispersion: float
 ) -> System:
     """Add samples with derivatives J (3, S, M), which are overwritten, and eliminate materials."""
-    w = samples.weight / (texels.posterior.noise[samples.owner] ** 2 * overdispersion)
+    w = samples.weight / (texels.posterior.kernel.noise[samples.owner] ** 2 * overdispersion)
     root, off = np.sqrt(w), samples.radiance - prior.found
     J *= root.astype(np.float32)[:, None]
     matrix, gradient = prior.matrix, prior.gradient.reshape(3, -1).copy()

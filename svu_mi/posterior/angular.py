@@ -1,9 +1,16 @@
-"""The posterior from angular statistics (Eq. 3 to 6, without a frequency domain)."""
+"""The posterior from angular statistics (Eq. 3 to 6, without a frequency domain).
+
+A row is one cell of all but base colour; its cells are base colours, along which errors are
+linear. On the smaller grid a row is one roughness, its cells are values of Ks = R0, and Kd
+takes the best value in [0, 1] for each ("profiled out"): the first component of the error is 0
+then, unless that value lies outside.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from math import prod
 from typing import Any
 
 import drjit as dr
@@ -14,50 +21,96 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
-from svu_mi.posterior import angular_kernel as kernel
 from svu_mi.posterior import streaming
-from svu_mi.posterior.checks import require_scale, total_texels
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.record import Posterior
+from svu_mi.posterior.kernel import CellKernel, Pair, Prior, observed_by, require_scale
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.reflection.principled import Mixture, lobe_mixture, mixture
 from svu_mi.statistics import Factors, Statistics
+from svu_mi.statistics.factors import FLOOR, combined
 
 UNLIKELY = 1e30  # energy, in single precision, of a cell that the prior excludes
-FITTED = 3  # roughness, Kd and Ks, which the marginal noise rule pays for
+HOPELESS = 1e30  # an energy beyond single precision would be infinite, its differences NaN
 
 
-@dataclass(frozen=True, kw_only=True)
-class AngularPosterior(Posterior):
+@dataclass(frozen=True)
+class Problem:
+    """Everything an energy depends on.
+
+    Attributes:
+        factors: of S texels, their levels, and C channels; every channel is a group.
+        copies: how many equal channels each stands for.
+        slots: (R,) UInt32, which level of the factors a roughness of the grid is.
+        rows: UInt32, rows of the grid that the prior does not exclude.
+        total: number of cells of the grid.
+        sigma: Float, opaque: standard deviation of a texel's error, in radiance.
+        averaged: whether d is the mean over views of their squared errors, or the sum.
+        mixed: (M,) nodes of every parameter that mixes the columns, or None for a grid of Ks.
+        cells: nodes of base colour, or of Ks.
+        prior: (-log prior of a row, of a cell given its row) as Float64 and Float, or None.
+    """
+
+    factors: Factors
+    copies: int
+    slots: Any
+    rows: Any
+    total: int
+    sigma: Any
+    averaged: bool
+    mixed: list[np.ndarray] | None
+    cells: np.ndarray
+    prior: tuple[Any, Any] | None
+
+    @property
+    def columns(self) -> int:
+        """Rows per roughness: M, or 1."""
+        return prod(len(nodes) for nodes in self.mixed or ())
+
+
+@dataclass(frozen=True)
+class AngularKernel(CellKernel):
     """p over the axes of a ``PrincipledGrid``, or over (roughness, specular).
 
     Attributes:
-        problem: factors of S texels, noise and grid (see ``angular_kernel``).
+        grid: of the parameters.
+        count: number of texels T.
+        problem: factors of S texels, noise and grid.
     """
 
-    problem: kernel.Problem
-
-    @cached_property
-    def _lane(self) -> np.ndarray:
-        return self.problem.factors.lanes(self.count)
+    grid: ParameterGrid | PrincipledGrid
+    count: int
+    problem: Problem
 
     @property
     def groups(self) -> int:
         """3 when each colour channel has its own base colour or Ks, else 1."""
         return self.problem.factors.channels * self.problem.copies
 
-    @property
-    def prior(self) -> np.ndarray:
-        """Prior probability of every cell, (R, M ..., K) or (R, S) float64; of each channel."""
-        return streaming.prior_of(self.problem.prior, self.grid.shape)
+    @cached_property
+    def prior(self) -> Prior:
+        """The prior, the same of each channel."""
+        return Prior(streaming.prior_of(self.problem.prior, self.grid.shape), self.grid.axes)
 
-    def _entropy_of_all(self) -> Any:
-        everywhere = dr.full(mi.Float, 1, self.count)
-        dr.eval(everywhere)
-        dr.scatter(everywhere, kernel.entropy(self.problem), self.problem.factors.texel)
-        return everywhere
+    def entropy(self, texels: np.ndarray) -> np.ndarray:
+        """Return the normalised entropy (see ``Kernel``)."""
+        return self._entropies[self._lane[texels]]
 
-    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        base, offsets = kernel.tables(self.problem, self._lane[chosen])
+    def tables(self, texels: np.ndarray) -> Pair:
+        """Return p of every cell and the best nodes (see ``CellKernel``)."""
+        rows = self.problem.total // len(self.problem.cells)
+        energies = partial(_row_energies, self.problem)
+        base, offsets = streaming.tables(energies, self._lane[texels], rows)
         return streaming.probabilities(base, offsets, self.grid.shape)
+
+    @cached_property
+    def _lane(self) -> np.ndarray:
+        return self.problem.factors.lanes(self.count)
+
+    @cached_property
+    def _entropies(self) -> np.ndarray:
+        problem, count = self.problem, self.problem.factors.count
+        energies = _row_energies(problem, dr.arange(mi.UInt32, count))
+        return np.array(streaming.entropy(energies, count, problem.rows, problem.total))
 
 
 def angular_grid(grid: Any | None, switches: AngularPreset) -> ParameterGrid | PrincipledGrid:
@@ -92,7 +145,7 @@ def angular_posterior(
     copies: int = 1,
     levels: np.ndarray | None = None,
     texels: int | None = None,
-) -> AngularPosterior:
+) -> Posterior[AngularKernel]:
     """Compare photographs with what every cell of a grid predicts for them.
 
         p ~ exp(-d / (2 sigma^2)) prior,    d = 1/n sum_i w_i (b_i - r_i(psi))^2   (Eq. 3, 4)
@@ -138,15 +191,10 @@ def angular_posterior(
         )
     require_scale("angular_posterior()", scale)
     sigma = switches.sigma * (1.0 if switches.noise == "fixed" else scale)
-    views = np.array(factors.views)
-    texel = factors.texel.numpy()
-    total = total_texels("angular_posterior()", factors, copies, texels)
-    observed = np.zeros(total, bool)
-    observed[texel] = views > 0
-    power = np.maximum(views.astype(np.float64) - FITTED, 1) / 2
+    observed = observed_by("angular_posterior()", factors, copies, texels)
     *_, cells = grid.axes.values()
     tables = streaming.log_prior(prior, grid.shape, "angular_posterior()")
-    problem = kernel.Problem(
+    problem = Problem(
         factors=factors,
         copies=copies,
         slots=owned(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
@@ -154,15 +202,63 @@ def angular_posterior(
         total=int(np.prod(grid.shape)),
         sigma=dr.opaque(mi.Float, sigma),
         averaged=switches.errors == "mean",
-        power=owned(mi.Float, power) if switches.noise == "marginal" else None,
         mixed=grid.mixed_nodes if isinstance(grid, PrincipledGrid) else None,
         cells=cells,
         prior=None if tables is None else (
             owned(mi.Float64, tables[0]), owned(mi.Float, np.minimum(tables[1], UNLIKELY))
         ),
     )
-    return AngularPosterior(grid=grid, observed=observed, problem=problem)
+    kernel = AngularKernel(grid, len(observed), problem)
+    return Posterior(kernel=kernel, observed=observed)
 
 
 def _listed(values: np.ndarray) -> str:
     return ", ".join(f"{value:.4g}" for value in values)
+
+
+def _row_energies(problem: Problem, lane: Any) -> streaming.RowEnergies:
+    factors = problem.factors
+    reader = factors.at(lane)
+    square = reader.weight / 2  # errors are per unit of weight
+    if problem.averaged:  # over views, whose weights are at most 1
+        square /= mi.Float(dr.maximum(dr.gather(mi.UInt32, factors.views, lane), 1))
+    scale = dr.sqrt(square) / problem.sigma
+
+    def energies(row: Any) -> list[tuple[Any, list[Any]]]:
+        level = row // problem.columns
+        slot = dr.gather(mi.UInt32, problem.slots, level)
+        groups = []
+        for of_channel in reader.entries(slot):
+            *entries, floor = (scale * entry for entry in of_channel)
+            x = _cells(problem, row - level * problem.columns, [*entries, scale * floor])
+            groups.append([dr.minimum(value, HOPELESS) for value in x])
+        return streaming.with_prior(groups * problem.copies, problem.prior, row)
+
+    return energies
+
+
+def _cells(problem: Problem, column: Any, U: list[Any]) -> list[Any]:
+    """Mean squared error of every cell of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
+    nodes = [mi.Float(node) for node in streaming.cells(problem.cells)]
+    if problem.mixed is None:
+        return [_over_diffuse(U, lobe_mixture(Ks)) for Ks in nodes]
+    how = mixture(*streaming.nodes(mi.Float, problem.mixed, column))
+    u, v = (combined(U, x)[:-1] for x in (how.scaled, how.constant))
+    return [_square([dr.fma(a, c, b) for a, b in zip(u, v, strict=True)], U[FLOOR]) for c in nodes]
+
+
+def _over_diffuse(U: list[Any], how: Mixture) -> Any:
+    """The same at the best Kd in [0, 1], which only the first component depends on."""
+    first, *others = combined(U, how.constant)[:-1]
+    slope = U[0]
+    inverse = dr.select(slope > 0, dr.rcp(dr.select(slope > 0, slope, 1)), 0)
+    first = dr.fma(slope, dr.clip(-first * inverse, 0, 1), first)
+    return _square([first, *others], U[FLOOR])
+
+
+def _square(components: list[Any], floor: Any) -> Any:
+    """|U x|^2, of whose last component ``floor`` is the square."""
+    total = floor
+    for x in reversed(components):
+        total = dr.fma(x, x, total)
+    return total

@@ -26,10 +26,10 @@ from svu_mi.options import preset as find_preset
 from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
-from svu_mi.posterior.cells import color_of_rows, marginals_of
-from svu_mi.posterior.checks import require_scale, total_texels
+from svu_mi.posterior.cells import color_of_rows
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest
+from svu_mi.posterior.kernel import Kernel, Pair, Prior, observed_by, require_scale
 from svu_mi.posterior.nodes import (
     COLOR_PARTS,
     MIXED_PARTS,
@@ -40,18 +40,84 @@ from svu_mi.posterior.nodes import (
     uniform_axis,
 )
 from svu_mi.posterior.noise import noise_variance
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.problem import Problem
-from svu_mi.posterior.record import Posterior
 from svu_mi.statistics import Factors, Statistics
 
 FEWEST = 4  # levels of roughness that a spline goes through
 
 
+@dataclass(frozen=True)
+class CalibratedPrior(Prior):
+    """The prior within cells, too.
+
+    Attributes:
+        problem: nodes and prior.
+    """
+
+    problem: Problem
+
+    @staticmethod
+    def of(problem: Problem, grid: PrincipledGrid) -> CalibratedPrior:
+        """Take the mean over channels for the cells, (R, M ..., K) float64."""
+        return CalibratedPrior(
+            prior_tables(problem).mean(axis=3).reshape(grid.shape), grid.axes, problem
+        )
+
+    @cached_property
+    def most(self) -> float:  # type: ignore[override]
+        """Nats that entropies are relative to: those of the prior, the mean over channels."""
+        tables = np.moveaxis(prior_tables(self.problem), -1, 0)
+        return float(np.mean([streaming.entropy_of(p) for p in tables]))
+
+    @property
+    def entropy(self) -> float:
+        """1: that of the prior in units of itself."""
+        return 1.0
+
+    def moments(self, name: str) -> tuple[Any, Any]:
+        """Return mean and standard deviation of a parameter (see ``Prior``)."""
+        low, high, p = self._parts(name)
+        if name == "base_color":  # by channel
+            p = np.repeat(prior_tables(self.problem).sum(axis=(0, 1)).T, self.problem.copies, 0)
+        middle = (low + high) / 2
+        mean = p @ middle
+        spread = (middle - np.expand_dims(mean, -1)) ** 2 + (high - low) ** 2 / 12
+        return mean, np.sqrt((p * spread).sum(axis=-1))
+
+    def draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """Draw parameters, equal in all channels (see ``Prior``)."""
+        picked = random.choice(self.cells.size, count, p=self.cells.ravel())
+        drawn = {}
+        for name, cell in zip(self.axes, np.unravel_index(picked, self.cells.shape), strict=True):
+            low, high, p = self._parts(name)
+            own = cell
+            if name != "base_color":
+                axis = self.problem.axis(name)
+                below = np.concatenate([[0], np.cumsum(p)])
+                first, last = below[axis.first[cell]], below[axis.first[cell + 1]]
+                at = first + random.random(count) * (last - first)
+                own = np.clip(np.searchsorted(below, at, "right") - 1, axis.first[cell],
+                              axis.first[cell + 1] - 1)  # fmt: skip
+            drawn[name] = low[own] + random.random(count) * (high - low)[own]
+        return drawn
+
+    def _parts(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Ends of parts of a parameter, and their probability by the prior: (N,) each."""
+        of_cells = self.marginal(name)
+        if name == "base_color":
+            edges = self.problem.edges
+            return edges[:-1], edges[1:], of_cells
+        axis = self.problem.axis(name)
+        return axis.low, axis.high, of_cells[axis.cell] * axis.mass / axis.of_cells()[axis.cell]
+
+
 @dataclass(frozen=True, kw_only=True)
-class CalibratedPosterior(Posterior):
+class CalibratedKernel(Kernel):
     """p over the axes of a ``PrincipledGrid``; base colour has a distribution per channel.
 
     Attributes:
+        grid: of the parameters; only for probabilities and entropy.
         problem: factors of S texels, noise, nodes and prior (see ``calibrated_kernel``).
         noise: (S,) float64, s of every texel: standard deviation of a sample of weight 1, in
             radiance.
@@ -66,90 +132,49 @@ class CalibratedPosterior(Posterior):
     noise: np.ndarray
     learned: bool = False
     common: tuple[float, ...] = (0.0, 0.0, 0.0)
+    continuous = True
 
     @property
     def groups(self) -> int:
         """3 when each colour channel has its own base colour, else 1."""
         return self.problem.factors.channels * self.problem.copies
 
-    @property
-    def continuous(self) -> bool:
-        """True: the grid is only for probabilities and entropy."""
-        return True
-
-    def noise_of(self, texels: np.ndarray) -> np.ndarray:
-        """Return the noise of texels (t,) that are observed, by their numbers among all T."""
-        return self.noise[self._lane[texels]]
+    @cached_property
+    def prior(self) -> CalibratedPrior:
+        """The prior (see ``Kernel``)."""
+        return CalibratedPrior.of(self.problem, self.grid)
 
     @cached_property
-    def _summary_of_lanes(self) -> kernel.Summary:
+    def summary(self) -> kernel.Summary:
+        """Entropy, moments and best cells of the S texels."""
         return kernel.summarize(self.problem)
 
     @cached_property
-    def _lane(self) -> np.ndarray:
-        return self.problem.factors.lanes(self.count)
+    def lane(self) -> np.ndarray:
+        """(T,) int64, which of the S texels each is; 0 for others."""
+        texel = self.problem.factors.texel.numpy()
+        return self.problem.factors.lanes(int(texel.max()) + 1 if len(texel) else 0)
 
-    @property
-    def prior(self) -> np.ndarray:
-        """Prior probability of every cell, (R, M ..., K) float64, the mean over channels."""
-        return prior_tables(self.problem).mean(axis=3).reshape(self.grid.shape)
+    def noise_of(self, texels: np.ndarray) -> np.ndarray:
+        """Return the noise of texels, (t,)."""
+        return self.noise[self.lane[texels]]
 
-    @property
-    def most(self) -> float:
-        """Nats that entropies are a part of: those of the prior, the mean over channels."""
-        tables = prior_tables(self.problem)
-        return float(np.mean([streaming.entropy_of(p) for p in np.moveaxis(tables, -1, 0)]))
+    def entropy(self, texels: np.ndarray) -> np.ndarray:
+        """Return the normalised entropy (see ``Kernel``)."""
+        most = self.prior.most
+        if most <= 0:  # a prior that leaves one cell
+            return np.zeros(len(texels), np.float32)
+        return np.clip(np.array(self.summary.entropy) / np.float32(most), 0, 1)[self.lane[texels]]
 
-    @property
-    def prior_entropy(self) -> float:
-        """Normalised entropy of a texel nobody saw: 1, that of the prior in units of itself."""
-        return 1.0
-
-    def _entropy_of_all(self) -> Any:
-        everywhere = dr.full(mi.Float, 1, self.count)
-        dr.eval(everywhere)
-        if (most := self.most) > 0:
-            # Opaque: as a literal, every prior would compile a kernel of its own.
-            usual = dr.opaque(mi.Float, most)
-            relative = dr.clip(self._summary_of_lanes.entropy / usual, 0, 1)
-        else:  # a prior that leaves one cell
-            relative = dr.zeros(mi.Float, self.problem.factors.count)
-        dr.scatter(everywhere, relative, self.problem.factors.texel)
-        return everywhere
-
-    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._cells(chosen), self._best(chosen)
-
-    def _cells(self, chosen: np.ndarray) -> np.ndarray:
-        p = kernel.tables(self.problem, self._lane[chosen])
+    def probabilities(self, texels: np.ndarray) -> np.ndarray:
+        """Return p of every cell (see ``Kernel``)."""
+        p = kernel.tables(self.problem, self.lane[texels])
         p = np.repeat(p, self.problem.copies, -1) if self.problem.copies > 1 else p
         return p.reshape(len(p), *self.grid.shape, -1)
 
-    def rows_of(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return p of some texels summed over base colour, and the colour that stands for each sum
-        (``cells.color_of_rows``), without the table of ``probabilities_of``.
-
-        Args:
-            chosen: (t,) int64 indices of texels.
-
-        Returns:
-            (t, N) and (t, N, C) float64, for the N cells of all other parameters and the C
-            channels of the statistics.
-        """
-        usual = self.prior.astype(np.float32).reshape(1, -1, self.grid.shape[-1], 1)
-        observed, shape = self.observed[chosen], (len(chosen), usual.shape[1])
-        masses = np.empty(shape, np.float64)
-        colors = np.empty((*shape, self.problem.factors.channels), np.float64)
-        masses[~observed] = usual[..., 0].sum(axis=2, dtype=np.float64)
-        colors[~observed] = color_of_rows(usual, self.problem.edges)
-        seen = np.flatnonzero(observed)
-        for span in self._chunks(len(seen)):
-            part = seen[span]
-            masses[part], colors[part] = kernel.rows(self.problem, self._lane[chosen[part]])
-        return masses, colors
-
-    def _best(self, chosen: np.ndarray) -> np.ndarray:
-        found, lanes = self._summary_of_lanes, self._lane[chosen]
+    def best(self, texels: np.ndarray) -> np.ndarray:
+        """Return the most probable nodes (see ``Kernel``)."""
+        found, lanes = self.summary, self.lane[texels]
         rows = np.array(found.best)[lanes].astype(np.int64)
         of_channels = [np.array(color)[lanes] for color in found.best_colors]
         colors = np.repeat(np.stack(of_channels, axis=1), self.problem.copies, axis=1)
@@ -157,22 +182,21 @@ class CalibratedPosterior(Posterior):
                   for node in np.unravel_index(rows, self.grid.shape[:-1])]  # fmt: skip
         return np.stack([*shared, colors], axis=1)
 
-    def _moments(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        found = self._summary_of_lanes
-        at = [list(self.axes).index(name)]
+    def moments(self, name: str, texels: np.ndarray) -> Pair:
+        """Return mean and standard deviation (see ``Kernel``)."""
+        found, lanes = self.summary, self.lane[texels]
+        at = [list(self.grid.axes).index(name)]
         if name == "base_color":
             at = list(range(at[0], at[0] + self.problem.factors.channels)) * self.problem.copies
-        mean, sd = (np.stack([np.array(x[k]) for k in at], axis=-1) for x in (found.mean, found.sd))
-        if name == "base_color":
-            sd = np.hypot(sd, mean * self._common)
-        return self._everywhere(mean), self._everywhere(sd)
+        mean, sd = (np.stack([np.array(x[k])[lanes] for k in at], axis=-1)
+                    for x in (found.mean, found.sd))  # fmt: skip
+        return mean, np.hypot(sd, mean * self._common) if name == "base_color" else sd
 
-    def _ends(
-        self, name: str, level: float, texels: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        lanes = self._lane[texels]
+    def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
+        """Return the ends of intervals (see ``Kernel``)."""
+        lanes = self.lane[texels]
         of = self._ends_of_color if name == "base_color" else partial(self._ends_of_nodes, name)
-        if self._summary_of_lanes.rows is not None:
+        if self.summary.rows is not None:
             return of(level, lanes)
         found = [of(level, lanes[span]) for span in kernel.spans(len(lanes))]
         low, high = (np.concatenate([ends[k] for ends in found]) for k in range(2))
@@ -181,7 +205,7 @@ class CalibratedPosterior(Posterior):
     def _ends_of_nodes(
         self, name: str, level: float, lanes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        problem, found = self.problem, self._summary_of_lanes
+        problem, found = self.problem, self.summary
         if found.rows is None:  # of so many texels nobody keeps them
             found = kernel.summary_of(problem, owned(mi.UInt32, lanes.astype(np.uint32)))
             lanes = np.arange(len(lanes))
@@ -191,7 +215,7 @@ class CalibratedPosterior(Posterior):
 
     def _ends_of_color(self, level: float, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         problem = self.problem
-        parts = uniform_axis(self.axes["base_color"], COLOR_PARTS)
+        parts = uniform_axis(self.grid.axes["base_color"], COLOR_PARTS)
         tables = kernel.color_masses(problem, parts, lanes)
         ends = [shortest(masses, parts, len(lanes), level) for masses in tables]
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
@@ -202,85 +226,74 @@ class CalibratedPosterior(Posterior):
         half = np.hypot((high - low) / 2, wide * middle)
         return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
 
-    def apart(self) -> CalibratedPosterior:
-        """Return what is known of texels beside each other: without what they have in common."""
-        return replace(self, common=(0.0, 0.0, 0.0)) if any(self.common) else self
-
-    @property
-    def _common(self) -> np.ndarray:
-        """The same for as many channels as base colour has."""
-        return np.asarray(self.common) if self.groups > 1 else np.mean(self.common, keepdims=True)
-
-    def _half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
-        problem, lanes = self.problem, self._lane[texels]
+    def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
+        """Return half the widths of intervals (see ``Kernel``)."""
+        problem, lanes = self.problem, self.lane[texels]
         alone = problem.factors.channels == 1 or problem.given is not None or any(self.common)
         if name != "base_color" or alone:
-            return super()._half_widths(name, level, texels)
-        sd = np.stack([np.array(x)[lanes] for x in self._summary_of_lanes.sd], axis=1)
+            return super().half_widths(name, level, texels)
+        sd = np.stack([np.array(x)[lanes] for x in self.summary.sd], axis=1)
         widest = sd[:, -problem.factors.channels :].argmax(axis=1)
-        parts = uniform_axis(self.axes[name], COLOR_PARTS)
+        parts = uniform_axis(self.grid.axes[name], COLOR_PARTS)
         low, high = shortest(
             kernel.color_masses(problem, parts, lanes, widest)[0], parts, len(lanes), level
         )
         return (np.array(high) - np.array(low)) / 2
 
-    def prior_moments(self, name: str) -> tuple[Any, Any]:
-        low, high, p = self._prior_parts(name)
-        if name == "base_color":  # by channel
-            p = np.repeat(prior_tables(self.problem).sum(axis=(0, 1)).T, self.problem.copies, 0)
-        middle = (low + high) / 2
-        mean = p @ middle
-        spread = (middle - np.expand_dims(mean, -1)) ** 2 + (high - low) ** 2 / 12
-        return mean, np.sqrt((p * spread).sum(axis=-1))
-
-    def _prior_parts(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Ends of parts of a parameter, and their probability by the prior: (N,) each."""
-        of_cells = marginals_of(self.prior, list(self.axes))[name]
-        if name == "base_color":
-            edges = self.problem.edges
-            return edges[:-1], edges[1:], of_cells
-        axis = self.problem.axis(name)
-        return axis.low, axis.high, of_cells[axis.cell] * axis.mass / axis.of_cells()[axis.cell]
-
-    def _prior_draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
-        cells = np.unravel_index(
-            random.choice(self.prior.size, count, p=self.prior.ravel()), self.grid.shape
-        )
-        drawn = {}
-        for name, cell in zip(self.axes, cells, strict=True):
-            low, high, p = self._prior_parts(name)
-            own = cell
-            if name != "base_color":
-                axis = self.problem.axis(name)
-                below = np.concatenate([[0], np.cumsum(p)])
-                first, last = below[axis.first[cell]], below[axis.first[cell + 1]]
-                at = first + random.random(count) * (last - first)
-                own = np.clip(np.searchsorted(below, at, "right") - 1, axis.first[cell],
-                              axis.first[cell + 1] - 1)  # fmt: skip
-            drawn[name] = low[own] + random.random(count) * (high - low)[own]
-        return drawn
-
-    def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
-        problem, lanes = self.problem, self.problem.factors.count
-        drawn: dict[str, np.ndarray] = {}
+    def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
+        """Draw parameters, the same of a texel whichever others are asked for (see ``Kernel``)."""
+        problem, lanes, names = self.problem, self.lane[texels], list(self.grid.axes)
+        total = dr.gather(mi.Float, self.summary.total, owned(mi.UInt32, lanes.astype(np.uint32)))
+        drawn = {name: np.empty((count, len(texels), self.channels_of(name)), np.float32)
+                 for name in names}  # fmt: skip
         for number in range(count):
             random = np.random.default_rng((seed, number)).random(
-                (len(self.axes) + 2 * self.groups, lanes), np.float32
+                (len(names) + 2 * self.groups, problem.factors.count), np.float32
             )
             shared, colors = kernel.draw(
-                problem, self._summary_of_lanes.total, [owned(mi.Float, u) for u in random]
+                problem, lanes, total, [owned(mi.Float, u[lanes]) for u in random]
             )
-            values = [*([x] for x in shared), colors]
-            for name, of_name in zip(self.axes, values, strict=True):
-                table = self._everywhere(np.stack([np.array(x) for x in of_name], axis=-1))
-                drawn.setdefault(name, np.empty((count, *table.shape), np.float32))[number] = table
+            for name, values in zip(names, [*([x] for x in shared), colors], strict=True):
+                drawn[name][number] = np.stack([np.array(x) for x in values], axis=-1)
         return drawn
 
-    def _everywhere(self, values: np.ndarray) -> np.ndarray:
-        """Values (S, g) of texels with factors as those of all, (T, g); 0 for others."""
-        result = np.zeros((self.count, values.shape[1]), np.float32)
-        result[self.problem.factors.texel.numpy()] = values
-        return result
+    def apart(self) -> CalibratedKernel:
+        """Return the kernel of texels for themselves: without what they have in common."""
+        return replace(self, common=(0.0, 0.0, 0.0)) if any(self.common) else self
+
+    @property
+    def _common(self) -> np.ndarray:
+        """``common`` for as many channels as base colour has."""
+        return np.asarray(self.common) if self.groups > 1 else np.mean(self.common, keepdims=True)
+
+
+def rows_of(
+    posterior: Posterior[CalibratedKernel], chosen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return p of some texels summed over base colour, and the colour that stands for each sum
+    (``cells.color_of_rows``), without the table of ``probabilities_of``.
+
+    Args:
+        posterior: of the texels.
+        chosen: (t,) int64 indices of texels.
+
+    Returns:
+        (t, N) and (t, N, C) float64, for the N cells of all other parameters and the C channels
+        of the statistics.
+    """
+    of_texels = posterior.kernel
+    usual = posterior.prior.astype(np.float32).reshape(1, -1, posterior.grid.shape[-1], 1)
+    observed, shape = posterior.observed[chosen], (len(chosen), usual.shape[1])
+    masses = np.empty(shape, np.float64)
+    colors = np.empty((*shape, of_texels.problem.factors.channels), np.float64)
+    masses[~observed] = usual[..., 0].sum(axis=2, dtype=np.float64)
+    colors[~observed] = color_of_rows(usual, of_texels.problem.edges)
+    seen = np.flatnonzero(observed)
+    for span in of_texels.chunks(len(seen)):
+        part = seen[span]
+        lanes = of_texels.lane[chosen[part]]
+        masses[part], colors[part] = kernel.rows(of_texels.problem, lanes)
+    return masses, colors
 
 
 def calibrated_posterior(
@@ -294,7 +307,7 @@ def calibrated_posterior(
     texels: int | None = None,
     doubt: Doubt | None = None,
     rounding: np.ndarray | None = None,
-) -> CalibratedPosterior:
+) -> Posterior[CalibratedKernel]:
     """Integrate over what explains the photographs.
 
     Args:
@@ -320,15 +333,13 @@ def calibrated_posterior(
     grid = grid or PrincipledGrid()
     _require_levels(factors.roughness, grid.roughness_nodes)
     require_scale("calibrated_posterior()", scale)
-    total = total_texels("calibrated_posterior()", factors, copies, texels)
+    observed = observed_by("calibrated_posterior()", factors, copies, texels)
     problem = _problem(factors, grid, switches, prior, copies)
     problem, noise = _with_noise(problem, switches, scale, rounding)
-    observed = np.zeros(total, bool)
-    observed[factors.texel.numpy()] = np.array(factors.views) > 0
-    return CalibratedPosterior(
-        grid=grid, observed=observed, problem=problem, noise=noise,
-        common=(doubt or Doubt()).scale,
+    of_texels = CalibratedKernel(
+        grid=grid, problem=problem, noise=noise, common=(doubt or Doubt()).scale
     )
+    return Posterior(kernel=of_texels, observed=observed)
 
 
 def _require_levels(levels: np.ndarray, nodes: np.ndarray) -> None:

@@ -124,6 +124,173 @@ def summarize(problem: Problem) -> Summary:
     return Summary.joined(parts)
 
 
+@dataclass
+class Moments:
+    """Sums of parameters and of their squares over nodes, Float64 for each parameter."""
+
+    sums: list[Any]
+    squares: list[Any]
+
+    @staticmethod
+    def zeros(number: int, count: int) -> Moments:
+        """Begin with so many parameters of so many lanes."""
+        first, second = ([dr.zeros(mi.Float64, count) for _ in range(number)] for _ in range(2))
+        return Moments(first, second)
+
+    def add(self, weight: Any, values: list[tuple[Any, Any]]) -> None:
+        """Add a node, of which each parameter has a mean and a mean square."""
+        w = mi.Float64(weight)
+        means, squares = zip(*values, strict=True)
+        self.sums = [dr.fma(w, x, old) for x, old in zip(means, self.sums, strict=True)]
+        self.squares = [dr.fma(w, x, old) for x, old in zip(squares, self.squares, strict=True)]
+
+    def finish(self, total: Any) -> tuple[list[Any], list[Any]]:
+        """Return means and standard deviations: Floats."""
+        mean = [x / total for x in self.sums]
+        sd = [dr.sqrt(dr.maximum(x / total - dr.square(m), 0))
+              for x, m in zip(self.squares, mean, strict=True)]  # fmt: skip
+        return [mi.Float(x) for x in mean], [mi.Float(x) for x in sd]
+
+
+@dataclass
+class BestCell:
+    """The cell of the largest mass so far: first of all parameters but base colour, then of each
+    channel's base colour."""
+
+    mass: Any
+    row: Any
+    colors: list[Any]
+
+    @staticmethod
+    def zeros(channels: int, count: int) -> BestCell:
+        """Begin with none."""
+        row, *colors = (dr.zeros(mi.UInt32, count) for _ in range(1 + channels))
+        return BestCell(dr.zeros(mi.Float, count), row, colors)
+
+    def add(self, mass: Any, row: Any, colors: list[Any]) -> None:
+        """Compare with another."""
+        more = mass > self.mass
+        self.colors = [dr.select(more, new, old)
+                       for new, old in zip(colors, self.colors, strict=True)]  # fmt: skip
+        self.row = dr.select(more, row, self.row)
+        self.mass = dr.maximum(mass, self.mass)
+
+
+@dataclass
+class CellMasses:
+    """Masses of (column, channel, base colour) of one cell of roughness, in local memory.
+
+    Attributes:
+        memory: local.
+        logs: Float, sum of a log a over the masses a of all cells that are finished.
+    """
+
+    memory: Any
+    logs: Any
+
+    @staticmethod
+    def zeros(problem: Problem, count: int) -> CellMasses:
+        """Begin with empty cells."""
+        _, of_column, of_color = problem.shape
+        number = of_column * problem.factors.channels * of_color
+        return CellMasses(cleared(number), dr.zeros(mi.Float, count))
+
+    def add(self, problem: Problem, node: Node) -> None:
+        """Add a node to its cells."""
+        of_color = problem.shape[2]
+        of_row = problem.factors.channels * of_color
+        column = dr.gather(mi.UInt32, problem.nodes.column, node.column) * of_row
+        for channel, color in enumerate(node.colors):
+            for k, part in enumerate(color.cells):
+                place = column + (channel * of_color + k)
+                self.memory[place] = self.memory[place] + node.weight * part
+
+    def finish_row(self, problem: Problem, row: Any, best: BestCell) -> tuple[Any, Any]:
+        """Empty all cells if a node of roughness is the last of its cell, and compare them."""
+        channels, of_color = problem.factors.channels, dr.opaque(mi.UInt32, problem.shape[2])
+        end = dr.gather(mi.UInt32, problem.nodes.last, row)
+        first = dr.gather(mi.UInt32, problem.nodes.row, row) * problem.shape[1]
+
+        def of_column(column: Any, cells: CellMasses, best: BestCell) -> tuple[Any, ...]:
+            places = [(column * channels + channel) * of_color for channel in range(channels)]
+            found = [cells.finish(place, of_color) for place in places]
+            # All channels have the same total.
+            best.add(found[0][0], first + column, [color for _, color in found])
+            return column + 1, cells, best
+
+        return dr.while_loop(
+            (mi.UInt32(0), self, best), lambda column, *_: column < end, of_column
+        )[1:]
+
+    def finish(self, place: Any, number: Any) -> tuple[Any, Any]:
+        """Empty so many cells; return the sum of their masses, and which has most."""
+
+        def take(k: Any, cells: CellMasses, total: Any, top: Any, best: Any) -> tuple[Any, ...]:
+            a = cells.memory[place + k]
+            cells.memory[place + k] = mi.Float(0)
+            cells.logs = dr.fma(a, dr.log(dr.maximum(a, 1e-37)), cells.logs)
+            return k + 1, cells, total + a, dr.maximum(top, a), dr.select(a > top, k, best)
+
+        count = dr.width(self.logs)
+        zero, none = dr.zeros(mi.Float, count), dr.zeros(mi.UInt32, count)
+        _, found, total, _, best = dr.while_loop(
+            (mi.UInt32(0), self, zero, zero, none), lambda k, *_: k < number, take
+        )
+        self.memory, self.logs = found.memory, found.logs
+        return total, best
+
+
+@dataclass
+class Sums:
+    """Everything that one walk over all nodes sums up.
+
+    Attributes:
+        cells: of the present cell of roughness.
+        columns: local memory, masses of the columns.
+        of_row: Float, mass of the present node of roughness.
+        total: Float64, of all that are finished.
+        roughness: its moments, over nodes that are finished.
+        others: those of all other parameters, base colours last.
+        best: the cell of the largest mass.
+    """
+
+    cells: CellMasses
+    columns: Any
+    of_row: Any
+    total: Any
+    roughness: Moments
+    others: Moments
+    best: BestCell
+
+    @staticmethod
+    def zeros(problem: Problem, count: int) -> Sums:
+        """Begin with nothing."""
+        channels, columns = problem.factors.channels, problem.nodes.columns
+        return Sums(
+            CellMasses.zeros(problem, count), cleared(problem.mixed.count),
+            dr.zeros(mi.Float, count), dr.zeros(mi.Float64, count), Moments.zeros(1, count),
+            Moments.zeros(len(columns) + channels, count), BestCell.zeros(channels, count),
+        )  # fmt: skip
+
+    def add(self, problem: Problem, node: Node) -> None:
+        """Add a node."""
+        self.cells.add(problem, node)
+        self.columns[node.column] = self.columns[node.column] + node.weight
+        self.of_row = self.of_row + node.weight
+        values = [of_column.moments(node.column) for of_column in problem.nodes.columns]
+        for color in node.colors:
+            mean = mi.Float64(color.mean)
+            values.append((mean, dr.fma(mean, mean, mi.Float64(color.variance))))
+        self.others.add(node.weight, values)
+
+    def finish_row(self, problem: Problem, row: Any) -> None:
+        """After all nodes of a roughness, add its mass."""
+        self.total = self.total + mi.Float64(self.of_row)
+        self.roughness.add(self.of_row, [problem.nodes.rows.moments(row)])
+        self.of_row = mi.Float(0)
+        self.cells, self.best = self.cells.finish_row(problem, row, self.best)
+
+
 def summary_of(problem: Problem, lanes: Any) -> Summary:
     """Walk once over all nodes of some texels.
 
@@ -132,60 +299,32 @@ def summary_of(problem: Problem, lanes: Any) -> Summary:
         lanes: UInt32, which of them; no more than ``SPAN``.
     """
     walker, count = Walker(problem, lanes), dr.width(lanes)
-    channels, nodes = problem.factors.channels, problem.nodes
     rows, columns = problem.roughness.count, problem.mixed.count
-    _, of_column, of_color = problem.shape
-    cells = of_column * channels * of_color
-    masses = cleared(cells + columns)
-    first = dr.opaque(mi.UInt32, cells)  # of the columns, behind the cells
     by_row, by_column = (dr.zeros(mi.Float, size(n, count)) for n in (rows, columns))
     dr.eval(by_row, by_column)
     launch = dr.arange(mi.UInt32, count)
     place = start(launch, dr.opaque(mi.UInt32, rows))
-    moments = 2 * (len(nodes.columns) + channels)
-    ahead = moments + 3  # sums in double precision, before all else
 
-    def visit(node: Node, masses: Any, of_row: Any, *sums: Any) -> tuple[Any, ...]:
-        _add_cells(problem, masses, node)
-        masses[first + node.column] = masses[first + node.column] + node.weight
-        w = mi.Float64(node.weight)
-        added = [x for values in nodes.columns for x in values.moments(node.column)]
-        for color in node.colors:
-            mean = mi.Float64(color.mean)
-            added += [mean, dr.fma(mean, mean, mi.Float64(color.variance))]
-        sums = tuple(dr.fma(w, x, old) for x, old in zip(added, sums, strict=True))
-        return (masses, of_row + node.weight, *sums)
+    def visit(node: Node, sums: Sums) -> tuple[Sums]:
+        sums.add(problem, node)
+        return (sums,)
 
-    def row_ends(row: Any, masses: Any, of_row: Any, *state: Any) -> tuple[Any, ...]:
-        (*sums, total, r1, r2), found = state[:ahead], state[ahead:]
-        dr.scatter(by_row, of_row, place + row * BLOCK, mode=dr.ReduceMode.NoConflicts)
-        w = mi.Float64(of_row)
-        mean, square = nodes.rows.moments(row)
-        closed = _close(problem, masses, row, *found)
-        return (closed[0], mi.Float(0), *sums, total + w, dr.fma(w, mean, r1),
-                dr.fma(w, square, r2), *closed[1:])  # fmt: skip
+    def row_ends(row: Any, sums: Sums) -> tuple[Sums]:
+        dr.scatter(by_row, sums.of_row, place + row * BLOCK, mode=dr.ReduceMode.NoConflicts)
+        sums.finish_row(problem, row)
+        return (sums,)
 
-    def visit_all(node: Node, masses: Any, of_row: Any, *state: Any) -> tuple[Any, ...]:
-        return (*visit(node, masses, of_row, *state[:moments]), *state[moments:])
-
-    masses, _, *state = walker.over_rows(
-        mi.UInt32(0), dr.opaque(mi.UInt32, rows), visit_all, row_ends,
-        (masses, dr.zeros(mi.Float, count), *(dr.zeros(mi.Float64, count) for _ in range(ahead)),
-         *(dr.zeros(mi.Float, count) for _ in range(2)),
-         *(dr.zeros(mi.UInt32, count) for _ in range(1 + channels))),
-    )  # fmt: skip
-    (*summed, total, r1, r2), (zx, _, best, *best_colors) = state[:ahead], state[ahead:]
-    by_column = _write(masses, first, columns, launch, by_column)
-    total = dr.select(total > 0, total, 1)
-    sums = [r1, r2, *summed]
-    mean = [x / total for x in sums[::2]]
-    sd = [dr.sqrt(dr.maximum(x / total - dr.square(m), 0))
-          for x, m in zip(sums[1::2], mean, strict=True)]  # fmt: skip
-    mean, sd = [mi.Float(x) for x in mean], [mi.Float(x) for x in sd]
+    (sums,) = walker.over_rows(
+        mi.UInt32(0), dr.opaque(mi.UInt32, rows), visit, row_ends, (Sums.zeros(problem, count),)
+    )
+    by_column = _write(sums.columns, columns, launch, by_column)
+    total = dr.select(sums.total > 0, sums.total, 1)
+    of_all = (sums.roughness.finish(total), sums.others.finish(total))
+    mean, sd = (of_all[0][k] + of_all[1][k] for k in range(2))
     total = mi.Float(total)
-    entropy = dr.log(total) - zx / (total * channels)
-    dr.eval(entropy, total, mean, sd, best, best_colors, by_row, by_column)
-    return Summary(entropy, total, mean, sd, best, best_colors, by_row, by_column)
+    entropy = dr.log(total) - sums.cells.logs / (total * problem.factors.channels)
+    dr.eval(entropy, total, mean, sd, sums.best, by_row, by_column)
+    return Summary(entropy, total, mean, sd, sums.best.row, sums.best.colors, by_row, by_column)
 
 
 def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
@@ -257,7 +396,7 @@ def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
     masses, first = _walked(problem, chosen)
     size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
     result = dr.empty(mi.Float, len(chosen) * problem.shape[0] * size_of_row)  # all is written
-    result = _write(masses, mi.UInt32(0), size_of_row, None, result, first * size_of_row)
+    result = _write(masses, size_of_row, None, result, first * size_of_row)
     dr.eval(result)
     return result
 
@@ -269,23 +408,22 @@ def _walked(problem: Problem, chosen: np.ndarray) -> tuple[Any, Any]:
         Masses of (column, channel, base colour) in local memory, and the number of every lane's
         cell among those of all texels, UInt32.
     """
-    (rows, of_column, of_color), nodes = problem.shape, problem.nodes
+    rows, nodes = problem.shape[0], problem.nodes
     launch = dr.arange(mi.UInt32, len(chosen) * rows)
     # A packet is about one cell of roughness of many texels, which leave out the same nodes.
     number = dr.opaque(mi.UInt32, len(chosen))
     texel, cell = launch % number, launch // number
     walker = Walker(problem, dr.gather(mi.UInt32, owned(mi.UInt32, chosen), texel))
 
-    def visit(node: Node, masses: Any) -> tuple[Any, ...]:
-        _add_cells(problem, masses, node)
+    def visit(node: Node, masses: CellMasses) -> tuple[CellMasses]:
+        masses.add(problem, node)
         return (masses,)
 
     (masses,) = walker.over_rows(
         dr.gather(mi.UInt32, nodes.first, cell), dr.gather(mi.UInt32, nodes.first, cell + 1),
-        visit, lambda _, masses: (masses,),
-        (cleared(of_column * problem.factors.channels * of_color),),
+        visit, lambda _, masses: (masses,), (CellMasses.zeros(problem, 1),),
     )  # fmt: skip
-    return masses, texel * dr.opaque(mi.UInt32, rows) + cell
+    return masses.memory, texel * dr.opaque(mi.UInt32, rows) + cell
 
 
 def color_masses(
@@ -326,25 +464,29 @@ def color_masses(
         target = dr.zeros(mi.Float, size(K, count))
         dr.eval(target)
         lane = dr.arange(mi.UInt32, count)
-        found.append(_write(masses, mi.UInt32(number * K), K, lane, target))
+        found.append(_write(masses, K, lane, target, first=number * K))
     dr.eval(found)
     return found
 
 
-def draw(problem: Problem, total: Any, random: list[Any]) -> tuple[list[Any], list[Any]]:
-    """Draw parameters of all texels.
+def draw(
+    problem: Problem, lanes: np.ndarray, total: Any, random: list[Any]
+) -> tuple[list[Any], list[Any]]:
+    """Draw parameters of some texels.
 
     Args:
         problem: of S texels.
-        total: (S,) Float, of their ``Summary``.
-        random: Floats (S,) in [0, 1): one, one for every parameter but base colour, and two for
+        lanes: (t,) int64, which of them.
+        total: (t,) Float, of their ``Summary``.
+        random: Floats (t,) in [0, 1): one, one for every parameter but base colour, and two for
             each of its channels, copies included.
 
     Returns:
         Roughness and the parameters that mix; and base colour by channel, copies included: Floats
-        (S,).
+        (t,).
     """
-    walker, nodes, count = Walker(problem), problem.nodes, problem.factors.count
+    walker = Walker(problem, owned(mi.UInt32, lanes.astype(np.uint32)))
+    nodes, count = problem.nodes, len(lanes)
     wanted = random[0] * total
 
     def visit(node: Node, below: Any, row: Any, column: Any) -> tuple[Any, ...]:
@@ -383,66 +525,14 @@ def cleared(number: int) -> Any:
     return dr.while_loop(start, lambda k, _: k < number, clear)[1]
 
 
-def _add_cells(problem: Problem, masses: Any, node: Node) -> None:
-    """Add a node to the masses of (column, channel, base colour)."""
-    of_color = problem.shape[2]
-    of_row = problem.factors.channels * of_color
-    column = dr.gather(mi.UInt32, problem.nodes.column, node.column) * of_row
-    for channel, color in enumerate(node.colors):
-        for k, part in enumerate(color.cells):
-            place = column + (channel * of_color + k)
-            masses[place] = masses[place] + node.weight * part
-
-
-def _close(
-    problem: Problem, masses: Any, row: Any, zx: Any, most: Any, best: Any, *best_colors: Any
-) -> tuple[Any, ...]:  # fmt: skip
-    """After the last node of a cell of roughness, add a log a of its masses, clear them, and see
-    whether one of its cells has more mass than all before."""
-    channels, of_color = problem.factors.channels, dr.opaque(mi.UInt32, problem.shape[2])
-    end = dr.gather(mi.UInt32, problem.nodes.last, row)
-    first = dr.gather(mi.UInt32, problem.nodes.row, row) * problem.shape[1]
-
-    def of_column(column: Any, masses: Any, zx: Any, most: Any, best: Any, *old: Any) -> Any:
-        totals, colors = [], []
-        for channel in range(channels):
-            place = (column * channels + channel) * of_color
-            masses, zx, total, color = _close_channel(place, of_color, masses, zx)
-            totals.append(total)
-            colors.append(color)
-        more = totals[0] > most  # all channels have the same
-        chosen = (dr.select(more, new, color) for new, color in zip(colors, old, strict=True))
-        best = dr.select(more, first + column, best)
-        return column + 1, masses, zx, dr.maximum(totals[0], most), best, *chosen
-
-    state = (mi.UInt32(0), masses, zx, most, best, *best_colors)
-    return dr.while_loop(state, lambda column, *_: column < end, of_column)[1:]
-
-
-def _close_channel(place: Any, number: Any, masses: Any, zx: Any) -> tuple[Any, ...]:
-    """Add a log a of so many masses, and clear them; also returns their sum, and the largest."""
-
-    def take(k: Any, masses: Any, zx: Any, total: Any, top: Any, color: Any) -> tuple[Any, ...]:
-        a = masses[place + k]
-        masses[place + k] = mi.Float(0)
-        color = dr.select(a > top, k, color)
-        zx = dr.fma(a, dr.log(dr.maximum(a, 1e-37)), zx)
-        return k + 1, masses, zx, total + a, dr.maximum(top, a), color
-
-    zero, none = dr.zeros(mi.Float, dr.width(zx)), dr.zeros(mi.UInt32, dr.width(zx))
-    found = dr.while_loop(
-        (mi.UInt32(0), masses, zx, zero, zero, none), lambda k, *_: k < number, take
-    )
-    return found[1], found[2], found[3], found[5]
-
-
 def _write(
-    masses: Any, first: Any, number: int, lane: Any | None, target: Any, place: Any | None = None
-) -> Any:
+    masses: Any, number: int, lane: Any | None, target: Any, place: Any | None = None,
+    first: Any = 0,
+) -> Any:  # fmt: skip
     """Write local memory out, within the kernel that computes it: in blocks, or from ``place``."""
     stride = 1 if lane is None else BLOCK
     begin = place if lane is None else start(lane, dr.opaque(mi.UInt32, number))
-    end = dr.opaque(mi.UInt32, number)
+    end, first = dr.opaque(mi.UInt32, number), mi.UInt32(first)
 
     def write(k: Any, masses: Any) -> tuple[Any, Any]:
         dr.scatter(target, masses[first + k], begin + k * stride, mode=dr.ReduceMode.NoConflicts)

@@ -50,30 +50,27 @@ def color_of_rows(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 
 def draw_cells(
-    p: np.ndarray, axes: Mapping[str, np.ndarray], count: int, random: np.random.Generator
+    p: np.ndarray, axes: Mapping[str, np.ndarray], random: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Draw nodes; channels are independent given all but the last parameter.
 
     Args:
         p: (t, *grid, G) probabilities of t texels.
         axes: nodes by parameter.
-        count: number of draws.
-        random: random numbers.
+        random: (1 + G, count, t) random numbers in [0, 1).
 
     Returns:
         By parameter (count, t, 1) float32; (count, t, G) of the last one.
     """
     *shape, cells, groups = p.shape[1:]
     table = p.reshape(len(p), -1, cells, groups).astype(np.float64)
-    rows = pick(table[..., 0].sum(axis=2), random.random((count, len(p))))
-    *shared, last = axes.items()
+    rows = pick(table[..., 0].sum(axis=2), random[0])
+    *shared, (name, nodes) = axes.items()
     index = np.unravel_index(rows, shape)
     drawn = {
         name: nodes[k][..., None].astype(np.float32)
         for (name, nodes), k in zip(shared, index, strict=True)
     }
     given = table[np.arange(len(p)), rows]  # (count, t, cells, G)
-    name, nodes = last
-    picked = [pick(given[..., g], random.random((count, len(p)))) for g in range(groups)]
-    drawn[name] = nodes[np.stack(picked, axis=-1)].astype(np.float32)
-    return drawn
+    picked = [pick(given[..., g], random[1 + g]) for g in range(groups)]
+    return drawn | {name: nodes[np.stack(picked, axis=-1)].astype(np.float32)}

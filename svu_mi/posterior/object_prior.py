@@ -23,8 +23,9 @@ import numpy as np
 from svu_mi.interop import evenly_spaced, owned
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
-from svu_mi.posterior.calibrated import CalibratedPosterior, prior_tables
+from svu_mi.posterior.calibrated import CalibratedKernel, prior_tables
 from svu_mi.posterior.nodes import cell_widths
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.problem import Problem
 
 ROUNDS = 2  # more of them drift where all texels err alike; chosen on our own scenes
@@ -34,7 +35,9 @@ SAMPLE = 1500  # texels that the prior is learned from
 LEAST = 1e-30  # probability that stands for 0 in a logarithm
 
 
-def shared(posterior: CalibratedPosterior, rounds: int = ROUNDS) -> CalibratedPosterior:
+def shared(
+    posterior: Posterior[CalibratedKernel], rounds: int = ROUNDS
+) -> Posterior[CalibratedKernel]:
     """Return the posterior of texels that have a prior in common, learned from all of them.
 
     Base colours of R, G and B each have their own prior, given all others. What the
@@ -45,9 +48,9 @@ def shared(posterior: CalibratedPosterior, rounds: int = ROUNDS) -> CalibratedPo
         posterior: of texels that each stand for themselves.
         rounds: of expectation maximisation, at least 1.
     """
-    problem = posterior.problem
+    problem = posterior.kernel.problem
     seen = np.flatnonzero(np.array(problem.factors.views))
-    if posterior.learned or len(seen) == 0:
+    if posterior.kernel.learned or len(seen) == 0:
         return posterior
     chosen = seen[evenly_spaced(len(seen), SAMPLE)]
     sample, everyone = problem.some(chosen), np.arange(len(chosen))
@@ -56,7 +59,8 @@ def shared(posterior: CalibratedPosterior, rounds: int = ROUNDS) -> CalibratedPo
     for _ in range(rounds - 1):
         under = _under(sample, learned)
         learned = _mixed(kernel.tables(under, everyone).mean(axis=0, dtype=float), alone)
-    return replace(posterior, problem=_under(problem, learned), learned=True)
+    of_texels = replace(posterior.kernel, problem=_under(problem, learned), learned=True)
+    return replace(posterior, kernel=of_texels)
 
 
 def _mixed(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -16,22 +17,26 @@ from svu_mi.options import preset as find_preset
 from svu_mi.posterior import spectrum_kernel as kernel
 from svu_mi.posterior import streaming
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.record import Posterior
+from svu_mi.posterior.kernel import CellKernel, Pair, Prior
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import alpha_from_roughness, unbounded_alpha
 
 DARK = 1e-4  # part of the incident power that counts when nothing at all is reflected
-FITTED = 2  # parameters per texel and channel that the marginal noise rule pays for
 
 
-@dataclass(frozen=True, kw_only=True)
-class SpectrumPosterior(Posterior):
+@dataclass(frozen=True)
+class SpectrumKernel(CellKernel):
     """p over (roughness, specular) or the axes of a ``PrincipledGrid``, from power spectra.
 
     Attributes:
+        grid: of the parameters.
+        count: number of texels T.
         problem: spectra, noise and grid tables (see ``spectrum_kernel``).
     """
 
+    grid: ParameterGrid | PrincipledGrid
+    count: int
     problem: kernel.Problem
 
     @property
@@ -39,17 +44,23 @@ class SpectrumPosterior(Posterior):
         """Number of Ks per texel: 3 when each colour channel has its own, else 1."""
         return len(self.problem.groups)
 
-    @property
-    def prior(self) -> np.ndarray:
-        """Prior probability of every cell, (R, S) or (R, M ..., K) float64; of each channel."""
-        return streaming.prior_of(self.problem.prior, self.grid.shape)
+    @cached_property
+    def prior(self) -> Prior:
+        """The prior, the same of each channel."""
+        return Prior(streaming.prior_of(self.problem.prior, self.grid.shape), self.grid.axes)
 
-    def _entropy_of_all(self) -> Any:
-        return kernel.entropy(self.problem, self.count)
+    def entropy(self, texels: np.ndarray) -> np.ndarray:
+        """Return the normalised entropy (see ``Kernel``)."""
+        return self._entropies[texels]
 
-    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        base, offsets = kernel.tables(self.problem, chosen)
+    def tables(self, texels: np.ndarray) -> Pair:
+        """Return p of every cell and the best nodes (see ``CellKernel``)."""
+        base, offsets = kernel.tables(self.problem, texels)
         return streaming.probabilities(base, offsets, self.grid.shape)
+
+    @cached_property
+    def _entropies(self) -> np.ndarray:
+        return np.array(kernel.entropy(self.problem, self.count))
 
 
 def spectrum_posterior(
@@ -62,11 +73,10 @@ def spectrum_posterior(
     prefilter: float = 0.0,
     prior: Any | None = None,
     observed: Any | None = None,
-    samples: Any | None = None,
     scale: float | None = None,
     irradiance: Any | None = None,
     copies: int = 1,
-) -> SpectrumPosterior:
+) -> Posterior[SpectrumKernel]:
     """Compare observed spectra with those of every cell of a grid.
 
         d = sum_{l=1}^{l*} (S_B(l) - Ks^2 exp(-2 (alpha l)^2) S_L(l))^2        (Eq. 11)
@@ -89,7 +99,6 @@ def spectrum_posterior(
             the exponent is then max(alpha^2 - alpha'^2, 0).
         prior: non-negative weights of the cells, of the grid's shape, or one per roughness.
         observed: (T,) bool, False for texels nobody saw; all by default.
-        samples: (T,) number of views that see each texel; needed by the marginal noise rule.
         scale: power that a relative sigma is a part of; by default the mean over the observed
             texels and channels of sum_l S_B(l). Give it when these texels are only some of a
             capture's.
@@ -115,7 +124,6 @@ def spectrum_posterior(
         incoming=S_L.array,
         outgoing=S_B.array,
         sigma=dr.opaque(mi.Float64, switches.sigma * unit),
-        power=_power(switches, samples, count),
         degree=degrees - 1,
         channels=channels,
         groups=_groups(switches, channels, copies),
@@ -127,8 +135,7 @@ def spectrum_posterior(
         prior=None if tables is None else tuple(owned(mi.Float64, t) for t in tables),
         constant=_constant(switches, grid, irradiance, (count, channels), unit),
     )
-    posterior = SpectrumPosterior(grid=grid, observed=seen, problem=problem)
-    return _most_certain_channel(posterior) if switches.channels == "minimum" else posterior
+    return Posterior(kernel=SpectrumKernel(grid, count, problem), observed=seen)
 
 
 def _seen(observed: Any | None, count: int) -> np.ndarray:
@@ -169,8 +176,6 @@ def _spectrum(name: str, values: Any) -> Any:
 
 
 def _groups(switches: Preset, channels: int, copies: int) -> tuple[tuple[int, ...], ...]:
-    if switches.channels == "minimum":
-        copies = 1  # of equal entropies, the smallest is any
     every = tuple(range(channels)) * copies
     return (every,) if switches.channels == "sum" else tuple((channel,) for channel in every)
 
@@ -199,10 +204,10 @@ def spectrum_grid(
             "spectrum_posterior(): a PrincipledGrid needs the irradiance; give it, or use a "
             "ParameterGrid."
         )
-    if switches.channels not in ("grey", "joint"):
+    if switches.channels == "sum":
         raise OptionError(
-            f"channels={switches.channels!r} does not work with a PrincipledGrid; use a "
-            "ParameterGrid, or channels='joint'."
+            "channels='sum' does not work with a PrincipledGrid; use a ParameterGrid, or "
+            "channels='grey'."
         )
     return grid
 
@@ -275,48 +280,3 @@ def _mean_power(spectrum: Any, seen: np.ndarray) -> float:
         return 0.0
     values = spectrum.numpy()[seen].astype(np.float64)
     return float(values.sum(axis=1).mean())
-
-
-def _power(switches: Preset, samples: Any | None, count: int) -> Any | None:
-    """nu / 2 of the marginal noise rule p ~ d^(-nu/2), or None."""
-    if switches.noise != "marginal":
-        return None
-    if samples is None:
-        raise OptionError(
-            "spectrum_posterior(): the marginal noise rule needs samples, the number of views "
-            "that see each texel."
-        )
-    seen = np.array(samples, np.float64).ravel()
-    if len(seen) != count:
-        raise ShapeError(
-            f"spectrum_posterior(): {len(seen)} sample counts for {count} texels; give one per "
-            "texel."
-        )
-    return owned(mi.Float64, np.maximum(seen - FITTED, 1) / 2)
-
-
-def _most_certain_channel(posterior: SpectrumPosterior) -> SpectrumPosterior:
-    """Keep, per texel, the channel with the smallest entropy (the published code's rule)."""
-    problem, count = posterior.problem, posterior.count
-    single = [replace(problem, groups=(group,)) for group in problem.groups]
-    if count == 0:
-        return replace(posterior, problem=single[0])
-    best = mi.UInt32(0)
-    lowest = dr.full(mi.Float, 2, count)
-    for channel, alone in enumerate(single):
-        value = kernel.entropy(alone, count)
-        lower = value < lowest
-        best = dr.select(lower, channel, best)
-        lowest = dr.minimum(value, lowest)
-    size = problem.degree + 1
-    lane = dr.arange(mi.UInt32, count * size)
-    index = lane * problem.channels + dr.gather(mi.UInt32, best, lane // size)
-    chosen = replace(
-        problem,
-        incoming=dr.gather(mi.Float, problem.incoming, index),
-        outgoing=dr.gather(mi.Float, problem.outgoing, index),
-        channels=1,
-        groups=((0,),),
-    )
-    dr.eval(chosen.incoming, chosen.outgoing)
-    return replace(posterior, problem=chosen)

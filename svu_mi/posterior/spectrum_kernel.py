@@ -62,8 +62,6 @@ class Problem:
     Attributes:
         incoming, outgoing: (T * (L + 1) * C) Float, power spectra.
         sigma: Float64, one number: standard deviation of a degree's power.
-        power: (T,) Float64 nu / 2 of d^(-nu/2), or None for exp(-d / (2 sigma^2)); sigma^2 is
-            then the floor that is added to d.
         degree: L = l*.
         channels: C.
         groups: channel indices that share one Ks.
@@ -79,7 +77,6 @@ class Problem:
     incoming: Any
     outgoing: Any
     sigma: Any
-    power: Any | None
     degree: int
     channels: int
     groups: tuple[tuple[int, ...], ...]
@@ -106,7 +103,6 @@ def entropy(problem: Problem, count: int) -> Any:
 def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
     # Read once, outside of the loop over rows: strided reads would dominate it.
     products = [_products(problem, texel, group) for group in problem.groups]
-    power = _power(problem, texel)
     constants = _constants(problem, texel)
 
     def energies(row: Any) -> list[tuple[Any, list[Any]]]:
@@ -118,8 +114,6 @@ def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
             x = row_distances([R * R for R in R0], product, decay)
             if first is not None:
                 x = [value + more for value, more in zip(x, first, strict=True)]
-            if power is not None:
-                x = [power * dr.log(2 * value + 1) for value in x]
             result.append(x)
         return streaming.with_prior(result, problem.prior, row)
 
@@ -179,10 +173,6 @@ def _products(problem: Problem, texel: Any, group: tuple[int, ...]) -> Products:
             both[l] = dr.fma(L, B, both[l])
             observed = dr.fma(B, B, observed)
     return Products([scale * x for x in light], [scale * x for x in both], scale * observed)
-
-
-def _power(problem: Problem, texel: Any) -> Any | None:
-    return None if problem.power is None else dr.gather(mi.Float64, problem.power, texel)
 
 
 def _decay(problem: Problem, level: Any) -> list[Any]:

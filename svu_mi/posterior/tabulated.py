@@ -1,55 +1,78 @@
-"""A posterior from energies that something else has tabulated."""
+"""The posterior of tabulated energies."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 from svu_mi.posterior.cells import normalized
-from svu_mi.posterior.record import Posterior
-from svu_mi.posterior.streaming import nats
+from svu_mi.posterior.grid import Grid
+from svu_mi.posterior.kernel import CellKernel, Pair, Prior
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.streaming import nats, prior_of
 
 
-@dataclass(frozen=True, kw_only=True)
-class TabulatedPosterior(Posterior):
-    """p ~ exp(-energy), from a table of energies.
+@dataclass(frozen=True)
+class TabulatedKernel(CellKernel):
+    """p ~ exp(-energy).
 
     Attributes:
-        energies: (T, *grid) float64 of -log p up to a constant per texel; finite where
-            ``observed``.
+        grid: of the parameters.
+        energies: (T, *grid) float64 of -log p up to a constant per texel.
+    """
+
+    grid: Grid
+    energies: np.ndarray
+    groups = 1
+
+    @property
+    def count(self) -> int:  # type: ignore[override]
+        """Number of texels T."""
+        return len(self.energies)
+
+    @property
+    def prior(self) -> Prior:
+        """The same for every cell."""
+        return Prior(prior_of(None, self.grid.shape), self.grid.axes)
+
+    def entropy(self, texels: np.ndarray) -> np.ndarray:
+        """Return the normalised entropy (see ``Kernel``)."""
+        flat = self.energies[texels].reshape(len(texels), -1)
+        x = flat - flat.min(axis=1, keepdims=True)
+        p = np.exp(-x)
+        # An infinitely unlikely cell adds nothing.
+        zx = np.einsum("tn,tn->t", p, np.minimum(x, 1e4))
+        return np.clip(nats(p.sum(axis=1), zx) / np.log(x.shape[1]), 0, 1).astype(np.float32)
+
+    def tables(self, texels: np.ndarray) -> Pair:
+        """Return p of every cell and the best nodes (see ``CellKernel``)."""
+        return normalized(self.energies[texels])
+
+
+def tabulated_posterior(
+    energies: np.ndarray, grid: Grid, observed: np.ndarray
+) -> Posterior[TabulatedKernel]:
+    """Return the posterior of a table of energies.
+
+    Args:
+        energies: (T, *grid) float64 of -log p up to a constant per texel; finite where observed.
+        grid: of the parameters.
+        observed: (T,) bool.
 
     Raises:
         ShapeError: the table does not fit the grid or the flags.
         OptionError: an observed texel has an energy that is not finite.
     """
-
-    energies: np.ndarray
-
-    def __post_init__(self) -> None:
-        if self.energies.shape != (self.count, *self.grid.shape):
-            raise ShapeError(
-                f"TabulatedPosterior: energies must be {(self.count, *self.grid.shape)}, "
-                f"got {self.energies.shape}."
-            )
-        finite = np.isfinite(self.energies).reshape(self.count, -1).all(axis=1)
-        if not finite[self.observed].all():
-            texel = int(np.flatnonzero(self.observed & ~finite)[0])
-            raise OptionError(f"TabulatedPosterior: texel {texel} has a non-finite energy.")
-
-    def _entropy_of_all(self) -> Any:
-        flat = np.where(self.observed[:, None], self.energies.reshape(self.count, -1), 0.0)
-        x = flat - flat.min(axis=1, keepdims=True)
-        p = np.exp(-x)
-        z = p.sum(axis=1)
-        # An infinitely unlikely cell adds nothing.
-        zx = np.einsum("tn,tn->t", p, np.minimum(x, 1e4))
-        return owned(mi.Float, np.clip(nats(z, zx) / np.log(x.shape[1]), 0, 1))
-
-    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        seen = self.observed[chosen].reshape(-1, *(1,) * len(self.grid.shape))
-        return normalized(np.where(seen, self.energies[chosen], 0.0))
+    shape = (len(observed), *grid.shape)
+    if energies.shape != shape:
+        raise ShapeError(
+            f"tabulated_posterior(): energies must be {shape}, got {energies.shape}."
+        )
+    finite = np.isfinite(energies).reshape(len(observed), -1).all(axis=1)
+    if not finite[observed].all():
+        texel = int(np.flatnonzero(observed & ~finite)[0])
+        raise OptionError(f"tabulated_posterior(): texel {texel} has a non-finite energy.")
+    known = np.where(observed.reshape(-1, *(1,) * len(grid.shape)), energies, 0.0)
+    return Posterior(kernel=TabulatedKernel(grid, known), observed=observed)

@@ -38,7 +38,7 @@ def fingerprint(
     if isinstance(sharing, GlobalSharing):
         found["seeds of sharing"] = _digest(sharing.weights, sharing.seeds, [sharing.anchored])
     if posterior is not None:
-        noise = getattr(posterior, "noise", np.empty(0))
+        noise = getattr(posterior.kernel, "noise", np.empty(0))
         axes = posterior.axes.values()
         found["posterior"] = _digest(posterior.prior, *axes, noise, posterior.entropy())
     return capture_parts(capture) | found

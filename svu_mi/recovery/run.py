@@ -15,7 +15,7 @@ from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import CalibratedKernel, Posterior
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent, Objective, descend
@@ -130,10 +130,10 @@ class Run:
         )  # fmt: skip
 
     @property
-    def posterior(self) -> CalibratedPosterior:
+    def posterior(self) -> Posterior[CalibratedKernel]:
         """That of ``estimate``, in colour."""
         posterior = self.estimate.posterior
-        assert isinstance(posterior, CalibratedPosterior)
+        assert isinstance(posterior.kernel, CalibratedKernel)
         return posterior
 
     def run(self, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:

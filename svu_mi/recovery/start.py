@@ -13,8 +13,9 @@ from svu_mi.options import AngularPreset, preset
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior import (
-    CalibratedPosterior,
+    CalibratedKernel,
     ParameterGrid,
+    Posterior,
     PrincipledGrid,
     calibrated_posterior,
 )
@@ -50,7 +51,8 @@ def estimate_for_textures(
             "(camera space is +X left, +Y up, +Z forward), masks and exposures."
         )
     found = (given or estimate(observed, whole=True, progress=progress)).in_one_piece(progress)
-    sharing = sharing or getattr(found.posterior, "learned", False)
+    kernel = found.posterior.kernel
+    sharing = sharing or (isinstance(kernel, CalibratedKernel) and kernel.learned)
     if not _serves(found):
         found = _in_colour(found, observed, progress)
     for _ in range(robust):
@@ -58,14 +60,14 @@ def estimate_for_textures(
             found = replace(found, posterior=_reweighted(found, observed))
     if sharing:
         with progress.stage("Learning what texels have in common"):
-            assert isinstance(found.posterior, CalibratedPosterior)
+            assert isinstance(found.posterior.kernel, CalibratedKernel)
             found = replace(found, posterior=shared(found.posterior))
     return found
 
 
 def _serves(found: Estimate) -> bool:
-    posterior = found.posterior
-    return isinstance(posterior, CalibratedPosterior) and posterior.groups == CHANNELS["base_color"]
+    kernel = found.posterior.kernel
+    return isinstance(kernel, CalibratedKernel) and kernel.groups == CHANNELS["base_color"]
 
 
 def _in_colour(found: Estimate, observed: Observed, progress: Progress) -> Estimate:
@@ -102,11 +104,11 @@ def known_values(found: Estimate) -> dict[str, float]:
     }
 
 
-def _reweighted(found: Estimate, observed: Observed) -> CalibratedPosterior:
+def _reweighted(found: Estimate, observed: Observed) -> Posterior[CalibratedKernel]:
     """Gather again, samples counting less the more the present means are off."""
     posterior, switches = found.posterior, found.switches
-    assert isinstance(posterior, CalibratedPosterior) and isinstance(switches, AngularPreset)
-    factors = posterior.problem.factors
+    assert isinstance(posterior.kernel, CalibratedKernel) and isinstance(switches, AngularPreset)
+    factors = posterior.kernel.problem.factors
     means, _ = moments(posterior)
     texels = factors.texel.numpy()
     texels = texels[observed.coverage[texels] > 0]  # clipped samples are not weighted again
@@ -115,7 +117,7 @@ def _reweighted(found: Estimate, observed: Observed) -> CalibratedPosterior:
     )
     sums = observed.factors(factors.roughness, switches, 3, weighting=weighting, texels=texels)
     return calibrated_posterior(
-        sums, posterior.grid, observed.unit, switches, prior=found.prior,
+        sums, posterior.kernel.grid, observed.unit, switches, prior=found.prior,
         texels=posterior.count, doubt=observed.capture.doubt,
     )
 

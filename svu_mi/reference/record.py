@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from svu_mi.options import AngularPreset
-from svu_mi.posterior import Posterior, TabulatedPosterior, calibrated_posterior
+from svu_mi.posterior import Posterior, calibrated_posterior, tabulated_posterior
 from svu_mi.reference.options import Options
 from svu_mi.statistics import Statistics
 
@@ -35,7 +35,7 @@ class Traced:
             over = self.coverage.reshape(-1, *(1 for _ in grid.shape))
             views = over if options.errors == "sum" else 1
             return [
-                TabulatedPosterior(energies=views * table, grid=grid, observed=seen)
+                tabulated_posterior(views * table, grid, seen)
                 for table in self.tables
             ]
         kappa = AngularPreset().knee * unit

@@ -129,7 +129,7 @@ def bounds_of(data: Samples, switches: Any = FIXED, scale: float = SCALE) -> np.
 
 def noise_of(posterior: Any) -> np.ndarray:
     """The noise that was estimated, per lane."""
-    return getattr(posterior, "kernel", posterior).noise
+    return posterior.kernel.noise
 
 
 # --- spectra and fits -----------------------------------------------------------------------

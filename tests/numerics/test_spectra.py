@@ -36,9 +36,8 @@ def irradiance(seed, channels, texels=TEXELS):
     return values.astype(np.float32)
 
 
-def assert_posterior(S_L, S_B, switches, grid, counts=None, E=None, prior=None):
+def assert_posterior(S_L, S_B, switches, grid, E=None, prior=None):
     """Entropy of every texel against double precision."""
-    views = np.full(len(S_L), 20) if counts is None else np.asarray(counts)
     E, albedo = (E if isinstance(grid, PrincipledGrid) else None), None
     if isinstance(grid, ParameterGrid):
         grid = grid.resolved(switches)
@@ -47,11 +46,11 @@ def assert_posterior(S_L, S_B, switches, grid, counts=None, E=None, prior=None):
     unit = float(S_B.astype(np.float64).sum(axis=1).mean())
     unit = unit or 1e-4 * float(S_L.astype(np.float64).sum(axis=1).mean()) or 1.0
     found = spectrum_posterior(
-        S_L, S_B, grid, preset=switches, samples=views, prior=prior, prefilter=0.3, irradiance=E
+        S_L, S_B, grid, preset=switches, prior=prior, prefilter=0.3, irradiance=E
     )
     truth = [
         spectrum_entropy(
-            S_L[t], S_B[t], switches, grid, unit, samples=float(views[t]), prefilter=0.3,
+            S_L[t], S_B[t], switches, grid, unit, prefilter=0.3,
             irradiance=None if E is None else E[t], prior=prior, albedo=albedo,
         )
         for t in range(len(S_L))
@@ -80,7 +79,7 @@ def test_exposure_does_not_matter(rule, power):
     (S_L, S_B), E = spectra(10061, switches.colors), irradiance(10067, switches.colors)
     H = [
         np.array(spectrum_posterior(
-            S_L * gain**2, S_B * gain**2, grid, preset=switches, samples=np.full(TEXELS, 20),
+            S_L * gain**2, S_B * gain**2, grid, preset=switches,
             irradiance=E * gain if isinstance(grid, PrincipledGrid) else None,
         ).entropy(), np.float64)
         for gain in (np.float32(1), np.float32(2.0**power))

@@ -57,11 +57,9 @@ def constant_residual(
 # --- from errors to probabilities and entropy: Eq. 3 to 5 -----------------------------------
 
 
-def energies(d: np.ndarray, sigma: float, views: float | None = None) -> np.ndarray:
-    """-log p up to a constant; with a number of views, of the unknown-sigma rule d^(-nu/2)."""
-    if views is None:
-        return d / (2 * sigma**2)
-    return max(views - 3, 1) / 2 * np.log(d / sigma**2 + 1)
+def energies(d: np.ndarray, sigma: float) -> np.ndarray:
+    """-log p up to a constant."""
+    return d / (2 * sigma**2)
 
 
 def normalize(energy: np.ndarray, prior: np.ndarray | float = 1.0) -> np.ndarray:

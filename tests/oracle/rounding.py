@@ -21,7 +21,6 @@ from oracle import angular, posterior
 U = 2.0**-24  # unit roundoff of single precision
 SPECTRUM = 1e-6  # of a texel's largest degree: what ``fit_sh`` promises
 ROOT = 5e-6  # of a texel's radiance: the square root of the pivot that statistics drop
-PAID = 2  # parameters that the marginal noise rule pays for, of spectra; angular ones: 3
 MIN_ALPHA = 1e-3
 
 
@@ -88,7 +87,6 @@ def spectrum_entropy(
     grid: Any,
     unit: float,
     *,
-    samples: float = 1.0,
     irradiance: np.ndarray | None = None,
     albedo: np.ndarray | None = None,
     prefilter: float = 0.0,
@@ -103,7 +101,6 @@ def spectrum_entropy(
         switches: the preset.
         grid: (roughness, Ks), or principled parameters.
         unit: power that a relative sigma is a part of.
-        samples: number of views that see the texel.
         irradiance: (C,), for a principled grid.
         albedo: (R,) what lobes of R0 = 1 reflect of constant light; 1 by default. It is given
             like the light: tables of it are held against ``angular.albedo`` on their own.
@@ -113,7 +110,6 @@ def spectrum_entropy(
     """
     S_L, S_B = S_L.astype(np.float64), S_B.astype(np.float64)
     unit = 1.0 if switches.noise == "fixed" else unit
-    views = samples + 3 - PAID if switches.noise == "marginal" else None
     alphas = np.maximum(grid.roughness_nodes**2, MIN_ALPHA if switches.bounded_alpha else 0)
     prefilter = prefilter if switches.undo_prefilter else 0.0
     Kd, Ks = _reflectance(grid, np.ones(len(alphas)) if albedo is None else albedo)
@@ -130,11 +126,8 @@ def spectrum_entropy(
         dx.append(wrong + more_wrong)
     if switches.channels == "sum":
         x, dx = [np.sum(x, axis=0)], [np.sum(dx, axis=0)]
-    dx = [_of_energy(d, wrong, sigma, views) for d, wrong in zip(x, dx, strict=True)]
-    x = [posterior.energies(d, sigma, views) for d in x]
-    if switches.channels == "minimum":
-        alone = [exact_entropy([a], [b], prior) for a, b in zip(x, dx, strict=True)]
-        return Exact(min(a.entropy for a in alone), max(a.bound for a in alone))
+    dx = [wrong / (2 * sigma**2) for wrong in dx]
+    x = [posterior.energies(d, sigma) for d in x]
     return exact_entropy(x, dx, prior)
 
 
@@ -157,7 +150,6 @@ def angular_entropy(
         prior: weights of the cells.
     """
     sigma = switches.sigma * (1.0 if switches.noise == "fixed" else scale)
-    views = len(w) if switches.noise == "marginal" else None
     x, dx = [], []
     for c in range(b.shape[0]):
         samples = (w, e[:, c], p[:, c], q[:, c])
@@ -168,16 +160,9 @@ def angular_entropy(
             errors = angular.specular_errors(*samples, b[c], grid.specular_nodes)
         columns = e[:, c] + p[:, c] + np.abs(q[:, c] - d[:, c])
         root = ROOT * np.sqrt((w * (b[c] ** 2 + columns**2)).mean(axis=1).max())
-        dx.append(_of_energy(errors, 2 * np.sqrt(errors) * root + root**2, sigma, views))
-        x.append(posterior.energies(errors, sigma, views))
+        dx.append((2 * np.sqrt(errors) * root + root**2) / (2 * sigma**2))
+        x.append(posterior.energies(errors, sigma))
     return exact_entropy(x, dx, prior)
-
-
-def _of_energy(d: np.ndarray, wrong: np.ndarray, sigma: float, views: float | None) -> np.ndarray:
-    """Error of an energy from that of its squared error d."""
-    if views is None:
-        return wrong / (2 * sigma**2)
-    return max(views - 3, 1) / 2 * wrong / (d + sigma**2)
 
 
 def _is_principled(grid: Any) -> bool:

@@ -26,7 +26,7 @@ from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.markdown import Column, columns, digits
 from svu_mi.options import Fit, Method, preset
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.posterior import TabulatedPosterior
+from svu_mi.posterior import tabulated_posterior
 
 FULL, QUICK = (400, 64), (60, 8)  # texels and paths of the reference
 SUM, MEAN = 0.4, 0.08  # sigma, as parts of the mean radiance
@@ -121,9 +121,8 @@ class Table3(OnCell):
         for name, factor in (("sum", views), ("mean", (SUM / MEAN) ** 2)):
             result[name] = [
                 np.array(
-                    TabulatedPosterior(
-                        energies=table * factor, grid=found.posterior.grid, observed=self.seen
-                    ).entropy(), np.float64,
+                    tabulated_posterior(table * factor, found.posterior.grid, self.seen).entropy(),
+                    np.float64,
                 )[self.seen]
                 for table in found.traced.tables
             ]  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svu_mi.bench.real.scores import Shown
-from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import CalibratedKernel
 from svu_mi.prediction import Prediction, diffuse_seen_from
 
 if TYPE_CHECKING:
@@ -36,9 +36,9 @@ class Way:
 def _posterior(subject: LeftOut) -> Predict:
     """Draws from the posterior, each with the noise that photographs around it had."""
     texels, found, samples = subject.texels, subject.estimate.posterior, subject.samples
-    assert isinstance(found, CalibratedPosterior)
+    assert isinstance(found.kernel, CalibratedKernel)
     prediction = Prediction.of(subject.estimate, texels, DRAWS)
-    noise, kept = found.noise_of(texels), subject.kept
+    noise, kept = found.kernel.noise_of(texels), subject.kept
     squares = _sums(subject, np.square(samples.radiance.mean(axis=1)))
     # On edges the noise is larger: as much as in the photographs that are known.
     contrast = _sums(subject, samples.contrast * kept) / np.maximum(squares, 1e-300)

@@ -16,7 +16,7 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import CalibratedKernel, Posterior
 from svu_mi.recovery.sh.energy import information
 from svu_mi.recovery.sh.objective import nats, values_of
 
@@ -79,13 +79,13 @@ class Correlations:
         values: (C, T) by parameter, where they are looked for.
     """
 
-    posterior: CalibratedPosterior
+    posterior: Posterior[CalibratedKernel]
     values: dict[str, np.ndarray]
 
     @cached_property
     def roots(self) -> np.ndarray:
         """(T, N, N) float32, L of every texel, triangular: L L^T are its correlations."""
-        factors = self.posterior.problem.factors
+        factors = self.posterior.kernel.problem.factors
         chosen = factors.texel.numpy()
         weight = 2 * np.array(nats(self.posterior), np.float64)
         matrix = information(factors, values_of(self.values, chosen))
@@ -107,7 +107,7 @@ class Correlations:
         return np.einsum("tij,jt->it", self.roots, values)
 
 
-def prior_sds(posterior: CalibratedPosterior) -> np.ndarray:
+def prior_sds(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
     """Return the standard deviations of the prior of all values, (N,)."""
     return np.concatenate([
         np.broadcast_to(np.ravel(posterior.prior_moments(name)[1]), CHANNELS[name])

@@ -33,7 +33,7 @@ from svu_mi.errors import OptionError
 from svu_mi.memory import TILE
 from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import CalibratedKernel, Posterior
 from svu_mi.progress import Progress
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.draws import SUREST, Correlations, Waves, prior_sds
@@ -275,7 +275,7 @@ def has_field(estimate: Estimate) -> bool:
     """Return whether an estimate says enough for ``texture_field``."""
     posterior = estimate.posterior
     colors = CHANNELS["base_color"]
-    return isinstance(posterior, CalibratedPosterior) and posterior.groups == colors
+    return isinstance(posterior.kernel, CalibratedKernel) and posterior.groups == colors
 
 
 def field_of(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:
@@ -306,7 +306,7 @@ def field_around(
         options: weights of total variation; ours by default.
     """
     posterior, texels = estimate.posterior, estimate.texels
-    assert isinstance(posterior, CalibratedPosterior)
+    assert isinstance(posterior.kernel, CalibratedKernel)
     options = options or ShOptions()
     values = {name: np.atleast_2d(textures.at(texels, name).T).astype(np.float64)
               for name in NAMES}  # fmt: skip
@@ -321,11 +321,11 @@ def field_around(
     return TextureField(
         texels=texels, textures=textures, names=tuple(names), own=own, deviation=deviation,
         common=_common(posterior), correlations=Correlations(posterior, values),
-        scale=np.asarray(posterior.common), smoother=smoother,
+        scale=np.asarray(posterior.kernel.common), smoother=smoother,
     )  # fmt: skip
 
 
-def _common(posterior: CalibratedPosterior) -> np.ndarray:
+def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
     """Return the part of every variance that neighbourhoods have in common, (N, T)."""
     parts = np.concatenate([
         np.full(CHANNELS[name], COMMON_MIXED if name in MIXED else COMMON) for name in NAMES
@@ -333,7 +333,7 @@ def _common(posterior: CalibratedPosterior) -> np.ndarray:
     return np.where(posterior.observed, parts[:, None], 1.0).astype(np.float32)
 
 
-def _own(posterior: CalibratedPosterior, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _own(posterior: Posterior[CalibratedKernel], x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return means and standard deviations of texels by themselves, (N, T) each; of those unseen,
     x0 and the prior's."""
     means, sds = (np.concatenate(list(table.values())) for table in moments(posterior))

@@ -16,7 +16,7 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import CalibratedKernel, Posterior
 from svu_mi.recovery.options import DescentOptions
 from svu_mi.recovery.sh.energy import carried, carry, energy, look_up
 from svu_mi.recovery.textures import Textures
@@ -44,9 +44,9 @@ class Likelihood:
     weight: Any
 
     @staticmethod
-    def of(posterior: CalibratedPosterior, texels: Texels) -> Likelihood:
+    def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> Likelihood:
         """Take the statistics and the noise of a posterior in colour."""
-        factors = posterior.problem.factors
+        factors = posterior.kernel.problem.factors
         place, weight = dr.gather(mi.UInt32, texels.index, factors.texel), nats(posterior)
         dr.eval(place)
         return Likelihood(factors, place, weight)
@@ -82,7 +82,7 @@ class Pull:
     weight: Values
 
     @staticmethod
-    def of(posterior: CalibratedPosterior, texels: Texels) -> Pull:
+    def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> Pull:
         """-log of a normal distribution with each parameter's posterior mean and variance.
 
         A mean hedges where a likelihood has several valleys, and its neighbours decide.
@@ -91,7 +91,7 @@ class Pull:
         return Pull._to(posterior, texels, means, nats_of_squares(sds))
 
     @staticmethod
-    def by_trust(posterior: CalibratedPosterior, texels: Texels) -> Pull:
+    def by_trust(posterior: Posterior[CalibratedKernel], texels: Texels) -> Pull:
         """Squared distances to posterior means, the less the photographs have told, the less they
         count: by 1 - variance / the prior's."""
         means, sds = moments(posterior)
@@ -103,9 +103,9 @@ class Pull:
 
     @staticmethod
     def _to(
-        posterior: CalibratedPosterior, texels: Texels, means: Table, weights: Table
+        posterior: Posterior[CalibratedKernel], texels: Texels, means: Table, weights: Table
     ) -> Pull:
-        seen = posterior.problem.factors.texel
+        seen = posterior.kernel.problem.factors.texel
         place, chosen = dr.gather(mi.UInt32, texels.index, seen), seen.numpy()
         return Pull(place, values_of(means, chosen), values_of(weights, chosen))
 
@@ -121,9 +121,9 @@ class Pull:
         return carry(loss, slopes, values, dr.opaque(mi.Float, 1 / dr.width(self.place)))
 
 
-def nats(posterior: CalibratedPosterior) -> Any:
+def nats(posterior: Posterior[CalibratedKernel]) -> Any:
     """Return nats per mean squared error of a channel of S texels: Float (S,)."""
-    problem = posterior.problem
+    problem = posterior.kernel.problem
     weight = 0.5 * problem.factors.channels * problem.copies * dr.square(problem.scale)
     dr.eval(weight)
     return weight
@@ -138,10 +138,10 @@ def nats_of_squares(sds: Table) -> Table:
     return {name: 0.5 / (sd**2 + SURE**2) for name, sd in sds.items()}
 
 
-def moments(posterior: CalibratedPosterior) -> tuple[Table, Table]:
+def moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]:
     """Return means of all T texels, and standard deviations without what they have in common,
     float64."""
-    posterior = posterior.apart()
+    posterior = replace(posterior, kernel=posterior.kernel.apart())
     means, sds = (
         {name: np.array(of(name), np.float64).reshape(posterior.count, -1).T for name in NAMES}
         for of in (posterior.mean, posterior.sd)
@@ -188,7 +188,7 @@ class Smoothing:
 
     @staticmethod
     def of(
-        posterior: CalibratedPosterior, texels: Texels, names: Sequence[str],
+        posterior: Posterior[CalibratedKernel], texels: Texels, names: Sequence[str],
         around: Neighbors, variation: tuple[float, float],
     ) -> Smoothing:  # fmt: skip
         """Take means and variances of a posterior in colour.
@@ -201,7 +201,7 @@ class Smoothing:
             variation: lambda, and epsilon of total variation.
         """
         keys = tuple((name, k) for name in names for k in range(CHANNELS[name]))
-        (means, sds), seen = moments(posterior), posterior.problem.factors.texel.numpy()
+        (means, sds), seen = moments(posterior), posterior.kernel.problem.factors.texel.numpy()
         shown = np.zeros(texels.count)
         shown[seen] = 1 / max(len(seen), 1)
         weights = {name: shown * nats for name, nats in nats_of_squares(sds).items()}

@@ -1,43 +1,43 @@
-"""The posterior of T texels: what it says, computed when asked."""
+"""The posterior of T texels, computed when asked."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Integral
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned, tensor
-from svu_mi.posterior.cells import draw_cells, marginals_of
 from svu_mi.posterior.grid import Grid
-from svu_mi.posterior.intervals import shortest
-from svu_mi.posterior.nodes import cell_edges, cells_of
-from svu_mi.posterior.streaming import entropy_of
-from svu_mi.statistics.blocks import in_blocks
+from svu_mi.posterior.kernel import Kernel
+from svu_mi.posterior.nodes import cell_edges
 
-CHUNK = 1 << 22  # cells per pass of everything that is not the entropy
 MAX_PROBABILITIES = 1 << 29  # floats; 2 GiB
 
+K = TypeVar("K", bound=Kernel)
 
-@dataclass(frozen=True, kw_only=True)
-class Posterior(ABC):
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Posterior(Generic[K]):
     """p(psi | B, L) on a grid for each of T texels (Eq. 3, 4).
 
     Attributes:
-        grid: the parameter grid; its ``axes`` name the parameters, in the order of the axes of
-            ``probabilities``.
+        kernel: computes what is asked of texels that are observed.
         observed: (T,) bool; a texel nobody saw has the prior for its posterior.
     """
 
-    grid: Grid
+    kernel: K
     observed: np.ndarray
+
+    @property
+    def grid(self) -> Grid:
+        """The parameter grid; its ``axes`` name the parameters, in the order of the axes of
+        ``probabilities``."""
+        return self.kernel.grid
 
     @property
     def count(self) -> int:
@@ -52,22 +52,23 @@ class Posterior(ABC):
     @property
     def groups(self) -> int:
         """Number G of distributions per texel: 3 when each colour channel has its own, else 1."""
-        return 1
+        return self.kernel.groups
 
     @property
     def continuous(self) -> bool:
         """Whether intervals are made of finer parts than the cells of the grid."""
-        return False
+        return self.kernel.continuous
 
     @property
     def prior(self) -> np.ndarray:
         """Probability of every cell where nobody looked: float64 of the grid's shape, of sum 1."""
-        return np.full(self.grid.shape, 1 / np.prod(self.grid.shape))
+        return self.kernel.prior.cells
 
     @property
     def most(self) -> float:
-        """Nats that entropies are a part of: log n, of the n cells of the grid (Eq. 5)."""
-        return float(np.log(np.prod(self.grid.shape)))
+        """Nats that entropies are a part of: log n, of the n cells of the grid (Eq. 5); those of
+        the prior if it is calibrated."""
+        return self.kernel.prior.most
 
     @property
     def prior_entropy(self) -> float:
@@ -77,22 +78,7 @@ class Posterior(ABC):
         that leaves k of n cells, all as likely, says log k / log n. Always 1 where entropies are
         parts of the prior's.
         """
-        return min(entropy_of(self.prior) / self.most, 1.0)
-
-    @abstractmethod
-    def _entropy_of_all(self) -> Any:
-        """Normalised entropy, (T,) Float, of texels as if all were observed; T > 0."""
-
-    @abstractmethod
-    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return p and the best nodes of some texels, as if they were observed.
-
-        Args:
-            chosen: (t,) int64 indices of texels.
-
-        Returns:
-            p (t, *grid, G) float32, and the index of the best node (t, axes, G).
-        """
+        return self.kernel.prior.entropy
 
     def entropy(self) -> Any:
         """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
@@ -107,13 +93,14 @@ class Posterior(ABC):
 
     @cached_property
     def _entropy(self) -> Any:
-        if self.count == 0:
-            return mi.Float()
-        # Opaque: as a literal, every prior would compile a kernel of its own.
-        unseen = dr.opaque(mi.Float, self.prior_entropy)
-        value = dr.select(owned(mi.Bool, self.observed), self._entropy_of_all(), unseen)
-        dr.eval(value)
-        return value
+        values = np.full(self.count, self.prior_entropy, np.float32)
+        if len(self._seen):
+            values[self._seen] = self.kernel.entropy(self._seen)
+        return owned(mi.Float, values)
+
+    @cached_property
+    def _seen(self) -> np.ndarray:
+        return np.flatnonzero(self.observed)
 
     @property
     def probabilities(self) -> Any:
@@ -146,10 +133,12 @@ class Posterior(ABC):
                 f"Posterior.probabilities: {shape} values do not fit in 2 GiB; use entropy(), "
                 "marginal(), map(), or probabilities_of() fewer texels."
             )
-        result, seen = np.empty(shape, np.float32), np.flatnonzero(self.observed[chosen])
-        result[~self.observed[chosen]] = self.prior[..., None]
-        for span in self._chunks(len(seen)):
-            result[seen[span]] = self._cells(chosen[seen[span]])
+        result = np.empty(shape, np.float32)
+        seen = self.observed[chosen]
+        result[~seen] = self.prior[..., None]
+        places = np.flatnonzero(seen)
+        for span in self.kernel.chunks(len(places)):
+            result[places[span]] = self.kernel.probabilities(chosen[places[span]])
         return _tensor(result if self.groups > 1 else result[..., 0])
 
     def marginal(self, name: str, chosen: Any | None = None) -> Any:
@@ -168,12 +157,12 @@ class Posterior(ABC):
         """
         self._check_parameter(name)
         found = self._marginals if chosen is None else self._marginals_of(self._indices(chosen))
-        return _tensor(found[name].copy())
+        return self._shaped(name, found[name])
 
     def marginals(self, chosen: Any) -> dict[str, Any]:
         """Return the marginals of all parameters of some texels, as ``marginal`` has each."""
         found = self._marginals_of(self._indices(chosen))
-        return {name: _tensor(table.copy()) for name, table in found.items()}
+        return {name: self._shaped(name, table) for name, table in found.items()}
 
     def marginal_entropy(self, name: str) -> Any:
         """Return the normalised entropy of a marginal: (T,), or (T, 3) per channel.
@@ -181,7 +170,7 @@ class Posterior(ABC):
         That of a parameter that is known is 0, also where nobody looked.
         """
         self._check_parameter(name)
-        p = self._marginals[name].astype(np.float64)
+        p = np.array(self.marginal(name), np.float64)
         bits = -np.where(p > 0, p * np.log(np.where(p > 0, p, 1)), 0).sum(axis=1)
         nodes = p.shape[1]
         return _tensor(np.clip(bits / np.log(nodes), 0, 1) if nodes > 1 else 0 * bits)
@@ -198,15 +187,15 @@ class Posterior(ABC):
         Raises:
             OptionError: an index outside [0, T).
         """
-        best = self._best_of_all if chosen is None else self._best_of(self._indices(chosen))
+        best = self._best if chosen is None else self._best_of(self._indices(chosen))
         values = {name: nodes[best[:, k]] for k, (name, nodes) in enumerate(self.axes.items())}
         return {
-            name: _tensor((table[..., 0] if name in self._shared else table).copy())
+            name: self._shaped(name, table[..., : self.kernel.channels_of(name)])
             for name, table in values.items()
         }
 
     @cached_property
-    def _best_of_all(self) -> np.ndarray:
+    def _best(self) -> np.ndarray:
         return self._best_of(np.arange(self.count))
 
     def _best_of(self, chosen: np.ndarray) -> np.ndarray:
@@ -215,43 +204,25 @@ class Posterior(ABC):
         best = np.empty((len(chosen), len(self.axes), self.groups), np.int64)
         best[~seen] = _best_of_prior(self.prior)[:, None]
         if seen.any():
-            best[seen] = self._best(chosen[seen])
+            best[seen] = self.kernel.best(chosen[seen])
         return best
-
-    def _cells(self, chosen: np.ndarray) -> np.ndarray:
-        """p (t, *grid, G) float32 of some texels, as if observed."""
-        return self._tables(chosen)[0]
-
-    def _best(self, chosen: np.ndarray) -> np.ndarray:
-        """Indices (t, axes, G) of the most probable nodes of some texels, as if observed."""
-        best = np.empty((len(chosen), len(self.axes), self.groups), np.int64)
-        for span in self._chunks(len(chosen)):
-            best[span] = self._tables(chosen[span])[1]
-        return best
-
-    @property
-    def _shared(self) -> list[str]:
-        """Parameters that all channels have in common: only the last may be a channel's own."""
-        return list(self.axes) if self.groups == 1 else list(self.axes)[:-1]
 
     @cached_property
-    def _marginals(self) -> dict[str, Any]:
+    def _marginals(self) -> dict[str, np.ndarray]:
         return self._marginals_of(np.arange(self.count))
 
-    def _marginals_of(self, chosen: np.ndarray) -> dict[str, Any]:
-        """All marginals of some texels, from one pass over the probabilities."""
-        axes = self.axes
-        marginals: dict[str, Any] = {
-            name: np.broadcast_to(p[:, None], (len(chosen), len(p), self.groups)).astype(np.float32)
-            for name, p in marginals_of(self.prior, list(axes)).items()
-        }
-        observed = self.observed[chosen]
-        for span in self._chunks(len(chosen)):
-            p, seen = self._cells(chosen[span]), observed[span]
-            for axis, marginal in enumerate(marginals.values(), 1):
-                others = tuple(k for k in range(1, len(axes) + 1) if k != axis)
-                marginal[span][seen] = p.sum(axis=others)[seen]
-        return marginals | {name: marginals[name][..., 0] for name in self._shared}
+    def _marginals_of(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
+        """All marginals (t, nodes, g) of some texels, from one pass over the probabilities."""
+        seen, found = self.observed[chosen], {}
+        known = self.kernel.marginals(chosen[seen]) if seen.any() else {}
+        for name, nodes in self.axes.items():
+            g = self.kernel.channels_of(name)
+            table = np.empty((len(chosen), len(nodes), g), np.float32)
+            table[~seen] = self.kernel.prior.marginal(name)[:, None]
+            if known:
+                table[seen] = known[name][..., :g]
+            found[name] = table
+        return found
 
     def mean(self, name: str) -> Any:
         """Return the mean of a parameter: TensorXf (T,), or (T, 3) where channels have their own.
@@ -291,7 +262,7 @@ class Posterior(ABC):
         texels, low, high = self._allowed(name, level, chosen)
         seen = self.observed[texels]
         if seen.any():
-            low[seen], high[seen] = self._ends(name, level, texels[seen])
+            low[seen], high[seen] = self.kernel.ends(name, level, texels[seen])
         return self._shaped(name, low), self._shaped(name, high)
 
     def _allowed(
@@ -304,10 +275,9 @@ class Posterior(ABC):
             raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")
         texels = np.arange(self.count) if chosen is None else self._indices(chosen)
         edges = cell_edges(self.axes[name])
-        allowed = np.flatnonzero(marginals_of(self.prior, list(self.axes))[name])
-        channels = 1 if name in self._shared else self.groups
+        allowed = np.flatnonzero(self.kernel.prior.marginal(name))
         low, high = (
-            np.full((len(texels), channels), edges[end], np.float32)
+            np.full((len(texels), self.kernel.channels_of(name)), edges[end], np.float32)
             for end in (allowed[0], allowed[-1] + 1)
         )
         return texels, low, high
@@ -323,15 +293,8 @@ class Posterior(ABC):
         texels, low, high = self._allowed(name, level, chosen)
         half, seen = (high - low).max(axis=1) / 2, self.observed[texels]
         if seen.any():
-            half[seen] = self._half_widths(name, level, texels[seen])
+            half[seen] = self.kernel.half_widths(name, level, texels[seen])
         return _tensor(half)
-
-    def _half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
-        """(t,) of some texels, as if observed (see ``half_width``)."""
-        low, high = self._ends(name, level, texels)
-        half = (high - low) / 2
-        widest = 0 if half.shape[1] == 1 else self._moments(name)[1][texels].argmax(axis=1)
-        return half[np.arange(len(half)), widest]
 
     def draw(self, count: int = 1, seed: int = 0) -> dict[str, Any]:
         """Draw parameters of all texels, each texel for itself.
@@ -352,78 +315,36 @@ class Posterior(ABC):
                 raise OptionError(
                     f"Posterior.draw(): {name} must be a whole number >= {least}, got {value!r}."
                 )
-        drawn = self._draws(int(count), int(seed))
-        unseen = np.flatnonzero(~self.observed)
-        for number in range(int(count) if len(unseen) else 0):
-            random = np.random.default_rng((int(seed), number))
-            for name, values in self._prior_draws(len(unseen), random).items():
+        count, seed, unseen = int(count), int(seed), np.flatnonzero(~self.observed)
+        drawn = {name: np.empty((count, self.count, self.kernel.channels_of(name)), np.float32)
+                 for name in self.axes}  # fmt: skip
+        known = self.kernel.draws(count, seed, self._seen) if len(self._seen) else {}
+        for name, values in known.items():
+            drawn[name][:, self._seen] = values
+        for number in range(count if len(unseen) else 0):
+            random = np.random.default_rng((seed, number))
+            for name, values in self.kernel.prior.draws(len(unseen), random).items():
                 drawn[name][number, unseen] = values[:, None]
         return {name: self._shaped(name, values) for name, values in drawn.items()}
-
-    def _mean_and_sd(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """(T, g) both; those of the prior where nobody looked."""
-        self._check_parameter(name)
-        mean, sd = self._moments(name)
-        mean[~self.observed], sd[~self.observed] = self.prior_moments(name)
-        return mean, sd
 
     def prior_moments(self, name: str) -> tuple[Any, Any]:
         """Return mean and standard deviation of a parameter where nobody looked: numbers, or (g,)
         by channel."""
-        nodes, p = self.axes[name], marginals_of(self.prior, list(self.axes))[name]
-        mean = float(p @ nodes)
-        return mean, float(np.sqrt(p @ (nodes - mean) ** 2))
+        return self.kernel.prior.moments(name)
 
-    def _prior_draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
-        """Parameters where nobody looked, (count,) by name; grey."""
-        cells = random.choice(self.prior.size, count, p=self.prior.ravel())
-        index = np.unravel_index(cells, self.grid.shape)
-        return {
-            name: nodes[k] for (name, nodes), k in zip(self.axes.items(), index, strict=True)
-        }
-
-    def _moments(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and standard deviation of a parameter, (T, g) float32, of texels that were seen."""
-        p = self._grouped(name).astype(np.float64)
-        nodes = self.axes[name][:, None]
-        mean = (p * nodes).sum(axis=1)
-        variance = (p * (nodes - mean[:, None]) ** 2).sum(axis=1)
-        return mean.astype(np.float32), np.sqrt(variance).astype(np.float32)
-
-    def _ends(
-        self, name: str, level: float, texels: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of intervals, (t, g) float32, of texels, as if they were seen."""
-        nodes, p = self.axes[name], self._grouped(name)[texels]
-        parts = cells_of(nodes)
-        ends = [
-            shortest(in_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
-            for g in range(p.shape[-1])
-        ]
-        low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
-        return low, high
-
-    def _grouped(self, name: str) -> np.ndarray:
-        """A marginal as (T, nodes, g), whether channels have their own or not."""
-        p = self._marginals[name]
-        return p if p.ndim == 3 else p[..., None]
-
-    def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
-        """Draws (count, T, g) float32 by parameter, of texels that were seen: nodes of the grid."""
-        random = np.random.default_rng(seed)
-        found = [
-            draw_cells(self._cells(np.arange(self.count)[span]), self.axes, count, random)
-            for span in self._chunks(self.count)
-        ]
-        empty = {name: np.zeros((count, 0, 1), np.float32) for name in self.axes}
-        return {
-            name: np.concatenate([x[name] for x in found] or [empty[name]], axis=1)
-            for name in self.axes
-        }
+    def _mean_and_sd(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """(T, g) both; those of the prior where nobody looked."""
+        self._check_parameter(name)
+        shape = (self.count, self.kernel.channels_of(name))
+        mean, sd = (np.broadcast_to(np.asarray(x, np.float32), shape).copy()
+                    for x in self.prior_moments(name))  # fmt: skip
+        if len(self._seen):
+            mean[self._seen], sd[self._seen] = self.kernel.moments(name, self._seen)
+        return mean, sd
 
     def _shaped(self, name: str, values: np.ndarray) -> Any:
         """Values (..., g) as a tensor; without the last axis where there is one for all."""
-        own = self.groups > 1 and name == list(self.axes)[-1]
+        own = self.kernel.channels_of(name) > 1
         return _tensor(values.copy() if own else values[..., 0].copy())
 
     def kl(self, other: Posterior) -> Any:
@@ -443,11 +364,6 @@ class Posterior(ABC):
         log_p, log_q = np.log(np.maximum(p, 1e-30)), np.log(np.maximum(q, 1e-30))
         divergence = (p * log_p).sum(axis=1)[:, None] - p @ log_q.T
         return _tensor(np.maximum(divergence, 0) / self.groups)
-
-    def _chunks(self, count: int) -> Iterator[slice]:
-        size = max(CHUNK // (int(np.prod(self.grid.shape)) * self.groups), 1)
-        for first in range(0, count, size):
-            yield slice(first, min(first + size, count))
 
     def _indices(self, chosen: Any) -> np.ndarray:
         indices = np.array(chosen, np.int64).reshape(-1)

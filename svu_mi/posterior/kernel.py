@@ -1,0 +1,233 @@
+"""Kernels: what computes the posterior of given texels."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import OptionError
+from svu_mi.posterior.cells import draw_cells, marginals_of
+from svu_mi.posterior.grid import Grid
+from svu_mi.posterior.intervals import shortest
+from svu_mi.posterior.nodes import cells_of
+from svu_mi.posterior.streaming import entropy_of
+from svu_mi.statistics import Factors
+from svu_mi.statistics.blocks import in_blocks
+
+CHUNK = 1 << 22  # cells per pass of everything that is not the entropy
+
+Pair = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The prior of all texels, which is the posterior of those that no photograph shows.
+
+    Attributes:
+        cells: float64 of the grid's shape, probability of every cell, of sum 1.
+        axes: nodes by parameter.
+    """
+
+    cells: np.ndarray
+    axes: Mapping[str, np.ndarray]
+
+    @property
+    def most(self) -> float:
+        """Nats that entropies are relative to: log n, for the n cells of the grid (Eq. 5)."""
+        return float(np.log(self.cells.size))
+
+    @property
+    def entropy(self) -> float:
+        """Normalised entropy, in [0, 1]."""
+        return min(entropy_of(self.cells) / self.most, 1.0)
+
+    def marginal(self, name: str) -> np.ndarray:
+        """Return the probability of every node of a parameter."""
+        return marginals_of(self.cells, list(self.axes))[name]
+
+    def moments(self, name: str) -> tuple[Any, Any]:
+        """Return mean and standard deviation of a parameter: numbers, or (g,) by channel."""
+        nodes, p = self.axes[name], self.marginal(name)
+        mean = float(p @ nodes)
+        return mean, float(np.sqrt(p @ (nodes - mean) ** 2))
+
+    def draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """Draw parameters, equal in all channels: (count,) by name."""
+        picked = random.choice(self.cells.size, count, p=self.cells.ravel())
+        index = np.unravel_index(picked, self.cells.shape)
+        return {name: nodes[k] for (name, nodes), k in zip(self.axes.items(), index, strict=True)}
+
+
+class Kernel(ABC):
+    """Computes the posterior of given texels, each as if photographs show it.
+
+    Texels are given as (t,) int64 numbers. Values have a last axis of g channels: G for the last
+    parameter of the grid, 1 for those that all channels share.
+
+    Attributes:
+        grid: of the parameters.
+        continuous: whether intervals are made of finer parts than the cells of the grid.
+    """
+
+    grid: Grid
+    continuous: bool
+
+    @property
+    @abstractmethod
+    def groups(self) -> int:
+        """Number G of distributions per texel: 3 when each channel has its own, else 1."""
+
+    @property
+    @abstractmethod
+    def prior(self) -> Prior:
+        """The prior."""
+
+    @abstractmethod
+    def entropy(self, texels: np.ndarray) -> np.ndarray:
+        """Return the normalised entropy, (t,) float32."""
+
+    @abstractmethod
+    def probabilities(self, texels: np.ndarray) -> np.ndarray:
+        """Return p of every cell, (t, *grid, G) float32; of a few texels."""
+
+    @abstractmethod
+    def best(self, texels: np.ndarray) -> np.ndarray:
+        """Return the indices of the most probable nodes, (t, axes, G) int64."""
+
+    @abstractmethod
+    def moments(self, name: str, texels: np.ndarray) -> Pair:
+        """Return mean and standard deviation of a parameter, (t, g) float32 both."""
+
+    @abstractmethod
+    def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
+        """Return both ends of the shortest intervals, (t, g) float32."""
+
+    @abstractmethod
+    def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
+        """Draw parameters, (count, t, g) float32 by name."""
+
+    def marginals(self, texels: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the marginals of all parameters, (t, nodes, G) float32 by name."""
+        axes = self.grid.axes
+        found = {name: np.empty((len(texels), len(nodes), self.groups), np.float32)
+                 for name, nodes in axes.items()}  # fmt: skip
+        for span in self.chunks(len(texels)):
+            p = self.probabilities(texels[span])
+            for axis, table in enumerate(found.values(), 1):
+                table[span] = p.sum(axis=tuple(k for k in range(1, len(axes) + 1) if k != axis))
+        return found
+
+    def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
+        """Return half the widths of intervals, (t,): of the channel of largest deviation."""
+        low, high = self.ends(name, level, texels)
+        half = (high - low) / 2
+        widest = 0 if half.shape[1] == 1 else self.moments(name, texels)[1].argmax(axis=1)
+        return half[np.arange(len(half)), widest]
+
+    def channels_of(self, name: str) -> int:
+        """Return g: only the last parameter may be a channel's own."""
+        return self.groups if name == list(self.grid.axes)[-1] else 1
+
+    def chunks(self, count: int) -> Iterator[slice]:
+        """Yield spans of texels whose cells are computed together."""
+        size = max(CHUNK // (int(np.prod(self.grid.shape)) * self.groups), 1)
+        for first in range(0, count, size):
+            yield slice(first, min(first + size, count))
+
+
+class CellKernel(Kernel):
+    """A kernel that evaluates the cells of a grid, of which all else is made.
+
+    Attributes:
+        count: number of texels T.
+    """
+
+    count: int
+    continuous = False
+
+    @abstractmethod
+    def tables(self, texels: np.ndarray) -> Pair:
+        """Return p of every cell, (t, *grid, G) float32, and the best nodes, (t, axes, G)."""
+
+    def probabilities(self, texels: np.ndarray) -> np.ndarray:
+        """Return p of every cell (see ``Kernel``)."""
+        return self.tables(texels)[0]
+
+    def best(self, texels: np.ndarray) -> np.ndarray:
+        """Return the most probable nodes (see ``Kernel``)."""
+        best = np.empty((len(texels), len(self.grid.shape), self.groups), np.int64)
+        for span in self.chunks(len(texels)):
+            best[span] = self.tables(texels[span])[1]
+        return best
+
+    def moments(self, name: str, texels: np.ndarray) -> Pair:
+        """Return the moments of the nodes (see ``Kernel``)."""
+        p = self._marginal(name)[texels].astype(np.float64)
+        nodes = self.grid.axes[name][:, None]
+        mean = (p * nodes).sum(axis=1)
+        variance = (p * (nodes - mean[:, None]) ** 2).sum(axis=1)
+        return mean.astype(np.float32), np.sqrt(variance).astype(np.float32)
+
+    def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
+        """Return the ends of runs of cells (see ``Kernel``)."""
+        p, parts = self._marginal(name)[texels], cells_of(self.grid.axes[name])
+        ends = [
+            shortest(in_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
+            for g in range(p.shape[-1])
+        ]
+        low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
+        return low, high
+
+    def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
+        """Draw nodes (see ``Kernel``)."""
+        random = np.random.default_rng(seed).random((1 + self.groups, count, self.count))
+        found: dict[str, np.ndarray] = {}
+        for span in self.chunks(len(texels)):
+            part = texels[span]
+            drawn = draw_cells(self.probabilities(part), self.grid.axes, random[..., part])
+            for name, values in drawn.items():
+                shape = (count, len(texels), values.shape[-1])
+                found.setdefault(name, np.empty(shape, np.float32))[:, span] = values
+        return found
+
+    def _marginal(self, name: str) -> np.ndarray:
+        return self._marginals_of_all[name][..., : self.channels_of(name)]
+
+    @cached_property
+    def _marginals_of_all(self) -> dict[str, np.ndarray]:
+        return self.marginals(np.arange(self.count))
+
+
+def require_scale(caller: str, scale: float) -> None:
+    """Refuse a radiance that cannot be a unit.
+
+    Raises:
+        OptionError: it is not positive, or not finite.
+    """
+    if not (np.isfinite(scale) and scale > 0):
+        raise OptionError(f"{caller}: scale must be positive, got {scale!r}.")
+
+
+def observed_by(caller: str, factors: Factors, copies: int, texels: int | None) -> np.ndarray:
+    """Return which texels are seen, (T,) bool: T are asked for, or up to the last with factors.
+
+    Raises:
+        OptionError: fewer than the factors' texels need, or copies below 1.
+    """
+    texel = factors.texel.numpy()
+    last = int(texel.max()) if len(texel) else -1
+    total = last + 1 if texels is None else texels
+    if copies < 1 or total <= last:
+        raise OptionError(
+            f"{caller}: copies must be at least 1 and texels more than {last}, got "
+            f"{copies} and {texels}."
+        )
+    observed = np.zeros(total, bool)
+    observed[texel] = np.array(factors.views) > 0
+    return observed
