@@ -277,7 +277,7 @@ def test_sums_of_dimmer_light_are_those_of_its_columns():
     dimmed = Columns(*(0.6 * part for part in found))
     first = Moments.of(samples, found).posterior(SWITCHES, 0.6)
     second = Moments.of(samples, dimmed).posterior(SWITCHES)
-    np.testing.assert_allclose(first.noise, second.noise, rtol=1e-4)
+    np.testing.assert_allclose(first.kernel.noise, second.kernel.noise, rtol=1e-4)
     for one, other in zip(materials_of(first), materials_of(second), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-4)
 

@@ -286,7 +286,7 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, ask
         ):
             expected = (w * (b - r) ** 2).sum(axis=1) / len(b) / (2 * (sigma * scale) ** 2)
             # Only the order of sums in float64 differs.
-            assert table.energies[k].ravel() == pytest.approx(expected, rel=1e-9)
+            assert table.kernel.energies[k].ravel() == pytest.approx(expected, rel=1e-9)
         product = (w * (b - a) * (b - c)).mean(axis=1) / (2 * (sigma * scale) ** 2)
         assert energies(reference)[k].ravel() == pytest.approx(product, rel=1e-9, abs=1e-9)
 
