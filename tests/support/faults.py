@@ -33,7 +33,6 @@ PACKAGES = ("capture", "posterior", "output", "batch")
 OPERATORS = ("negate a condition", "drop a statement", "swap two arguments",
              "change a constant", "off by one", "widen a limit")  # fmt: skip
 SPARE = 12  # sites of a drawn fault, of which the first that is executed is chosen
-NEAREST = 4  # files of tests that run first
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 
@@ -74,7 +73,8 @@ def mutants(node: ast.AST) -> Iterator[tuple[str, ast.AST, str]]:
         case ast.If(test=test) | ast.IfExp(test=test) | ast.While(test=test):
             yield OPERATORS[0], test, f"(not ({ast.unparse(test)}))"
         case ast.AugAssign() | ast.Expr(value=ast.Call()):
-            yield OPERATORS[1], node, "pass"
+            if not ast.unparse(node).startswith("dr."):  # when arrays are evaluated changes nothing
+                yield OPERATORS[1], node, "pass"
         case ast.Call(args=[ast.expr() as first, ast.expr() as second, *rest]):
             if ast.dump(first) != ast.dump(second):
                 swapped = ast.Call(node.func, [second, first, *rest], node.keywords)
@@ -85,11 +85,12 @@ def mutants(node: ast.AST) -> Iterator[tuple[str, ast.AST, str]]:
             yield OPERATORS[4], node, ast.unparse(left)
         case ast.Compare(ops=[ast.Lt() | ast.LtE() | ast.Gt() | ast.GtE() as sign]):
             other = {"Lt": ast.LtE, "LtE": ast.Lt, "Gt": ast.GtE, "GtE": ast.Gt}
-            moved = ast.Compare(node.left, [other[type(sign).__name__]()], node.comparators)
-            yield OPERATORS[4], node, ast.unparse(moved)
             if isinstance(limit := node.comparators[0], ast.Name) and limit.id.isupper():
                 more = "*" if isinstance(sign, ast.Gt | ast.GtE) else "/"
                 yield OPERATORS[5], limit, f"({limit.id} {more} 10)"
+            else:
+                moved = ast.Compare(node.left, [other[type(sign).__name__]()], node.comparators)
+                yield OPERATORS[4], node, ast.unparse(moved)
 
 
 def sites(file: Path, operator: str) -> Iterator[Fault]:
@@ -117,8 +118,8 @@ def _inside(node: ast.AST) -> Iterator[ast.AST]:
             yield from _inside(child)
 
 
-def drawn(count: int, seed: int, tree: Path) -> list[Fault]:
-    """Draw faults in lines that tests execute; those of fewest lines of tests run first."""
+def drawn(count: int, seed: int, tree: Path) -> tuple[list[Fault], list[str]]:
+    """Draw faults in lines that tests execute; return them, and tests that fail without any."""
     chance, chosen = random.Random(seed), []
     for number in range(count):
         package, operator = PACKAGES[number % 4], OPERATORS[number % 6]
@@ -127,19 +128,18 @@ def drawn(count: int, seed: int, tree: Path) -> list[Fault]:
         chosen.append(chance.sample(found, min(SPARE, len(found))))
     watched = [f"{fault.file}:{fault.line}" for some in chosen for fault in some]
     (tree / "watched.json").write_text(json.dumps(watched))
-    first_failure(tree, [], "-p", "support.faults", "--maxfail", "1000")
+    broken = failures(tree, [], "-p", "support.faults", "--maxfail", "1000")
     ran: dict[str, set[str]] = {}
     for file in tree.glob("ran.*.json"):
         for place, tests in json.loads(file.read_text()).items():
             ran.setdefault(place, set()).update(tests)
     faults = []
     for some in chosen:
-        executed = [fault for fault in some if ran.get(f"{fault.file}:{fault.line}")]
-        for fault in executed[:1]:
+        for fault in [fault for fault in some if f"{fault.file}:{fault.line}" in ran][:1]:
             tests = ran[f"{fault.file}:{fault.line}"]
             shortest = sorted(tests, key=lambda name: (ROOT / "tests" / name).stat().st_size)
-            faults.append(replace(fault, tests=" ".join(shortest[:NEAREST])))
-    return faults
+            faults.append(replace(fault, tests=" ".join(shortest[:4])))
+    return faults, broken
 
 
 class Watcher:
@@ -153,7 +153,6 @@ class Watcher:
         threading.settrace(self.called)
 
     def called(self, frame: Any, event: str, _: object) -> Any:
-        """Follow a call, if its file is watched."""
         code = frame.f_code
         if code not in self.known:
             path = os.path.relpath(code.co_filename)
@@ -190,8 +189,8 @@ def copied(tree: Path) -> None:
             (tree / name).write_bytes((ROOT / name).read_bytes())
 
 
-def first_failure(tree: Path, tests: list[str], *options: str) -> str:
-    """Return the first of the fast tests that fails, all if none are named; empty if none does."""
+def failures(tree: Path, tests: list[str], *options: str) -> list[str]:
+    """Return which of the fast tests fail, of all if none are named; the first one, by default."""
     kernels = os.environ.get("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
     paths = os.pathsep.join([str(tree), str(tree / "tests")])
     run = subprocess.run(
@@ -200,22 +199,22 @@ def first_failure(tree: Path, tests: list[str], *options: str) -> str:
         cwd=tree, env={**os.environ, "PYTHONPATH": paths, "DRJIT_CACHE_DIR": kernels},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if failed := FAILED.search(run.stdout):
-        return failed[1]
-    return "" if run.returncode in (0, 5) else (run.stdout + run.stderr).strip().splitlines()[-1]
+    found = FAILED.findall(run.stdout)
+    return found or ([] if run.returncode in (0, 5) else [(run.stdout + run.stderr)[-200:]])
 
 
-def tried(fault: Fault, tree: Path) -> str:
+def tried(fault: Fault, tree: Path, broken: list[str]) -> str:
     """Plant a fault; return the first test that notices it, or mypy, or nothing."""
     path = tree / fault.file
     text = path.read_text(encoding="utf-8")
     path.write_text(fault.planted(text), encoding="utf-8")
+    but = [f"--deselect={name}" for name in broken]
     try:
-        noticed = first_failure(tree, fault.tests.split()) or first_failure(tree, [])
-        if not noticed:
-            mypy = subprocess.run([sys.executable, "-m", "mypy"], cwd=tree, capture_output=True)
-            noticed = "mypy" if mypy.returncode else ""
-        return noticed
+        for tests in (fault.tests.split(), []):
+            if noticed := failures(tree, tests, *but):
+                return noticed[0]
+        mypy = subprocess.run([sys.executable, "-m", "mypy"], cwd=tree, capture_output=True)
+        return "mypy" if mypy.returncode else ""
     finally:
         path.write_text(text, encoding="utf-8")
 
@@ -233,11 +232,13 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="svu-faults-") as folder:
         tree, missed = Path(folder), 0
         copied(tree)
-        faults = [*written, *(drawn(asked.drawn, asked.seed, tree) if asked.drawn else ())]
+        more, broken = drawn(asked.drawn, asked.seed, tree) if asked.drawn else ([], [])
+        if broken:
+            print("These fail without any fault:", *broken, file=sys.stderr)
         print("| fault | file | caught by | seconds |\n|---|---|---|--:|", flush=True)
-        for fault in faults:
+        for fault in (*written, *more):
             if not asked.only or any(part in fault.name for part in asked.only):
-                start, noticed = time.perf_counter(), tried(fault, tree)
+                start, noticed = time.perf_counter(), tried(fault, tree, broken)
                 missed += not noticed
                 print(f"| {fault.name} | `{fault.file}` {fault.line or ''} | "
                       f"{noticed or '**nothing**'} | {time.perf_counter() - start:.0f} |",
