@@ -18,8 +18,7 @@ from svu_mi import scenes
 from svu_mi.bench.cases import own_cells
 from svu_mi.bench.experiment import Bench
 from svu_mi.bench.real import find_bars
-from svu_mi.bench.real.predictors import WAYS
-from svu_mi.bench.real.scores import Score, Shown, gain_of, r_squared
+from svu_mi.bench.real.predictors import WAYS, Score, Shown, gain_of, r_squared
 from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.picture import quantized, srgb
 from svu_mi.capture.scene import to_world

@@ -19,9 +19,8 @@ from svu_mi.bench.experiment import Bench
 from svu_mi.bench.guidance import Shoot
 from svu_mi.bench.guidance.tables import compare, mean_gain, times_as_many, views_needed
 from svu_mi.bench.problem_sizes import GuidanceSizes, RecoverySizes, Sizes
-from svu_mi.bench.recovery import under_another_light
+from svu_mi.bench.recovery import Judge, Relit, under_another_light
 from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER, SH_PATH
-from svu_mi.bench.recovery.scores import Judge, Relit
 from svu_mi.bench.recovery.tables import find_bars
 from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.poses import bounding_sphere, directions_of

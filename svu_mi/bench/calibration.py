@@ -25,7 +25,7 @@ import numpy as np
 from svu_mi import metrics
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
-from svu_mi.bench.markdown import Column, columns, digits, table
+from svu_mi.bench.report import Column, columns, digits, table
 from svu_mi.bench.study import Asked, Study
 from svu_mi.options import preset
 from svu_mi.parameters import NAMES

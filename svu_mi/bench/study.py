@@ -13,8 +13,7 @@ from svu_mi.bench import BENCHMARKS
 from svu_mi.bench.cases import Cell
 from svu_mi.bench.estimators import VARIANTS, Variant
 from svu_mi.bench.experiment import Bench, Experiment, Record
-from svu_mi.bench.markdown import Bar, bar_table, left_out
-from svu_mi.bench.plots import save
+from svu_mi.bench.report import Bar, bar_table, left_out, save
 from svu_mi.errors import OptionError
 from svu_mi.files import prepare_folder, write_text
 from svu_mi.output import environment_record, write_manifest

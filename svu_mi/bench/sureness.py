@@ -21,7 +21,7 @@ from svu_mi import metrics
 from svu_mi.bench.captures import Truth, chosen_views, nearest_to_front, some_views, uneven_views
 from svu_mi.bench.cases import Cell, chosen_cells
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
-from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
+from svu_mi.bench.report import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_shape, load_scene

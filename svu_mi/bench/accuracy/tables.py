@@ -10,8 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.bench.experiment import Record
-from svu_mi.bench.markdown import Column, columns, digits, seconds
-from svu_mi.bench.plots import COLORS, FAINT, INK, MARKS, page, tidy, time_axis
+from svu_mi.bench.report import (
+    COLORS,
+    FAINT,
+    INK,
+    MARKS,
+    Column,
+    columns,
+    digits,
+    page,
+    seconds,
+    tidy,
+    time_axis,
+)
 from svu_mi.metrics import mean_over_objects
 
 if TYPE_CHECKING:

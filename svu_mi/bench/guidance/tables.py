@@ -8,9 +8,8 @@ import numpy as np
 import scipy
 
 from svu_mi.bench.experiment import Record
-from svu_mi.bench.markdown import Bar, Column, columns, number, table
-from svu_mi.bench.plots import COLORS, INK, MARKS, page, tidy
 from svu_mi.bench.problem_sizes import GuidanceSizes
+from svu_mi.bench.report import COLORS, INK, MARKS, Bar, Column, columns, number, page, table, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

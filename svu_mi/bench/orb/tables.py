@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.experiment import Record
-from svu_mi.bench.markdown import number, seconds, table
 from svu_mi.bench.orb.metrics import channel_scale
 from svu_mi.bench.orb.targets import FIGURES, Target
-from svu_mi.bench.plots import FAINT, INK, page
+from svu_mi.bench.report import FAINT, INK, number, page, seconds, table
 from svu_mi.capture.picture import srgb
 from svu_mi.files import replacing
 from svu_mi.output.style import save_figure

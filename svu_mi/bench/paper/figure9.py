@@ -31,8 +31,7 @@ from svu_mi.bench.captures import Truth, chosen_views
 from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.guidance import Strategy
 from svu_mi.bench.guidance.tables import views_needed
-from svu_mi.bench.markdown import table
-from svu_mi.bench.plots import COLORS, INK, MARKS, page, tidy
+from svu_mi.bench.report import COLORS, INK, MARKS, page, table, tidy
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.guidance.candidates import Candidates

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.experiment import Bench, Experiment, Record
-from svu_mi.bench.markdown import Bar
-from svu_mi.bench.real.predictors import MEANS, POSTERIOR, WAYS, Way
-from svu_mi.bench.real.scores import Score
+from svu_mi.bench.real.predictors import MEANS, POSTERIOR, WAYS, Score, Way
 from svu_mi.bench.real.tables import draw_real, real_tables
+from svu_mi.bench.report import Bar
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture import Capture, load_capture
 from svu_mi.capture.fingerprint import capture_key

@@ -1,19 +1,148 @@
-"""Ways to say what a photograph should show, from others of the same object."""
+"""Predictions of photographs in several ways, and their scores.
+
+Exposure and white balance of a photograph that was left out are known to nobody. Each channel's
+gain is taken from half of its texels, and the prediction judged on the other half, without that
+gain and around the photograph's own mean: that one is brighter than another is no prediction.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
-from svu_mi.bench.real.scores import Shown
+from svu_mi.bench.experiment import Record
+from svu_mi.metrics.images import WHITE, psnr, srgb
 from svu_mi.posterior import CalibratedKernel
 from svu_mi.prediction import Prediction, diffuse_seen_from
 
 if TYPE_CHECKING:
     from svu_mi.bench.real import LeftOut
+
+
+LEVELS = (0.5, 0.8, 0.9, 0.95)  # of intervals
+FEWEST = 20  # texels in each half of a photograph
+FACING = 0.7  # cosine from which a texel faces the camera
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What n texels should show in one photograph, but for its gain.
+
+    Attributes:
+        radiance: (D, n, 3), draws.
+        sd: (D, n), standard deviation of the noise around each; None if that is not said.
+    """
+
+    radiance: np.ndarray
+    sd: np.ndarray | None = None
+
+    def some(self, texels: np.ndarray) -> Shown:
+        """Return the same for some of the texels."""
+        return Shown(self.radiance[:, texels], None if self.sd is None else self.sd[:, texels])
+
+
+@dataclass(frozen=True)
+class Score:
+    """Predictions so far, a list entry per photograph.
+
+    Attributes:
+        first: (n,) bool, the texels that gains are taken from.
+        predicted, shown: (m, 3), of the others, without gains.
+        place: (m, 3), where the photograph lies in the predicted distribution, in [0, 1].
+        facing: (m,) bool, texels that look at the camera.
+    """
+
+    first: np.ndarray
+    predicted: list[np.ndarray] = field(default_factory=list)
+    shown: list[np.ndarray] = field(default_factory=list)
+    place: list[np.ndarray] = field(default_factory=list)
+    facing: list[np.ndarray] = field(default_factory=list)
+
+    @staticmethod
+    def start(texels: int) -> Score:
+        """Draw which half of the texels gains are taken from: always the same."""
+        return Score(np.random.default_rng(0).random(texels) < 0.5)
+
+    def add(
+        self, texels: np.ndarray, radiance: np.ndarray, cosine: np.ndarray, found: Shown
+    ) -> None:
+        """Compare a photograph with what it should show.
+
+        Args:
+            texels: (m,) that it shows.
+            radiance: (m, 3).
+            cosine: (m,) between normal and view.
+            found: of these texels.
+        """
+        first, mean = self.first[texels], found.radiance.mean(axis=0, dtype=np.float64)
+        if min(first.sum(), (~first).sum()) < FEWEST:
+            return
+        gain = gain_of(mean[first], radiance[first])
+        if not gain.min() > 0:  # black, or nothing is expected there
+            return
+        even = radiance[~first] / gain
+        self.predicted.append(mean[~first])
+        self.shown.append(even)
+        self.facing.append(cosine[~first] > FACING)
+        if found.sd is not None:
+            off = even - found.radiance[:, ~first]
+            self.place.append(scipy.special.ndtr(off / found.sd[:, ~first, None]).mean(axis=0))
+
+    def record(self) -> Record:
+        """Return R^2 of all samples, of those that face the camera and of others, and of each
+        photograph; PSNR, and how intervals hold."""
+        if not self.shown:
+            nan = float("nan")
+            return {"r2": nan, "facing": nan, "steep": nan, "views": [], "psnr": nan, "holds": {}}
+        predicted, shown = np.concatenate(self.predicted), np.concatenate(self.shown)
+        white = max(float(np.quantile(shown, WHITE)), 1e-12)
+        steep = [~facing for facing in self.facing]
+        pairs = zip(self.predicted, self.shown, strict=True)
+        return {
+            "r2": r_squared(self.predicted, self.shown),
+            "facing": r_squared(_those(self.predicted, self.facing),
+                                _those(self.shown, self.facing)),
+            "steep": r_squared(_those(self.predicted, steep), _those(self.shown, steep)),
+            "views": [r_squared([one], [other]) for one, other in pairs],
+            "psnr": float(psnr(srgb(predicted / white), srgb(shown / white))),
+            **self._intervals(),
+        }  # fmt: skip
+
+    def _intervals(self) -> Record:
+        if not self.place:
+            return {"holds": {}}
+        place = np.concatenate(self.place)
+        inside = np.abs(place - 0.5)
+        return {
+            "holds": {str(level): float((inside <= level / 2).mean()) for level in LEVELS},
+            "below": float((place < 0.05).mean()), "above": float((place > 0.95).mean()),
+        }  # fmt: skip
+
+
+def gain_of(predicted: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Return the factors (3,) of (m, 3) that leave the least squares."""
+    return np.asarray(
+        (predicted * shown).sum(axis=0) / np.maximum(np.square(predicted).sum(axis=0), 1e-300)
+    )
+
+
+def r_squared(predicted: Sequence[np.ndarray], shown: Sequence[np.ndarray]) -> float:
+    """Return the part of the variance of photographs, (m, 3) each, that is predicted.
+
+    Variance is around the mean of every channel of every photograph; NaN if there is none.
+    """
+    spread = sum(np.square(b - b.mean(axis=0)).sum() for b in shown if len(b))
+    rest = sum(np.square(a - b).sum() for a, b in zip(predicted, shown, strict=True))
+    return float(1 - rest / spread) if spread > 0 else float("nan")
+
+
+def _those(values: Sequence[np.ndarray], chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return [some[which] for some, which in zip(values, chosen, strict=True)]
+
 
 DRAWS = 32
 ROUNDS = 20  # in which gains and means take turns

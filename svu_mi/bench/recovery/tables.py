@@ -10,9 +10,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.bench.experiment import Record
-from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds, table
-from svu_mi.bench.plots import COLORS, INK, MARKS, page, tidy, time_axis
 from svu_mi.bench.recovery.methods import PATH, ROWS, SH, SH_PAPER, SH_PATH, Row
+from svu_mi.bench.report import (
+    COLORS,
+    INK,
+    MARKS,
+    Bar,
+    Column,
+    columns,
+    digits,
+    page,
+    seconds,
+    table,
+    tidy,
+    time_axis,
+)
 from svu_mi.parameters import NAMES
 
 if TYPE_CHECKING:

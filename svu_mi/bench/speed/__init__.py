@@ -18,7 +18,7 @@ from svu_mi.bench.captures import some_views
 from svu_mi.bench.cases import Cell
 from svu_mi.bench.estimators import VARIANTS, Variant
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
-from svu_mi.bench.markdown import Bar
+from svu_mi.bench.report import Bar
 from svu_mi.bench.speed.kernels import (
     MIN_TRIANGLES,
     RATIO_BAR,

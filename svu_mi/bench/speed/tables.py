@@ -7,8 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svu_mi.bench.experiment import Record
-from svu_mi.bench.markdown import Column, columns, digits, number, seconds, table
-from svu_mi.bench.plots import COLORS, INK, page, tidy
+from svu_mi.bench.report import (
+    COLORS,
+    INK,
+    Column,
+    columns,
+    digits,
+    number,
+    page,
+    seconds,
+    table,
+    tidy,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
