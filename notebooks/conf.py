@@ -7,8 +7,6 @@ import io
 import os
 from typing import Any, get_args
 
-import svu_mi  # first: it finds a usable LLVM
-
 import mitsuba as mi
 from docutils import nodes
 from docutils.parsers.rst.directives.tables import ListTable
@@ -17,6 +15,7 @@ from sphinx.directives.code import CodeBlock
 from sphinx.ext.napoleon import Config, GoogleDocstring
 from sphinx.util.docutils import SphinxDirective
 
+import svu_mi  # first: it finds a usable LLVM
 from svu_mi.cli.main import Command, main
 
 mi.set_variant("llvm_ad_rgb")  # classes of plugins exist only in a variant

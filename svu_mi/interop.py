@@ -1,4 +1,4 @@
-"""NumPy arrays as Dr.Jit arrays and tensors, and evenly spaced indices."""
+"""NumPy arrays as Dr.Jit arrays and tensors, evenly spaced indices and directions."""
 
 from __future__ import annotations
 
@@ -78,9 +78,18 @@ def tensor(
 def evenly_spaced(count: int, most: int) -> np.ndarray:
     """Return at most ``most`` of the indices 0 to ``count - 1``, in order and evenly spaced.
 
-    The first and the last are among them, unless only one is wanted.
-
-    Returns:
-        (min(count, most),) int64, each once.
+    Includes the first and the last, unless ``most`` is 1.
     """
     return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
+
+
+def fibonacci(count: int, lowest: float = -1.0, start: float = 0.0) -> np.ndarray:
+    """Return (count, 3) unit directions, evenly spread over the sphere above y = ``lowest``.
+
+    A Fibonacci spiral around +Y from the top; ``start`` turns it, in golden angles.
+    """
+    index = np.arange(count)
+    y = 1 - (1 - lowest) * (index + 0.5) / count
+    azimuth = (index + start) * np.pi * (3 - np.sqrt(5))
+    radius = np.sqrt(1 - y * y)
+    return np.stack([radius * np.cos(azimuth), y, radius * np.sin(azimuth)], axis=-1)

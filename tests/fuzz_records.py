@@ -27,7 +27,7 @@ from svu_mi.posterior import PrincipledGrid
 from svu_mi.recovery.checkpoint import Checkpoint, State
 from svu_mi.reference import cache
 from svu_mi.reference.options import Options
-from svu_mi.reference.record import Reference, Traced
+from svu_mi.reference.record import Traced
 from svu_mi.results.provenance import entry_of
 from svu_mi.results.transaction import claimed, writing
 
@@ -57,14 +57,12 @@ def read_checkpoint(folder: Path, out: Path) -> None:
 
 
 def write_reference(folder: Path) -> None:
-    traced = Traced(np.random.default_rng(813).random((3, 3, 2, 2, 2)), None, np.array([2, 0, 1]))
-    whole, first, second = traced.posteriors(OPTIONS, 1.0)
-    made = Reference(
-        subset=np.array([4, 7, 9]), posterior=whole, halves=(first, second), traced=traced,
-        brightness=np.ones(3), coverage=traced.coverage, scale=1.0, unit=1.0, seconds=2.0,
-        cached=False, rays=10, dropped=0, spp=2, max_depth=2, method="linear",
+    traced = Traced(
+        subset=np.array([4, 7, 9]), tables=np.random.default_rng(813).random((3, 3, 2, 2, 2)),
+        coverage=np.array([2, 0, 1]), brightness=np.ones(3), scale=1.0, unit=1.0, seconds=2.0,
+        rays=10, dropped=0,
     )  # fmt: skip
-    cache.store(folder / REFERENCE, made)
+    cache.store(folder / REFERENCE, traced)
 
 
 def read_reference(folder: Path, out: Path) -> None:

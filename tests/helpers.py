@@ -31,8 +31,7 @@ from svu_mi.formats import fixes
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Source
 from svu_mi.illumination.record import LightEstimate
-from svu_mi.interop import owned
-from svu_mi.light.cells import fibonacci
+from svu_mi.interop import fibonacci, owned
 from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress

@@ -10,8 +10,7 @@ import numpy as np
 
 from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Materials, Transport
-from svu_mi.interop import owned
-from svu_mi.light.cells import fibonacci
+from svu_mi.interop import fibonacci, owned
 from svu_mi.options import preset
 from svu_mi.visibility import Surface
 

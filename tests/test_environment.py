@@ -13,8 +13,9 @@ from helpers import python
 
 from svu_mi.errors import OptionError, SceneError
 from svu_mi.exr import write_exr
+from svu_mi.interop import fibonacci
 from svu_mi.light import sampling
-from svu_mi.light.cells import LARGEST, fibonacci, light_cells
+from svu_mi.light.cells import LARGEST, light_cells
 from svu_mi.light.environment import (
     Environment,
     analyze,

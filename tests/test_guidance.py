@@ -436,13 +436,6 @@ class TestGrowing:
             greedy.choose(int(np.argmax(greedy.gains())))
         assert dr.detail.launch_stats()[1:] == compiled
 
-    def test_the_preset_says_which_light(self):
-        """``paper`` does what is printed, unless it is told not to."""
-        for base, own in (("paper", "growing"), ("default", "photographs")):
-            assert svu.GuidanceOptions().resolved(preset(base)).band_limit == own
-        told = svu.GuidanceOptions(band_limit="photographs").resolved(preset("paper"))
-        assert told.band_limit == "photographs"
-
     def test_refused(self, estimated):
         estimate = estimated(0, 1)
         for strategy in ("entropy", "coverage"):
@@ -866,33 +859,6 @@ class TestNextBestView:
         assert stats.pearsonr(guidance.gains, real, alternative="greater").pvalue < 0.01
         assert np.corrcoef(guidance.gains, real)[0, 1] > 0.8
         assert 0.5 < guidance.gains.mean() / real.mean() < 1.5
-
-    def test_forecasts_have_the_energies_of_the_estimate(self, sunny, estimated):
-        """Noise of each texel, of unseen ones the median; overdispersion; all channels."""
-        capture, _ = sunny
-        estimate = estimated(0, 1, 2)
-        posterior, switches = estimate.posterior, estimate.preset
-        forecast = prospect(estimate, svu.Candidates.around(capture, 3)).forecast
-        s = np.sqrt(0.5 / (forecast.precision.numpy() * switches.overdispersion))
-        seen = np.array(estimate.coverage) > 0
-        np.testing.assert_allclose(s[seen], posterior.kernel.noise, rtol=1e-5)
-        np.testing.assert_allclose(s[~seen], np.median(posterior.kernel.noise), rtol=1e-5)
-        assert forecast.kappa == pytest.approx(switches.knee * estimate.observed.unit)
-        assert not forecast.averaged and forecast.channels == 3
-        p = np.exp(-forecast.prior.numpy()).reshape(8, 8)
-        np.testing.assert_allclose(p, posterior.prior.sum(axis=2), rtol=1e-5)
-
-    @pytest.mark.slow
-    def test_a_fifth_photograph_does_not_lower_the_noise_at_once(self, sunny, estimated):
-        capture, _ = sunny
-        four = baselines.farthest(directions_of(capture.sensors, np.zeros(3)), [0], 3)
-
-        def usual(views):
-            return np.median(estimated(*views).posterior.kernel.noise)
-
-        before = usual(four)
-        for view in [view for view in range(20) if view not in four][::5]:
-            assert usual([*four, view]) > 0.8 * before
 
     def test_entropy_so_far_is_the_estimate_s_where_it_is_right(self, sunny, estimated):
         """Photographs as the model has them: what they are expected to say is what they say."""

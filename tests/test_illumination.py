@@ -29,8 +29,7 @@ from svu_mi.illumination.uncertainty import (
     sample_lights,
     widening_of,
 )
-from svu_mi.interop import owned
-from svu_mi.light.cells import fibonacci
+from svu_mi.interop import fibonacci, owned
 from svu_mi.posterior.object_prior import shared
 from svu_mi.reflection.lobes import ALBEDO_NODES, dielectric_albedo, split_sum
 

@@ -16,7 +16,7 @@ from svu_mi.errors import SceneError
 from svu_mi.illumination.light_summary import likeness
 from svu_mi.illumination.prior import SD, prior_of
 from svu_mi.illumination.record import NINETY
-from svu_mi.light.cells import fibonacci
+from svu_mi.interop import fibonacci
 from svu_mi.light.environment import basis_at
 from svu_mi.parameters import NAMES
 

@@ -138,12 +138,6 @@ def test_sparsification_without_errors():
         metrics.sparsification([-1, 1], [0, 1])
 
 
-def test_curves_for_a_plot():
-    found = metrics.sparsification([1, 2, 3], [1, 2, 3]).sampled(3)
-    assert found == {"removed": [0, 0.33333, 0.66667], "by_uncertainty": [1, 0.75, 0.5],
-                     "oracle": [1, 0.75, 0.5]}  # fmt: skip
-
-
 # --- credible sets ------------------------------------------------------------------------
 
 
@@ -273,10 +267,6 @@ def test_psnr_is_that_of_the_definition():
     noisy = truth + rng.normal(scale=0.05, size=truth.shape)
     by_hand = 10 * np.log10(truth.size / ((noisy - truth) ** 2).sum())
     assert psnr(noisy, truth) == pytest.approx(by_hand)
-
-
-def test_without_any_error_psnr_is_a_number():
-    assert psnr([0.5], [0.5]) == CEILING_DB
 
 
 @pytest.mark.parametrize(

@@ -354,55 +354,9 @@ def test_weights_go_through_the_four_corners():
     assert a == pytest.approx(b, rel=1e-9)
 
 
-def test_two_halves_take_the_noise_out_of_squares():
-    """E[(b - A)(b - B)] is (b - r)^2; the square of one half has the variance on top."""
-    rng = np.random.default_rng(SEED)
-    grid, deviation, count = PrincipledGrid(2, 3, 3), 0.1, 20_000
-
-    def exact(roughness: float, metallic: float, base_color: float) -> float:
-        diffuse, coat, metal = 1 + roughness, 0.3 - 0.2 * roughness, 2 - roughness
-        return (1 - metallic) * (base_color * diffuse + coat) + metallic * base_color * metal
-
-    def render(psi: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        grey = exact(**psi) + deviation * rng.standard_normal((2, count))
-        return tuple(np.repeat(grey[..., None], 3, axis=-1))
-
-    observed = np.full(count, exact(1.0, 0.5, 0.5))
-    truth = np.array(
-        [(observed[0] - exact(*(float(n) for n in psi))) ** 2 for psi in nodes(grid)]
-    ).reshape(grid.shape)
-    mean = PerTexel(np.zeros(count, np.int64), 1)
-    for derive in (linear, brute):
-        both, first, second = derive(observed, mean, grid, render)[:, 0]
-        cross = (4 * both - first - second) / 2
-        # Five standard errors of a mean of products of two normal deviates.
-        error = 5 * (deviation**2 + 2 * deviation * np.sqrt(truth)) / np.sqrt(count)
-        assert (np.abs(cross - truth) < error).all(), derive.__name__
-        # Mixing four renders lowers the variance, to a quarter at most.
-        assert (np.minimum(first, second) - truth > 0.2 * deviation**2 - error).all()
-        assert first[1, 1, 1] > 0.2 * deviation**2 > 4 * abs(cross[1, 1, 1])
-        assert both[1, 1, 1] == pytest.approx(first[1, 1, 1] / 2, rel=0.1)
-
-
 def nodes(grid: PrincipledGrid) -> list[tuple[float, ...]]:
     mesh = np.meshgrid(*grid.axes.values(), indexing="ij")
     return list(zip(*(axis.ravel() for axis in mesh), strict=True))
-
-
-@pytest.mark.slow
-def test_few_paths_do_not_bias_the_products_of_halves(capture, layout):
-    """At the true psi, their mean for 2 paths is that for 128; squares are above it."""
-    some = np.arange(0, layout.count, 4)
-    cell = (slice(None), *TRUTH)
-    exact = energies(reference_posterior(capture, layout, some, 128, grid=GRID))[cell].mean()
-    runs = [
-        reference_posterior(capture, layout, some, 2, grid=GRID, seed=SEED + k) for k in range(6)
-    ]
-    cross = np.array([energies(run)[cell].mean() for run in runs])
-    whole = np.array([run.posterior.kernel.energies[cell].mean() for run in runs])
-    error = cross.std(ddof=1) / np.sqrt(len(cross))
-    assert abs(cross.mean() - exact) < 5 * error
-    assert whole.mean() - exact > 10 * error
 
 
 # --- what it is made of --------------------------------------------------------------------

@@ -19,7 +19,6 @@ from svu_mi.observed import observe
 from svu_mi.posterior import PrincipledGrid, angular_posterior
 from svu_mi.recovery.sh.energy import energy
 from svu_mi.statistics import Factors, Statistics
-from svu_mi.statistics.blocks import Reader, in_blocks, rows_of
 from svu_mi.statistics.factors import FLOOR, PAIRS
 from svu_mi.statistics.gather import Weighting
 
@@ -472,20 +471,6 @@ def test_products_and_some_of_the_texels():
     np.testing.assert_array_equal(some.views.numpy(), statistics.views.numpy()[chosen])
     np.testing.assert_array_equal(
         factors.at(owned(mi.UInt32, chosen)).weight.numpy(), some.at().weight.numpy()
-    )
-
-
-@pytest.mark.parametrize("count", [1, 16, 17, 40])
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_blocks_hold_every_value_once(count, kind):
-    rows = np.random.default_rng(count).normal(size=(23, count)).astype(kind)
-    values = in_blocks(mi.Float if kind is np.float32 else mi.Float64, rows)
-    np.testing.assert_array_equal(rows_of(values, 23, count), rows)
-    found = Reader(values, 23, count).read(mi.UInt32(5)).numpy()
-    np.testing.assert_array_equal(found, rows[5])
-    lane = owned(mi.UInt32, np.array([count - 1, 0], np.uint32))
-    np.testing.assert_array_equal(
-        Reader(values, 23, count, lane).read(mi.UInt32(22)).numpy(), rows[22, [count - 1, 0]]
     )
 
 

@@ -246,24 +246,6 @@ def test_no_kernel_for_another_scene_film_or_number_of_views(tmp_path):
             assert sum(dr.detail.launch_stats()[1:]) == compiled
 
 
-def test_memory_of_the_allocator(tmp_path):
-    """One byte per pixel, and a launch's rays, however many photographs there are."""
-    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
-    sensors = sphere_sensors(scene.shapes()[0], 24, (512, 512))
-    buffer = PixelBuffer.allocate([(512, 512)] * 24)
-    buffer.pixels[:] = 0.5
-    capture = memory_capture(scene, list(buffer.images), sensors, buffer=buffer)
-    pixels = 24 * 512 * 512
-    pack_views(capture)  # kernels, and what Mitsuba keeps
-    dr.sync_thread()
-    dr.flush_malloc_cache()
-    dr.detail.malloc_clear_statistics()
-    before = dr.detail.malloc_watermark(dr.JitBackend.LLVM)
-    views = pack_views(capture)
-    assert dr.detail.malloc_watermark(dr.JitBackend.LLVM) - before < 2 * pixels + 2**25
-    assert views.number == 24
-
-
 @pytest.mark.parametrize("wrong", ["larger", "turned", "alpha", "mask"])
 def test_photographs_of_another_size_than_their_film_are_refused(tmp_path, wrong):
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)

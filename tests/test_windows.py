@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -243,17 +241,3 @@ def test_a_large_jpeg_is_imported_as_it_is(shot, monkeypatch, tmp_path, capsys):
     found = [svu.estimate(each, svu.texels(each.mesh, 24)) for each in (one, other)]
     entropy = [np.array(each.entropy) for each in found]
     assert np.abs(entropy[1] - entropy[0]).mean() < 2e-3
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_a_file_is_not_read_ahead_once_photographs_are_packed(shot):
-    def flags():
-        lines = Path("/proc/self/smaps").read_text().split("VmFlags:")
-        own = [k for k, text in enumerate(lines) if "svu_" in text or "(deleted)" in text]
-        return [lines[k + 1].splitlines()[0].split() for k in own if k + 1 < len(lines)]
-
-    before = sum("rr" in each for each in flags())
-    capture = svu.load_capture(shot, memory=0.0)
-    views = pack_views(capture)
-    assert sum("rr" in each for each in flags()) == before + 1
-    assert views.number == capture.count

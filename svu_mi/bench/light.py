@@ -24,7 +24,7 @@ from svu_mi.illumination.light_summary import blurred, likeness
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.illumination.resolve_light import with_light
-from svu_mi.light.cells import fibonacci
+from svu_mi.interop import fibonacci
 from svu_mi.light.environment import read_environment
 from svu_mi.metrics.images import psnr
 from svu_mi.observed import Observed, observe

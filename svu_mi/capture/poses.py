@@ -12,9 +12,8 @@ from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import last_sentence, to_world
 from svu_mi.capture.sensor_record import check_record
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.interop import fibonacci
 from svu_mi.limits import require_views
-
-GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 def affine(linear: Any, offset: Any = 0.0) -> np.ndarray:
@@ -229,12 +228,7 @@ def _fibonacci(count: int, up: np.ndarray, lowest: float) -> np.ndarray:
     length = np.linalg.norm(up)
     if not (np.isfinite(length) and length > 0):
         raise OptionError(f"up must be a direction, got {up.tolist()}.")
-    index = np.arange(count) + 0.5
-    height = 1 - (1 - lowest) * index / count
-    angle = GOLDEN_ANGLE * index
-    ring = np.sqrt(1 - height**2)
-    directions = np.stack([ring * np.sin(angle), height, ring * np.cos(angle)], axis=-1)
-    return directions @ _turned(up / length).T
+    return fibonacci(count, lowest, start=0.5)[:, ::-1] @ _turned(up / length).T
 
 
 def _turned(up: np.ndarray) -> np.ndarray:

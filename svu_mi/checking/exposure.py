@@ -32,8 +32,8 @@ from svu_mi.checking.sky import COARSE, DIRECTIONS, Sky, read_cells
 from svu_mi.checking.surface_samples import Points, Sightings, look, open_cosines, scatter_points
 from svu_mi.checking.thumbnails import Frames
 from svu_mi.errors import SvuWarning
-from svu_mi.interop import owned
-from svu_mi.light.cells import Cells, fibonacci, light_cells
+from svu_mi.interop import fibonacci, owned
+from svu_mi.light.cells import Cells, light_cells
 from svu_mi.reflection.principled import F0
 from svu_mi.visibility.reach import is_open
 

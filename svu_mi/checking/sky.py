@@ -12,8 +12,8 @@ import scipy
 
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_environment
-from svu_mi.interop import owned
-from svu_mi.light.cells import Cells, fibonacci, light_cells
+from svu_mi.interop import fibonacci, owned
+from svu_mi.light.cells import Cells, light_cells
 from svu_mi.light.environment import read_environment
 from svu_mi.light.levels import Levels, filter_light
 from svu_mi.light.lighting import band_limit, look_up

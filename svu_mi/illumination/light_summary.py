@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.illumination.record import FoundGains, LightEstimate
-from svu_mi.light.cells import fibonacci
+from svu_mi.interop import fibonacci
 from svu_mi.light.environment import (
     Environment,
     basis_at,

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from svu_mi.illumination.prior import SD
-from svu_mi.light.cells import fibonacci
+from svu_mi.interop import fibonacci
 from svu_mi.light.sampling import directions
 
 ROWS, COLUMNS = 129, 256  # of maps
@@ -52,7 +52,7 @@ class FoundGains:
 class LightEstimate:
     """What photographs say of the light that they were taken under.
 
-    Even cells of the sphere (``light.cells.fibonacci``) have a radiance whose logarithm is normally
+    Even cells of the sphere (``interop.fibonacci``) have a radiance whose logarithm is normally
     distributed. Directions are those of world space, maps those of Mitsuba's ``envmap`` without
     ``to_world``; if the light moves with the camera, both are camera space (+X left, +Y up,
     +Z forward).

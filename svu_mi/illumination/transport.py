@@ -16,8 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.illumination.samples import GRAZING, Samples
-from svu_mi.interop import owned
-from svu_mi.light.cells import fibonacci
+from svu_mi.interop import fibonacci, owned
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
 from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns, mixture
 from svu_mi.reflection.shading import diffuse_shading, dot

@@ -23,7 +23,7 @@ import numpy as np
 import scipy
 
 from svu_mi.errors import OptionError
-from svu_mi.interop import owned
+from svu_mi.interop import fibonacci, owned
 from svu_mi.light import environment as env
 from svu_mi.light.environment import Environment
 
@@ -274,15 +274,6 @@ def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
 def nearest_cells(directions: np.ndarray, count: int) -> np.ndarray:
     """Return which of ``fibonacci(count)`` is nearest to unit directions (N, 3): (N,) int64."""
     return np.asarray(scipy.spatial.cKDTree(fibonacci(count)).query(directions, workers=-1)[1])
-
-
-def fibonacci(count: int) -> np.ndarray:
-    """Return (count, 3) unit directions, evenly spread over the sphere."""
-    i = np.arange(count)
-    z = 1 - (2 * i + 1) / count
-    azimuth = i * np.pi * (3 - np.sqrt(5))
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(azimuth), z, r * np.sin(azimuth)], axis=-1)
 
 
 def _sum(cell: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import warnings
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -23,7 +25,7 @@ from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
 
-FORMAT = 4  # raised whenever the same input would give another result, or another file
+FORMAT = 5  # raised whenever the same input would give another result, or another file
 
 
 def locate(
@@ -48,76 +50,37 @@ def load(path: Path, options: Options) -> Reference | None:
     if not path.exists():
         return None
     try:
-        return _unpack(read_arrays(path), path.stem, options)
+        stored = read_arrays(path)
+        if str(stored.pop("name", "")) != path.stem:
+            raise ValueError("it belongs to another capture or other options")
+        _require_shapes(stored, options)
+        values: dict[str, Any] = {k: x if x.ndim else x.item() for k, x in stored.items()}
+        return Reference.of(Traced(**values), options, cached=True)
     except (ValueError, SvuError) as error:
         warnings.warn(
             f"{path}: the cached reference cannot be read ({error}); it is traced again.",
-            SvuWarning,
-            stacklevel=3,
-        )
+            SvuWarning, stacklevel=3,
+        )  # fmt: skip
         return None
 
 
-def store(path: Path, reference: Reference) -> None:
-    """Write a reference."""
-    traced = reference.traced
-    weight = {} if traced.weight is None else {"weight": traced.weight}
-    write_arrays(
-        path,
-        {
-            "name": path.stem,
-            "subset": reference.subset,
-            "tables": traced.tables,
-            **weight,
-            "unit": reference.unit,
-            "brightness": reference.brightness,
-            "coverage": reference.coverage,
-            "scalars": np.array([reference.scale, reference.seconds]),
-            "counts": np.array([reference.rays, reference.dropped]),
-        },
-    )
+def store(path: Path, traced: Traced) -> None:
+    """Write what was traced."""
+    values = {field.name: getattr(traced, field.name) for field in fields(traced)}
+    stored = {name: value for name, value in values.items() if value is not None}
+    write_arrays(path, {"name": path.stem, **stored})
     log.debug("%s: reference stored", path)
-
-
-def _unpack(stored: dict[str, np.ndarray], name: str, options: Options) -> Reference:
-    """Return what was read as a reference."""
-    if str(stored.get("name")) != name:
-        raise ValueError("it belongs to another capture or other options")
-    _require_shapes(stored, options)
-    found = Traced(stored["tables"], stored.get("weight"), stored["coverage"])
-    unit = float(stored["unit"])
-    whole, first, second = found.posteriors(options, unit)
-    scale, seconds = stored["scalars"].tolist()
-    rays, dropped = stored["counts"].tolist()
-    return Reference(
-        subset=stored["subset"],
-        posterior=whole,
-        halves=(first, second),
-        traced=found,
-        unit=unit,
-        brightness=stored["brightness"],
-        coverage=stored["coverage"],
-        scale=scale,
-        seconds=seconds,
-        cached=True,
-        rays=rays,
-        dropped=dropped,
-        spp=options.spp,
-        max_depth=options.max_depth,
-        method=options.method,
-    )
 
 
 def _require_shapes(stored: dict[str, np.ndarray], options: Options) -> None:
     """Refuse arrays that no reference with these options has, by a ValueError."""
     schema = {
-        "subset": Field("i", ("n",)), "unit": Field("f"), "brightness": Field("f", ("n",)),
-        "coverage": Field("i", ("n",)), "scalars": Field("f", (2,)), "counts": Field("i", (2,)),
-        "name": Field("U"),
+        "subset": Field("i", ("n",)), "brightness": Field("f", ("n",)), "unit": Field("f"),
+        "coverage": Field("i", ("n",)), "scale": Field("f"), "seconds": Field("f"),
+        "rays": Field("i"), "dropped": Field("i"),
+        "tables": Field("f", (3, "n", *options.grid.shape)),
     }  # fmt: skip
     if options.noise == "estimated":
-        sums = (3, len(options.levels), 3, len(PAIRS), "n")
-        schema |= {"tables": Field("f", sums), "weight": Field("f", ("n",))}
-    else:
-        schema |= {"tables": Field("f", (3, "n", *options.grid.shape))}
+        schema["tables"] = Field("f", (3, len(options.levels), 3, len(PAIRS), "n"))
+        schema["weight"] = Field("f", ("n",))
     require_schema(stored, schema)

@@ -98,67 +98,47 @@ def reference_posterior(
     seen = observed_of(source, texels, progress)
     chosen = _choose(wanted, seen.found, capture, seed)
     with progress.stage("Tracing the reference") as stage:
-        result = _trace(seen, chosen, options, stage.update)
+        traced = _trace(seen, chosen, options, stage.update)
     if path is not None:
-        cached.store(path, result)
-    return result
+        cached.store(path, traced)
+    return Reference.of(traced, options, cached=False)
 
 
 def _trace(
-    observed: Observed,
-    chosen: np.ndarray,
-    options: Options,
-    update: Callable[[int, int], None],
-) -> Reference:
+    observed: Observed, chosen: np.ndarray, options: Options, update: Callable[[int, int], None]
+) -> Traced:
     """Work through the texels in batches of bounded memory."""
     dr.sync_thread()
     start = time.perf_counter()
-    target, views, scale = UniformScene.of(observed.capture), observed.views, observed.found.scale
-    size = max(LANES // views.number, 1)
+    target, estimated = UniformScene.of(observed.capture), options.noise == "estimated"
+    size = max(LANES // observed.views.number, 1)
     batches = [chosen[first : first + size] for first in range(0, len(chosen), size)]
     rays = dropped = 0
-    deviations, weights, brightness, coverage = [], [], [], []
+    tables, weights, brightness, coverage = [], [], [], []
     for number, batch in enumerate(batches):
         pairs = visible_pairs(observed, owned(mi.UInt32, batch.astype(np.uint32)), target)
         renderer = _Renderer(target, pairs, options, number, len(batches), update)
         mean = PerTexel(pairs.texel, len(batch))
         weight = _weights(pairs, observed, options.noise)
         weighted = replace(mean, weight=weight)
-        if options.noise == "estimated" and weight is not None:
-            deviations.append(sums(pairs.radiance, weighted, options.levels, renderer))
-            weights.append(mean.total(weight))
+        if estimated:
+            tables.append(sums(pairs.radiance, weighted, options.levels, renderer))
+            weights.append(weighted.total(np.ones(pairs.count)))
         else:
             derive = linear if options.method == "linear" else brute
-            deviations.append(derive(pairs.observed, weighted, options.grid, renderer))
+            tables.append(derive(pairs.observed, weighted, options.grid, renderer))
         brightness.append(mean.mean(pairs.observed))
         coverage.append(mean.pairs)
         rays += pairs.count * options.renders * options.spp
         dropped += pairs.dropped
-    used = np.concatenate(coverage)
-    if options.noise == "estimated":
-        found = Traced(np.concatenate(deviations, axis=-1), np.concatenate(weights), used)
-    else:
-        energies = np.concatenate(deviations, axis=1) / (2 * (options.sigma * scale) ** 2)
-        found = Traced(energies, None, used)
+    found, scale = np.concatenate(tables, axis=-1 if estimated else 1), observed.found.scale
     dr.sync_thread()
-    whole, first, second = found.posteriors(options, observed.unit)
-    return Reference(
-        subset=chosen,
-        posterior=whole,
-        halves=(first, second),
-        traced=found,
-        brightness=np.concatenate(brightness),
-        coverage=used,
-        scale=scale,
-        unit=observed.unit,
-        seconds=time.perf_counter() - start,
-        cached=False,
-        rays=rays,
-        dropped=dropped,
-        spp=options.spp,
-        max_depth=options.max_depth,
-        method=options.method,
-    )
+    return Traced(
+        subset=chosen, tables=found if estimated else found / (2 * (options.sigma * scale) ** 2),
+        weight=np.concatenate(weights) if estimated else None,
+        coverage=np.concatenate(coverage), brightness=np.concatenate(brightness), scale=scale,
+        unit=observed.unit, seconds=time.perf_counter() - start, rays=rays, dropped=dropped,
+    )  # fmt: skip
 
 
 def _weights(pairs: Pairs, observed: Observed, noise: Noise) -> np.ndarray | None:

@@ -13,22 +13,29 @@ from svu_mi.reference.options import Options
 from svu_mi.statistics import Statistics
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Traced:
-    """What was traced, with the mean of both halves of the samples, and with each of them.
+    """What was traced of n texels, with the mean of both halves of the samples, and with each.
 
     Attributes:
         tables: (3, n, R, M ..., K) float64 energies, means over views; or (3, R, 3, P, n) sums
             (``Statistics``).
         weight: (n,) float64 of those sums; None with energies.
-        coverage: (n,) int64, number of views used.
+        subset, coverage, brightness, scale, unit, seconds, rays, dropped: see ``Reference``.
     """
 
+    subset: np.ndarray
     tables: np.ndarray
-    weight: np.ndarray | None
+    weight: np.ndarray | None = None
     coverage: np.ndarray
+    brightness: np.ndarray
+    scale: float
+    unit: float
+    seconds: float
+    rays: int
+    dropped: int
 
-    def posteriors(self, options: Options, unit: float) -> list[Posterior]:
+    def posteriors(self, options: Options) -> list[Posterior]:
         """Return the posterior of the mean and of each half."""
         grid, seen = options.grid, self.coverage > 0
         if self.weight is None:
@@ -38,11 +45,12 @@ class Traced:
                 tabulated_posterior(views * table, grid, seen)
                 for table in self.tables
             ]
-        kappa = AngularPreset().knee * unit
+        kappa = AngularPreset().knee * self.unit
         return [
             calibrated_posterior(
-                Statistics.of(table, self.weight, self.coverage, options.levels, kappa), grid, unit
-            )
+                Statistics.of(table, self.weight, self.coverage, options.levels, kappa), grid,
+                self.unit,
+            )  # fmt: skip
             for table in self.tables
         ]
 
@@ -101,6 +109,18 @@ class Reference:
     spp: int
     max_depth: int
     method: str
+
+    @staticmethod
+    def of(traced: Traced, options: Options, *, cached: bool) -> Reference:
+        """Compute the posteriors of what was traced."""
+        whole, first, second = traced.posteriors(options)
+        return Reference(
+            posterior=whole, halves=(first, second), traced=traced, cached=cached,
+            subset=traced.subset, coverage=traced.coverage, brightness=traced.brightness,
+            scale=traced.scale, unit=traced.unit, seconds=traced.seconds, rays=traced.rays,
+            dropped=traced.dropped, spp=options.spp, max_depth=options.max_depth,
+            method=options.method,
+        )  # fmt: skip
 
     @property
     def count(self) -> int:

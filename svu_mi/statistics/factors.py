@@ -243,3 +243,13 @@ def _cholesky(sums: list[Any]) -> list[Any]:
                 left[k, j] = left[k, j] - U[i, k] * U[i, j]
     U[COLUMNS - 1, COLUMNS - 1] = dr.maximum(left[COLUMNS - 1, COLUMNS - 1], 0)
     return [U[pair] for pair in PAIRS]
+
+
+def catmull_rom(t: Any) -> list[Any]:
+    """Return the weights of four values, between the second and the third of which t lies."""
+    return [
+        0.5 * t * (-1 + t * (2 - t)),
+        0.5 * (2 + t * t * (-5 + 3 * t)),
+        0.5 * t * (1 + t * (4 - 3 * t)),
+        0.5 * t * t * (t - 1),
+    ]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -244,29 +245,34 @@ def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return code
 
 
+POINTS = {
+    "position": 3, "normal": 3, "geometric_normal": 3, "uv": 2, "footprint": 1, "along_u": 3,
+    "along_v": 3,
+}  # fmt: skip
+"""Components of what is interpolated; see ``Texels``."""
+
+
 def _surface_points(
-    source: MeshArrays,
-    index: np.ndarray,
-    face: np.ndarray,
-    resolution: tuple[int, int],
-    overlapping: int,
-    degenerate: int,
-) -> Texels:
+    source: MeshArrays, index: np.ndarray, face: np.ndarray, resolution: tuple[int, int],
+    overlapping: int, degenerate: int,
+) -> Texels:  # fmt: skip
     """Interpolate the mesh at texel centres, in double precision, some at a time."""
-    faces, found = _face_normals(source), _Points.of(len(index))
+    faces = _face_normals(source)
+    found = {name: np.empty((n, len(index)), np.float32) for name, n in POINTS.items()}
     for first in range(0, len(index), CHUNK):
         span = slice(first, first + CHUNK)
-        _interpolate(source, faces, (index[span], face[span]), resolution, found.part(span))
+        for name, values in _interpolated(source, faces, index[span], face[span], resolution):
+            found[name][:, span] = values.T
     return Texels(
         resolution=resolution,
         index=owned(mi.UInt32, index.astype(np.uint32)),
         face=owned(mi.UInt32, face.astype(np.uint32)),
-        position=owned(mi.Point3f, found.position),
-        normal=owned(mi.Normal3f, found.normal),
-        geometric_normal=owned(mi.Normal3f, found.geometric_normal),
-        uv=owned(mi.Point2f, found.uv),
-        footprint=owned(mi.Float, found.footprint[0]),
-        sides=(owned(mi.Vector3f, found.along_u), owned(mi.Vector3f, found.along_v)),
+        position=owned(mi.Point3f, found["position"]),
+        normal=owned(mi.Normal3f, found["normal"]),
+        geometric_normal=owned(mi.Normal3f, found["geometric_normal"]),
+        uv=owned(mi.Point2f, found["uv"]),
+        footprint=owned(mi.Float, found["footprint"][0]),
+        sides=(owned(mi.Vector3f, found["along_u"]), owned(mi.Vector3f, found["along_v"])),
         overlapping=overlapping,
         degenerate=degenerate,
         extent=_extent(source),
@@ -274,43 +280,17 @@ def _surface_points(
     )
 
 
-@dataclass(frozen=True)
-class _Points:
-    """What is interpolated, (components, T) float32; see ``Texels``."""
-
-    position: np.ndarray
-    normal: np.ndarray
-    geometric_normal: np.ndarray
-    uv: np.ndarray
-    footprint: np.ndarray
-    along_u: np.ndarray
-    along_v: np.ndarray
-
-    @staticmethod
-    def of(count: int) -> _Points:
-        """Make room for texels."""
-        return _Points(*(np.empty((size, count), np.float32) for size in (3, 3, 3, 2, 1, 3, 3)))
-
-    def part(self, span: slice) -> _Points:
-        """Return the room of some of them."""
-        return _Points(*(getattr(self, f.name)[:, span] for f in fields(self)))
-
-
-def _interpolate(
-    source: MeshArrays,
-    faces: tuple[np.ndarray, np.ndarray],
-    texels: tuple[np.ndarray, np.ndarray],
+def _interpolated(
+    source: MeshArrays, faces: tuple[np.ndarray, np.ndarray], index: np.ndarray, face: np.ndarray,
     resolution: tuple[int, int],
-    room: _Points,
-) -> None:
-    """Write the surface points of texels."""
+) -> Iterator[tuple[str, np.ndarray]]:  # fmt: skip
+    """Yield the values (t, components) of texels by name; ``faces`` are normals and areas."""
     assert source.uvs is not None
-    (index, face), (width, height), (normals, areas) = texels, resolution, faces
+    (width, height), (normals, areas) = resolution, faces
     uv = np.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], axis=-1)
     corner_uv, corner = source.uvs[source.faces[face]], source.positions[source.faces[face]]
     weights = barycentric(corner_uv, uv)
-    geometric = normals[face]
-    normal = geometric
+    normal = geometric = normals[face]
     if source.normals is not None:
         smooth = np.einsum("tk,tki->ti", weights, source.normals[source.faces[face]])
         length = np.linalg.norm(smooth, axis=1, keepdims=True)
@@ -320,16 +300,17 @@ def _interpolate(
     edges = corner_uv[:, 1:] - corner_uv[:, :1]
     (a, b), (c, d) = np.moveaxis(edges, 0, 2)
     determinant = a * d - b * c
-    uv_area = np.abs(determinant) / 2
     # Position is linear in uv within a face: edges = sides of the unit square times uv edges.
     inverse = np.array([[d, -b], [-c, a]]) / determinant
     along = np.einsum("ijt,tjk->tik", inverse, corner[:, 1:] - corner[:, :1])  # u or v, xyz
-    room.position[:] = np.einsum("tk,tki->ti", weights, corner).T
-    room.normal[:] = normal.T
-    room.geometric_normal[:] = (geometric * np.where(side == 0, 1, side)[:, None]).T
-    room.uv[:] = uv.T
-    room.footprint[:] = np.sqrt(areas[face] / (uv_area * width * height))
-    room.along_u[:], room.along_v[:] = along[:, 0].T / width, along[:, 1].T / height
+    yield "position", np.einsum("tk,tki->ti", weights, corner)
+    yield "normal", normal
+    yield "geometric_normal", geometric * np.where(side == 0, 1, side)[:, None]
+    yield "uv", uv
+    uv_area = np.abs(determinant) / 2
+    yield "footprint", np.sqrt(areas[face] / (uv_area * width * height))[:, None]
+    yield "along_u", along[:, 0] / width
+    yield "along_v", along[:, 1] / height
 
 
 def barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:

@@ -209,7 +209,7 @@ def test_a_reference_under_another_name_is_not_taken(reference):
     assert "another capture" in told(other)
 
 
-@pytest.mark.parametrize("name", ["tables", "subset", "coverage", "brightness", "unit", "counts"])
+@pytest.mark.parametrize("name", ["tables", "subset", "coverage", "brightness", "unit", "rays"])
 def test_a_reference_with_other_numbers_is_not_taken(reference, name):
     with np.load(reference) as archive:
         arrays = dict(archive)

@@ -16,9 +16,8 @@ import mitsuba as mi
 from svu_mi.parameters import CHANNELS, MIXED
 from svu_mi.reflection.principled import mixture, slope
 from svu_mi.reflection.shading import dot
-from svu_mi.statistics.factors import Factors, combined
+from svu_mi.statistics.factors import Factors, catmull_rom, combined
 from svu_mi.statistics.gather import Values, flat, mixed_of
-from svu_mi.statistics.spline import catmull_rom
 
 
 def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
