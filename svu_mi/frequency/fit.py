@@ -199,21 +199,23 @@ def fit_sh(
         return dr.zeros(mi.TensorXf, shape)
 
     samples = _Samples(
-        directions=direction_tensor.array,
-        weights=weight_tensor.array,
-        values=value_tensor.array,
-        views=dr.opaque(mi.UInt32, views),
-        channels=channels,
-    )
-    visible = _inspect(samples, texels, views)
-    coefficients = dr.zeros(mi.Float, texels * shape[1] * channels)
-    dr.eval(coefficients)
+        direction_tensor.array, weight_tensor.array, value_tensor.array,
+        dr.opaque(mi.UInt32, views), channels,
+    )  # fmt: skip
+    groups = solver_groups(_inspect(samples, texels, views), lmax, method)
     system = System.of(lmax, channels, float(regularizer), penalize_constant)
-    for group in solver_groups(visible, lmax, method):
+    return mi.TensorXf(_fitted(samples, system, groups, texels), shape)
+
+
+def _fitted(samples: _Samples, system: System, groups: list[SolverGroup], texels: int) -> Any:
+    """Return the coefficients of all texels, flat, texel-major."""
+    coefficients = dr.zeros(mi.Float, texels * (system.degree + 1) ** 2 * samples.channels)
+    dr.eval(coefficients)
+    for group in groups:
         sample = partial(samples.at, group.selection)
         fitted = fit_lanes(sample, samples.views, system, group.capacity)
         dr.eval(scatter_rows(coefficients, fitted, group.selection))
-    return mi.TensorXf(coefficients, shape)
+    return coefficients
 
 
 def _check_size(*counts: int) -> None:

@@ -61,29 +61,12 @@ def next_best_view(
             that does not say what photographs would show, to a strategy that asks for it.
         SceneError: a candidate is not a pinhole camera.
     """
-    if not isinstance(estimate, Estimate):
-        raise OptionError(
-            f"next_best_view(): an estimate is needed, got a {type(estimate).__name__}; make one "
-            "with svu.estimate(capture, texels)."
-        )
-    if not isinstance(count, Integral) or isinstance(count, bool) or count < 1:
-        raise OptionError(
-            f"next_best_view(): count must be at least 1, a whole number, got {count!r}."
-        )
+    _require(estimate, count)
     options = _options(options, switches).resolved(estimate.preset)
     progress = progress or Progress()
     strategy, observed = _strategy(options, estimate), observed_of(estimate, None)
     estimate = estimate.in_one_piece(progress)
-    if candidates is None:
-        candidates = _default(observed.capture)
-    elif isinstance(candidates, Sequence) and not isinstance(candidates, str):
-        candidates = Candidates.of(candidates)
-    elif not isinstance(candidates, Candidates):
-        raise OptionError(
-            f"next_best_view(): candidates must be Candidates or sensors, got {candidates!r}; "
-            "place some with svu.Candidates.around(capture, count)."
-        )
-    texels = observed.texels
+    candidates, texels = _candidates(candidates, observed.capture), observed.texels
     known = Prospect(estimate, observed, candidates, _sample(texels.count, options), options)
     with progress.stage("Viewing from the candidates"):
         judge = strategy.make(known)
@@ -106,6 +89,18 @@ def next_best_view(
         timings=progress.timings,
         _prospect=replace(known),  # without its forecast, which takes most of the memory
     )
+
+
+def _require(estimate: Any, count: Any) -> None:
+    if not isinstance(estimate, Estimate):
+        raise OptionError(
+            f"next_best_view(): an estimate is needed, got a {type(estimate).__name__}; make one "
+            "with svu.estimate(capture, texels)."
+        )
+    if not isinstance(count, Integral) or isinstance(count, bool) or count < 1:
+        raise OptionError(
+            f"next_best_view(): count must be at least 1, a whole number, got {count!r}."
+        )
 
 
 def _strategy(options: GuidanceOptions, estimate: Estimate) -> Strategy:
@@ -133,8 +128,17 @@ def _options(options: GuidanceOptions | None, switches: dict[str, Any]) -> Guida
     return replace(options, **switches)
 
 
-def _default(capture: Capture) -> Candidates:
-    """Sensors whose photograph is missing; one that is black, say, has been taken."""
+def _candidates(given: Candidates | Sequence[Any] | None, capture: Capture) -> Candidates:
+    """Return candidates; by default sensors without a photograph (a black one has been taken)."""
+    if isinstance(given, Candidates):
+        return given
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        return Candidates.of(given)
+    if given is not None:
+        raise OptionError(
+            f"next_best_view(): candidates must be Candidates or sensors, got {given!r}; "
+            "place some with svu.Candidates.around(capture, count)."
+        )
     unused = [view for view, used in enumerate(capture.used) if not used]
     missing = [view for view in unused if not np.isfinite(capture.images[view]).any()]
     return Candidates.at(capture, missing) if missing else Candidates.around(capture, AROUND)

@@ -34,21 +34,12 @@ LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not
 
 
 def reference_posterior(
-    source: Capture | Observed | Estimate,
-    texels: Texels | None = None,
-    subset: int | np.ndarray = 1000,
-    spp: int = 32,
-    *,
-    grid: PrincipledGrid | None = None,
-    sigma: float = 0.08,
-    max_depth: int = 2,
-    method: Method = "linear",
-    seed: int = 0,
-    noise: Noise = "relative",
-    errors: Errors = "mean",
-    cache: str | Path | None = None,
+    source: Capture | Observed | Estimate, texels: Texels | None = None,
+    subset: int | np.ndarray = 1000, spp: int = 32, *, grid: PrincipledGrid | None = None,
+    sigma: float = 0.08, max_depth: int = 2, method: Method = "linear", seed: int = 0,
+    noise: Noise = "relative", errors: Errors = "mean", cache: str | Path | None = None,
     progress: Progress | None = None,
-) -> Reference:
+) -> Reference:  # fmt: skip
     """Path trace the posterior of roughness, metallic and a grey base colour (Eq. 1-5).
 
     The object gets one uniform ``principled`` material psi after the other (specular 0.5), and
@@ -86,9 +77,8 @@ def reference_posterior(
         CaptureError: no texel is seen in any photograph, or all that is seen is black.
         OutputError: the cache cannot be written.
     """
-    options = Options(
-        spp, grid or PrincipledGrid(), sigma, max_depth, method, seed, noise, errors
-    )
+    grid = grid or PrincipledGrid()
+    options = Options(spp, grid, sigma, max_depth, method, seed, noise, errors)
     capture, layout = subject_of(source, texels)
     wanted = check_subset(subset, layout.count)
     progress = progress or Progress()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -12,40 +13,15 @@ from svu_mi.surface import Texels
 from svu_mi.surface.neighbors import Neighbors, neighbors
 
 
-class _Known(dr.CustomOp):  # type: ignore[misc]
-    """A scalar function of a texture, of which everything has been computed."""
+def known(value: Any, slopes: Sequence[Any], values: Sequence[Any]) -> Any:
+    """Return a detached scalar with derivatives ``slopes`` for ``values``, Floats of equal widths.
 
-    def eval(self, texture: Any, value: Any, gradient: Any) -> Any:  # noqa: ARG002
-        self.gradient = gradient
-        return value + 0
-
-    def forward(self) -> None:
-        change = self.grad_in("texture").array
-        self.set_grad_out(dr.sum(self.gradient * change))
-
-    def backward(self) -> None:
-        change = self.gradient * self.grad_out()
-        self.set_grad_in("texture", mi.TensorXf(change, self.shape()))
-
-    def shape(self) -> tuple[int, ...]:
-        return tuple(self.grad_in("texture").shape)
-
-    def name(self) -> str:
-        return "svu_mi regularizer"
-
-
-def known(texture: Any, value: Any, gradient: Any) -> Any:
-    """Return a scalar that carries a gradient computed beforehand.
-
-    Its backward pass is one multiplication per value and adds nothing up, so it is the same
+    The backward pass is one multiplication per value and adds nothing up, so it is the same
     bit by bit in every run, with any number of threads.
-
-    Args:
-        texture: TensorXf, differentiable or not.
-        value: the scalar, detached.
-        gradient: (N,) Float, its derivative by the N values of the texture.
     """
-    return dr.custom(_Known, texture, value, gradient)
+    inner = [slope * dr.replace_grad(dr.zeros(mi.Float, dr.width(x)), x)
+             for slope, x in zip(slopes, values, strict=True)]  # fmt: skip
+    return dr.replace_grad(value, dr.sum(sum(inner)))
 
 
 def sign(value: Any) -> Any:
@@ -82,7 +58,8 @@ class Regularizer:
                 f"C), got {shape}; lay out svu.texels at the resolution of the textures."
             )
         channels = int(shape[2]) if len(shape) == 3 else 1
-        return known(texture, *self._of(dr.detach(texture.array), channels))
+        value, gradient = self._of(dr.detach(texture.array), channels)
+        return known(value, [gradient], [texture.array])
 
     def _texels(self) -> Texels:
         raise NotImplementedError

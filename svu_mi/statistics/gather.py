@@ -100,10 +100,7 @@ def gather(
                 dr.fma(w, new, old) for old, new in zip(state, added, strict=True)
             )
 
-        return dr.if_stmt(
-            args=sums, cond=found.asked(seen.seen),
-            true_fn=add, false_fn=lambda *state: state,
-        )  # fmt: skip
+        return dr.if_stmt(sums, found.asked(seen.seen), add, lambda *state: state)
 
     none = dr.zeros(mi.Float, surface.count if saturated else 1)
     weight, *state = (dr.zeros(mi.Float64, surface.count) for _ in range(1 + size))

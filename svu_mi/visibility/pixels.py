@@ -149,13 +149,7 @@ def mean_over_texel(
     """
     if views.pixels is None:
         return black(), mi.Float(0), *([black()] if clipped else [])
-    middle = _project(camera, position)
-    x, y, *_ = middle
-    spans = [] if sides is None else [_span(camera, side, middle) for side in sides]
-    spans = spans or [(mi.Float(0), mi.Float(0))] * 2
-    steps = [
-        dr.clip(dr.ceil(dr.sqrt(a * a + b * b) / SPACING), 1, MOST_TAPS) for a, b in spans
-    ]
+    x, y, spans, steps = _cover(camera, position, sides)
     columns, number = mi.UInt32(steps[1]), mi.UInt32(steps[0] * steps[1])
     number = dr.select(seen, number, 0)
 
@@ -186,15 +180,26 @@ def mean_over_texel(
 
     zeros = (mi.UInt32(0), mi.Float(0), black(), mi.Float(0), *([black()] if clipped else []))
     _, weight, total, squares, *parts = dr.while_loop(zeros, lambda tap, *_: tap < number, add)
-    pixels, weights = _bilinear(camera, x, y)
-    alone = interpolated(views, pixels, weights, seen & (weight == 0))
-    total = dr.select(weight > 0, total, alone)
-    weight = dr.select(weight > 0, weight, 1)
-    inverse = dr.rcp(weight)
+    alone = interpolated(views, *_bilinear(camera, x, y), seen & (weight == 0))
+    total, inverse = dr.select(weight > 0, total, alone), dr.rcp(dr.select(weight > 0, weight, 1))
     mean = inverse * total
-    grey = as_channels(mean, 1)[0]
-    variance = dr.maximum(inverse * squares - dr.square(grey), 0)
+    variance = dr.maximum(inverse * squares - dr.square(as_channels(mean, 1)[0]), 0)
     return mean, variance, *(inverse * part for part in parts)
+
+
+def _cover(
+    camera: Camera, position: Any, sides: tuple[Any, Any] | None
+) -> tuple[Any, Any, list[Any], list[Any]]:
+    """Return a texel's middle on the film, its two sides there, and the look-ups along each."""
+    middle = _project(camera, position)
+    if sides is None:
+        spans = [(mi.Float(0), mi.Float(0))] * 2
+    else:
+        spans = [_span(camera, side, middle) for side in sides]
+    steps = [
+        dr.clip(dr.ceil(dr.sqrt(a * a + b * b) / SPACING), 1, MOST_TAPS) for a, b in spans
+    ]
+    return middle.x, middle.y, spans, steps
 
 
 def _at_least(views: Views, camera: Camera, pixel: Any, color: Any) -> tuple[Any, Any]:

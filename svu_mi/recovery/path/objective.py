@@ -123,7 +123,7 @@ class PathObjective:
         dr.eval(gradients)
         self._follow(live, dr.disable_grad)
         return sum(
-            known(texture, loss if index == 0 else mi.Float(0), gradients[name])
+            known(loss if index == 0 else mi.Float(0), [gradients[name]], [texture.array])
             for index, (name, texture) in enumerate(textures.items())
         )
 

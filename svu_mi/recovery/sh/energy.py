@@ -16,6 +16,7 @@ import mitsuba as mi
 from svu_mi.parameters import CHANNELS, MIXED
 from svu_mi.reflection.principled import mixture, slope
 from svu_mi.reflection.shading import dot
+from svu_mi.regularization.gradients import known
 from svu_mi.statistics.factors import Factors, catmull_rom, combined
 from svu_mi.statistics.gather import Values, flat, mixed_of
 
@@ -132,20 +133,5 @@ def look_up(textures: Mapping[str, Any], place: Any) -> Values:
 
 
 def carry(loss: Any, slopes: Values, values: Values, factor: Any) -> Any:
-    """Return a scalar with known value and known derivatives.
-
-    Args:
-        loss: (S,) Float, evaluated: its sum times ``factor`` is the value.
-        slopes: evaluated: derivatives of it for ``values``.
-        values: what derivatives are passed on to.
-        factor: opaque Float.
-    """
-    return carried(loss, flat(slopes), flat(values)) * factor
-
-
-def carried(loss: Any, slopes: Sequence[Any], values: Sequence[Any]) -> Any:
-    """The same of Floats that stand in order, without a factor."""
-    nothing = dr.zeros(mi.Float, dr.width(loss))  # of what is passed on, only derivatives count
-    inner = [slope * dr.replace_grad(nothing, value)
-             for slope, value in zip(slopes, values, strict=True)]  # fmt: skip
-    return dr.replace_grad(dr.sum(loss), dr.sum(sum(inner)))
+    """Return the sum of ``loss`` (S,) times an opaque factor, with known derivatives."""
+    return known(dr.sum(loss), flat(slopes), flat(values)) * factor

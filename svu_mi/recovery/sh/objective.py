@@ -18,8 +18,9 @@ from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior import CalibratedKernel, Posterior
 from svu_mi.recovery.options import DescentOptions
-from svu_mi.recovery.sh.energy import carried, carry, energy, look_up
+from svu_mi.recovery.sh.energy import carry, energy, look_up
 from svu_mi.recovery.textures import Textures
+from svu_mi.regularization.gradients import known
 from svu_mi.regularization.tv import absolute
 from svu_mi.statistics import Factors
 from svu_mi.statistics.gather import Values, flat
@@ -237,7 +238,7 @@ class Smoothing:
         with dr.suspend_grad():
             loss, slopes = self._of([dr.detach(x) for x in values])
             dr.eval(loss, slopes)
-        return carried(loss, slopes, values)
+        return known(dr.sum(loss), slopes, values)
 
     def laid_out(self, start: Textures, channels: Mapping[str, Any]) -> Textures:
         """Return the textures of a start with other values of the texels."""
