@@ -59,6 +59,7 @@ class Regularizer:
             )
         channels = int(shape[2]) if len(shape) == 3 else 1
         value, gradient = self._of(dr.detach(texture.array), channels)
+        dr.make_opaque(gradient)  # a literal 0 would cut the dependence on the texture
         return known(value, [gradient], [texture.array])
 
     def _texels(self) -> Texels:
