@@ -20,11 +20,11 @@ import tyro
 from helpers import fails, run
 
 from svu_mi import scenes
-from svu_mi.batch import STEPS, Item, Shelf, page, read_list, require_apart, write_index
-from svu_mi.batch.cluster import work_there
-from svu_mi.batch.record import Done
-from svu_mi.batch.shelf import Ended, Processes, sentence_of
-from svu_mi.batch.steps import key_of, words_of
+from svu_mi.batch import page
+from svu_mi.batch.capture_list import Item, read_list, require_apart
+from svu_mi.batch.page import write_index
+from svu_mi.batch.runner import BatchRunner, Commands, Ended, sentence_of, work_there
+from svu_mi.batch.steps import STEPS, key_of, read_done, words_of, write_done
 from svu_mi.capture.folder import stamps
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.main import Command
@@ -124,7 +124,7 @@ def test_results_among_the_files_of_captures_are_refused_before_anything_is_writ
 # --- steps ------------------------------------------------------------------------------------
 
 
-class Made(Processes):
+class Made(Commands):
     """Commands that only put their proof where it belongs, and are counted."""
 
     def __init__(self, statuses=()):
@@ -144,7 +144,7 @@ class Made(Processes):
 
 def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
     item = Item("a", shelf_of("a") / "a")
-    shelf = Shelf(output=tmp_path / "out", options={"resolution": "16"})
+    shelf = BatchRunner(output=tmp_path / "out", options={"resolution": "16"})
 
     def made(shelf, item=item):
         commands = Made()
@@ -154,7 +154,7 @@ def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
 
     assert made(shelf) == list(STEPS)
     assert made(shelf) == []
-    assert made(Shelf(output=shelf.output, options=shelf.options, words=("-t", "3"))) == []
+    assert made(BatchRunner(output=shelf.output, options=shelf.options, words=("-t", "3"))) == []
     (tmp_path / "out" / "a" / "recovered" / "run.json").unlink()
     assert made(shelf) == ["recover"]
     os.utime(item.capture / "view_0002.exr")
@@ -164,7 +164,7 @@ def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
     assert made(shelf) == list(STEPS)
 
 
-def steps_made(shelf: Shelf, item: Item) -> list[str]:
+def steps_made(shelf: BatchRunner, item: Item) -> list[str]:
     commands = Made()
     assert not shelf.work(item, commands).sentence
     return [line[0] for line in commands.lines]
@@ -178,7 +178,7 @@ def test_files_of_a_capture_are_looked_at_once(shelf_of, tmp_path, monkeypatch):
         return stamps(places, *words)
 
     monkeypatch.setattr("svu_mi.batch.steps.stamps", counted)
-    assert steps_made(Shelf(output=tmp_path / "out"), item) == list(STEPS)
+    assert steps_made(BatchRunner(output=tmp_path / "out"), item) == list(STEPS)
     assert looked_at.count(item.capture.resolve()) == 1
 
 
@@ -187,7 +187,7 @@ def test_a_scene_outside_of_its_capture_and_the_variant_are_inputs(shelf_of, tmp
     scene = shutil.copy(scenes.path("vase"), tmp_path / "shelf")  # beside all captures
     record = json.loads((folder / "capture.json").read_text()) | {"scene": "../vase.xml"}
     (folder / "capture.json").write_text(json.dumps(record))
-    shelf = Shelf(output=tmp_path / "shelf" / "out")
+    shelf = BatchRunner(output=tmp_path / "shelf" / "out")
     item = Item("a", folder)
     assert steps_made(shelf, item) == list(STEPS) and steps_made(shelf, item) == []
     os.utime(scene)
@@ -201,7 +201,7 @@ def test_a_scene_outside_of_its_capture_and_the_variant_are_inputs(shelf_of, tmp
     assert steps_made(shelf, lit) == list(STEPS)
     os.utime(scene)
     assert steps_made(shelf, lit) == list(STEPS) and steps_made(shelf, item) == list(STEPS)
-    other = Shelf(output=shelf.output, words=("-m", "cuda_ad_rgb", "-t", "2"))
+    other = BatchRunner(output=shelf.output, variant="cuda_ad_rgb", words=("-t", "2"))
     assert steps_made(other, item) == list(STEPS) and steps_made(other, item) == []
 
 
@@ -209,7 +209,7 @@ def test_a_scene_beside_the_results_is_done_once(tmp_path, monkeypatch):
     scene = shutil.copy(scenes.path("vase"), tmp_path)
     monkeypatch.chdir(tmp_path)
     for out, path in (("out/one", Path("vase.xml")), ("out/two", Path(scene))):
-        shelf, item = Shelf(output=Path(out)), Item("vase", path)
+        shelf, item = BatchRunner(output=Path(out)), Item("vase", path)
         assert steps_made(shelf, item) == list(STEPS) and steps_made(shelf, item) == []
     os.utime(scene)
     assert steps_made(shelf, item) == list(STEPS)
@@ -243,19 +243,19 @@ def test_commands_understand_paths_with_spaces_and_ids_with_dashes(tmp_path):
 
 def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of, tmp_path):
     item = Item("a", shelf_of("a") / "a")
-    shelf = Shelf(output=tmp_path / "out", steps=["entropy"])
+    shelf = BatchRunner(output=tmp_path / "out", steps=["entropy"])
     commands = Made([-9, -9])
     assert shelf.work(item, commands).made == 1 and len(commands.lines) == 3
-    shelf = Shelf(output=tmp_path / "other", steps=["entropy"])
+    shelf = BatchRunner(output=tmp_path / "other", steps=["entropy"])
     assert shelf.work(item, Made([-9] * 3)).sentence == "entropy: was killed 3 times (signal 9)"
     outcome = shelf.work(item, Made([2]))
-    assert outcome.sentence == "entropy: went wrong" and not Done.read(outcome.folder).steps
+    assert outcome.sentence == "entropy: went wrong" and not read_done(outcome.folder)
 
 
 def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
     item = Item("a", shelf_of("a") / "a")
-    shelf = Shelf(output=tmp_path / "out", steps=["recover"], words=("-t", "2"))
-    left = STEPS["recover"].left_in(shelf.output / "a")
+    shelf = BatchRunner(output=tmp_path / "out", steps=["recover"], words=("-t", "2"))
+    left = shelf.output / "a" / STEPS["recover"].checkpoint
 
     class Killed(Made):
         def run(self, words):
@@ -269,21 +269,12 @@ def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
     again = Made()
     assert shelf.work(item, again).made == 1 and again.lines[0][-1] == "--resume"
 
-    # What is left of other inputs, or of nobody knows what, would be refused.
-    shelf.work(item, Killed([-9] * 3))
-    os.utime(item.capture / "view_0002.exr")
-    other = Made()
-    assert shelf.work(item, other).made == 1 and "--resume" not in other.lines[0]
-    assert not left.exists()
-    (shelf.output / "a" / "recovered" / "run.json").unlink()
-    left.touch()
-    assert shelf.work(item, Made()).made == 1 and not left.exists()
 
 
 def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path):
     item = Item("a", shelf_of("a") / "a")
-    shelf = Shelf(output=tmp_path / "out", steps=["recover"])
-    left = STEPS["recover"].left_in(shelf.output / "a")
+    shelf = BatchRunner(output=tmp_path / "out", steps=["recover"])
+    left = shelf.output / "a" / STEPS["recover"].checkpoint
 
     def tried(*statuses):
         commands = Made(statuses)
@@ -305,16 +296,14 @@ def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch
     out = tmp_path / "out"
     out.mkdir()
     (out / "file").write_text("a file")
-    write = Done._write
-
-    def written(done):
-        if done.folder.name == "full" and "report" in done.begun:
+    def written(folder, done):
+        if folder.name == "full" and "report" in done:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/full/batch.json")
-        write(done)
+        write_done(folder, done)
 
-    monkeypatch.setattr(Done, "_write", written)
-    monkeypatch.setattr("svu_mi.batch.shelf.Processes", lambda _: Made())
-    found = {one.name: one for one in Shelf(output=out).run(read_list(folder))}
+    monkeypatch.setattr("svu_mi.batch.runner.write_done", written)
+    monkeypatch.setattr("svu_mi.batch.runner.Commands", lambda _: Made())
+    found = {one.name: one for one in BatchRunner(output=out).run(read_list(folder))}
     assert "is a file, not a folder" in found["file"].sentence
     assert found["full"].sentence.startswith("out/full/batch.json: No space left on device; ")
     assert found["full"].done == ("entropy", "recover") and found["full"].made == 2
@@ -327,7 +316,7 @@ def test_a_file_that_vanishes_while_it_is_looked_at_is_a_row(shelf_of, tmp_path,
         raise FileNotFoundError(errno.ENOENT, "No such file or directory", "view_0001.exr")
 
     monkeypatch.setattr("svu_mi.batch.steps.stamps", vanished)
-    outcome = Shelf(output=tmp_path / "out").work(Item("a", shelf_of("a") / "a"), Made())
+    outcome = BatchRunner(output=tmp_path / "out").work(Item("a", shelf_of("a") / "a"), Made())
     assert outcome.sentence.startswith("view_0001.exr: No such file or directory; ")
 
 
@@ -359,7 +348,7 @@ def test_the_sentence_of_a_row_is_the_last_that_was_said(said, sentence):
 
 @pytest.mark.slow  # the same words, and another mistake in a process, are above and below
 def test_a_preset_that_there_is_not_is_a_sentence(tmp_path):
-    ended = Processes().run(["entropy", str(tmp_path), "--preset=bogus"])
+    ended = Commands().run(["entropy", str(tmp_path), "--preset=bogus"])
     assert ended.status == 2 and ended.said.startswith("invalid choice 'bogus' for argument")
 
 
@@ -367,7 +356,7 @@ def test_nothing_is_loaded_from_where_a_batch_runs(tmp_path, monkeypatch):
     for name in ("svu_mi", "numpy", "mitsuba"):
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'loaded')!r}, 'w')")
     monkeypatch.chdir(tmp_path)
-    ended = Processes().run(["entropy", "nowhere", "-o", "out"])
+    ended = Commands().run(["entropy", "nowhere", "-o", "out"])
     assert ended.status == 2 and "nowhere" in ended.said
     assert not (tmp_path / "loaded").exists()
 
@@ -394,20 +383,20 @@ def test_the_page_links_what_is_done_of_the_capture_as_it_is_now(shelf_of, tmp_p
         page = (out / "index.html").read_text()
         return [name for name, step in STEPS.items() if f'href="a/{step.output}' in page]
 
-    assert linked(Shelf(output=out)) == list(STEPS)
-    assert linked(Shelf(output=out, steps=["report"])) == ["report"]
+    assert linked(BatchRunner(output=out)) == list(STEPS)
+    assert linked(BatchRunner(output=out, steps=["report"])) == ["report"]
     os.utime(item.capture / "view_0002.exr")
-    assert linked(Shelf(output=out), 0, 2) == ["entropy"]
+    assert linked(BatchRunner(output=out), 0, 2) == ["entropy"]
     (out / "a" / "report.html").unlink()
     assert (out / "a" / "asset" / "asset.json").is_file()
-    assert linked(Shelf(output=out)) == list(STEPS)
+    assert linked(BatchRunner(output=out)) == list(STEPS)
 
 
 def test_who_comes_to_a_capture_that_another_works_on_waits_and_has_nothing_to_do(
     shelf_of, tmp_path
 ):
     """As the same command does, after one that was killed, on a cluster."""
-    item, shelf = Item("a", shelf_of("a") / "a"), Shelf(output=tmp_path / "out", patience=60)
+    item, shelf = Item("a", shelf_of("a") / "a"), BatchRunner(output=tmp_path / "out", patience=60)
 
     class Slow(Made):
         def run(self, words):
@@ -419,7 +408,7 @@ def test_who_comes_to_a_capture_that_another_works_on_waits_and_has_nothing_to_d
             return list(threads.map(lambda _: shelf.work(item, Slow()), range(2)))
 
     assert sorted(one.made for one in outcomes(shelf)) == [0, 4]
-    said = sorted(one.sentence for one in outcomes(Shelf(output=tmp_path / "other")))
+    said = sorted(one.sentence for one in outcomes(BatchRunner(output=tmp_path / "other")))
     assert not said[0] and "is writing there; wait for it" in said[1]
 
 
@@ -437,8 +426,8 @@ def test_a_worker_of_a_cluster_works_on_one_capture_at_a_time(tmp_path, monkeypa
         time.sleep(0.05)
         at_work.remove(item.name)
 
-    monkeypatch.setattr(Shelf, "work", work)
-    shelf = Shelf(output=tmp_path)
+    monkeypatch.setattr(BatchRunner, "work", work)
+    shelf = BatchRunner(output=tmp_path)
     with ThreadPoolExecutor(4) as threads:
         list(threads.map(lambda name: work_there(shelf, Item(name, tmp_path)), "abcd"))
     assert most == [1, 1, 1, 1]

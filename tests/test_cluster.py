@@ -14,7 +14,7 @@ import pytest
 from helpers import run
 
 from svu_mi import scenes
-from svu_mi.batch import cluster
+from svu_mi.batch import runner
 from svu_mi.errors import SvuError
 from svu_mi.exr import read_exr
 
@@ -45,8 +45,8 @@ def test_a_connection_that_is_lost_is_a_sentence(monkeypatch, name):
     """Dask says it in two ways: of results on their way, and of work that is not done."""
     distributed = pytest.importorskip("distributed")
     known = {"CommClosedError": distributed.comm.CommClosedError, "CancelledError": CancelledError}
-    monkeypatch.setattr(cluster, "_client", MagicMock())
-    with pytest.raises(SvuError, match="connection was lost"), cluster.connected("tcp://there:1"):
+    monkeypatch.setattr(runner, "_client", MagicMock())
+    with pytest.raises(SvuError, match="connection was lost"), runner.connected("tcp://there:1"):
         raise known[name]("Stream is closed.")
 
 

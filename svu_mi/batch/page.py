@@ -12,7 +12,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from svu_mi.batch.record import INDEX, TABLE, Outcome
+from svu_mi.batch.capture_list import INDEX, TABLE
+from svu_mi.batch.runner import Outcome
 from svu_mi.batch.steps import STEPS
 from svu_mi.files import write_text
 from svu_mi.output.page import Picture, drawing, percent, write_page
@@ -30,42 +31,34 @@ def write_index(output: Path, outcomes: Sequence[Outcome], waiting: int = 0) -> 
         waiting: number of those that have not.
     """
     rows = sorted(outcomes, key=lambda outcome: outcome.name)
-    failed = [outcome for outcome in rows if outcome.sentence]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(COLUMNS)
-    table.writerows(_cells(outcome) for outcome in rows)
+    for one in rows:
+        figures = [f"{one.figures[name]:.4f}" if name in one.figures else ""
+                   for name in ("seen", "entropy", "known")]  # fmt: skip
+        peak = f"{one.peak / 1e9:.2f}"
+        table.writerow([one.name, *figures, f"{one.seconds:.1f}", peak, one.sentence])
     write_text(output / TABLE, text.getvalue().removesuffix("\n"))
     write_page(
         output / INDEX, "batch.html", rows=[_row(outcome) for outcome in rows],
-        count=len(rows), failed=len(failed), waiting=waiting,
+        count=len(rows), failed=sum(bool(one.sentence) for one in rows), waiting=waiting,
     )  # fmt: skip
 
 
-def _cells(outcome: Outcome) -> list[Any]:
-    found = [f"{outcome.figures[name]:.4f}" if name in outcome.figures else ""
-             for name in ("seen", "entropy", "known")]  # fmt: skip
-    return [
-        outcome.name, *found, f"{outcome.seconds:.1f}", f"{outcome.peak / 1e9:.2f}",
-        outcome.sentence,
-    ]
-
-
 def _row(outcome: Outcome) -> dict[str, Any]:
-    """Return what the page shows of a capture."""
-    there = {
+    """Return the cells of a capture on the page."""
+    links = {
         name: f"{quote(outcome.name)}/{step.output}{'' if '.' in step.output else '/'}"
         for name, step in STEPS.items() if name in outcome.done
     }  # fmt: skip
-    figures = outcome.figures
-    picture = thumbnail(outcome.folder) if "entropy" in there else None
+    seen, entropy, known = (outcome.figures.get(name) for name in ("seen", "entropy", "known"))
     return {
-        "name": outcome.name, "picture": picture, "links": there,
-        "sentence": outcome.sentence, "seconds": outcome.seconds, "peak": outcome.peak / 1e9,
-        "seen": figures.get("seen"), "entropy": figures.get("entropy"),
-        "known": figures.get("known"),
-        "seen_text": percent(figures["seen"]) if "seen" in figures else "",
-        "known_text": percent(figures["known"]) if "known" in figures else "",
+        "name": outcome.name, "picture": thumbnail(outcome.folder) if "entropy" in links else None,
+        "links": links, "sentence": outcome.sentence, "seconds": outcome.seconds,
+        "peak": outcome.peak / 1e9, "seen": seen, "entropy": entropy, "known": known,
+        "seen_text": "" if seen is None else percent(seen),
+        "known_text": "" if known is None else percent(known),
     }  # fmt: skip
 
 

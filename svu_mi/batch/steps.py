@@ -1,9 +1,7 @@
-"""What is done with each capture: commands, their words, and what they depend on."""
+"""The steps of a capture: commands, their words, the key of their inputs, and which are done."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,10 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from svu_mi import __version__
-from svu_mi.batch.listing import OPTIONS, Item, places_of, real
+from svu_mi.batch.capture_list import OPTIONS, Item, places_of, real
 from svu_mi.capture.folder import FILE, read, stamps
+from svu_mi.errors import SvuError
+from svu_mi.files import read_json, write_json
+from svu_mi.hashing import Key
 from svu_mi.results.exchange import DRAFT
 from svu_mi.results.transaction import CHECKPOINT
+
+DONE = "batch.json"  # in the folder of a capture's results
 
 
 @dataclass(frozen=True)
@@ -26,20 +29,14 @@ class Step:
         output: file or folder that it writes, in the folder of the capture's results.
         proof: file that is there when it is done.
         options: those of ``OPTIONS`` that it takes.
-        unfinished: file that it leaves when it is killed, and goes on from with ``--resume``; empty
-            if it begins again.
+        checkpoint: file that it leaves when it is killed, for ``--resume``; empty if none.
     """
 
     command: str
     output: str
     proof: str
     options: tuple[str, ...] = ()
-    unfinished: str = ""
-
-    def left_in(self, folder: Path) -> Path | None:
-        """Return where the folder of a capture's results has what was left unfinished, if this
-        command leaves anything."""
-        return folder / self.unfinished if self.unfinished else None
+    checkpoint: str = ""
 
 
 STEPS = {
@@ -47,7 +44,7 @@ STEPS = {
     "recover": Step(
         "recover", "recovered", "recovered/run.json",
         tuple(name for name in OPTIONS if name != "preset"),
-        unfinished=f".recovered{DRAFT}/{CHECKPOINT}",
+        checkpoint=f".recovered{DRAFT}/{CHECKPOINT}",
     ),
     "report": Step(
         "report", "report.html", "report.html",
@@ -66,27 +63,23 @@ def words_of(step: Step, item: Item, folder: Path, steps: Sequence[str]) -> list
         folder: of its results.
         steps: names of all steps that are taken.
     """
+    recovered, output = str(folder / STEPS["recover"].output), str(folder / step.output)
     if step.command == "export":
-        return ["export", str(folder / STEPS["recover"].output), "-o", str(folder / step.output)]
-    words = [step.command, str(item.capture), "-o", str(folder / step.output)]
+        return ["export", recovered, "-o", output]
+    words = [step.command, str(item.capture), "-o", output]
     for name in step.options:
         if name == "resolution" and name in item.options:
             words += [f"--{name}", *item.options[name].split()]
         elif name in item.options:  # one word, whatever it begins with
             words.append(f"--{name}={item.options[name]}")
     if step.command == "report" and "recover" in steps:
-        words += ["--recovered", str(folder / STEPS["recover"].output)]
+        words += ["--recovered", recovered]
     return words
 
 
 def key_of(words: Sequence[str], before: str) -> str:
-    """Return a digest of all that a step depends on.
-
-    Args:
-        words: of the command.
-        before: key of the step before; of the first, ``inputs_key``.
-    """
-    return _digest([__version__, list(words), before])
+    """Return the key of a step: version, words, and key of the step before (or of the inputs)."""
+    return Key(__version__, list(words), before).digest()
 
 
 def inputs_key(item: Item, output: Path | None = None) -> str:
@@ -94,34 +87,40 @@ def inputs_key(item: Item, output: Path | None = None) -> str:
 
     Args:
         item: the capture, with all its options.
-        output: folder of the batch, which may lie beside a scene and is none of its files.
+        output: folder of the batch, which may lie beside a scene and is not among its files.
 
     Raises:
-        CaptureError: what a capture folder says cannot be read.
+        CaptureError: the ``capture.json`` cannot be read.
     """
     places, own = places_of(item), None if output is None else real(output)
-    scenes = _scenes(places)
     folders = {place for place in places if place.is_dir()}
+    described = [read(folder) for folder in places if folder in folders]
+    scenes = [each.scene for each in described if each is not None and each.scene is not None]
     files = stamps([*places, *scenes], lambda folder: folder == own)
     for scene in scenes:
         if not any(scene.is_relative_to(folder) for folder in folders):
             files += stamps([scene.parent], partial(_is_apart, own))
             folders.add(scene.parent)
-    return _digest(files)
-
-
-def _digest(value: Any) -> str:
-    text = json.dumps(value)
-    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
-
-
-def _scenes(places: Sequence[Path]) -> list[Path]:
-    """Return the scenes that capture folders name in their ``capture.json``."""
-    found = [read(place) for place in places if place.is_dir()]
-    return [each.scene for each in found if each is not None and each.scene is not None]
+    return Key([list(file) for file in files]).digest()
 
 
 def _is_apart(output: Path | None, folder: Path) -> bool:
-    """Return whether a folder beside a scene holds none of its files: captures that were made of
-    it, the batch's results, and what is hidden."""
+    """Return whether a folder beside a scene is not part of it: captures, results, hidden ones."""
     return folder == output or folder.name.startswith(".") or (folder / FILE).is_file()
+
+
+def read_done(folder: Path) -> dict[str, dict[str, Any]]:
+    """Read key, seconds and peak memory of the steps that are done, by name; empty if damaged."""
+    try:
+        return {
+            name: {"key": str(step["key"]), "seconds": float(step["seconds"]),
+                   "peak_bytes": int(step["peak_bytes"])}
+            for name, step in read_json(folder / DONE)["steps"].items()
+        }  # fmt: skip
+    except (OSError, SvuError, ValueError, TypeError, KeyError, AttributeError):
+        return {}
+
+
+def write_done(folder: Path, steps: dict[str, dict[str, Any]]) -> None:
+    """Write what ``read_done`` reads."""
+    write_json(folder / DONE, {"steps": steps})

@@ -20,7 +20,8 @@ from svu_mi.progress import Progress
 from svu_mi.results.exchange import locked
 
 if TYPE_CHECKING:
-    from svu_mi.batch import Item, Outcome, Shelf
+    from svu_mi.batch.capture_list import Item
+    from svu_mi.batch.runner import BatchRunner, Outcome
 
 Address = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
 FAILED = 1  # exit status if a capture failed
@@ -55,16 +56,17 @@ class Batch(Common):
 
     def run(self, console: Console) -> int:
         """Work on all captures, and write the page after each."""
-        from svu_mi.batch import read_list, require_apart, write_index
+        from svu_mi.batch.capture_list import read_list, require_apart
+        from svu_mi.batch.page import write_index
 
-        shelf, items = self._shelf(), read_list(self.captures)
+        runner, items = self._runner(), read_list(self.captures)
         require_apart(self.output, items)
         self.output.mkdir(parents=True, exist_ok=True)
         outcomes: list[Outcome] = []
         with locked(self.output.resolve()):
             try:
                 with Progress(console).stage("Working on captures", len(items)) as stage:
-                    for outcome in self._outcomes(shelf, items):
+                    for outcome in self._outcomes(runner, items):
                         outcomes.append(outcome)
                         write_index(self.output, outcomes, len(items) - len(outcomes))
                         stage.update(len(outcomes), len(items))
@@ -80,23 +82,24 @@ class Batch(Common):
         say(console, _summary(outcomes, failed))
         return FAILED if failed else 0
 
-    def _outcomes(self, shelf: Shelf, items: Sequence[Item]) -> Iterator[Outcome]:
-        """Yield what became of captures, worked on here or by a cluster."""
+    def _outcomes(self, runner: BatchRunner, items: Sequence[Item]) -> Iterator[Outcome]:
+        """Yield outcomes of captures, worked on here or by a cluster."""
+        from svu_mi.batch.runner import connected
+
         if not self.scheduler:
-            yield from shelf.run(items)
+            yield from runner.run(items)
             return
-        from svu_mi.batch.cluster import connected, run_there
-
         with connected(self.scheduler) as client:
-            yield from run_there(client, shelf, items)
+            yield from runner.run_on(client, items)
 
-    def _shelf(self) -> Shelf:
+    def _runner(self) -> BatchRunner:
         """Return how captures are worked on.
 
         Raises:
             OptionError: an option makes no sense.
         """
-        from svu_mi.batch import STEPS, Shelf
+        from svu_mi.batch.runner import BatchRunner
+        from svu_mi.batch.steps import STEPS
 
         if self.workers < 1:
             raise OptionError(f"--workers must be at least 1, got {self.workers}.")
@@ -109,17 +112,17 @@ class Batch(Common):
             width, height = pair(self.resolution, "--resolution")
             options["resolution"] = f"{width} {height}"
         threads = self.threads or max((os.cpu_count() or 1) // self.workers, FEWEST_THREADS)
-        words = ["-m", self.variant, *(["--trust"] if self.trust else [])]
-        if self.threads or not self.scheduler:  # workers of a cluster know how many they have
+        words = ["--trust"] if self.trust else []
+        if self.threads or not self.scheduler:  # workers of a cluster have their own
             words += ["-t", str(threads)]
-        return Shelf(
+        return BatchRunner(
             output=self.output, steps=[name for name in STEPS if name in self.steps],
-            workers=self.workers, words=tuple(words), options=options,
+            workers=self.workers, variant=self.variant, words=tuple(words), options=options,
         )  # fmt: skip
 
 
 def _summary(outcomes: list[Outcome], failed: int) -> str:
-    """Say what became of all: "11 of 12 captures done (2 steps were made), 1 failed: ..."."""
+    """Return "11 of 12 captures done, 2 steps made; failed: ..."."""
     made = sum(outcome.made for outcome in outcomes)
     done = f"{len(outcomes) - failed} of {len(outcomes)} captures done, {made} steps made"
     entropies = [o.figures["entropy"] for o in outcomes if "entropy" in o.figures]

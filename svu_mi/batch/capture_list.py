@@ -1,4 +1,4 @@
-"""Which captures a batch is about: a folder of folders, or a table with options."""
+"""The captures of a batch: folders of a folder, or rows of a table with options."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from svu_mi.batch.record import INDEX, TABLE
 from svu_mi.capture.folder import FILE
 from svu_mi.errors import CaptureError, OptionError, OutputError, excerpt
 
-# Columns of a table beside "capture" and "name": options of the commands; paths are told apart.
+# Columns of a table beside "capture" and "name": options of the commands.
 OPTIONS = ("resolution", "preset", "light", "images", "shape")
 PATHS = ("light", "images")
-NAME = re.compile(r"[\w][\w .+-]*")  # what folders of results may be called
+INDEX, TABLE = "index.html", "index.csv"  # of the batch, beside the folders of its captures
+NAME = re.compile(r"[\w][\w .+-]*")  # of a folder of results
 SIZE = re.compile(r"[1-9][0-9]*(\s+[1-9][0-9]*)?")
 LONGEST = 80
 
@@ -39,13 +39,12 @@ class Item:
 def read_list(path: Path) -> list[Item]:
     """Read a folder of captures, or a table (CSV).
 
-    A folder is taken for a capture if it has a ``capture.json``, or one Mitsuba scene. A table has
-    the column ``capture``, a path relative to the table, and may have ``name``, ``resolution``,
-    ``preset``, ``light``, ``images`` and ``shape``.
+    A subfolder is a capture if it has a ``capture.json``, or one Mitsuba scene. A table has the
+    column ``capture``, a path relative to the table, and may have ``name`` and ``OPTIONS``.
 
     Raises:
-        CaptureError: there is no such list, or nothing in it.
-        OptionError: a row or a column that cannot be followed.
+        CaptureError: there is no such list, or it is empty.
+        OptionError: a row or a column is invalid.
     """
     if path.is_dir():
         items = _in_folder(path)
@@ -68,15 +67,14 @@ def require_apart(output: Path, items: Sequence[Item]) -> None:
         items: the captures.
 
     Raises:
-        OutputError: the results of one would lie in a capture, or be mixed with photographs, or
-            with the files of a scene.
+        OutputError: the results of one would lie in a capture, or among photographs or the files
+            of a scene.
     """
     captures = {real(item.capture) for item in items if item.capture.is_dir()}
     places = {place for item in items for place in places_of(item)}
     for item in items:
         results = real(output / item.name)
-        found = captures & {results, *results.parents} or places & {results}
-        if found:
+        if found := captures & {results, *results.parents} or places & {results}:
             raise OutputError(
                 f"{output}: results of {excerpt(item.name, LONGEST)} would lie among the files of "
                 f"the capture {excerpt(min(found))}; choose another folder with -o."
@@ -84,11 +82,10 @@ def require_apart(output: Path, items: Sequence[Item]) -> None:
 
 
 def places_of(item: Item) -> list[Path]:
-    """Return where the files of a capture are, but for a scene that its folder only names."""
+    """Return the files and folders of a capture, except a scene that its folder only names."""
     capture = item.capture if item.capture.is_dir() else item.capture.parent
-    return [real(path) for path in (
-        capture, *(Path(item.options[name]) for name in PATHS if name in item.options)
-    )]  # fmt: skip
+    given = [Path(item.options[name]) for name in PATHS if name in item.options]
+    return [real(path) for path in (capture, *given)]
 
 
 def real(path: Path) -> Path:
@@ -97,7 +94,6 @@ def real(path: Path) -> Path:
 
 
 def _in_folder(folder: Path) -> list[Item]:
-    """Take all folders of a folder that are captures, in the order of their names."""
     items = []
     for path in sorted(folder.iterdir()):
         if path.is_dir() and not path.name.startswith("."):
@@ -112,10 +108,10 @@ def _in_folder(folder: Path) -> list[Item]:
 def _in_table(path: Path) -> list[Item]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(csv.reader(stream))
+            rows = [[word.strip() for word in row] for row in csv.reader(stream)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise CaptureError(f"{path}: not a readable table; save it as CSV in UTF-8.") from error
-    head = [word.strip() for word in rows[0]] if rows else []
+    head = rows[0] if rows else []
     unknown = [word for word in head if word not in ("capture", "name", *OPTIONS)]
     if "capture" not in head or unknown or len(set(head)) < len(head):
         found = f"the column {excerpt(unknown[0], LONGEST)!r}" if unknown else "other columns"
@@ -124,13 +120,13 @@ def _in_table(path: Path) -> list[Item]:
             f"{', '.join(OPTIONS)} those that are needed."
         )
     return [
-        _item(path, number, dict(zip(head, (word.strip() for word in row), strict=False)))
-        for number, row in enumerate(rows[1:], 2) if any(word.strip() for word in row)
-    ]  # fmt: skip
+        _item(path, number, dict(zip(head, row, strict=False)))
+        for number, row in enumerate(rows[1:], 2)
+        if any(row)
+    ]
 
 
 def _item(table: Path, line: int, row: dict[str, str]) -> Item:
-    """Return the capture of a line of a table."""
     where = f"{table}, line {line}"
     capture = table.parent / row.get("capture", "")
     if not row.get("capture") or not capture.exists():
@@ -151,10 +147,8 @@ def _item(table: Path, line: int, row: dict[str, str]) -> Item:
             f"{where}: {excerpt(options['resolution'], LONGEST)!r} is no resolution; give one or "
             "two whole numbers, such as 512 or 1024 512."
         )
-    for key in PATHS:
-        if key in options:
-            options[key] = str(table.parent / options[key])
-    return Item(name, capture, options)
+    paths = {key: str(table.parent / options[key]) for key in PATHS if key in options}
+    return Item(name, capture, options | paths)
 
 
 def _require_names(path: Path, items: Sequence[Item]) -> None:

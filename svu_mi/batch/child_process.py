@@ -1,13 +1,14 @@
 """A command in a process of its own, which ends with the batch that started it.
 
-    python -m svu_mi.batch.worker PARENT MEMORY entropy capture -o out/entropy ...
+    python -m svu_mi.batch.child_process PARENT MEMORY entropy capture -o out/entropy ...
 
-MEMORY is how many bytes it may take; 0 for all that there are.
+MEMORY is the number of bytes that it may take; 0 for all.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import runpy
 import signal
@@ -19,11 +20,9 @@ PR_SET_PDEATHSIG = 1  # of prctl, on Linux
 
 
 def end_with(parent: int) -> None:
-    """Have this process killed when its parent ends, in whatever way; only Linux can."""
+    """Have this process killed when its parent ends (Linux only)."""
     if sys.platform != "linux":
         return
-    import ctypes
-
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it has ended meanwhile

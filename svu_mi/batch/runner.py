@@ -1,0 +1,354 @@
+"""Run the steps of all captures, each command in a process of its own, here or on a cluster.
+
+The batch itself computes nothing: its memory does not depend on the number of captures, and a
+command that dies does not end it.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from itertools import takewhile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from svu_mi.batch.capture_list import PATHS, Item
+from svu_mi.batch.steps import STEPS, inputs_key, key_of, read_done, words_of, write_done
+from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
+from svu_mi.files import prepare_folder, read_json
+from svu_mi.limits import FEWEST_THREADS
+from svu_mi.memory import free_memory
+from svu_mi.results.exchange import locked
+
+TRIES = 3  # of a command that is killed from outside
+INTERRUPTED = 130  # exit status after Ctrl-C, which reaches the commands, too
+KILOBYTE = 1024
+CORNER, LAST_CORNER, BOX = "╭", "╰", "╭╮╰╯│─ "  # drawn around errors of options
+DAY = 86400.0  # seconds
+SECONDS = 30  # to reach a scheduler
+_one_at_a_time = threading.Lock()  # a worker has as many tasks at once as it has threads
+
+
+class Ended(NamedTuple):
+    """Exit status of a process, its last sentence, and bytes at its peak."""
+
+    status: int
+    said: str
+    peak: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a capture.
+
+    Attributes:
+        name: of the capture.
+        folder: of its results.
+        sentence: why it failed; empty if it did not.
+        seconds: of all its steps, those of earlier runs too.
+        peak: bytes of the largest of its processes.
+        made: number of steps that this run has done.
+        done: names of the steps whose results are up to date.
+        figures: ``seen``, ``entropy`` and ``known`` of ``svu entropy``, parts in [0, 1].
+    """
+
+    name: str
+    folder: Path
+    sentence: str = ""
+    seconds: float = 0.0
+    peak: int = 0
+    made: int = 0
+    done: tuple[str, ...] = ()
+    figures: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchRunner:
+    """How captures are worked on.
+
+    Attributes:
+        output: folder that gets a folder per capture.
+        steps: names of ``STEPS``, in their order.
+        workers: captures at a time, on this machine.
+        variant: of Mitsuba, which results depend on.
+        words: more words of every command, which do not change results, such as ``-t 2``.
+        patience: seconds to wait for others that work on the same capture.
+        options: of all captures (``Item.options``), where they have none of their own.
+    """
+
+    output: Path
+    steps: Sequence[str] = tuple(STEPS)
+    workers: int = 1
+    variant: str = "auto"
+    words: tuple[str, ...] = ()
+    patience: float = 0
+    options: dict[str, str] = field(default_factory=dict)
+
+    def run(self, items: Sequence[Item]) -> Iterator[Outcome]:
+        """Work on captures on this machine; yield their outcomes as they end.
+
+        Closing the iterator, or an exception such as Ctrl-C, ends the commands that are running.
+        """
+        free, workers = free_memory(), max(min(self.workers, len(items)), 1)
+        commands = Commands(0 if free is None or workers == 1 else free // workers)
+        with ThreadPoolExecutor(workers) as threads:
+            work = [threads.submit(self.work, item, commands) for item in items]
+            try:
+                for future in as_completed(work):
+                    yield future.result()
+            finally:
+                for future in work:
+                    future.cancel()
+                commands.end()
+
+    def run_on(self, client: Any, items: Sequence[Item]) -> Iterator[Outcome]:
+        """Work on captures by the workers of a cluster, which see the same files.
+
+        A worker that ends costs the command it was at: another one continues.
+
+        Args:
+            client: a ``distributed.Client``.
+            items: the captures.
+
+        Raises:
+            OptionError: the cluster has no workers.
+        """
+        from distributed import KilledWorker, as_completed
+
+        if not client.scheduler_info().get("workers"):
+            raise OptionError("The cluster has no workers; start some with: dask worker ADDRESS.")
+        # Workers finish their capture after a batch was stopped: wait for them.
+        there = replace(self, output=self.output.absolute(), patience=DAY)
+        futures = {
+            client.submit(work_there, there, _absolute(item), pure=False): item for item in items
+        }
+        try:
+            for future in as_completed(futures):
+                item = futures[future]
+                try:
+                    yield future.result()
+                except KilledWorker:
+                    said = "ended every worker that it was given to; their logs may say why"
+                    yield Outcome(item.name, there.output / item.name, said)
+        finally:
+            client.cancel(list(futures))
+
+    def work(self, item: Item, commands: Commands) -> Outcome:
+        """Take the steps of one capture that are not done; errors become its sentence."""
+        item = replace(item, options=self.options | item.options)
+        folder = self.output / item.name
+        outcome, done = Outcome(item.name, folder), {}
+        try:
+            prepare_folder(folder)
+            with locked(folder.resolve(), wait=self.patience):
+                done = read_done(folder)
+                for reached in self._taken(item, folder, done, commands):
+                    outcome = reached
+        except SvuError as error:
+            outcome = replace(outcome, sentence=error.shell)
+        except OSError as error:
+            place = folder if error.filename is None else error.filename
+            said = f"{excerpt(place)}: {error.strerror or error}; the same command tries it again."
+            outcome = replace(outcome, sentence=said)
+        taken = [done[name] for name in outcome.done]
+        return replace(
+            outcome, seconds=sum(step["seconds"] for step in taken),
+            peak=max((step["peak_bytes"] for step in taken), default=0),
+            figures=_figures_of(folder) if "entropy" in outcome.done else {},
+        )  # fmt: skip
+
+    def _taken(
+        self, item: Item, folder: Path, done: dict[str, dict[str, Any]], commands: Commands
+    ) -> Iterator[Outcome]:
+        """Yield the outcome after each step, up to the first that fails."""
+        outcome, key = Outcome(item.name, folder), inputs_key(item, self.output)
+        for name, step in STEPS.items():
+            if name not in self.steps:
+                continue
+            words = words_of(step, item, folder, self.steps)
+            words += ["-m", self.variant]
+            key = key_of(words, key)
+            # A result is put in place in one step: what has its last file is complete.
+            if done.get(name, {}).get("key") != key or not (folder / step.proof).is_file():
+                left = folder / step.checkpoint if step.checkpoint else None
+                start = time.perf_counter()
+                ended = _tried(commands, [*words, *self.words], left)
+                if ended.status:
+                    said = ended.said or f"ended with status {ended.status}"
+                    yield replace(outcome, sentence=f"{step.command}: {said}")
+                    return
+                seconds = round(time.perf_counter() - start, 2)
+                done[name] = {"key": key, "seconds": seconds, "peak_bytes": ended.peak}
+                write_done(folder, done)
+                outcome = replace(outcome, made=outcome.made + 1)
+            outcome = replace(outcome, done=(*outcome.done, name))
+            yield outcome
+
+
+def work_there(runner: BatchRunner, item: Item) -> Outcome:
+    """Take the steps of one capture, in a worker of a cluster, with its threads and its memory."""
+    from distributed import get_worker
+
+    worker, words = get_worker(), runner.words
+    if "-t" not in words:
+        words += ("-t", str(max(worker.state.nthreads, FEWEST_THREADS)))
+    memory = worker.memory_manager.memory_limit or 0
+    with _one_at_a_time:
+        return replace(runner, words=words).work(item, Commands(memory))
+
+
+def _absolute(item: Item) -> Item:
+    """Return an item whose paths are valid in every working directory."""
+    paths = {
+        name: str(Path(item.options[name]).absolute()) for name in PATHS if name in item.options
+    }
+    return replace(item, capture=item.capture.absolute(), options=item.options | paths)
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """Connect to the Dask scheduler at an address, such as ``tcp://10.0.0.5:8786``.
+
+    Yields:
+        A ``distributed.Client``.
+
+    Raises:
+        SvuEnvironmentError: Dask is not installed.
+        OptionError: the scheduler does not answer.
+        SvuError: the connection was lost.
+    """
+    client = _client(address)
+    from distributed.comm import CommClosedError  # of a result that is on its way
+
+    try:
+        yield client
+    except (CancelledError, CommClosedError) as error:
+        raise SvuError(
+            f"--scheduler {excerpt(address, 80)}: the connection was lost; what is done is kept, "
+            "and the same command goes on."
+        ) from error
+    finally:
+        with suppress(Exception):  # it may have gone
+            client.close()
+
+
+def _client(address: str) -> Any:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise SvuEnvironmentError(
+            "A scheduler needs Dask; install it with: pip install 'svu_mi[cluster]'."
+        ) from error
+    try:
+        logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # we raise errors
+        return Client(address, timeout=SECONDS)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise OptionError(
+            f"--scheduler {excerpt(address, 80)}: nobody answers there within {SECONDS} s "
+            f"({excerpt(error, 80)}); start one with: dask scheduler."
+        ) from error
+
+
+def _tried(commands: Commands, words: Sequence[str], left: Path | None) -> Ended:
+    """Run a command, again if it is killed from outside; resume from its checkpoint if possible."""
+    for _ in range(TRIES):
+        resumes = left is not None and left.is_file()
+        ended = commands.run([*words, "--resume"] if resumes else words)
+        if resumes and left is not None and ended.status > 0 and ended.status != INTERRUPTED:
+            left.unlink(missing_ok=True)  # of other inputs, or damaged
+            ended = commands.run(words)
+        if ended.status >= 0:
+            return ended
+    return ended._replace(said=f"was killed {TRIES} times (signal {-ended.status})")
+
+
+class Commands:
+    """The commands that are running; none starts any more once they were ended.
+
+    Args:
+        memory: bytes that each may take; 0 for all.
+    """
+
+    def __init__(self, memory: int = 0) -> None:
+        self._memory = memory
+        self._lock = threading.Lock()
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._over = False
+
+    def run(self, words: Sequence[str]) -> Ended:
+        """Run ``svu`` with words, to its end."""
+        own = [str(os.getpid()), str(self._memory)]
+        # -P: Python would look for every module in the working directory first.
+        line = [sys.executable, "-P", "-m", "svu_mi.batch.child_process", *own, *words]
+        with self._lock:
+            if self._over:
+                return Ended(INTERRUPTED, "not begun", 0)
+            process = subprocess.Popen(
+                line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+            )
+            self._running.add(process)
+        try:
+            assert process.stderr is not None
+            said = process.stderr.read().decode("utf-8", "replace").strip()
+            status, peak = _waited(process)
+        finally:
+            with self._lock:
+                self._running.discard(process)
+        if status and self._over:  # killed by ``end``
+            status = INTERRUPTED
+        return Ended(status, sentence_of(said), peak)
+
+    def end(self) -> None:
+        """Kill what is running; results are put in place in one step, so none is half-written."""
+        with self._lock:
+            self._over = True
+            for process in self._running:
+                process.kill()
+
+
+def sentence_of(said: str) -> str:
+    """Return the last sentence of a command: its last line with words, or the text of a box at
+    the end, which wraps an error of options and ends with a hint below a rule."""
+    lines = said.rstrip().splitlines()
+    texts = [line.strip(BOX) for line in lines]
+    if lines and lines[-1].startswith(LAST_CORNER):
+        tops = [number for number, line in enumerate(lines) if line.startswith(CORNER)]
+        return " ".join(takewhile(_has_words, texts[tops[-1] + 1 if tops else 0 :]))
+    last = next((text for text in reversed(texts) if _has_words(text)), "")
+    return last.removeprefix("svu: ")
+
+
+def _has_words(text: str) -> bool:
+    return any(map(str.isalnum, text))
+
+
+def _waited(process: subprocess.Popen[bytes]) -> tuple[int, int]:
+    """Return the exit status of a process, and bytes at its peak; 0 if unknown."""
+    if not hasattr(os, "wait4"):  # Windows
+        return process.wait(), 0
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    unit = 1 if sys.platform == "darwin" else KILOBYTE
+    return process.returncode, usage.ru_maxrss * unit
+
+
+def _figures_of(folder: Path) -> dict[str, float]:
+    """Read the figures of ``svu entropy``; empty if they are missing."""
+    try:
+        found = read_json(folder / "entropy" / "run.json")["result"]
+        intervals = found["intervals"]
+        values = {
+            "seen": intervals["seen_part"], "entropy": found["mean_entropy_of_seen"],
+            "known": intervals["all_known_part"],
+        }  # fmt: skip
+        return {name: float(value) for name, value in values.items()}
+    except (OSError, SvuError, ValueError, TypeError, KeyError):
+        return {}
