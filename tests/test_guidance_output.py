@@ -48,7 +48,6 @@ def written(vase, guidance, tmp_path_factory):
     """The folder of that guidance, in which an older run has left its files."""
     folder = tmp_path_factory.mktemp("written")
     write_older(folder, "guide", "run.json", ["gain_7.exr", "thumbnails/proposal_7.png"])
-    (folder / "gain_of_mine.exr").write_text("mine")
     steps = []
     run = Run(
         settings={"add": 3}, kernels={"a": 1},
@@ -70,7 +69,7 @@ def rays(sensor):
 
 def test_all_files_are_there_and_those_of_an_older_run_are_not(written):
     names = sorted(path.name for path in written.iterdir())
-    assert names == sorted([*FILES, "gain_of_mine.exr"])
+    assert names == sorted(FILES)
     assert sorted(p.name for p in (written / "thumbnails").iterdir()) == [
         "proposal_0.png", "proposal_1.png", "proposal_2.png",
     ]  # fmt: skip
