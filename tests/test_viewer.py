@@ -25,10 +25,8 @@ from svu_mi.cli.main import main
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer import model
-from svu_mi.output.viewer.frusta import frustum
-from svu_mi.output.viewer.model import GAIN, before_tone_mapping
-from svu_mi.output.viewer.panels import says
-from svu_mi.output.viewer.picking import Picker, nearest_texel
+from svu_mi.output.viewer.model import GAIN, before_tone_mapping, frustum
+from svu_mi.output.viewer.picking import Picker, nearest_texel, says
 from svu_mi.output.viewer.viewer import Viewer
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.textures import Textures
@@ -102,10 +100,10 @@ def test_a_pick_says_what_the_estimate_says(capture, known, picker):
         assert found.entropy == entropy[texel]
         assert len(found.seen_by) == coverage[texel]
         assert np.array_equal(found.position, position[:, texel])
-        assert list(found.beliefs) == (list(best) if coverage[texel] else [])
-        for name, told in found.beliefs.items():
+        assert list(found.known) == (list(best) if coverage[texel] else [])
+        for name, told in found.known.items():
             truth = (best[name].numpy(), means[name], *(end.numpy() for end in intervals[name]))
-            for one, of_all in zip(vars(told).values(), truth, strict=True):
+            for one, of_all in zip(told, truth, strict=True):
                 assert np.array_equal(one.astype(np.float32), np.atleast_1d(of_all[texel]))
     with pytest.raises(OptionError, match=f"0 to {known.texels.count - 1}, got -1"):
         picker.describe(-1)
@@ -155,7 +153,7 @@ def test_seen_by_numbers_the_views_of_the_capture(capture, known, picker):
 def test_an_unseen_texel_is_grey_and_nothing_is_known_of_it(capture, known, picker):
     unseen = int(np.flatnonzero(np.array(known.coverage) == 0)[0])
     found = picker.describe(unseen)
-    assert not found.beliefs
+    assert not found.known
     assert "seen by none of 4 views" in says(capture, found)
     assert "nothing is known" in says(capture, found)
     for name in ("entropy", "coverage", "most probable base colour", "entropy of metallic"):

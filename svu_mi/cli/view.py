@@ -54,7 +54,7 @@ class View(Common):
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""
         from svu_mi.output.textures import require_textures_of
-        from svu_mi.output.viewer.serving import require_port, require_viser
+        from svu_mi.output.viewer.server import require_port, require_viser
         from svu_mi.output.viewer.viewer import Viewer
 
         require_texels(pair(self.resolution or (SIDE,), "--resolution"), "--resolution")

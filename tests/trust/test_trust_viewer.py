@@ -9,8 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from svu_mi.errors import SvuEnvironmentError
-from svu_mi.output.viewer.guard import Guard, is_closed
-from svu_mi.output.viewer.serving import serve, stop
+from svu_mi.output.viewer.server import Guard, is_closed, serve, stop
 
 pytest.importorskip("viser")
 client = pytest.importorskip("websockets.sync.client")

@@ -1,19 +1,26 @@
-"""The object as a model for viser's page, in colours that appear as they are meant.
+"""Object and cameras for viser's page: a textured mesh, and frusta with photographs.
 
 three.js, which renders that page, sends everything through a fit of the ACES filmic curve (S.
 Hill, BakingLab, as in three.js's ``tonemapping_pars_fragment``). It is undone here, so that a
 colour on the object can be compared with the colour bar beside it, or with a photograph.
+Frusta are in OpenCV's axes: +X right, +Y down, +Z forward.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
+from svu_mi.capture import Capture
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture.picture import decoded, quantized, srgb
+from svu_mi.capture.poses import film_size, focal_length, principal_point
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.shown import tone_mapped
+from svu_mi.formats.source import OPENCV
 
 GAIN = 4.0  # light by which a texture is multiplied: white needs more than a texture can hold
 EXPOSURE = 0.6
@@ -28,12 +35,9 @@ B, C, D, E, F = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
 
 
 def model(mesh: Any, colors: np.ndarray) -> Any:
-    """Return a mesh with a texture as a ``trimesh.Trimesh``.
+    """Return an ``mi.Mesh`` with UVs as a ``trimesh.Trimesh``.
 
-    Args:
-        mesh: an ``mi.Mesh`` with UVs.
-        colors: (H, W, 3) screen colours in [0, 1] that it has under white light of strength
-            ``GAIN``; row 0 is v = 0.
+    ``colors`` (H, W, 3) are those that it appears in under white light of strength ``GAIN``.
     """
     import trimesh  # takes long to import
 
@@ -55,16 +59,54 @@ def material_colors(colors: np.ndarray) -> np.ndarray:
 
 
 def before_tone_mapping(linear: np.ndarray) -> np.ndarray:
-    """Return the texture that appears in linear colours under light of strength ``GAIN``.
+    """Return the texture that appears in linear colours (..., 3) under light of strength ``GAIN``.
 
-    Args:
-        linear: (..., 3) wanted on the screen, in [0, 1].
-
-    Returns:
-        (..., 3) linear, in [0, 1]. The most saturated colours are out of the curve's reach; they
-        come out a little paler, and white a little grey.
+    The most saturated colours are out of the curve's reach; they come out a little paler, and
+    white a little grey.
     """
     curve = np.clip(linear @ np.linalg.inv(FROM_ACES).T, 0, 1)
     a, b, c = 1 - D * curve, B - E * curve, -(C + F * curve)
     light = (-b + np.sqrt(b * b - 4 * a * c)) / (2 * a)
     return np.clip(light @ np.linalg.inv(TO_ACES).T * EXPOSURE / GAIN, 0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frustum:
+    """A camera whose optical axis goes through the centre of its picture.
+
+    Attributes:
+        rotation: (3, 3) float64, camera to world.
+        position: (3,) float64, in world space.
+        fov: opening angle over the picture's height, in radians.
+        aspect: the picture's width over its height.
+        image: (h, w, 4) uint8, the photograph in screen colours. Where the principal point is
+            not its centre, it is widened by transparent pixels until it is.
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+    fov: float
+    aspect: float
+    image: np.ndarray
+
+
+def frustum(capture: Capture, view: int, side: int) -> Frustum:
+    """Return a camera with its photograph, exposed for the object and at most ``side`` wide."""
+    sensor = capture.sensors[view]
+    pose = to_world(sensor) @ OPENCV
+    width, height = film_size(sensor)
+    x, y = principal_point(sensor)
+    half = np.array([max(x, width - x), max(y, height - y)])  # of the widened picture
+    screen = tone_mapped(capture.images[view], capture.masks[view])
+    small = Image.fromarray(quantized(screen))
+    small.thumbnail((side, side))
+    scale = np.array(small.size) / (width, height)
+    before = np.rint((half - (x, y)) * scale).astype(int)
+    canvas = Image.new("RGBA", tuple(np.rint(2 * half * scale).astype(int).tolist()))
+    canvas.paste(small, tuple(before.tolist()))
+    extent = canvas.size / scale  # of whole pixels
+    return Frustum(
+        rotation=pose[:3, :3], position=pose[:3, 3],
+        fov=float(2 * np.arctan(extent[1] / 2 / focal_length(sensor))),
+        aspect=float(extent[0] / extent[1]), image=np.array(canvas),
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A ray to a texel, and all that the photographs say of that texel."""
+"""Rays to texels, and the posterior of a texel in words and pictures."""
 
 from __future__ import annotations
 
@@ -13,33 +13,25 @@ from svu_mi.capture import Capture
 from svu_mi.capture.look import alone
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
+from svu_mi.output import style
+from svu_mi.output.figures import draw_marginal
 from svu_mi.output.knowledge import Intervals
-from svu_mi.output.result import place_of
+from svu_mi.output.result import open_axes, place_of, words
+from svu_mi.output.style import MARK, new_figure
+from svu_mi.output.surface_maps import Scale
 from svu_mi.pipeline import Estimate
+from svu_mi.recovery.textures import Textures
 from svu_mi.surface import Texels
 from svu_mi.surface.raster import dilate
 
-
-@dataclass(frozen=True, kw_only=True)
-class Belief:
-    """What is known of a parameter at a texel: arrays of one value, or of one per channel.
-
-    Attributes:
-        best: of the most probable material.
-        mean: of all that are possible.
-        low: lower end of what holds the parameter with the probability ``Pick.level``.
-        high: its upper end.
-    """
-
-    best: np.ndarray
-    mean: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+WIDTH, DPI = 3.6, 160  # inches
+NO_BREAK, DASH = "\u00a0", "\u2060–\u2060"  # a space and a dash at which no line breaks
+NAMED = 4  # cameras that are named; the others are counted
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pick:
-    """One texel, and what the photographs say of it.
+    """One texel and its posterior.
 
     Attributes:
         texel: its number, from 0 to T - 1.
@@ -48,8 +40,9 @@ class Pick:
         position: (3,) float64, the texel's centre in world space.
         entropy: in [0, 1].
         seen_by: indices of the sensors that see it.
-        beliefs: by parameter; none if nobody sees it.
-        level: probability that an interval holds.
+        known: by parameter the value of the most probable material, the mean, and both ends of the
+            interval, of one or three channels; empty if no sensor sees the texel.
+        level: of the intervals.
     """
 
     texel: int
@@ -58,18 +51,12 @@ class Pick:
     position: np.ndarray
     entropy: float
     seen_by: tuple[int, ...]
-    beliefs: dict[str, Belief]
+    known: dict[str, tuple[np.ndarray, ...]]
     level: float
 
 
 class Picker:
-    """Finds texels on the surface of a capture's object.
-
-    Args:
-        capture: only its ``mesh`` is hit, nothing else in the scene.
-        estimate: of the capture, as ``svu.estimate`` returns it.
-        intervals: of its posterior; if not given, computed at the first pick that needs them.
-    """
+    """Finds texels on the surface of a capture's object; nothing else in the scene is hit."""
 
     def __init__(
         self, capture: Capture, estimate: Estimate, intervals: Intervals | None = None
@@ -83,10 +70,6 @@ class Picker:
         """Return the texel that a ray hits first, None if it misses the object.
 
         Where a chart is too narrow for a texel's centre, it is the nearest one in the texture.
-
-        Args:
-            origin: (3,) of the ray, in world space.
-            direction: (3,) of the ray, of any length but 0.
         """
         # Arrays, not numbers: these would be compiled into a new kernel for every ray.
         start, towards = (np.array(v, np.float32)[:, None] for v in (origin, direction))
@@ -100,7 +83,7 @@ class Picker:
         return self.describe(int(self._nearest[row, column]))
 
     def describe(self, texel: int) -> Pick:
-        """Return what the photographs say of a texel.
+        """Return a texel and its posterior.
 
         Raises:
             OptionError: there is no such texel.
@@ -114,20 +97,17 @@ class Picker:
             texel=texel, column=column, row=row,
             position=np.array(texels.position, np.float64)[:, texel],
             entropy=float(np.array(self._estimate.entropy)[texel]),
-            seen_by=seen_by, beliefs=self._beliefs(texel) if seen_by else {},
+            seen_by=seen_by, known=self._known(texel) if seen_by else {},
             level=self._intervals.level,
         )  # fmt: skip
 
-    def _beliefs(self, texel: int) -> dict[str, Belief]:
+    def _known(self, texel: int) -> dict[str, tuple[np.ndarray, ...]]:
         posterior, found = self._estimate.posterior, {}
         best = posterior.map([texel])
         for name in posterior.axes:
             low, high = self._intervals.ends(name)
-            mean = np.array(posterior.mean(name))[texel]
-            found[name] = Belief(
-                best=np.atleast_1d(np.array(best[name])[0]), mean=np.atleast_1d(mean),
-                low=low[texel], high=high[texel],
-            )  # fmt: skip
+            values = np.array(best[name])[0], np.array(posterior.mean(name))[texel]
+            found[name] = (*map(np.atleast_1d, values), low[texel], high[texel])
         return found
 
     def _seen_by(self, texel: int) -> tuple[int, ...]:
@@ -147,3 +127,69 @@ def nearest_texel(texels: Texels) -> np.ndarray:
     width, height = texels.resolution
     numbers = texels.to_image(np.arange(texels.count), -1)
     return dilate(numbers, texels.inside(), float(np.hypot(width, height)))
+
+
+def says(capture: Capture, pick: Pick) -> str:
+    """Return the posterior of a texel as Markdown."""
+    lines = [f"**Texel {pick.column}, {pick.row}** (column, row), number {pick.texel}", ""]
+    lines += [f"* entropy **{pick.entropy:.3f}**", f"* {_seen_by(capture, pick)}"]
+    if not pick.known:
+        return "\n".join([*lines, "* nothing is known"])
+    return "\n".join([*lines, "", *_table(pick)])
+
+
+def _table(pick: Pick) -> list[str]:
+    """Mean, interval and most probable value of each parameter, as lines of a Markdown table."""
+    lines = [f"| | mean | {100 * pick.level:g} % interval | most probable |", "|-|-|-|-|"]
+    for name, values in pick.known.items():
+        channels = (" R", " G", " B") if len(values[0]) == 3 else ("",)
+        for channel, best, mean, low, high in zip(channels, *values, strict=True):
+            label = f"{words(name)}{channel}".replace(" ", NO_BREAK)
+            lines.append(f"| {label} | **{mean:.2f}** | {low:.2f}{DASH}{high:.2f} | {best:.2f} |")
+    return lines
+
+
+def _seen_by(capture: Capture, pick: Pick) -> str:
+    count = len(pick.seen_by)
+    if not count:
+        return f"seen by none of {sum(capture.used)} views"
+    names = [capture.names[view] for view in pick.seen_by[:NAMED]]
+    more = [f"and {count - NAMED} more"] if count > NAMED else []
+    return f"seen by **{count}** of {sum(capture.used)} views: {', '.join([*names, *more])}"
+
+
+def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None) -> np.ndarray:
+    """Draw the marginals of a texel, one below the other, and mark its recovered values.
+
+    Returns:
+        (h, w, 3) uint8.
+    """
+    names = list(open_axes(estimate))
+    figure = new_figure(WIDTH, 1.25 * len(names), DPI, layout="constrained")
+    for row, name in enumerate(names, 1):
+        axes = figure.add_subplot(len(names), 1, row)
+        draw_marginal(axes, estimate.posterior, pick.texel, name)
+        axes.tick_params(labelsize=8)
+        axes.xaxis.label.set_size(9)
+        value = None if recovered is None else getattr(recovered, name, None)
+        if value is not None:
+            # Of a colour the mean, as of the marginals.
+            axes.axvline(np.array(value)[pick.row, pick.column].mean(), color=MARK, lw=2)
+            axes.plot([], [], color=MARK, lw=2, label="recovered")
+            style.legend(axes, 8, handlelength=1)
+    return _pixels(figure)
+
+
+def draw_scale(scale: Scale | None) -> np.ndarray:
+    """Draw a colour bar, (h, w, 3) uint8; one white pixel without a scale."""
+    if scale is None:
+        return np.full((1, 1, 3), 255, np.uint8)
+    figure = new_figure(WIDTH, 0.55, DPI, layout="constrained")
+    drawn = style.scale((0, scale.high), scale.colormap)
+    style.color_bar(figure.add_subplot(), drawn, scale.label, None)
+    return _pixels(figure)
+
+
+def _pixels(figure: Any) -> np.ndarray:
+    figure.canvas.draw()
+    return np.array(figure.canvas.buffer_rgba())[..., :3]

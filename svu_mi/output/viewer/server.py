@@ -1,13 +1,13 @@
-"""Who may talk to the viewer: a browser that was given its address, and no other page in it.
+"""viser's server with access control: only a browser with the secret address is answered.
 
 A server on 127.0.0.1 is open to every program of this machine, and to every page that a browser
 shows: scripts may open WebSockets to any address, and a name of theirs may suddenly mean 127.0.0.1
 (DNS rebinding). So each request must have a secret as the first part of its path, which viser's
-page keeps when it derives the WebSocket's address from its own; be sent to this machine by a name
-that nobody else can own; and come from the same place, if the browser says from where.
+page keeps when it derives the WebSocket's address from its own; a ``Host`` of this machine; and
+the same ``Origin``, if the browser sends one.
 
-viser has no way to ask for this. What it hands to ``websockets`` is changed on the way, and the
-server is refused if it then answers a stranger.
+viser has no option for this. The arguments that it passes to ``websockets`` are changed on the
+way, and the server is stopped if it then answers a request without the secret.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from __future__ import annotations
 import base64
 import contextlib
 import http.client
+import io
+import logging
 import secrets
 import threading
 from collections.abc import Callable, Iterator
@@ -23,7 +25,10 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
 
-NAMES = ("127.0.0.1", "localhost")  # of this machine; the port may be another one, through SSH
+from svu_mi.errors import OptionError, SvuEnvironmentError
+
+HOST = "127.0.0.1"  # no other machine
+NAMES = (HOST, "localhost")  # of this machine; the port may be another one, through SSH
 REFUSAL = "Open the whole address that the viewer has printed.\n"
 PRIVATE = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}  # the address is secret
 SECONDS = 5.0  # for an answer from this machine
@@ -42,13 +47,7 @@ class Guard:
     secret: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
 
     def allows(self, path: str, hosts: list[str], origins: list[str]) -> bool:
-        """Return whether a request may be answered.
-
-        Args:
-            path: what is asked for, with the secret and any query.
-            hosts: values of its header ``Host``; there must be one.
-            origins: values of its header ``Origin``, which browsers send with scripts' requests.
-        """
+        """Return whether to answer a request by its path and headers ``Host`` and ``Origin``."""
         first = (path.partition("?")[0].split("/") + [""])[1]
         return (
             secrets.compare_digest(first.encode(errors="replace"), self.secret.encode())
@@ -120,10 +119,70 @@ def is_closed(port: int) -> bool:
 
 def _answer(port: int, headers: dict[str, str]) -> int:
     """Return the status with which ``/`` is answered, 0 if it is not."""
-    connection = http.client.HTTPConnection(NAMES[0], port, timeout=SECONDS)
+    connection = http.client.HTTPConnection(HOST, port, timeout=SECONDS)
     with contextlib.closing(connection):
         try:
             connection.request("GET", "/", headers=headers)
             return connection.getresponse().status
         except (OSError, http.client.HTTPException):
             return 0
+
+
+def require_viser() -> Any:
+    """Return the module viser.
+
+    Raises:
+        SvuEnvironmentError: it is not installed.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise SvuEnvironmentError(
+            "The viewer needs viser, which is not installed: pip install 'svu_mi[viewer]'."
+        ) from error
+    return viser
+
+
+def require_port(port: int) -> None:
+    """Refuse with an ``OptionError`` what is not a port."""
+    if not 0 <= port < 65536:
+        raise OptionError(f"--port must be 0 to 65535, got {port}.")
+
+
+def serve(port: int) -> tuple[Any, str]:
+    """Start a ``ViserServer`` for who knows the page's address, and return it and the address.
+
+    Args:
+        port: where; the next free one if it is taken, any free one if it is 0.
+
+    Raises:
+        SvuEnvironmentError: viser is not installed, or this version of it cannot be guarded.
+        OptionError: no port.
+    """
+    require_port(port)
+    viser = require_viser()
+    # A browser that goes away in the middle is nothing to log.
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
+    guard = Guard()
+    with _silence(), guard.installed():
+        server = viser.ViserServer(host=HOST, port=port, label="svu view", verbose=False)
+    if not is_closed(server.get_port()):
+        stop(server)
+        raise SvuEnvironmentError(
+            f"The viewer cannot be protected from other pages and programs with viser "
+            f"{viser.__version__}: pip install 'svu_mi[viewer]'."
+        )
+    return server, f"http://{HOST}:{server.get_port()}/{guard.secret}/"
+
+
+def stop(server: Any) -> None:
+    """Stop a server and its threads."""
+    with _silence():
+        server.stop()
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """Keep viser from printing, which it does whatever it is told."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield
