@@ -1,10 +1,8 @@
-"""Messages are for whoever reads them: the command line gives no advice in Python."""
+"""Messages name what their reader has typed or called."""
 
 from __future__ import annotations
 
-import ast
 import re
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -16,41 +14,6 @@ from svu_mi.output.textures import write_textures
 from svu_mi.posterior.streaming import log_prior
 
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
-PYTHON = re.compile(
-    r"\w\(\)|\w\([^)]*=|\b(?!-)[a-z_]+=['\"]|\b[a-z_]+=(?:True|False|None)|\bsvu\.[a-z]"
-    r"|\bmitsuba\.[a-z]|\w\.[a-z_]+\("
-)
-# Stages that only Python asks for what these say, and words that mean something else.
-UNREACHED = (
-    "bench", "reference", "metrics", "regularization", "frequency", "posterior", "recovery",
-    "statistics", "pipeline", "switches", "parameters", "plugins", "output", "interop",
-)  # fmt: skip
-FINE = (  # what the command line cannot do wrong: no variant, another type, a mesh without UVs
-    "mitsuba.set_variant", "is needed, got a ", "must be Candidates or sensors",
-    "load it with svu.load_capture",
-)  # fmt: skip
-
-
-def sentences(source: str) -> Iterator[tuple[int, str]]:
-    """Yield where an error without a text of its own for the shell is made, and what it says."""
-    for node in ast.walk(ast.parse(source)):
-        is_error = isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Error")
-        if not is_error or not node.args or any(k.arg == "shell" for k in node.keywords):
-            continue
-        constants = [p.value for p in ast.walk(node.args[0]) if isinstance(p, ast.Constant)]
-        yield node.lineno, "".join(text for text in constants if isinstance(text, str))
-
-
-def test_the_shell_gives_no_advice_in_python(root):
-    wrong = []
-    for path in sorted((root / "svu_mi").rglob("*.py")):
-        if path.relative_to(root / "svu_mi").parts[0].removesuffix(".py") in UNREACHED:
-            continue
-        for line, text in sentences(path.read_text(encoding="utf-8")):
-            rest = re.sub(r"^[\w.]+\(\)(: | takes | needs )", "", text)
-            if PYTHON.search(rest) and not any(word in rest for word in FINE):
-                wrong.append(f"{path.relative_to(root)}:{line}: {text}")
-    assert not wrong, "\n".join(wrong)
 
 
 def test_an_error_says_the_same_to_both_but_for_the_call():
