@@ -20,8 +20,8 @@ from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import srgb
 from svu_mi.capture.shown import tone_mapped as exposed
-from svu_mi.cli.loading import Loading
 from svu_mi.cli.main import main
+from svu_mi.cli.view import View
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer import model
@@ -274,7 +274,7 @@ def test_command_line(tmp_path, monkeypatch, capsys, variant):
     assert main([*words, "--recovered", str(tmp_path / "nowhere")]) == 2
     assert "no such folder" in capsys.readouterr().err
     with monkeypatch.context() as patch:
-        patch.setattr(Loading, "load_lit", None)  # refused before any work
+        patch.setattr(View, "load_lit", None)  # refused before any work
         assert main(["view", str(scene), "--port", "65536"]) == 2
     assert "--port must be" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "viser", None)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -99,7 +101,18 @@ class Common:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C; its text says how to go on."""
+    """Ctrl-C, with the sentence on how to continue."""
+
+
+@contextmanager
+def interruptible(advice: Callable[[], str]) -> Iterator[None]:
+    """Raise ``Interrupted`` with a sentence where Ctrl-C ends the block."""
+    try:
+        yield
+    except BaseException as error:
+        if was_interrupted(error):
+            raise Interrupted(advice()) from None
+        raise
 
 
 def was_interrupted(error: BaseException | None) -> bool:

@@ -8,50 +8,34 @@ from pathlib import Path
 
 from rich.console import Console
 
-from svu_mi.cli.common import Common
-from svu_mi.cli.loading import Loading
-from svu_mi.cli.options import (
-    CaptureOptions,
-    EstimateOptions,
-    GivenLight,
-    Output,
-    Overwrite,
-    Pictures,
-    Resolution,
-    Samples,
-    given,
-    pair,
-)
+from svu_mi.cli import options as opt
+from svu_mi.cli.loading import CaptureCommand
 from svu_mi.cli.terminal import say
-from svu_mi.limits import require_texels
 from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entropy(Common):
+class Entropy(CaptureCommand):
     """Compute how much photographs tell about every texel.
 
     Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
     run.json.
     """
 
-    capture: CaptureOptions
-    spp: Samples = 64
-    estimation: EstimateOptions = EstimateOptions()
-    light: GivenLight = None
-    output: Output = Path("out/entropy")
-    overwrite: Overwrite = False
-    resolution: Resolution = (512,)
+    estimation: opt.EstimateOptions = opt.EstimateOptions()
+    light: opt.GivenLight = None
+    output: opt.Output = Path("out/entropy")
+    overwrite: opt.Overwrite = False
+    resolution: opt.Resolution = (512,)
     skip: bool = True
     """Skip work that changes no result (unseen texels, blind views, equal channels, ...)."""
-    pictures: Pictures = True
+    pictures: opt.Pictures = True
 
     def run(self, console: Console) -> int:
         """Run the pipeline, write the four files, and say what is known."""
-        size = pair(self.resolution, "--resolution")
-        require_texels(size, "--resolution")
+        size = opt.texel_size(self.resolution)
         self.capture.check(self.spp)
         self.estimation.check()
         with claimed(self.output, "entropy", overwrite=self.overwrite) as place:
@@ -67,16 +51,13 @@ class Entropy(Common):
         from svu_mi.output import Knowledge, Run, write_outputs
 
         need = partial(Need.of, "entropy", resolution=size, model=self.estimation.model)
-        capture, grid = Loading(
-            options=self.capture, resolution=size, need=need, trust=self.trust, spp=self.spp,
-            folder=self.output / "capture",
-        ).load_lit(progress, self.light, self.output / "light")  # fmt: skip
+        capture, grid = self.load_lit(progress, need, size, self.light)
         skip = Skip() if self.skip else NOTHING
         result = self.estimation.estimate(progress, capture, grid, skip=skip)
         warn_if_too_bright(result)
         with progress.stage("Writing the results"):
             knowledge = Knowledge.of(result)
-            run = Run(settings=given(self), kernels=progress.kernels)
+            run = Run(settings=opt.given(self), kernels=progress.kernels)
             write_outputs(
                 capture, result, place, run, knowledge=knowledge, pictures=self.pictures
             )

@@ -12,26 +12,13 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common
-from svu_mi.cli.loading import Loading
-from svu_mi.cli.options import (
-    CaptureOptions,
-    EstimateOptions,
-    GivenLight,
-    Missing,
-    Output,
-    Overwrite,
-    Pictures,
-    Resolution,
-    Samples,
-    given,
-    pair,
-)
+from svu_mi.cli import options as opt
+from svu_mi.cli.loading import CaptureCommand
 from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.limits import require_texels, require_views
+from svu_mi.limits import require_views
 from svu_mi.memory import Need
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
@@ -51,7 +38,7 @@ Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guide(Common):
+class Guide(CaptureCommand):
     """Propose where to take the next photographs from.
 
     Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, maps
@@ -59,13 +46,11 @@ class Guide(Common):
     run.json.
     """
 
-    capture: CaptureOptions
-    spp: Samples = 64
-    estimation: EstimateOptions = EstimateOptions()
-    light: GivenLight = None
-    output: Output = Path("out/next")
-    overwrite: Overwrite = False
-    resolution: Resolution = (512,)
+    estimation: opt.EstimateOptions = opt.EstimateOptions()
+    light: opt.GivenLight = None
+    output: opt.Output = Path("out/next")
+    overwrite: opt.Overwrite = False
+    resolution: opt.Resolution = (512,)
     candidates: From = "100"
     """Where photographs can be taken from: a number of views on a sphere around the object; the
     poses of a transforms.json, capture.json or Mitsuba XML file; or "scene", its sensors that have
@@ -83,7 +68,7 @@ class Guide(Common):
     JSON list; or with a JSON list of booleans, one per candidate."""
     unreachable: Numbers = ()
     """Numbers of candidates that cannot be reached."""
-    pictures: Pictures = True
+    pictures: opt.Pictures = True
     judging: GuidanceOptions = GuidanceOptions()
 
     def run(self, console: Console) -> int:
@@ -98,7 +83,7 @@ class Guide(Common):
             capture, estimate, guidance = self._guide(progress)
             with progress.stage("Writing the results") as stage:
                 run = Run(
-                    settings=given(self), kernels=progress.kernels, progress=stage.update
+                    settings=opt.given(self), kernels=progress.kernels, progress=stage.update
                 )
                 write_guidance(
                     capture, estimate, guidance, place, run, up=self.up,
@@ -115,14 +100,11 @@ class Guide(Common):
 
         # What a file says is refused before photographs are read.
         fixed = None if self._placed else self._restricted(Candidates.read(self.candidates))
-        missing: Missing | None = "leave-out" if self.candidates == SCENE else None
-        size, model = pair(self.resolution, "--resolution"), self.estimation.model
+        missing: opt.Missing | None = "leave-out" if self.candidates == SCENE else None
+        size, model = opt.texel_size(self.resolution), self.estimation.model
         count = _number(self.candidates) or 0
-        capture, texels = Loading(
-            options=self.capture, resolution=size, trust=self.trust, spp=self.spp, missing=missing,
-            need=partial(Need.of, "guide", resolution=size, model=model, candidates=count),
-            folder=self.output / "capture",
-        ).load_lit(progress, self.light, self.output / "light")  # fmt: skip
+        need = partial(Need.of, "guide", resolution=size, model=model, candidates=count)
+        capture, texels = self.load_lit(progress, need, size, self.light, missing=missing)
         candidates = fixed or self._restricted(self._place(capture))
         known = self.estimation.estimate(progress, capture, texels, whole=True)
         guidance = next_best_view(
@@ -172,7 +154,7 @@ class Guide(Common):
             OptionError: a number out of range, or an option that has no effect.
             CaptureError: a file that does not exist, or is not to be read.
         """
-        require_texels(pair(self.resolution, "--resolution"), "--resolution")
+        opt.texel_size(self.resolution)
         self.capture.check(self.spp)
         self.estimation.check()
         if self.add < 1:

@@ -11,17 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common
-from svu_mi.cli.loading import Loading
-from svu_mi.cli.options import (
-    CaptureOptions,
-    GivenLight,
-    Output,
-    Overwrite,
-    Pictures,
-    Samples,
-    given,
-)
+from svu_mi.cli import options as opt
+from svu_mi.cli.loading import CaptureCommand
 from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
 from svu_mi.inpaint.diffusion.options import DiffusionOptions
@@ -42,7 +33,7 @@ Weights = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inpaint(Common):
+class Inpaint(CaptureCommand):
     """Fill texels of recovered textures that no photograph shows, by what they are like.
 
     In their piece of the object, as high, around an axis, or on the other side of a mirror: how
@@ -51,11 +42,9 @@ class Inpaint(Common):
     was filled), filled.png and run.json.
     """
 
-    capture: CaptureOptions
-    spp: Samples = 64
-    light: GivenLight = None
-    output: Output = Path("out/filled")
-    overwrite: Overwrite = False
+    light: opt.GivenLight = None
+    output: opt.Output = Path("out/filled")
+    overwrite: opt.Overwrite = False
     recovered: From
     """Folder that svu recover wrote."""
     above: float = inf
@@ -66,7 +55,7 @@ class Inpaint(Common):
     of the paper: Marigold (intrinsics, appearance) or RGB<->X (RGB to X), as published. They do
     not come with svu_mi and have licences of their own; that of RGB<->X is for noncommercial
     research. Needs svu_mi[diffusion]."""
-    pictures: Pictures = True
+    pictures: opt.Pictures = True
     diffusion: DiffusionOptions = DiffusionOptions()
 
     def run(self, console: Console) -> int:
@@ -109,11 +98,8 @@ class Inpaint(Common):
 
         textures, model = read_textures(self.recovered), self._model(progress)
         size = textures.resolution
-        capture, texels = Loading(
-            options=self.capture, resolution=size, trust=self.trust, spp=self.spp,
-            need=partial(Need.of, "recover", resolution=size, model="default"),
-            folder=self.output / "capture",
-        ).load_lit(progress, self.light, self.output / "light")  # fmt: skip
+        need = partial(Need.of, "recover", resolution=size, model="default")
+        capture, texels = self.load_lit(progress, need, size, self.light)
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("How sure the textures are"):
@@ -122,7 +108,7 @@ class Inpaint(Common):
             field = field_around(textures, known, around, names, weights_of(used))
         found = self._fill(progress, model, capture, field, known.posterior.observed)
         with progress.stage("Writing the results"):
-            run = Run(settings=given(self), kernels=progress.kernels)
+            run = Run(settings=opt.given(self), kernels=progress.kernels)
             write_filled(capture, field, found, place, run, pictures=self.pictures)
         return found
 

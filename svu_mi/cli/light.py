@@ -10,22 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Interrupted, was_interrupted
-from svu_mi.cli.loading import Loading, to_find_light
-from svu_mi.cli.options import (
-    CaptureOptions,
-    Output,
-    Overwrite,
-    Pictures,
-    Samples,
-    Size,
-    given,
-    pair,
-)
+from svu_mi.cli import options as opt
+from svu_mi.cli.common import interruptible
+from svu_mi.cli.loading import CaptureCommand, to_find_light
 from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
 from svu_mi.illumination.options import LightOptions
-from svu_mi.limits import require_texels
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
 
@@ -42,7 +32,7 @@ FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side that base colours are comp
 
 
 @dataclass(frozen=True, kw_only=True)
-class FindLight(Common):
+class FindLight(CaptureCommand):
     """Find the light that photographs were taken under, in the photographs.
 
     Writes light.exr (a map in the frame of Mitsuba's envmap, with layers that say how well it is
@@ -50,11 +40,9 @@ class FindLight(Common):
     that the capture has is not looked at, but compared with.
     """
 
-    capture: CaptureOptions
-    spp: Samples = 64
-    output: Output = Path("out/light")
-    overwrite: Overwrite = False
-    resolution: Size = (256,)
+    output: opt.Output = Path("out/light")
+    overwrite: opt.Overwrite = False
+    resolution: opt.Size = (256,)
     """Texels per side, or width and height, that texels are chosen from."""
     texels: int = LightOptions.texels
     """Texels that are looked at, at most: more take longer and change little."""
@@ -75,7 +63,7 @@ class FindLight(Common):
     grey_card: Card = None
     """Texture coordinates of a grey spot that is not metallic, and its base colour there: fixes
     brightness and colour."""
-    pictures: Pictures = True
+    pictures: opt.Pictures = True
 
     def run(self, console: Console) -> int:
         """Find the light, write it, and say what is known of it."""
@@ -104,7 +92,7 @@ class FindLight(Common):
         """
         from svu_mi.illumination.scale import require_albedo
 
-        require_texels(pair(self.resolution, "--resolution"), "--resolution")
+        opt.texel_size(self.resolution)
         self.capture.check(self.spp)
         if self.light_moves and self.light_fixed:
             raise OptionError("--light-moves and --light-fixed exclude each other; omit one.")
@@ -154,25 +142,19 @@ class FindLight(Common):
         from svu_mi.output import Run
         from svu_mi.output.light import write_light
 
-        options, size = self._options(), pair(self.resolution, "--resolution")
-        capture, grid = Loading(
-            options=self.capture, resolution=size, trust=self.trust, spp=self.spp,
-            need=partial(to_find_light, resolution=size, options=options),
-            folder=self.output / "capture", surroundings=self.background != "none",
-        ).load(progress)  # fmt: skip
+        options, size = self._options(), opt.texel_size(self.resolution)
+        need = partial(to_find_light, resolution=size, options=options)
+        surroundings = self.background != "none"
+        capture, grid = self.load(progress, need, size, surroundings=surroundings)
         own = capture.environment
         if own is not None:
             progress.say("The capture has a light; it is not looked at, but compared with.")
-        try:
+        with interruptible(lambda: "interrupted; run the same command again"):
             found = estimate_light(capture, grid, options, progress)
             found = self._scaled(progress, capture, found)
-        except BaseException as error:
-            if was_interrupted(error):
-                raise Interrupted("interrupted; run the same command again") from None
-            raise
         against = None if own is None or found.moves else likeness(found, own)
         with progress.stage("Writing the results"):
-            run = Run(settings=given(self), kernels=progress.kernels)
+            run = Run(settings=opt.given(self), kernels=progress.kernels)
             write_light(
                 capture, found, place, run, used=asdict(options), against=against,
                 timings=progress.timings, pictures=self.pictures,

@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from svu_mi.cli.options import CaptureOptions, Missing, PhotographOptions, SceneOptions
+from svu_mi.cli.common import Common
+from svu_mi.cli.options import (
+    CaptureOptions,
+    Missing,
+    Output,
+    PhotographOptions,
+    Samples,
+    SceneOptions,
+)
 from svu_mi.errors import OptionError
 from svu_mi.memory import Need, Sizes
 from svu_mi.progress import Progress
@@ -23,33 +31,31 @@ NeedOf = Callable[[Sizes], Need]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loading:
-    """How a command loads its capture.
+class CaptureCommand(Common):
+    """Options of every command that loads a capture."""
 
-    Attributes:
-        options: the scene and its photographs.
-        resolution: texels, (width, height).
-        need: memory of the command by sizes.
-        trust: whether the scene may load libraries.
-        folder: of photographs that ``--render`` makes.
-        spp: their samples per pixel.
-        again: read photographs that an earlier run has rendered.
-        missing: replaces the option of that name.
-        surroundings: whether pixels beside the object are used.
-    """
+    capture: CaptureOptions
+    spp: Samples = 64
+    output: Output = Path("out")
 
-    options: CaptureOptions
-    resolution: tuple[int, int]
-    need: NeedOf
-    trust: bool
-    folder: Path
-    spp: int
-    again: bool = False
-    missing: Missing | None = None
-    surroundings: bool = False
+    @property
+    def beside(self) -> tuple[Path, Path]:
+        """Folders of photographs that --render makes, and of light that is found."""
+        return self.output / "capture", self.output / "light"
 
-    def load(self, progress: Progress) -> tuple[Capture, Texels]:
+    def load(
+        self, progress: Progress, need: NeedOf, size: tuple[int, int], *, again: bool = False,
+        missing: Missing | None = None, surroundings: bool = False,
+    ) -> tuple[Capture, Texels]:  # fmt: skip
         """Read or render the photographs, and lay out texels; there may be no light.
+
+        Args:
+            progress: shows stages.
+            need: memory of the command by sizes.
+            size: texels, (width, height).
+            again: read photographs that an earlier run has rendered.
+            missing: replaces the option of that name.
+            surroundings: whether pixels beside the object are used.
 
         Raises:
             SceneError: the scene cannot be loaded or lacks something.
@@ -57,24 +63,38 @@ class Loading:
                 memory.
             OptionError: there are no photographs, and --render was not given.
         """
+        from svu_mi.capture.matching import has_photographs
+        from svu_mi.capture.rendering import require_rendered
+        from svu_mi.capture.window import Detail
         from svu_mi.surface import texels
 
-        if self.options.rendering.render:
-            capture = self._rendered(progress)
+        photographs = self.capture.photographs
+        detail = Detail(texels=size, surroundings=surroundings)
+        if missing is not None:
+            photographs = replace(photographs, missing=missing)
+        if not self.capture.rendering.render:
+            capture = self._read(progress, photographs, need, detail)
+        elif again and has_photographs(self.beside[0]):
+            rendered = replace(photographs, images=self.beside[0], missing="refuse")
+            capture = self._read(progress, rendered, need, detail)
+            require_rendered(capture, self.spp)
         else:
-            capture = self._read(progress, self.options.photographs)
+            capture = self._render(progress, need)
         with progress.stage("Laying out texels"):
-            return capture, texels(capture.mesh, self.resolution)
+            return capture, texels(capture.mesh, size)
 
     def load_lit(
-        self, progress: Progress, light: Path | None, kept: Path
-    ) -> tuple[Capture, Texels]:
+        self, progress: Progress, need: NeedOf, size: tuple[int, int], light: Path | None,
+        **options: Any,
+    ) -> tuple[Capture, Texels]:  # fmt: skip
         """Load the capture with a light, which is found in the photographs if need be.
 
         Args:
             progress: shows stages.
+            need: memory of the command by sizes.
+            size: texels, (width, height).
             light: a folder of ``svu light``, or a map; replaces the scene's light.
-            kept: folder of light that is found, if nothing can be written beside the photographs.
+            options: others of ``load``.
 
         Raises:
             CaptureError: the given light is invalid, or the photographs do not determine it.
@@ -82,26 +102,24 @@ class Loading:
         """
         from svu_mi.illumination.resolve_light import illuminated
 
-        need = self.need
-        if light is None:
-            need = with_search(need)
-        capture, grid = replace(self, need=need).load(progress)
-        gains = self.options.photographs.estimates_gains
-        lit = illuminated(capture, light, elsewhere=kept, gains=gains, progress=progress)
+        need = with_search(need) if light is None else need
+        capture, grid = self.load(progress, need, size, **options)
+        gains = self.capture.photographs.estimates_gains
+        lit = illuminated(capture, light, elsewhere=self.beside[1], gains=gains, progress=progress)
         return lit, grid
 
-    def _read(self, progress: Progress, photographs: PhotographOptions) -> Capture:
+    def _read(
+        self, progress: Progress, photographs: PhotographOptions, need: NeedOf, detail: Detail
+    ) -> Capture:
         from svu_mi.capture.matching import NoPhotographsError, photographs_of
-        from svu_mi.capture.window import Detail
 
-        source = self.options.source
+        source = self.capture.source
         _ = photographs_of(source.scene)  # raises if it does not exist
-        detail = Detail(texels=self.resolution, surroundings=self.surroundings)
+        unwrap = self.capture.rendering.unwrap
         try:
             return read_capture(
-                progress, source, photographs, self.need, detail, trust=self.trust,
-                unwrap=self.options.rendering.unwrap, missing=self.missing,
-            )  # fmt: skip
+                progress, source, photographs, need, detail, trust=self.trust, unwrap=unwrap
+            )
         except NoPhotographsError as error:
             if photographs.images is not None or source.scene.suffix.lower() != ".xml":
                 raise
@@ -110,27 +128,20 @@ class Loading:
                 f"--render to render the scene itself ({error.sensors} sensors)."
             ) from error
 
-    def _rendered(self, progress: Progress) -> Capture:
-        from svu_mi.capture.matching import has_photographs
-        from svu_mi.capture.rendering import plan_render, require_rendered
+    def _render(self, progress: Progress, need: NeedOf) -> Capture:
+        from svu_mi.capture.rendering import plan_render
 
-        source, rendering = self.options.source, self.options.rendering
-        if self.again and has_photographs(self.folder):
-            photographs = replace(self.options.photographs, images=self.folder, missing="refuse")
-            capture = replace(self, missing=None)._read(progress, photographs)
-            require_rendered(capture, self.spp)
-            return capture
+        def larger(sizes: Sizes) -> Need:
+            return max(Need.of("render", sizes), need(sizes), key=lambda one: one.bytes)
 
-        def need(sizes: Sizes) -> Need:
-            return max(Need.of("render", sizes), self.need(sizes), key=lambda one: one.bytes)
-
+        source, unwrap = self.capture.source, self.capture.rendering.unwrap
         with progress.stage("Rendering photographs") as stage:
             plan = plan_render(
                 source.scene, self.spp, shape=source.shape, defines=source.defines(),
-                unwrap=rendering.unwrap, trust=self.trust,
+                unwrap=unwrap, trust=self.trust,
             )  # fmt: skip
-            announce_sizes(progress, str(source.scene), need, plan.sizes)
-            return plan.render(self.folder, progress=stage.update)
+            announce_sizes(progress, str(source.scene), larger, plan.sizes)
+            return plan.render(self.beside[0], progress=stage.update)
 
 
 def read_capture(
@@ -142,7 +153,6 @@ def read_capture(
     *,
     trust: bool,
     unwrap: bool = False,
-    missing: Missing | None = None,
 ) -> Capture:
     """Plan a capture, check its memory, and read it (see ``capture.loading.plan_capture``)."""
     from svu_mi.capture.loading import plan_capture
@@ -150,7 +160,7 @@ def read_capture(
     with progress.stage("Loading the capture"):
         plan = plan_capture(
             source.scene, photographs.images, shape=source.shape, defines=source.defines(),
-            unwrap=unwrap, missing=missing or photographs.missing, trust=trust, light="optional",
+            unwrap=unwrap, missing=photographs.missing, trust=trust, light="optional",
             detail=detail,
         )  # fmt: skip
         label, sizes = str(photographs.images or source.scene), plan.sizes(photographs.bytes)

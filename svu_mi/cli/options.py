@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from svu_mi.errors import OptionError
-from svu_mi.limits import require_spp
+from svu_mi.limits import require_spp, require_texels
 from svu_mi.options import preset as find_preset
 from svu_mi.parameters import NAMES
 
@@ -207,6 +207,17 @@ def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
         found = " ".join(map(str, size))
         raise OptionError(f"{option} takes one or two positive numbers, got {found}.")
     return size[0], size[-1]
+
+
+def texel_size(resolution: tuple[int, ...]) -> tuple[int, int]:
+    """Return (width, height) of ``--resolution``.
+
+    Raises:
+        OptionError: it is invalid, or too large.
+    """
+    size = pair(resolution, "--resolution")
+    require_texels(size, "--resolution")
+    return size
 
 
 def bytes_of(text: str, option: str) -> float | None:

@@ -10,22 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Interrupted, was_interrupted
-from svu_mi.cli.loading import Loading
-from svu_mi.cli.options import (
-    CaptureOptions,
-    GivenLight,
-    Output,
-    Overwrite,
-    Pictures,
-    Resolution,
-    Samples,
-    given,
-    pair,
-)
+from svu_mi.cli import options as opt
+from svu_mi.cli.common import interruptible
+from svu_mi.cli.loading import CaptureCommand
 from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
-from svu_mi.limits import require_texels
 from svu_mi.memory import Need
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
@@ -45,7 +34,7 @@ From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recover(Common):
+class Recover(CaptureCommand):
     """Recover base colour, roughness and metallic textures from photographs.
 
     Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
@@ -54,12 +43,10 @@ class Recover(Common):
     interrupted run.
     """
 
-    capture: CaptureOptions
-    spp: Samples = 64
-    light: GivenLight = None
-    output: Output = Path("out/textures")
-    overwrite: Overwrite = False
-    resolution: Resolution = (512,)
+    light: opt.GivenLight = None
+    output: opt.Output = Path("out/textures")
+    overwrite: opt.Overwrite = False
+    resolution: opt.Resolution = (512,)
     method: Literal["sh", "path", "sh+path"] = "sh"
     """sh: a reflection model, in seconds; path: Mitsuba's path tracer in a loop; sh+path: the
     path tracer, from what sh has found."""
@@ -90,7 +77,7 @@ class Recover(Common):
     svu relight takes them."""
     seed: int = 0
     """Seed of the batches and paths of path, and of the draws."""
-    pictures: Pictures = True
+    pictures: opt.Pictures = True
 
     def run(self, console: Console) -> int:
         """Recover, and write the results."""
@@ -102,12 +89,8 @@ class Recover(Common):
             checkpoint = place.draft / CHECKPOINT
             self._check_checkpoint(checkpoint)
             self.start()
-            try:
+            with interruptible(partial(_advice, checkpoint)):
                 knowledge = self._run(Progress(console), place)
-            except BaseException as error:
-                if was_interrupted(error):
-                    raise Interrupted(_advice(checkpoint)) from None
-                raise
         say(console, f"Wrote {self.output}")
         say(console, knowledge.summary())
         return 0
@@ -118,7 +101,7 @@ class Recover(Common):
         Raises:
             OptionError: there is one.
         """
-        require_texels(pair(self.resolution, "--resolution"), "--resolution")
+        opt.texel_size(self.resolution)
         self.capture.check(self.spp)
         if not self.parameters:
             raise OptionError("--parameters must name at least one texture.")
@@ -157,12 +140,9 @@ class Recover(Common):
         from svu_mi.recovery.recover import recover
 
         options = self._options()  # refused before any work
-        size = pair(self.resolution, "--resolution")
-        capture, texels = Loading(
-            options=self.capture, resolution=size, trust=self.trust, spp=self.spp,
-            again=self.resume, need=partial(Need.of, "recover", resolution=size, model="default"),
-            folder=self.output / "capture",
-        ).load_lit(progress, self.light, self.output / "light")  # fmt: skip
+        size = opt.texel_size(self.resolution)
+        need = partial(Need.of, "recover", resolution=size, model="default")
+        capture, texels = self.load_lit(progress, need, size, self.light, again=self.resume)
         initial = self._initial(texels)
         seen = observe(capture, texels, progress)
         recovery = recover(
@@ -179,7 +159,7 @@ class Recover(Common):
         if has_field(known):
             field = texture_field(recovery, known, capture.mesh, progress=progress)
         with progress.stage("Writing the results") as stage:
-            run = Run(settings=given(self), kernels=progress.kernels, progress=stage.update)
+            run = Run(settings=opt.given(self), kernels=progress.kernels, progress=stage.update)
             write_recovery(
                 capture, recovery, place, run, estimate=known, field=field,
                 draws=Draws(self.drawn, self.seed) if self.drawn else None, pictures=self.pictures,

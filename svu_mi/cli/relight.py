@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common
-from svu_mi.cli.loading import Loading
-from svu_mi.cli.options import CaptureOptions, Output, Overwrite, Pictures, given
+from svu_mi.cli import options as opt
+from svu_mi.cli.loading import CaptureCommand
 from svu_mi.cli.terminal import say
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.memory import Need
@@ -30,7 +29,7 @@ Poses = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relight(Common):
+class Relight(CaptureCommand):
     """Show the object in its recovered textures under another light, and how sure every pixel is.
 
     Renders the textures and the draws beside them (svu recover --draws 16) with the same random
@@ -38,9 +37,8 @@ class Relight(Common):
     pixel over the draws), relight.png and run.json.
     """
 
-    capture: CaptureOptions
-    output: Output = Path("out/relit")
-    overwrite: Overwrite = False
+    output: opt.Output = Path("out/relit")
+    overwrite: opt.Overwrite = False
     recovered: From
     """Folder that svu recover --draws wrote."""
     environment: Map = None
@@ -56,7 +54,7 @@ class Relight(Common):
     """Samples per pixel, rounded to a square."""
     seed: int = 0
     """Seed of the samples."""
-    pictures: Pictures = True
+    pictures: opt.Pictures = True
 
     def run(self, console: Console) -> int:
         """Render, and write the results."""
@@ -98,11 +96,8 @@ class Relight(Common):
         from svu_mi.recovery.relight import relight_draws
 
         textures, files = read_textures(self.recovered), find_draws(self.recovered)
-        capture, _ = Loading(
-            options=self.capture, resolution=textures.resolution, trust=self.trust, spp=self.spp,
-            need=partial(Need.of, "relight", resolution=textures.resolution),
-            folder=self.output / "capture",
-        ).load(progress)  # fmt: skip
+        need = partial(Need.of, "relight", resolution=textures.resolution)
+        capture, _ = self.load(progress, need, textures.resolution)
         require_textures_of(capture, self.recovered)
         if self.environment is not None:
             capture, notes = with_map(capture, self.environment)
@@ -120,7 +115,7 @@ class Relight(Common):
                 progress=lambda done: stage.update(done, len(files)),
             )  # fmt: skip
         with progress.stage("Writing the results"):
-            run = Run(settings=given(self), kernels=progress.kernels)
+            run = Run(settings=opt.given(self), kernels=progress.kernels)
             write_relighting(
                 capture, found, names, place, run, draws=len(files), pictures=self.pictures
             )

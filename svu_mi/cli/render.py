@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Interrupted, was_interrupted
+from svu_mi.cli.common import Common, interruptible
 from svu_mi.cli.loading import announce_sizes
 from svu_mi.cli.options import Output, Overwrite, SceneOptions, Size, pair
 from svu_mi.cli.terminal import say
@@ -48,12 +48,8 @@ class Render(Common):
         require_views(self.views or 0, "--views")
         with claimed(self.output, "render", overwrite=self.overwrite, keep=VIEWS) as place:
             self.start()
-            try:
+            with interruptible(lambda: _advice(len(list(place.draft.glob(VIEWS))))):
                 count = self._render(Progress(console), size, defines, place)
-            except BaseException as error:
-                if was_interrupted(error):
-                    raise Interrupted(_advice(len(list(place.draft.glob(VIEWS))))) from None
-                raise
         say(console, f"Wrote {count} photographs to {self.output}")
         return 0
 

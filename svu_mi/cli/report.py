@@ -10,23 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common
-from svu_mi.cli.loading import Loading
-from svu_mi.cli.options import (
-    CaptureOptions,
-    EstimateOptions,
-    GivenLight,
-    Overwrite,
-    Recovered,
-    Samples,
-    Size,
-    given,
-    pair,
-    recovered_textures,
-)
+from svu_mi.cli import options as opt
+from svu_mi.cli.loading import CaptureCommand
 from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
-from svu_mi.limits import require_texels
 from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.exchange import locked
@@ -41,7 +28,7 @@ Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Common):
+class Report(CaptureCommand):
     """Write what photographs say as one HTML file, with all pictures inside.
 
     Photographs, entropy on a turntable, maps, probabilities, errors of views, settings, times and
@@ -49,16 +36,14 @@ class Report(Common):
     are compared with the photographs.
     """
 
-    capture: CaptureOptions
-    spp: Samples = 64
-    estimation: EstimateOptions = EstimateOptions()
-    light: GivenLight = None
-    recovered: Recovered = None
-    resolution: Size = ()
+    estimation: opt.EstimateOptions = opt.EstimateOptions()
+    light: opt.GivenLight = None
+    recovered: opt.Recovered = None
+    resolution: opt.Size = ()
     """Texels per side, or width and height; by default those of --recovered, else 256, as many as
     the maps on the page have pixels. The other commands take 512."""
     output: Page = Path("report.html")
-    overwrite: Overwrite = False
+    overwrite: opt.Overwrite = False
     title: str | None = None
     """Title of the page; by default the name of the photographs' folder."""
 
@@ -74,11 +59,17 @@ class Report(Common):
         with locked(self.output.resolve()):
             clear_temporaries(self.output.parent)
             self.start()
-            size, textures = recovered_textures(self.recovered, self.resolution, SIDE)
+            size, textures = opt.recovered_textures(self.recovered, self.resolution, SIDE)
             knowledge = self._write(Progress(console), size, textures)
         say(console, f"Wrote {self.output}")
         say(console, knowledge.summary())
         return 0
+
+    @property
+    def beside(self) -> tuple[Path, Path]:
+        """Folders beside the page (see ``CaptureCommand``)."""
+        name, stem = self.output.with_name, self.output.stem
+        return name(f"{stem}_capture"), name(f"{stem}_light")
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work.
@@ -86,7 +77,7 @@ class Report(Common):
         Raises:
             OptionError: there is one.
         """
-        require_texels(pair(self.resolution or (SIDE,), "--resolution"), "--resolution")
+        opt.texel_size(self.resolution or (SIDE,))
         self.capture.check(self.spp)
         self.estimation.check()
         if self.output.is_dir():
@@ -104,12 +95,8 @@ class Report(Common):
         from svu_mi.output.report.report import write_report
         from svu_mi.output.textures import require_textures_of
 
-        beside = self.output.with_name(f"{self.output.stem}_capture")
-        kept = self.output.with_name(f"{self.output.stem}_light")
-        capture, texels = Loading(
-            options=self.capture, resolution=size, trust=self.trust, spp=self.spp, folder=beside,
-            need=partial(Need.of, "report", resolution=size, model=self.estimation.model),
-        ).load_lit(progress, self.light, kept)  # fmt: skip
+        need = partial(Need.of, "report", resolution=size, model=self.estimation.model)
+        capture, texels = self.load_lit(progress, need, size, self.light)
         if self.recovered is not None:
             require_textures_of(capture, self.recovered)
         found = self.estimation.estimate(progress, capture, texels)
@@ -117,5 +104,5 @@ class Report(Common):
         with progress.stage("Writing the report") as stage:
             return write_report(
                 capture, found, self.output, textures=textures, title=self.title,
-                settings=given(replace(self, resolution=size)), progress=stage.update,
+                settings=opt.given(replace(self, resolution=size)), progress=stage.update,
             )  # fmt: skip

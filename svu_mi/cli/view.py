@@ -4,26 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 from rich.console import Console
 
-from svu_mi.cli.common import Common
-from svu_mi.cli.loading import Loading
-from svu_mi.cli.options import (
-    CaptureOptions,
-    EstimateOptions,
-    GivenLight,
-    Output,
-    Recovered,
-    Samples,
-    Size,
-    pair,
-    recovered_textures,
-)
+from svu_mi.cli import options as opt
+from svu_mi.cli.loading import CaptureCommand
 from svu_mi.cli.terminal import say
-from svu_mi.limits import require_texels
 from svu_mi.memory import Need
 from svu_mi.progress import Progress
 
@@ -31,20 +18,17 @@ SIDE = 512  # texels
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Common):
+class View(CaptureCommand):
     """Look at entropy, textures and photographs on the object, in a browser.
 
     Click a texel for its posterior and a camera to look through it; Ctrl-C stops. Needs
     pip install 'svu_mi[viewer]'.
     """
 
-    capture: CaptureOptions
-    spp: Samples = 64
-    estimation: EstimateOptions = EstimateOptions()
-    light: GivenLight = None
-    output: Output = Path("out")
-    recovered: Recovered = None
-    resolution: Size = ()
+    estimation: opt.EstimateOptions = opt.EstimateOptions()
+    light: opt.GivenLight = None
+    recovered: opt.Recovered = None
+    resolution: opt.Size = ()
     """Texels per side, or width and height; by default those of --recovered, else 512."""
     port: int = 8080
     """Port of the page on this machine; the next free one if it is in use."""
@@ -57,19 +41,16 @@ class View(Common):
         from svu_mi.output.viewer.server import require_port, require_viser
         from svu_mi.output.viewer.viewer import Viewer
 
-        require_texels(pair(self.resolution or (SIDE,), "--resolution"), "--resolution")
+        opt.texel_size(self.resolution or (SIDE,))
         self.capture.check(self.spp)
         self.estimation.check()
         require_port(self.port)
         require_viser()
         self.start()
         progress = Progress(console)
-        size, textures = recovered_textures(self.recovered, self.resolution, SIDE)
-        capture, texels = Loading(
-            options=self.capture, resolution=size, trust=self.trust, spp=self.spp,
-            need=partial(Need.of, "view", resolution=size, model=self.estimation.model),
-            folder=self.output / "capture",
-        ).load_lit(progress, self.light, self.output / "light")  # fmt: skip
+        size, textures = opt.recovered_textures(self.recovered, self.resolution, SIDE)
+        need = partial(Need.of, "view", resolution=size, model=self.estimation.model)
+        capture, texels = self.load_lit(progress, need, size, self.light)
         if self.recovered is not None:
             require_textures_of(capture, self.recovered)
         result = self.estimation.estimate(progress, capture, texels)
