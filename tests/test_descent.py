@@ -123,7 +123,7 @@ def test_a_bad_loss_is_named_with_its_step_and_leaves_the_checkpoint(tmp_path, b
     with pytest.raises(SvuError, match="loss of step 17 is NaN or infinite"):
         descend(objective, half(), DescentOptions(steps=40),
                 checkpoint=Checkpoint(path, {}, every=0.0))  # fmt: skip
-    kept = Checkpoint(path, {}).load()
+    kept = Checkpoint(path, {}).load({"base_color": SHAPE})
     assert kept.step == READ
     assert np.isfinite(kept.values["base_color"]).all()
     assert np.isfinite(kept.losses).all()
@@ -213,7 +213,7 @@ def test_interrupt_saves_the_last_whole_step_and_is_raised_again(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         descend(stopping, half(), DescentOptions(steps=30), checkpoint=Checkpoint(path, {}))
-    assert Checkpoint(path, {}).load().step == 13
+    assert Checkpoint(path, {}).load({"base_color": SHAPE}).step == 13
     resumed = descend(towards(truth()), half(), DescentOptions(steps=30),
                       checkpoint=Checkpoint(path, {}, resume=True))  # fmt: skip
     whole = descend(towards(truth()), half(), DescentOptions(steps=30))
