@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from svu_mi.cli.common import Common
+from svu_mi.cli.import_ import import_again
 from svu_mi.cli.loading import NeedOf, read_capture, with_search
 from svu_mi.cli.options import Output, Overwrite, PhotographOptions, SceneOptions, given
 from svu_mi.cli.terminal import say
@@ -72,19 +73,23 @@ class CheckCapture(Common):
             find = partial(found_gains, capture, self.output / "light", progress)
         found = check(capture, gains=find, progress=progress)
         with progress.stage("Writing the page"):
-            write_check(capture, found, place, settings=given(self))
+            write_check(capture, found, place, settings=given(self), remedy=_remedy(found, capture))
         return capture, found
 
 
 def _print(console: Console, found: Check, capture: Capture) -> None:
-    from svu_mi.output.check_page import remedy, verdict
+    from svu_mi.output.check_page import verdict
 
     console.print(_views(found), markup=False)
     for one in found.findings:
         say(console, f"{one.question} ({MARKS[one.verdict]}): {one.sentence}")
-    for line in (verdict(found), remedy(found, capture)):
+    for line in (verdict(found), _remedy(found, capture)):
         if line:
             say(console, line)
+
+
+def _remedy(found: Check, capture: Capture) -> str:
+    return f"Import it again with: {import_again(capture, found.fixes)}" if found.fixes else ""
 
 
 def _views(found: Check) -> Any:

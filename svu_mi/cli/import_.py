@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import shlex
 import tempfile
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 
 from svu_mi.cli.common import Common
+from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.loading import announce_sizes
 from svu_mi.cli.options import Output, Overwrite
 from svu_mi.cli.terminal import say
@@ -20,6 +25,9 @@ from svu_mi.formats.reading import ReadOptions, read_source
 from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
 
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE | exif")]
@@ -124,6 +132,57 @@ class Import(Common):
                         announce_sizes, progress, str(self.source), partial(Need.of, "import")
                     ),
                 )  # fmt: skip
+
+
+def import_again(capture: Capture, fixes: Sequence[str]) -> str:
+    """Return the command that imports a capture again with more corrections, ready to paste.
+
+    Args:
+        capture: as loaded from its folder.
+        fixes: names of corrections besides those that it was imported with.
+    """
+    from svu_mi.capture import folder
+
+    found = None if capture.source is None else folder.read(capture.source)
+    given = _parsed(found.imported.get("options") if found else None)
+    if given is None:  # from Python, or an earlier version; or changed since
+        return " ".join(["svu import ...", *_words("fixes", _effective(fixes))])
+    every = _effective((*given.conversion.fixes, *fixes))
+    again = replace(given, conversion=replace(given.conversion, fixes=every))
+    return shlex.join(["svu", "import", *again.words, "-o", str(capture.source)])
+
+
+def _parsed(words: Any) -> Import | None:
+    """Return the options that a capture was imported with, which may be a stranger's; None if
+    they are invalid."""
+    is_text = isinstance(words, list) and all(isinstance(word, str) for word in words)
+    if not is_text or not all(word.isprintable() and "=-" not in word for word in words):
+        return None
+    from svu_mi.formats.fixes import FIXES
+
+    config = (tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands)
+    try:
+        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+            found = tyro.cli(Import, args=words, config=config, registry=REGISTRY)
+    except SystemExit:
+        return None
+    return found if set(found.conversion.fixes) <= FIXES.keys() else None
+
+
+def _effective(fixes: Iterable[str]) -> tuple[str, ...]:
+    """Return corrections without those that the next one reverts."""
+    import numpy as np
+
+    from svu_mi.formats.fixes import FIXES
+
+    kept: list[str] = []
+    for name in fixes:
+        matrix = FIXES[name].matrix if name in FIXES else None
+        if kept[-1:] == [name] and (matrix is None or np.allclose(matrix @ matrix, np.eye(3))):
+            kept.pop()
+        else:
+            kept.append(name)
+    return tuple(kept)
 
 
 def _changed(options: Any) -> dict[str, Any]:

@@ -67,7 +67,7 @@ def import_capture(
             that holds anything else, or a file that was changed since, is refused.
         options: see there.
         words: of the command that asked for it, without ``svu import`` and the folder; they are
-            kept for ``again.command``.
+            kept for ``cli.import_.import_again``.
         progress: called with (photographs done, photographs in all).
         preflight: called before any pixel is read with how large the photographs are that are in
             memory at a time, and the light; it may refuse.

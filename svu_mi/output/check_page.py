@@ -17,7 +17,6 @@ from svu_mi.checking.axis_hypotheses import apply_fixes
 from svu_mi.checking.record import Check, Finding, Summary
 from svu_mi.checking.sky import emitter_of
 from svu_mi.checking.thumbnails import Frames, outline, reduced, silhouettes
-from svu_mi.formats.again import command
 from svu_mi.formats.fixes import fixes_named
 from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.levels import resolved
@@ -52,7 +51,7 @@ MEASURES = {
 
 def write_check(
     capture: Capture, found: Check, folder: str | os.PathLike[str], *,
-    settings: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None, remedy: str = "",
 ) -> None:  # fmt: skip
     """Write ``check.html``, with all its pictures inside, and ``check.json``.
 
@@ -61,6 +60,7 @@ def write_check(
         found: what was found.
         folder: made if missing.
         settings: what the caller was asked for.
+        remedy: the command that corrects the capture; empty if nothing is to be done.
 
     Raises:
         OutputError: a file cannot be written.
@@ -70,7 +70,7 @@ def write_check(
         corrected = apply_fixes(capture, fixes, found.camera_axes) if fixes else capture
         write_page(
             draft.folder / TEMPLATE, TEMPLATE,
-            verdict=verdict(found), remedy=remedy(found, capture), numbers=_numbers(found),
+            verdict=verdict(found), remedy=remedy, numbers=_numbers(found),
             findings=[_finding(one) for one in found.findings], questions=QUESTIONS,
             views=list(_views(capture, corrected, found)), total=len(found.views),
             panoramas=_panoramas(capture, corrected), source=str(capture.source or ""),
@@ -97,11 +97,6 @@ def verdict(found: Check) -> str:
     if any(one.question == "ignored" for one in found.findings):
         return f"{fits}; results may be off by what is ignored."
     return f"{fits}."
-
-
-def remedy(found: Check, capture: Capture) -> str:
-    """Return the command that corrects the capture; empty if nothing is to be done."""
-    return f"Import it again with: {command(capture, found.fixes)}" if found.fixes else ""
 
 
 def _numbers(found: Check) -> Iterator[tuple[str, str, str]]:
