@@ -38,33 +38,14 @@ def store(memory: list[Any], index: Any, block: Block) -> None:
 
 
 def scatter_rows(target: Any, rows: list[list[Any]], texel: Any) -> Any:
-    """Write lanes to texel-major memory, within the kernel that computes them.
-
-    Args:
-        target: flat array, (texel, row, channel).
-        rows: per row a list of channels, one value per lane.
-        texel: UInt32, where each lane goes.
-
-    Returns:
-        ``target``, to be evaluated.
-    """
+    """Write rows of channels to (texel, row, channel) memory, in the kernel that computes them."""
     values = [value for channels in rows for value in channels]
     return scatter_strided(target, values, texel * len(values), 1)
 
 
 @dr.syntax
 def scatter_strided(target: Any, values: list[Any], start: Any, stride: Any) -> Any:
-    """Write value k of every lane to ``start + k * stride``, within the kernel that computes it.
-
-    Args:
-        target: flat array of Float or Float64.
-        values: one number per lane each, converted to that.
-        start: UInt32, per lane.
-        stride: UInt32.
-
-    Returns:
-        ``target``, to be evaluated.
-    """
+    """Write value k of every lane to ``start + k * stride``, within the kernel that computes it."""
     # Scatters outside a symbolic loop would each become a kernel that computes all over
     # again, and dr.concat one per number of lanes.
     count, kind = len(values), type(target)

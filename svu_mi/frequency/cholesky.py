@@ -145,18 +145,10 @@ def factor_and_forward(
 
 @dr.syntax
 def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int, held: int) -> list[Any]:
-    """Solve L^T x = z in place, from the last tile row to the first.
+    """Solve L^T x = z in place, tile rows from the last to the first; return ``solution``.
 
-    Args:
-        lower: the factor, as ``factor_and_forward`` leaves it.
-        solution: z on entry.
-        blocks: number of tile rows, may vary from lane to lane.
-        size: edge of a tile.
-        held: the most tile rows a lane may have. Counting down from it rather than from
-            ``blocks`` keeps all lanes at the same tile: loads rather than gathers.
-
-    Returns:
-        ``solution``, holding x.
+    Counting down from ``held``, the most tile rows a lane may have, rather than from ``blocks``
+    keeps all lanes at the same tile: loads rather than gathers.
     """
     past = mi.UInt32(held)
     while past > 0:
@@ -176,11 +168,7 @@ def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int, held
 
 @dr.syntax
 def forward(lower: list[Any], solution: list[Any], blocks: Any, size: int) -> list[Any]:
-    """Solve L z = b in place.
-
-    Returns:
-        ``solution``, holding z.
-    """
+    """Solve L z = b in place; return ``solution``."""
     bi = mi.UInt32(0)
     while bi < blocks:
         row = packed_count(bi)

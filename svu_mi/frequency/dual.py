@@ -122,7 +122,6 @@ def _free_constant(solution: list, blocks: Any, products: list) -> tuple[list, l
     """Solve for the unpenalised c_00 and take it out of the right-hand sides.
 
     With z = L^-1 W f and v = L^-1 u: c_00 = v.z / v.v, and W f - u c_00 becomes z - v c_00.
-    ``products`` holds one 0 per channel.
     """
     norm = type(products[0])(0)
     bi = mi.UInt32(0)
@@ -179,10 +178,9 @@ def _weigh_block(weights: Any, a: list, rows: list, bi: Any) -> None:
 def _sum_samples(
     directions: list, rows: list, count: Any, total: list, basis: Callable[[list], list]
 ) -> list:
-    """Add Y^T W a to ``total``, a list of channels per coefficient.
+    """Add Y^T W a to ``total``, a list of channels per coefficient, one sample at a time.
 
-    One sample at a time: the sums do not fit in registers, and the values of more than one
-    basis beside them would be spilled as well (four at a time take 1.4 times as long).
+    The bases of more would be spilled (four at a time take 1.4 times as long).
     """
     row = mi.UInt32(0)
     while row < count:

@@ -83,18 +83,12 @@ class SolverGroup:
 
 
 def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[SolverGroup]:
-    """Group the texels that see anything by the kernel that solves them fastest.
+    """Group texels by the kernel that solves them fastest; those without views are in no group.
 
     Args:
         visible: (T,) number of views that see each texel, UInt32 or NumPy.
         degree: l*, in [0, 9].
-        method: ``auto``, or ``primal`` or ``dual`` for all texels.
-
-    Returns:
-        At most two groups, both with texels; a texel that sees no view is in neither.
-
-    Raises:
-        OptionError: an unknown method, or ``dual`` for a texel with more than 256 views.
+        method: ``auto``, or ``primal`` or ``dual`` (at most 256 views) for all texels.
     """
     counts = np.asarray(visible).reshape(-1)
     limits = {

@@ -82,10 +82,7 @@ class Coefficients:
 def fit_coefficients(
     observed: Photographed, switches: Preset, *, light_channels: int = 3
 ) -> Coefficients:
-    """Gather and fit as ``fit_spectra`` does, in three channels, and keep the coefficients.
-
-    Memory: 24 bytes per texel and coefficient, 1.2 kB per texel at degree 6.
-    """
+    """Fit three channels as ``fit_spectra`` does and keep the coefficients, 24 bytes each."""
     count = observed.texels.count
     values = dr.zeros(mi.Float, (switches.degree + 1) ** 2 * (3 + light_channels) * count)
     dr.eval(values)

@@ -53,11 +53,7 @@ def check_degree(degree: Any, caller: str) -> int:
 
 
 def basis(direction: Any, degree: int) -> list[Any]:
-    """Evaluate Y_lm for a unit direction.
-
-    Returns:
-        (degree + 1)^2 arrays in the order l*l + l + m.
-    """
+    """Evaluate Y_lm of a unit direction: (degree + 1)^2 arrays in the order l*l + l + m."""
     return dr.sh_eval(direction, degree)
 
 
@@ -115,20 +111,15 @@ class System:
 
 
 def unit(direction: Any) -> Any:
-    """Return a single precision direction with unit length in double precision.
+    """Return a direction of unit length in double precision.
 
-    The rounding of its length (1e-7) shows in the fit of many views that crowd together, and
-    makes the addition theorem, hence the dual, differ from the primal.
+    Rounding to 1e-7 shows in fits of many views that crowd together.
     """
     return dr.normalize(mi.Vector3d(direction))
 
 
 def power_lanes(coefficients: list[list[Any]]) -> list[list[Any]]:
-    """Return S(l) of every lane (Eq. 8).
-
-    Returns:
-        lmax + 1 lists of C arrays, in squared radiance.
-    """
+    """Return S(l) of every lane (Eq. 8): lmax + 1 lists of C arrays, squared radiance."""
     spectrum = []
     for l in range(harmonics.degree_of(len(coefficients)) + 1):
         orders = coefficients[l * l : (l + 1) ** 2]  # m = -l ... l

@@ -151,16 +151,13 @@ Take = Callable[[Any, list[list[Any]]], None]
 def extend_lanes(
     known: tuple[Sample, Any], added: tuple[Sample, Any], system: System, take: Take
 ) -> list[list[Any]]:
-    """Fit the samples that are known, then each candidate in addition to them.
+    """Fit the known samples, then each candidate in addition; return the power of the known.
 
     Args:
         known: samples of Eq. 12, as ``fit_lanes`` takes them, and how many, an opaque UInt32.
         added: the candidates, in the same form.
         system: the problem.
         take: called where a candidate's weight is positive, within the kernel.
-
-    Returns:
-        Power spectrum of the known samples alone: Float64 by degree and channel.
     """
     system = replace(system, ridge=[max(value, FREE) for value in system.ridge])
     solved = Solved.of(*known, system)

@@ -69,10 +69,9 @@ class Samples:
     masking: Masking | None = None
 
     def at(self, slot: Any) -> tuple[Any, Any, list[Any]]:
-        """One row: view direction, w = |cos theta|, and both right-hand sides.
+        """Return one row: view direction, w = |cos theta|, and both right-hand sides.
 
-        Outgoing radiance B is indexed by the direction to the camera; so is incoming radiance
-        L, which is looked up where the mirror sends that direction.
+        Light is indexed by the direction to the camera, and looked up in its mirror direction.
         """
         views, found, lighting = self.observed.views, self.observed.found, self.observed.lighting
         seen = found.look(views, self.surface, slot)

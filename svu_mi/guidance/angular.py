@@ -277,10 +277,9 @@ class _Launch:
 
 @dr.syntax
 def _each(launch: _Launch, known: _Order, candidates: _Order, out: Any) -> Any:
-    """Write p(psi_0) times the measure, for every psi_0, with each candidate (candidates, lanes).
+    """Write p(psi_0) times the measure with each candidate, of all hypotheses (candidates, lanes).
 
-    The products of the known views, per row, are summed up once and kept in local memory, where
-    all candidates find them.
+    The products of the known views are summed up once, in local memory.
     """
     sums = launch.empty()
     n = mi.Float(0)

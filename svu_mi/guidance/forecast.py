@@ -44,11 +44,7 @@ class Hypotheses:
         return dr.gather(mi.UInt32, self.cells, place), dr.gather(mi.Float, self.weights, place)
 
     def of_texels(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return all hypotheses of some texels, those of one after the other.
-
-        Returns:
-            Which of the L each is of, and its number among those, from 0: (N,) int64 each.
-        """
+        """Return which of L texels hypotheses are of, and their numbers: (N,) int64 each."""
         counts = self.counts.numpy()[texels].astype(np.int64)
         place = np.repeat(np.arange(len(texels)), counts)
         return place, np.arange(len(place)) - (np.cumsum(counts) - counts)[place]
@@ -142,11 +138,7 @@ class Forecast(ABC):
     def expected(
         self, views: np.ndarray, candidates: np.ndarray, texels: np.ndarray
     ) -> np.ndarray:
-        """Return E[H] of photographs from some views and one candidate (Eq. 13).
-
-        Returns:
-            (A, L) float32; NaN where the candidate does not see the texel.
-        """
+        """Return E[H] with views and one candidate (Eq. 13): (A, L); NaN where it does not see."""
         if not len(candidates) or not len(texels):
             return np.empty((len(candidates), len(texels)), np.float32)
         found = self._evaluate(views, candidates, texels)

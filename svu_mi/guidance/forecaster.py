@@ -205,11 +205,9 @@ def refuse_growing(method: str, options: GuidanceOptions) -> None:
 
 
 def _entropy(posterior: Posterior) -> Entropy:
-    """In the units of the posterior's own.
+    """Return the measure in units of the posterior's own entropy.
 
-    What is known of a parameter is the same to it as a prior that leaves one node of it: nats are
-    the same, of which log n is larger where excluded cells count, so that the same views are
-    proposed.
+    Known parameters count as a prior that leaves one node: the same views are proposed.
     """
     return Entropy(max(posterior.most, 1e-6), posterior.prior_entropy)
 

@@ -78,10 +78,7 @@ class Greedy:
         return np.where(self._sees[candidate], self.entropy - self._expected[candidate], 0.0)
 
     def choose(self, candidate: int) -> None:
-        """Take a candidate as photographed: E[H] with it is E[H] from now on.
-
-        Unless the forecast is not ``lasting``: then all is computed again.
-        """
+        """Take a candidate as photographed; recompute all if the forecast is not ``lasting``."""
         self.entropy = self.entropy - self.texel_gains(candidate)
         touched = (self._sees & self._sees[candidate]).any(axis=1) & np.isfinite(self._bounds)
         self._bounds[touched] += GROWTH * np.abs(self._bounds[touched])

@@ -155,11 +155,7 @@ def _sample(count: int, options: GuidanceOptions) -> np.ndarray:
 def _choices(
     judge: Judge, greedy: Greedy | None, known: Prospect, count: int, entropy: float
 ) -> Iterator[tuple[Proposal, np.ndarray]]:
-    """Choose the best candidate, take it as photographed, and so on.
-
-    Yields:
-        A proposal, and the gains (C,) of all candidates when it was chosen.
-    """
+    """Choose the best candidate again and again; yield proposals, and the gains (C,) of all."""
     free, seen = known.candidates.reachable.copy(), known.seen
     covered = seen[: known.photographs].any(axis=0)
     left_out = 1 - len(known.texels) / known.observed.texels.count

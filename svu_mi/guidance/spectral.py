@@ -89,10 +89,7 @@ class SpectrumForecast(Forecast):
         return result.reshape(sees.shape)
 
     def _powers(self, views: np.ndarray, candidates: np.ndarray | None, lane: Any) -> Any:
-        """What ``_kept`` keeps of candidates' spectra, (A, K, L) Float64.
-
-        Without candidates, (1, K, L) of the views alone.
-        """
+        """Return what ``_kept`` keeps of candidates, (A, K, L); of the views alone, (1, K, L)."""
         asked = np.empty(0, np.int64) if candidates is None else candidates
         rows = self.responses.at(lane)
         size = dr.width(lane)

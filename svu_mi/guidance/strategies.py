@@ -63,11 +63,7 @@ class Farthest:
 
 
 def farthest(directions: np.ndarray, taken: Sequence[int], count: int) -> list[int]:
-    """Add directions by farthest-point sampling.
-
-    Returns:
-        ``taken``, and ``count`` more, or fewer if there are fewer.
-    """
+    """Return ``taken`` and up to ``count`` more directions by farthest-point sampling."""
     chosen = list(taken)
     strategy = Farthest(np.concatenate([directions[chosen], directions]), len(chosen))
     free = np.ones(len(directions), bool)

@@ -247,11 +247,7 @@ def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> Cell
 def _split(
     points: np.ndarray, weight: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Split the widest cluster of weighted points again and again.
-
-    Returns:
-        The cluster of each of the N points, and (count,) the cluster that each was split from.
-    """
+    """Split the widest cluster again and again; return clusters of points, and their parents."""
     label, parent = np.zeros(len(points), np.int64), np.zeros(count, np.int64)
     heap = [_Cluster.of(0, points, weight, np.arange(len(points)))]
     for new in range(1, count):

@@ -163,11 +163,7 @@ def polar_from_local(local: np.ndarray) -> np.ndarray:
 
 
 def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
-    """Integrate a lat-long grid against spherical harmonics: Fourier per ring, then Legendre.
-
-    Returns:
-        ((degree + 1)^2, C) float64.
-    """
+    """Integrate a lat-long grid against harmonics, Fourier per ring: ((degree + 1)^2, C)."""
     rows, columns = grid.shape[:2]
     # phi counts from -Z; the polar frame's azimuth (from +Z) is pi - phi.
     azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns

@@ -92,11 +92,8 @@ def resolved(environment: Environment) -> np.ndarray:
 def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     """Average a lat-long grid under a lobe around every node: exact on the grid's quadrature.
 
-    Rows are convolved along the azimuth by FFT; only rows that the lobe reaches take part.
-    The lobe is normalised where it stands, so that a constant stays what it is.
-
-    Returns:
-        (H', W', C) float64 on a grid of the same kind, coarser for wide lobes.
+    Rows are convolved along the azimuth by FFT; only rows that the lobe reaches take part. The lobe
+    is normalised where it stands. Wide lobes give a coarser grid.
     """
     if width < DELTA:
         return grid
@@ -145,13 +142,9 @@ def _reach(profile: Profile, rows: int) -> int:
 
 
 def _coarser(grid: np.ndarray, width: float) -> np.ndarray:
-    """Return the flux of every node, on as few nodes as still resolve a lobe.
+    """Return flux and solid angle (H', W', C + 1) of the fewest nodes that resolve a lobe.
 
-    Every node's light and solid angle are shared among the two nearest new nodes, per axis:
-    none is lost. New nodes do not stand for equal shares, so each brings its own.
-
-    Returns:
-        (H', W', C + 1): radiance times solid angle, and the solid angle, up to a factor.
+    Every node's light and solid angle are shared among the two nearest new nodes, per axis.
     """
     rows, columns, channels = grid.shape
     solid, own = env.quadrature(rows), np.ones(columns)
@@ -193,13 +186,7 @@ class LightStack:
     to_local: Any
 
     def radiance(self, place: Any, direction: Any) -> list[Any]:
-        """Look up light *from* a world direction between two levels, linearly in all of it.
-
-        Derivatives with respect to ``place`` and ``direction`` are those of the interpolation.
-
-        Returns:
-            A Float per channel.
-        """
+        """Look up light *from* a world direction, linearly between levels: Floats by channel."""
         u, v = lat_long(self.to_local @ mi.Vector3f(direction))
         level = dr.clip(mi.Int32(dr.detach(place)), 0, self.count - 2)
         here, above = (self._at(mi.UInt32(level + step), u, v) for step in (0, 1))

@@ -39,8 +39,7 @@ def map_of(emitter: Any, otherwise: np.ndarray) -> np.ndarray:
 def grid_size(emitter: Any) -> tuple[int, int]:
     """Return (columns, rows): the map's own nodes, so that quadrature sees each texel once.
 
-    On too few nodes a constant is not orthogonal to high degrees. A small map is sampled
-    between its nodes too, an odd number of times so that they stay among the samples.
+    A small map is sampled between its nodes too, so that constants are orthogonal to high degrees.
     """
     if emitter.class_name() != "EnvironmentMapEmitter":
         return SKY_GRID
@@ -65,12 +64,9 @@ BAND = 2**17  # nodes that are sampled at a time: 20 MB
 
 
 def sampled(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Sample an emitter at lat-long nodes; what is more than ``MOST`` is averaged.
+    """Sample an emitter at lat-long nodes, (H, W, 3); what is more than ``MOST`` is averaged.
 
     Every node's light is then shared among its nearest neighbours, so that none is lost.
-
-    Returns:
-        (H, W, 3) float64 radiance.
     """
     across, down = min(columns, MOST[0]), min(rows, MOST[1])
     solid = quadrature(rows)
@@ -113,8 +109,7 @@ def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
 def quadrature(rows: int) -> np.ndarray:
     """Return (rows,) Clenshaw-Curtis weights for the integral over cos(theta).
 
-    Exact for polynomials in cos(theta) up to degree rows - 1, on the nodes j pi / (rows - 1);
-    close to sin(theta) d(theta), and not zero at the poles.
+    Exact for polynomials in cos(theta) up to degree rows - 1, on the nodes j pi / (rows - 1).
     """
     n = rows - 1
     j = np.arange(rows)

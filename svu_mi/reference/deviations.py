@@ -58,11 +58,7 @@ class PerTexel:
 
 
 def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Render) -> np.ndarray:
-    """Render every psi.
-
-    Returns:
-        (3, n, R, M ..., K) float64: means of (b - (A + B) / 2)^2, (b - A)^2 and (b - B)^2.
-    """
+    """Render every psi: (3, n, R, M ..., K) means of (b - (A + B) / 2)^2, (b - A)^2, (b - B)^2."""
     result = np.empty((KINDS, mean.count, *grid.shape))
     for cell in np.ndindex(*grid.shape):
         psi = {name: float(x[k]) for (name, x), k in zip(grid.axes.items(), cell, strict=True)}
@@ -73,14 +69,10 @@ def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Re
 
 
 def sums(observed: np.ndarray, mean: PerTexel, levels: np.ndarray, render: Render) -> np.ndarray:
-    """Render four psi per roughness: the sums that all others follow from, exact for direct
-    light alone.
+    """Render four psi per roughness: (3, R, C, P, n) sums with both halves, with A and with B.
 
     At fixed roughness, four renders with a grey base colour give e, p, q and d of every channel
-    (``reflection/principled.py``), and the sums of products of columns (``Statistics``) all cells.
-
-    Returns:
-        (3, R, C, P, n) float64: with the mean of both halves, with A and with B.
+    (``reflection/principled.py``) under direct light, and the sums (``Statistics``) all cells.
     """
     channels = observed.shape[1]
     result = np.empty((KINDS, len(levels), channels, len(PAIRS), mean.count))
@@ -100,10 +92,7 @@ def sums(observed: np.ndarray, mean: PerTexel, levels: np.ndarray, render: Rende
 def linear(
     observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Render
 ) -> np.ndarray:
-    """Derive the deviations of all psi from four per roughness (``sums``).
-
-    Args and result are those of ``brute``.
-    """
+    """Derive what ``brute`` returns from four psi per roughness (``sums``)."""
     found = [
         Statistics.of(table, mean.pairs, mean.pairs, grid.roughness_nodes).errors(
             *grid.mixed_nodes, grid.base_color_nodes

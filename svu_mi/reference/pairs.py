@@ -48,10 +48,7 @@ class Pairs:
 
 
 def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs:
-    """Find the pairs of a batch of texels that a camera ray confirms.
-
-    Takes 100 bytes per texel of the batch and view.
-    """
+    """Find the pairs of texels that a camera ray confirms; 100 bytes per texel and view."""
     views, texels = observed.views, observed.texels
     lane = dr.arange(mi.UInt32, dr.width(batch) * views.number)
     place = lane // views.count
@@ -90,8 +87,7 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
 def _aim(views: Views, surface: Surface, view: Any, target: UniformScene) -> tuple[Any, Any]:
     """Return rays from the cameras to the texels, and whether they land there.
 
-    Rays can leak between faces, and the back of a thin object is close to its front; what
-    counts is the distance from the texel's tangent plane, which grazing angles do not blow up.
+    Landing is within a distance of the texel's tangent plane: rays leak, and sheets are thin.
     """
     camera = mi.Point3f(
         *(dr.gather(mi.Float, views.cameras, view * CAMERA_FLOATS + 12 + k) for k in range(3))

@@ -25,14 +25,10 @@ def path_integrator(max_depth: int) -> Any:
 def trace(
     scene: Any, integrator: Any, rays: Any, samples: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Average two independent halves of ``samples`` paths per ray.
+    """Average two independent halves of ``samples`` paths per ray: (P, 3) radiance each.
 
-    A lane traces one path, with random numbers of its own: for equal seeds they are the same
-    for every material, even where that makes paths longer or shorter, so part of the noise
+    Every lane has random numbers of its own, the same for every material: part of the noise
     cancels in the differences between materials, which are all that a posterior depends on.
-
-    Returns:
-        (P, 3) and (P, 3) float64 radiance.
     """
     count, half = dr.width(rays.o), samples // 2
     result = np.zeros((count, 2, 3))

@@ -47,10 +47,7 @@ class FittedLobes:
 
     @staticmethod
     def of(light: MirroredLight, alpha: np.ndarray, switches: AngularPreset) -> FittedLobes:
-        """Fit and convolve the light with a lobe of each width.
-
-        Memory: 4 n C bytes per texel and width.
-        """
+        """Fit and convolve the light with a lobe of each width; 4 n C bytes per texel and width."""
         rows, count = (light.fit.degree + 1) ** 2 * light.channels, len(light.chosen)
         values = light.room(len(alpha) * rows)
         for level, width in enumerate(alpha.tolist()):
@@ -67,11 +64,7 @@ class FittedLobes:
         return FittedLobes(switches.fresnel, alpha, values, light)
 
     def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
-        """Reflect light towards a camera.
-
-        Returns:
-            The lobe of each width.
-        """
+        """Reflect light towards a camera: the lobe of each width."""
         light, channels = self.light, self.light.channels
         stride, rows = len(light.chosen), (light.fit.degree + 1) ** 2 * channels
         columns = [

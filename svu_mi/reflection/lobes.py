@@ -104,10 +104,7 @@ def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> lis
 
 
 def reciprocals(values: list[Any]) -> list[Any]:
-    """Return 1 / x of some numbers, none of them near 0, by a single division [Montgomery 1987].
-
-    A division takes as long as a dozen products.
-    """
+    """Return 1 / x of some numbers, none near 0, by a single division [Montgomery 1987]."""
     below = list(accumulate(values, lambda product, x: product * x))
     rest, found = dr.rcp(below[-1]), []
     for x, product in zip(values[:0:-1], below[-2::-1], strict=True):
@@ -127,10 +124,7 @@ def dielectric_fresnel(cosine: Any) -> Any:
 
 
 def reflected_at_view(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any, Any]:
-    """(A, B, D): a lobe reflects R0 A + B, and that of a dielectric D, by Eq. 6.
-
-    Fresnel's term is that of the camera's angle, for the whole lobe.
-    """
+    """Return (A, B, D) of Eq. 6: Fresnel's term is that of the camera's angle."""
     masking = smith_g1(cosine, alpha)
     schlick = (1 - cosine) ** 5 if rule == "schlick" else 0.0
     A, B = masking * (1 - schlick), masking * schlick
@@ -172,10 +166,9 @@ def _albedo(alpha: float) -> np.ndarray:
 
 
 def split_sum(alpha: np.ndarray) -> np.ndarray:
-    """Directional albedo R0 A + B of GGX with Schlick's Fresnel [Karis 2013].
+    """Return A and B of the albedo R0 A + B of GGX [Karis 2013]: (R, ALBEDO_NODES, 2).
 
-    Returns:
-        (R, ALBEDO_NODES, 2) float64 of A and B at cos theta_o = (i + 0.5) / ALBEDO_NODES.
+    Nodes are at cos theta_o = (i + 0.5) / ALBEDO_NODES.
     """
     return np.stack([_albedo(float(a))[:2].T for a in alpha])
 
@@ -186,13 +179,9 @@ def mean_albedo(alpha: np.ndarray) -> np.ndarray:
 
 
 def dielectric_albedo(alpha: np.ndarray) -> np.ndarray:
-    """Directional albedo D of a dielectric's GGX lobe, with exact Fresnel reflectance.
+    """Return the albedo D of a dielectric's GGX lobe, exact Fresnel: (R, ALBEDO_NODES).
 
-    Up to a quarter more than 0.04 A + B between 45 and 60 degrees; Mitsuba's ``principled``
-    uses Schlick's formula for metals only.
-
-    Returns:
-        (R, ALBEDO_NODES) float64, at the angles of ``split_sum``.
+    Up to a quarter more than 0.04 A + B between 45 and 60 degrees.
     """
     return np.stack([_albedo(float(a))[2] for a in alpha])
 

@@ -107,11 +107,7 @@ class Model:
         return self.narrow is not None and self.switches.traced and self.switches.occluded
 
     def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Parts]]:
-        """Evaluate the model for one view of every texel.
-
-        Returns:
-            For each level and channel (e, p, q, d).
-        """
+        """Evaluate (e, p, q, d) of each level and channel for one view of every texel."""
         normal, lobes = mi.Vector3f(self.surface.normal), []
         if self.fitted is not None:
             lobes += self.fitted.reflect(direction, cosine)

@@ -70,11 +70,7 @@ class NarrowLobes:
         )
 
     def reflect(self, normal: Any, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
-        """Reflect light towards a camera.
-
-        Returns:
-            The lobe of each width.
-        """
+        """Reflect light towards a camera: the lobe of each width."""
         mirror = mirror_direction(normal, direction)
         result = []
         for level, alpha in enumerate(self.alpha.tolist()):

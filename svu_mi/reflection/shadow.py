@@ -51,11 +51,7 @@ class _Choice:
 def open_to_light(
     scene: Any, sampler: Any, si: Any, side: Side, alpha: Any, active: Any
 ) -> tuple[Any, Any]:
-    """Estimate which part of the diffuse, and of the specular, light nothing hides.
-
-    Returns:
-        Two Floats, 0 or 1 per lane, whose means over samples are those parts.
-    """
+    """Estimate which part of diffuse and specular light nothing hides: 0 or 1 per lane."""
     with dr.suspend_grad():
         frame, alpha = mi.Frame3f(side.normal), dr.detach(alpha)
         lobe = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)

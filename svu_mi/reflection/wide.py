@@ -63,8 +63,7 @@ class Sums:
     def over(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
         """Return the lobes of all cells: ``add(cell, sums)`` returns the next cell, and sums.
 
-        Sums are kept in local memory: as variables, every branch and loop on the way to a cell
-        would copy all of them, which takes as long as all else.
+        Sums are in local memory: every branch would copy variables, which doubles the time.
         """
         size = 3 * self.channels
         sums = dr.alloc_local(mi.Float, size * len(self.alpha))
@@ -126,11 +125,7 @@ class WideLobes:
     channels: int
 
     def reflect(self, lane: Any, normal: Any, direction: Any, cosine: Any) -> list[Lobe]:
-        """Reflect the visible light towards a camera.
-
-        Returns:
-            The lobe of each width.
-        """
+        """Reflect the visible light towards a camera: the lobe of each width."""
         sums = Sums(self.alpha, self.channels, normal, direction)
         tree = _Tree(self.reach, lane, sums)
         return sums.over(self.reach.cells.coarse.count, tree.coarse, cosine)

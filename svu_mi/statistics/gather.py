@@ -260,10 +260,9 @@ def _products(columns: tuple[Any, ...], part: Any) -> list[Any]:
 def rounding_sums(
     views: Views, found: Survey, surface: Surface, weighting: Weighting
 ) -> np.ndarray | None:
-    """Return the variance of a sample of weight 1 by rounding alone, summed over samples.
+    """Return the variance by rounding of samples of weight 1, summed: (S,), squared radiance.
 
-    Returns:
-        (S,) float64, squared radiance, of a mean channel; None where no photograph is of integers.
+    None where no photograph is of integers.
     """
     if views.rounding is None:
         return None

@@ -193,11 +193,7 @@ class Statistics:
         return rows.reshape(self.levels, self.channels, len(PAIRS), self.count)
 
     def errors(self, *nodes: np.ndarray) -> np.ndarray:
-        """Return the weighted mean squared error of cells in double precision, for a few texels.
-
-        Returns:
-            (S, R, C, M ..., K); 0 for a texel that no view sees.
-        """
+        """Return mean squared errors of cells of a few texels, (S, R, C, M ..., K); 0 if unseen."""
         *mixed, color = np.meshgrid(*nodes, indexing="ij")
         x = mixture(*mixed).at(color)
         forms = np.stack([(2 - (i == j)) * x[i] * x[j] for i, j in PAIRS])

@@ -16,11 +16,7 @@ from svu_mi.surface.layout import Texels
 
 
 def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
-    """Evaluate the target's BSDF parameters at every texel's centre.
-
-    Returns:
-        By name float64: base_color (T, 3), linear, and all others (T,).
-    """
+    """Return the target's BSDF parameters at texels by name: (T, 3) linear, or (T,) float64."""
     label = f"Shape '{capture.shape.id()}'"
     if capture.mesh is not capture.shape:
         raise SceneError(

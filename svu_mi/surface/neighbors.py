@@ -94,11 +94,7 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
 
 
 def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
-    """Return the neighbours of lanes, of which every texel has some.
-
-    Returns:
-        Columns (T * size,) UInt32: the same lane of the neighbours.
-    """
+    """Return columns (T * size,) UInt32: the same lanes of the neighbours."""
     if size == 1:
         return tuple(around)
     columns = []
@@ -111,10 +107,7 @@ def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
 
 
 def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state: Any) -> Any:
-    """Fold over the neighbours of all texels, or lanes, within a kernel.
-
-    Few texels have more than four, along seams: packets of which none has go no further.
-    """
+    """Fold over the neighbours of all texels, or lanes, within a kernel."""
     if not around:
         return state
     other, own = around[0], dr.arange(mi.UInt32, dr.width(around[0]))
@@ -277,11 +270,7 @@ def squares_of(texels: Texels) -> np.ndarray:
 
 
 def owners_of(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Group what is in the same square.
-
-    Returns:
-        The squares of G groups, (G, 2), and the group of each of the T, (T,) int64.
-    """
+    """Return the G squares that are taken, (G, 2), and which one each of T is in, (T,) int64."""
     width = int(squares[:, 1].max(initial=0)) + 1
     numbers, owner = np.unique(squares[:, 0] * width + squares[:, 1], return_inverse=True)
     return np.stack(np.divmod(numbers, width), axis=1), owner

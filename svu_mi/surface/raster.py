@@ -21,13 +21,10 @@ from svu_mi.interop import owned
 
 
 def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Find the face under every texel centre.
+    """Return the face under every texel centre, -1 for none, and how many: (H * W,) int64 each.
 
     Texel (i, j) has its centre at ((j + 0.5) / W, (i + 0.5) / H). Of overlapping faces the
     one with the highest index is kept.
-
-    Returns:
-        (H * W,) int64 face index, -1 outside all charts; (H * W,) int64 number of faces.
     """
     width, height = resolution
     if len(uvs) == 0:
@@ -98,12 +95,7 @@ NARROW = 8  # texels: wider gutters may be most of the image, and are asked for 
 
 
 def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
-    """Fill invalid texels near valid ones with the nearest valid value.
-
-    Returns:
-        A copy of the image; valid texels and those further away are as they were. Of several
-        valid texels at the same distance, any one gives its value.
-    """
+    """Return a copy of an image, invalid texels near valid ones filled with the nearest value."""
     image, valid = np.asarray(image), np.asarray(valid, bool)
     if image.ndim not in (2, 3) or valid.shape != image.shape[:2]:
         raise ShapeError(

@@ -211,17 +211,9 @@ def over_views(
     *,
     dense: bool = False,
 ) -> Any:
-    """Run a consumer over all views in one symbolic loop.
+    """Run a consumer over all views in one symbolic loop; return the last state.
 
-    Args:
-        views: the packed capture.
-        surface: the texels.
-        consume: ``consume(observation, view, *state)`` returns the new state; traced once.
-        state: tuple of Dr.Jit arrays, one value per texel.
-        dense: see ``observe``.
-
-    Returns:
-        The state after the last view.
+    ``consume(observation, view, *state)`` returns the new state; it is traced once.
     """
 
     def body(view: Any, *state: Any) -> tuple[Any, ...]:

@@ -129,23 +129,14 @@ def mean_over_texel(
     views: Views, camera: Camera, position: Any, sides: tuple[Any, Any] | None, seen: Any, *,
     clipped: bool = False,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Average the pixels that a texel covers in a view: bilinear look-ups all over the
-    parallelogram that it is there, which overlap up to sides of 12 pixels.
+    """Average the pixels that a texel covers in a view, by overlapping bilinear look-ups.
 
     A texel smaller than a pixel is one look-up, and shares its pixels with its neighbours. What
     lies beyond the film, or is not usable, is left out; if that is all, the middle is read.
 
-    Args:
-        views: the packed capture.
-        camera: of the view.
-        position: of the texels.
-        sides: what they span, see ``Surface``.
-        seen: Bool, for which there is work to do.
-        clipped: read clipped pixels, too, as dark as they may be.
-
     Returns:
         radiance (Color3f), and the variance of grey over the pixels that were read; if
-        ``clipped``, also the part of them that is clipped, Color3f.
+        ``clipped``, also the part of them that is saturated, Color3f.
     """
     if views.pixels is None:
         return black(), mi.Float(0), *([black()] if clipped else [])

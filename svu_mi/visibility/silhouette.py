@@ -91,10 +91,9 @@ def find_tiles(
     bounds: np.ndarray,
     masks: Sequence[np.ndarray | None],
 ) -> np.ndarray:
-    """List the tiles of V views, given (V, 3, 4) projections to pixels and (V, 2) film sizes.
+    """List the tiles of V views: (N, 3) uint32, view, column and row of the first pixel.
 
-    Returns:
-        (N, 3) uint32: view, column and row of the first pixel. Tiles do not share pixels.
+    Given (V, 3, 4) projections to pixels and (V, 2) film sizes. Tiles do not share pixels.
     """
     windows = _windows(projections, near, sizes, bounds)
     found = [
@@ -135,11 +134,9 @@ def _tiles_of(view: int, window: np.ndarray, mask: np.ndarray | None) -> np.ndar
 
 
 def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterator[tuple[Any, Any]]:
-    """Find the interior pixels among those of the tiles: one ray per pixel corner.
+    """Yield pixels among those of the tiles (UInt32), and whether they are interior (Bool).
 
-    Yields:
-        UInt32 index of a pixel (over all photographs) and Bool whether it is interior; not
-        evaluated yet. No pixel comes twice, and those that do not come are not interior.
+    One ray per pixel corner. No pixel comes twice; those that do not come are not interior.
     """
     for start in range(0, len(tiles), BLOCK):
         block = tiles[start : start + BLOCK]

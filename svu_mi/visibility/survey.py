@@ -82,19 +82,10 @@ class Survey:
         self, views: Views, surface: Surface, consume: Callable[..., Any],
         state: tuple[Any, ...], *, clipped: bool = False, among: Bits | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Run a consumer over all views in one symbolic loop.
+        """Run a consumer over the views in ``order`` in one symbolic loop; return the last state.
 
-        Args:
-            views: the packed capture.
-            surface: the texels of the launch.
-            consume: ``consume(observation, slot, *state)`` returns the new state; traced once.
-                The view is ``order[slot]``.
-            state: Dr.Jit arrays, one value per texel of the launch.
-            clipped: observe clipped pixels, too.
-            among: samples to observe (``look``); by default all.
-
-        Returns:
-            The state after the last view.
+        ``consume(observation, slot, *state)`` returns the new state; it is traced once. ``clipped``
+        and ``among`` are those of ``look``.
         """
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:

@@ -215,14 +215,9 @@ class _Pixels:
         return ClippedPixels(self.clipped, owned(mi.Float, least.ravel()))
 
     def drop_hot(self, offset: np.ndarray) -> list[tuple[int, int, float]]:
-        """Take pixels out of use that are too bright to be true.
+        """Take pixels out of use that are too bright to be true; return where.
 
-        One of 1e10 in one photograph would be most of their mean radiance, which noise is a part
-        of.
-
-        Returns:
-            Of each photograph that has some: its number, theirs, and how often the brightest
-            holds the median.
+        Of each photograph with some: its number, theirs, the brightest over the median.
         """
         brightest, faintest = (
             bits.numpy().view(np.float32)[0] for bits in (self.brightest, self.faintest)
