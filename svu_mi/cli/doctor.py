@@ -1,12 +1,12 @@
-"""``svu doctor``: what is installed, what can run, and what to do about the rest.
+"""``svu doctor``: the installation, what can run, and remedies.
 
-Dr.Jit and Mitsuba do nothing in this process, and are not even loaded unless it has one core. An
-unusable LLVM or GPU driver can abort a process, and a child that aborts is a finding; so children
-collect the facts and render the test picture.
+An unusable LLVM or GPU driver can abort a process. Child processes therefore collect the facts of
+Dr.Jit and Mitsuba and render the test picture.
 """
 
 from __future__ import annotations
 
+import ctypes
 import importlib.metadata
 import json
 import os
@@ -15,33 +15,19 @@ import signal
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from svu_mi import _llvm
-from svu_mi.cli.common import Common
+from svu_mi.cli.common import VARIANTS, Common
 
 PACKAGES = ("svu_mi", "mitsuba", "drjit", "OpenEXR", "trimesh", "xatlas", "numpy", "scipy")
-SUPPORTED = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # what entropy runs on
 TIMEOUT_S = 300  # a first render compiles kernels
 CHILD = "import sys; from svu_mi.cli import doctor; doctor.{}(*sys.argv[1:])"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Doctor(Common):
-    """Say what is installed, what can run here, and what to do about the rest."""
-
-    draws = False
-
-    def run(self, console: Console) -> int:
-        """Diagnose, print, and return the exit status: 0 if healthy, else 2."""
-        with console.status("Looking around; the first render compiles kernels"):
-            found = diagnose()
-        show(found, console)
-        return 0 if found.healthy else 2
+Facts = dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -55,62 +41,46 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Diagnosis:
-    """What ``svu doctor`` found.
+class Doctor(Common):
+    """Say what is installed, what can run here, and what to do about the rest."""
 
-    Attributes:
-        facts: about system, versions and devices, in words, by what they are called.
-        versions: installed version by package, ``missing`` if it is not installed.
-        variants: all that this Mitsuba was built with.
-        usable: those of ``variants`` that can run here, as far as Dr.Jit tells.
-        llvm: the library that LLVM variants use.
-        checks: what was tried, and how it went.
-    """
+    draws = False
 
-    facts: dict[str, str]
-    versions: dict[str, str]
-    variants: tuple[str, ...]
-    usable: tuple[str, ...]
-    llvm: _llvm.LlvmStatus
-    checks: tuple[Check, ...]
-
-    @property
-    def healthy(self) -> bool:
-        """Whether the pipeline can run here."""
-        return all(check.ok for check in self.checks)
+    def run(self, console: Console) -> int:
+        """Print facts and checks; return 0 if all checks are passed, else 2."""
+        with console.status("Looking around; the first render compiles kernels"):
+            facts, checks = diagnose()
+        show(facts, checks, console)
+        return 0 if all(check.ok for check in checks) else 2
 
 
-def diagnose() -> Diagnosis:
-    """Collect versions, devices and test results; takes a few seconds, and never raises."""
+def diagnose() -> tuple[Facts, list[Check]]:
+    """Return facts by name, and test results; takes a few seconds, and never raises."""
     versions = {name: _version(name) for name in PACKAGES}
-    told, loading = _told()
-    llvm = _llvm.status()
-    if "llvm" in told:  # what Dr.Jit says once loaded; where it came from is known only here
-        one = told["llvm"]
+    code, output, errors = _child("collect_facts")
+    remedy = "reinstall with: pip install --force-reinstall mitsuba drjit"
+    loading = Check("mitsuba", False, _how_it_ended(code, errors), remedy)
+    found, llvm = {}, _llvm.status()
+    if code == 0 and output.strip():
+        found, loading = json.loads(output.splitlines()[-1]), Check("mitsuba", True, "loads")
+        one = found["llvm"]  # as Dr.Jit has loaded it; its source is known only here
         llvm = _llvm.LlvmStatus(one["path"], tuple(one["version"]), llvm.source, one["problem"])
-    variants = tuple(told.get("variants", ()))
-    usable = tuple(name for name in variants if _runs(name, told["backends"], llvm))
+    variants = found.get("variants", [])
+    usable = [name for name in variants if _runs(name, found["backends"], llvm)]
+    library = f"{_llvm.dotted(llvm.version)}, {llvm.path or 'no file'} ({llvm.source})"
     facts = {
         "System": f"{platform.system()} {platform.release()} {platform.machine()}",
         "Python": f"{platform.python_version()} ({sys.executable})",
         "Packages": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "Variants": ", ".join(variants) or "unknown",
         "Usable": ", ".join(usable) or "none",
-        "LLVM": _library(llvm),
-        **told.get("devices", {}),
-        "Threads": str(told.get("threads", 0)),
+        # Not a failed check where a GPU does the work.
+        "LLVM": f"{library}: not usable. {llvm.problem}" if llvm.problem else library,
+        **found.get("devices", {}),
+        "Threads": str(found.get("threads", 0)),
         "Kernel cache": _cache_folder(),
     }
-    checks = (_installed(versions), loading, *_renders(usable, llvm), check_exr())
-    return Diagnosis(
-        facts=facts, versions=versions, variants=variants, usable=usable, llvm=llvm, checks=checks
-    )
-
-
-def _library(llvm: _llvm.LlvmStatus) -> str:
-    words = f"{_llvm.dotted(llvm.version)}, {llvm.path or 'no file'} ({llvm.source})"
-    # Not a failed check where a GPU does the work.
-    return f"{words}: not usable. {llvm.problem}" if llvm.problem else words
+    return facts, [check_packages(versions), loading, *check_renders(usable, llvm), check_exr()]
 
 
 def _version(package: str) -> str:
@@ -120,13 +90,6 @@ def _version(package: str) -> str:
         return "missing"
 
 
-def _installed(versions: dict[str, str]) -> Check:
-    missing = [name for name, version in versions.items() if version == "missing"]
-    if missing:
-        return Check("packages", False, f"missing: {', '.join(missing)}", "pip install svu_mi")
-    return Check("packages", True, "all installed")
-
-
 def _runs(variant: str, backends: list[str], llvm: _llvm.LlvmStatus) -> bool:
     if variant.startswith("llvm"):
         return llvm.problem is None
@@ -134,31 +97,26 @@ def _runs(variant: str, backends: list[str], llvm: _llvm.LlvmStatus) -> bool:
 
 
 def _cache_folder() -> str:
-    """Where Dr.Jit keeps compiled kernels (its own rule)."""
-    if "DRJIT_CACHE_DIR" in os.environ:
-        return os.environ["DRJIT_CACHE_DIR"]
-    if sys.platform == "win32":
-        return str(Path(tempfile.gettempdir()) / "drjit")
-    return str(Path("~/.drjit").expanduser())
+    """Return where Dr.Jit keeps compiled kernels, by its own rule."""
+    windows = str(Path(tempfile.gettempdir()) / "drjit")
+    usual = windows if sys.platform == "win32" else str(Path("~/.drjit").expanduser())
+    return os.environ.get("DRJIT_CACHE_DIR", usual)
 
 
-# --- checks -------------------------------------------------------------------------------
+def check_packages(versions: dict[str, str]) -> Check:
+    """Check that no package is missing."""
+    missing = [name for name, version in versions.items() if version == "missing"]
+    if missing:
+        return Check("packages", False, f"missing: {', '.join(missing)}", "pip install svu_mi")
+    return Check("packages", True, "all installed")
 
 
-def _told() -> tuple[dict[str, Any], Check]:
-    code, output, errors = _child("collect_facts")
-    if code == 0 and output.strip():
-        return json.loads(output.splitlines()[-1]), Check("mitsuba", True, "loads")
-    remedy = "reinstall with: pip install --force-reinstall mitsuba drjit"
-    return {}, Check("mitsuba", False, _how_it_ended(code, errors), remedy)
-
-
-def _renders(usable: tuple[str, ...], llvm: _llvm.LlvmStatus) -> list[Check]:
-    """Render with each supported variant that should run; none at all is a finding too."""
-    variants = [name for name in SUPPORTED if name in usable]
+def check_renders(usable: list[str], llvm: _llvm.LlvmStatus) -> list[Check]:
+    """Render with each supported variant that should run; there must be one."""
+    variants = [name for name in VARIANTS if name in usable]
     if variants:
         return [check_render(variant) for variant in variants]
-    why = llvm.problem or f"this Mitsuba has none of {', '.join(SUPPORTED)}"
+    why = llvm.problem or f"this Mitsuba has none of {', '.join(VARIANTS)}"
     return [Check("render", False, "no variant can run", why)]
 
 
@@ -168,10 +126,9 @@ def check_render(variant: str) -> Check:
     name = f"render with {variant}"
     if code == 0 and output.strip():
         return Check(name, True, output.splitlines()[-1])
+    remedy = "update the GPU driver, or use another variant: svu -m llvm_ad_rgb ..."
     if variant.startswith("llvm"):
         remedy = f"unset {_llvm.VARIABLE} if it is set, and {_llvm.remedy()}"
-    else:
-        remedy = "update the GPU driver, or use another variant: svu -m llvm_ad_rgb ..."
     return Check(name, False, _how_it_ended(code, errors), remedy)
 
 
@@ -208,7 +165,7 @@ def _child(function: str, *arguments: str) -> tuple[int, str, str]:
 
 
 def _how_it_ended(code: int, errors: str) -> str:
-    """One line on a child that failed: the signal, if one ended it, and its last words."""
+    """Return the last line of a child that failed, and the signal if one ended it."""
     lines = [line.strip() for line in errors.splitlines() if line.strip()]
     words = lines[-1] if lines else "no message"
     if code >= 0:
@@ -224,34 +181,23 @@ def _how_it_ended(code: int, errors: str) -> str:
 
 
 def collect_facts() -> None:
-    """Print what Dr.Jit and Mitsuba tell, as one line of JSON."""
+    """Print facts of Dr.Jit and Mitsuba, as one line of JSON."""
     import drjit as dr
     import mitsuba as mi
 
     kinds = [name for name in ("CUDA", "LLVM", "Metal") if hasattr(dr.JitBackend, name)]
     there = [kind for kind in kinds if dr.has_backend(getattr(dr.JitBackend, kind))]
-    optix = ["OptiX"] if _has_optix() else []
-    facts = {
-        "variants": mi.variants(),
-        "backends": [kind.upper() for kind in there],
-        "threads": dr.thread_count(),
-        "llvm": asdict(_llvm.status()),
-        "devices": {
-            name: "present" if name in there + optix else "absent"
-            for name in ("CUDA", "OptiX", "Metal")
-        },
-    }
-    print(json.dumps(facts))
-
-
-def _has_optix() -> bool:
-    import ctypes
-
-    try:
+    backends = [kind.upper() for kind in there]
+    with suppress(OSError):
         ctypes.CDLL("nvoptix.dll" if sys.platform == "win32" else "libnvoptix.so.1")
-    except OSError:
-        return False
-    return True
+        there.append("OptiX")
+    devices = {
+        name: "present" if name in there else "absent" for name in ("CUDA", "OptiX", "Metal")
+    }
+    print(json.dumps({
+        "variants": mi.variants(), "backends": backends, "threads": dr.thread_count(),
+        "llvm": asdict(_llvm.status()), "devices": devices,
+    }))  # fmt: skip
 
 
 def render_test(variant: str) -> None:
@@ -300,19 +246,19 @@ def render_test(variant: str) -> None:
 # --- printing -----------------------------------------------------------------------------
 
 
-def show(found: Diagnosis, console: Console) -> None:
-    """Print a diagnosis: facts, then checks, then remedies."""
+def show(facts: Facts, checks: list[Check], console: Console) -> None:
+    """Print facts, then checks, then remedies."""
     from rich.markup import escape
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2))
-    for name, value in found.facts.items():
+    for name, value in facts.items():
         table.add_row(name, escape(value))
     console.print(table)
     console.print()
-    for check in found.checks:
+    for check in checks:
         mark = "[green]ok[/]    " if check.ok else "[red]failed[/]"
         console.print(f"{mark}  {check.name}: {escape(check.detail)}", highlight=False)
-    for check in found.checks:
+    for check in checks:
         if not check.ok:
             console.print(f"Remedy for {check.name}: {escape(check.remedy)}", highlight=False)
