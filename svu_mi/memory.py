@@ -15,7 +15,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Any
 
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 
@@ -129,68 +128,49 @@ class Need:
 
     Attributes:
         command: ``entropy``, ``recover``, ...: one of ``COSTS``.
-        sizes: (width, height) of each photograph.
+        sizes: of the capture.
         resolution: texels, (width, height); (0, 0) without any.
+        model: of the estimate, one of ``MODELS``; empty without an estimate.
         candidates: views that guidance compares.
         looks: texels times cells that the light is looked for with.
-        light: (width, height) of the environment map; (0, 0) for other lights.
-        model: what is estimated with: one of ``MODELS``; empty where nothing is estimated.
-        charts: part of the texture that has texels, at most.
-        stored: (width, height) of the files that larger photographs are read from.
-        memory: bytes that photographs may take, before they go to a file.
     """
 
     command: str
-    sizes: Sequence[Size]
+    sizes: Sizes
     resolution: Size = (0, 0)
+    model: str = ""
     candidates: int = 0
     looks: int = 0
-    light: Size = (0, 0)
-    model: str = "default"
-    charts: float = 1.0
-    stored: Sequence[Size] = ()
-    memory: float = inf
-
-    @staticmethod
-    def of(
-        command: str, sizes: Sizes, resolution: Size = (0, 0), *, model: str = "", **more: Any
-    ) -> Need:
-        """Return the memory of a command by the sizes of a capture."""
-        return Need(
-            command, sizes.photographs, resolution, light=sizes.light, charts=sizes.charts,
-            stored=sizes.stored, memory=sizes.memory, model=model, **more,
-        )  # fmt: skip
 
     @property
     def bytes(self) -> float:
         """Memory of the whole process."""
-        cost, (width, height) = COSTS[self.command], self.light
-        light = light_bytes(self.light) if cost.light is None else cost.light * width * height
-        found = cost.candidate * self.candidates + cost.look * self.looks * len(self.sizes)
+        cost, light = COSTS[self.command], light_bytes(self.sizes.light)
+        if cost.light is not None:
+            light = cost.light * _pixels(self.sizes.light)
+        looks = cost.look * self.looks * len(self.sizes.photographs)
         photographs, texels = self._parts()
-        return cost.start + light + photographs + max(found + texels, self._reading())
+        work = cost.candidate * self.candidates + looks + texels
+        return cost.start + light + photographs + max(work, self._reading())
 
     def _reading(self) -> float:
         """Return memory for decoding photographs that are made smaller."""
-        kept = max((width * height for width, height in self.sizes), default=0)
-        largest = max((width * height for width, height in self.stored), default=0)
+        kept = max(map(_pixels, self.sizes.photographs), default=0)
+        largest = max(map(_pixels, self.sizes.stored), default=0)
         return READING * largest * decoders(largest) if largest > kept else 0.0
 
     def _parts(self) -> tuple[float, float]:
         """Return memory of photographs, and of texels."""
-        cost = COSTS[self.command]
-        pixels = [width * height for width, height in self.sizes]
+        cost, pixels = COSTS[self.command], list(map(_pixels, self.sizes.photographs))
         photographs = cost.pixel * sum(pixels) + cost.film * max(pixels, default=0)
-        if STORED * sum(pixels) > self.memory:
+        if STORED * sum(pixels) > self.sizes.memory:
             photographs = FLAGS * sum(pixels)
-        grid = self.resolution[0] * self.resolution[1]
-        covered, model = self.charts * grid, MODELS[self.model] if self.model else 0
-        texels = cost.texel * covered + (1 - self.charts) * grid * GRID
+        grid, model = _pixels(self.resolution), MODELS.get(self.model, 0)
+        covered, bare = self.sizes.charts * grid, (1 - self.sizes.charts) * grid * GRID
         laid_out = LAID_OUT.get(self.command)
         if laid_out is not None and self.model != "spectrum" and covered > ABOUT * TILE:
-            at_work = 2 * model * AT_WORK + (1 - self.charts) * grid * GRID
-            return photographs, laid_out * covered + at_work
-        return photographs, texels + model * covered
+            return photographs, laid_out * covered + 2 * model * AT_WORK + bare
+        return photographs, (cost.texel + model) * covered + bare
 
     @property
     def fits(self) -> bool:
@@ -249,8 +229,8 @@ class Need:
             photographs, texels = small._parts()
             if photographs >= texels:
                 shrink += 1
-                sizes = [(width // shrink, height // shrink) for width, height in self.sizes]
-                small = replace(small, sizes=sizes)
+                sides = [(w // shrink, h // shrink) for w, h in self.sizes.photographs]
+                small = replace(small, sizes=replace(self.sizes, photographs=sides))
             else:
                 width, height = small.resolution
                 small = replace(small, resolution=(max(width // 2, 1), max(height // 2, 1)))
@@ -262,13 +242,17 @@ class Need:
         """Return the options that lead to ``small``, with photographs shrunk by a factor."""
         words = []
         if shrink > 1:
-            width, height = max(small.sizes, key=lambda size: size[0] * size[1])
+            width, height = max(small.sizes.photographs, key=_pixels)
             default = f"svu import --shrink {shrink}"
             words.append(FEWER_PIXELS.get(self.command, default).format(f"{width} x {height}"))
         if small.resolution != self.resolution:
             size = " ".join(map(str, dict.fromkeys(small.resolution)))
             words.append(FEWER_TEXELS.get(self.command, "--resolution {}").format(size))
         return words
+
+
+def _pixels(size: Size) -> int:
+    return size[0] * size[1]
 
 
 def decoders(pixels: int) -> int:
@@ -280,7 +264,7 @@ def decoders(pixels: int) -> int:
 
 def light_bytes(size: Size) -> float:
     """Return bytes of an environment map of (width, height)."""
-    nodes = size[0] * size[1]
+    nodes = _pixels(size)
     return KEPT_NODE * min(nodes, KEPT_NODES) + NODE * max(nodes - KEPT_NODES, 0)
 
 

@@ -62,7 +62,7 @@ class CheckCapture(Common):
         from svu_mi.illumination.resolve_light import found_gains
         from svu_mi.output.check_page import write_check
 
-        need: NeedOf = partial(Need.of, "check")
+        need: NeedOf = partial(Need, "check")
         find = None
         if self.photographs.estimates_gains:
             need = with_search(need)

@@ -66,7 +66,7 @@ class Compare(Common):
             def preflight(path: str, texels: tuple[int, int]) -> Callable[[Sizes], float]:
                 # Of the one of the two estimates that takes more.
                 model = max(self.preset, key=MODELS.__getitem__)
-                need = partial(Need.of, "compare", resolution=texels, model=model)
+                need = partial(Need, "compare", resolution=texels, model=model)
                 return partial(announce_sizes, progress, path, with_search(need))
 
             found = compare(

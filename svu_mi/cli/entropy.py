@@ -50,7 +50,7 @@ class Entropy(CaptureCommand):
         from svu_mi.options import NOTHING, Skip
         from svu_mi.output import Knowledge, Run, write_outputs
 
-        need = partial(Need.of, "entropy", resolution=size, model=self.estimation.model)
+        need = partial(Need, "entropy", resolution=size, model=self.estimation.model)
         capture, grid = self.load_lit(progress, need, size, self.light)
         skip = Skip() if self.skip else NOTHING
         result = self.estimation.estimate(progress, capture, grid, skip=skip)

@@ -13,7 +13,7 @@ from svu_mi.cli.common import Common
 from svu_mi.cli.loading import announce
 from svu_mi.cli.options import Output, Overwrite
 from svu_mi.cli.terminal import say
-from svu_mi.memory import Need, Size
+from svu_mi.memory import Need, Size, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import claimed
 
@@ -65,7 +65,7 @@ class Export(Common):
             progress = Progress(console)
 
             def preflight(size: Size) -> None:
-                announce(progress, str(self.result), Need("export", (), size, model=""))
+                announce(progress, str(self.result), Need("export", Sizes(()), size))
 
             with progress.stage("Reading the result"):
                 asset = load_asset(self.result, self.entropy, preflight=preflight)

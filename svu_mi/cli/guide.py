@@ -103,7 +103,7 @@ class Guide(CaptureCommand):
         missing: opt.Missing | None = "leave-out" if self.candidates == SCENE else None
         size, model = opt.texel_size(self.resolution), self.estimation.model
         count = _number(self.candidates) or 0
-        need = partial(Need.of, "guide", resolution=size, model=model, candidates=count)
+        need = partial(Need, "guide", resolution=size, model=model, candidates=count)
         capture, texels = self.load_lit(progress, need, size, self.light, missing=missing)
         candidates = fixed or self._restricted(self._place(capture))
         known = self.estimation.estimate(progress, capture, texels, whole=True)

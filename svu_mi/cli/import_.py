@@ -129,7 +129,7 @@ class Import(Common):
                 return import_capture(
                     source, place, self.conversion, words=self.words, progress=stage.update,
                     preflight=partial(
-                        announce_sizes, progress, str(self.source), partial(Need.of, "import")
+                        announce_sizes, progress, str(self.source), partial(Need, "import")
                     ),
                 )  # fmt: skip
 

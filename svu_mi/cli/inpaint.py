@@ -98,7 +98,7 @@ class Inpaint(CaptureCommand):
 
         textures, model = read_textures(self.recovered), self._model(progress)
         size = textures.resolution
-        need = partial(Need.of, "recover", resolution=size, model="default")
+        need = partial(Need, "recover", resolution=size, model="default")
         capture, texels = self.load_lit(progress, need, size, self.light)
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)

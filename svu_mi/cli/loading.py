@@ -132,7 +132,7 @@ class CaptureCommand(Common):
         from svu_mi.capture.rendering import plan_render
 
         def larger(sizes: Sizes) -> Need:
-            return max(Need.of("render", sizes), need(sizes), key=lambda one: one.bytes)
+            return max(Need("render", sizes), need(sizes), key=lambda one: one.bytes)
 
         source, unwrap = self.capture.source, self.capture.rendering.unwrap
         with progress.stage("Rendering photographs") as stage:
@@ -184,7 +184,7 @@ def announce_sizes(progress: Progress, label: str, need: NeedOf, sizes: Sizes) -
     if not (found.fits or sizes.asked):
         found = need(replace(sizes, memory=0.0))
     announce(progress, label, found)
-    return found.memory
+    return found.sizes.memory
 
 
 def announce(progress: Progress, label: str, need: Need) -> None:
@@ -194,13 +194,13 @@ def announce(progress: Progress, label: str, need: Need) -> None:
 
 
 def to_find_light(sizes: Sizes, resolution: tuple[int, int], options: LightOptions) -> Need:
-    """Return what memory it takes to find the light."""
+    """Return the memory of a search for the light."""
     cells = max(cells for cells, _ in options.depths)
     # Of few texels, the normal equations of the cells take more than the texels' part of them.
     equations = EQUATIONS * cells**2 // max(len(sizes.photographs), 1)
     looks = max(options.texels * cells, equations)
     # No statistics are gathered: texels take no more than where spectra are fitted.
-    return Need.of("light", sizes, resolution, looks=looks, model="spectrum")
+    return Need("light", sizes, resolution, looks=looks, model="spectrum")
 
 
 def with_search(need: NeedOf) -> NeedOf:

@@ -141,7 +141,7 @@ class Recover(CaptureCommand):
 
         options = self._options()  # refused before any work
         size = opt.texel_size(self.resolution)
-        need = partial(Need.of, "recover", resolution=size, model="default")
+        need = partial(Need, "recover", resolution=size, model="default")
         capture, texels = self.load_lit(progress, need, size, self.light, again=self.resume)
         initial = self._initial(texels)
         seen = observe(capture, texels, progress)

@@ -96,7 +96,7 @@ class Relight(CaptureCommand):
         from svu_mi.recovery.relight import relight_draws
 
         textures, files = read_textures(self.recovered), find_draws(self.recovered)
-        need = partial(Need.of, "relight", resolution=textures.resolution)
+        need = partial(Need, "relight", resolution=textures.resolution)
         capture, _ = self.load(progress, need, textures.resolution)
         require_textures_of(capture, self.recovered)
         if self.environment is not None:

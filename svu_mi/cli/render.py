@@ -63,7 +63,7 @@ class Render(Common):
                 self.source.scene, self.spp, self.seed, shape=self.source.shape, views=self.views,
                 resolution=size, defines=defines, trust=self.trust,
             )  # fmt: skip
-            need = partial(Need.of, "render")
+            need = partial(Need, "render")
             announce_sizes(progress, str(self.source.scene), need, plan.sizes)
             return plan.render(place, progress=stage.update, resume=self.resume).count
 

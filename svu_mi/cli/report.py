@@ -95,7 +95,7 @@ class Report(CaptureCommand):
         from svu_mi.output.report.report import write_report
         from svu_mi.output.textures import require_textures_of
 
-        need = partial(Need.of, "report", resolution=size, model=self.estimation.model)
+        need = partial(Need, "report", resolution=size, model=self.estimation.model)
         capture, texels = self.load_lit(progress, need, size, self.light)
         if self.recovered is not None:
             require_textures_of(capture, self.recovered)

@@ -49,7 +49,7 @@ class View(CaptureCommand):
         self.start()
         progress = Progress(console)
         size, textures = opt.recovered_textures(self.recovered, self.resolution, SIDE)
-        need = partial(Need.of, "view", resolution=size, model=self.estimation.model)
+        need = partial(Need, "view", resolution=size, model=self.estimation.model)
         capture, texels = self.load_lit(progress, need, size, self.light)
         if self.recovered is not None:
             require_textures_of(capture, self.recovered)

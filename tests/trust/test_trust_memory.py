@@ -28,6 +28,10 @@ from svu_mi.progress import Progress
 SIXTY = [(6000, 4000)] * 60
 
 
+def needed(command, photographs, resolution=(0, 0), model="default", **sizes) -> Need:
+    return Need(command, Sizes(photographs, **sizes), resolution, model)
+
+
 def machine(monkeypatch, free: float, space: float | None = None) -> None:
     """Pretend that so much is free, and that a process of nothing may use so much."""
     monkeypatch.setattr(memory, "free_memory", lambda: int(free))
@@ -46,7 +50,7 @@ def refused(need: Need) -> str:
 
 def test_photographs_that_do_not_fit_are_to_be_shrunk(monkeypatch):
     machine(monkeypatch, 23e9)
-    need = Need("entropy", SIXTY, (512, 512))
+    need = needed("entropy", SIXTY, (512, 512))
     assert need.sentence() == "Needs up to 34 GB of memory, 23 are there"
     assert refused(need) == (
         "capture: needs 34 GB of memory, 23 are there; svu import --shrink 2 needs 9.5."
@@ -55,13 +59,13 @@ def test_photographs_that_do_not_fit_are_to_be_shrunk(monkeypatch):
 
 def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
     machine(monkeypatch, 2e9)
-    assert refused(Need("recover", [(512, 512)] * 10, (2048, 2048))) == (
+    assert refused(needed("recover", [(512, 512)] * 10, (2048, 2048))) == (
         "capture: needs 12 GB of memory, 2 are there; --resolution 512 needs 1.6."
     )
-    assert refused(Need("entropy", [(512, 512)] * 10, (4096, 4096))) == (
+    assert refused(needed("entropy", [(512, 512)] * 10, (4096, 4096))) == (
         "capture: needs 4.5 GB of memory, 2 are there; --resolution 2048 needs 1.6."
     )
-    need = Need("recover", SIXTY, (2048, 1024))
+    need = needed("recover", SIXTY, (2048, 1024))
     assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8.")
 
 
@@ -70,9 +74,7 @@ def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(
 ):
     machine(monkeypatch, 4e9)
 
-    def need(sizes: Sizes) -> Need:
-        return Need("recover", sizes.photographs, (1024, 1024), memory=sizes.memory)
-
+    need = partial(Need, "recover", resolution=(1024, 1024), model="default")
     preflight = partial(announce_sizes, Progress(), "capture", need)
     many = Sizes([(1000, 1000)] * 90, memory=2e9, asked=False)
     assert preflight(many) == 0
@@ -86,14 +88,14 @@ def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(
 
 def test_what_cannot_be_made_small_enough_says_so(monkeypatch):
     machine(monkeypatch, 0.3e9)
-    assert refused(Need("check", SIXTY)) == (
+    assert refused(needed("check", SIXTY)) == (
         "capture: needs 33 GB of memory, 0.3 are there; work on a machine with more."
     )
 
 
 def test_address_space_is_asked_for_too(monkeypatch):
     machine(monkeypatch, 23e9, 2e9)
-    said = refused(Need("entropy", [(512, 512)] * 60, (512, 512)))
+    said = refused(needed("entropy", [(512, 512)] * 60, (512, 512)))
     assert re.fullmatch(
         r"capture: needs [\d.]+ GB of address space, ulimit -v allows 2; raise it; --resolution "
         r"256 needs 0.98 of memory\.",
@@ -104,9 +106,9 @@ def test_address_space_is_asked_for_too(monkeypatch):
 def test_nothing_is_refused_where_nobody_says_what_there_is(monkeypatch):
     monkeypatch.setattr(memory, "free_memory", lambda: None)
     monkeypatch.setattr(memory, "address_space", lambda: None)
-    Need("entropy", SIXTY * 1000, (4096, 4096)).require()
+    needed("entropy", SIXTY * 1000, (4096, 4096)).require()
     memory.require_start()
-    assert Need("check", []).sentence() == "Needs up to 0.37 GB of memory"
+    assert needed("check", []).sentence() == "Needs up to 0.37 GB of memory"
 
 
 def test_a_process_that_cannot_even_start_is_told(monkeypatch):
@@ -306,13 +308,13 @@ def test_what_has_no_photographs_to_read_refuses_too(command, tmp_path, capsys, 
 def test_each_command_says_what_would_need_less_of_it(monkeypatch):
     machine(monkeypatch, 1e9)
     films = [(2000, 1000)] * 20
-    assert refused(Need("render", films, model="")).endswith(
+    assert refused(needed("render", films, model="")).endswith(
         "; rendering at most 1000 x 500 pixels per film needs 0.76."
     )
-    assert refused(Need("import", films, model="")).endswith(
+    assert refused(needed("import", films, model="")).endswith(
         "; reading photographs of at most 1000 x 500 pixels needs 0.9."
     )
-    assert refused(Need("export", (), (2048, 2048), model="")).endswith(
+    assert refused(needed("export", (), (2048, 2048), model="")).endswith(
         "; svu recover --resolution 1024 needs 0.83."
     )
 
@@ -355,9 +357,9 @@ def test_rendering_importing_and_exporting_take_no_more_either(command, side, tm
 
 
 def test_texels_that_no_chart_covers_take_next_to_nothing():
-    full = Need("recover", [(64, 64)], (4096, 4096))
-    quarter = Need("recover", [(64, 64)], (4096, 4096), charts=0.25)
-    fixed = Need("recover", [(64, 64)]).bytes
+    full = needed("recover", [(64, 64)], (4096, 4096))
+    quarter = needed("recover", [(64, 64)], (4096, 4096), charts=0.25)
+    fixed = needed("recover", [(64, 64)]).bytes
     assert 0.25 <= (quarter.bytes - fixed) / (full.bytes - fixed) < 0.3
 
 

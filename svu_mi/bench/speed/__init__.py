@@ -30,7 +30,7 @@ from svu_mi.bench.speed.tables import scaling, speed_tables
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import WARM_UP, in_new_process, once, spread, warm
 from svu_mi.capture import Capture, load_capture
-from svu_mi.memory import Need
+from svu_mi.memory import Need, Sizes
 from svu_mi.observed import observe
 from svu_mi.output import write_maps
 from svu_mi.pipeline import estimate
@@ -264,7 +264,7 @@ def time_whole_way(timing: Timing) -> Record:
         runs = [go_all_the_way(**asked) for _ in range(WARM_UP + bench.sizes.repeats)][WARM_UP:]
         cold = in_new_process(go_all_the_way, **asked)
         pixels = sum(image.shape[0] * image.shape[1] for image in capture.images)
-        need = Need("entropy", [(pixels, 1)], (layout.count, 1), model=model)
+        need = Need("entropy", Sizes([(pixels, 1)]), (layout.count, 1), model)
         found[method] = {
             "warm": {
                 "stages": {stage: spread([run["stages"][stage] for run in runs])
