@@ -23,7 +23,15 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.errors import OptionError
-from svu_mi.estimators import Run, counted, from_angles, from_spectra, widened
+from svu_mi.estimators import (
+    Run,
+    counted,
+    from_angles,
+    from_spectra,
+    make_plan,
+    widened,
+    with_known,
+)
 from svu_mi.interop import owned
 from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset, AnyPreset, Method, Skip
@@ -38,7 +46,6 @@ from svu_mi.posterior import (
 from svu_mi.posterior.streaming import log_prior
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.progress import Progress
-from svu_mi.skipping import make_plan, with_known
 from svu_mi.surface import Texels
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 LAYERS = (
     "errors", "names", "memory", "limits", "quiet", "interrupts", "_llvm", "_workers",
     "interop", "local", "hashing", "files", "npz", "exr", "results", "progress",
-    "settings", "parameters", "switches", "options", "capture", "formats", "surface",
+    "settings", "parameters", "options", "capture", "formats", "surface",
     "light", "visibility", "frequency", "reflection", "statistics", "observed", "posterior",
-    "skipping", "estimators", "pipeline", "prediction", "illumination", "guidance",
+    "estimators", "pipeline", "prediction", "illumination", "guidance",
     "regularization", "recovery", "inpaint", "reference", "metrics", "checking", "output", "export",
     "batch", "bench", "cli",
 )  # fmt: skip

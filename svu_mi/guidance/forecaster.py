@@ -30,7 +30,7 @@ from svu_mi.posterior import (
     PrincipledGrid,
     SpectrumKernel,
 )
-from svu_mi.posterior.calibrated import rows_of
+from svu_mi.posterior.cells import color_of_rows
 from svu_mi.posterior.nodes import cell_edges, cell_widths
 from svu_mi.visibility import Surface, Views
 
@@ -114,19 +114,20 @@ def _angular(
     )  # fmt: skip
 
 
-def _rows(
-    posterior: Posterior[Any], texels: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _rows(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Probabilities (t, rows) of texels whatever the base colour, and what this is if a row is the
     truth, (t, rows, C)."""
-    if isinstance(posterior.kernel, CalibratedKernel):
-        return rows_of(posterior, texels)
-    nodes = posterior.grid.axes["base_color"]
-    p = np.array(posterior.probabilities_of(texels))
-    p = p.reshape(len(p), -1, len(nodes), posterior.groups)
-    p = p[..., : posterior.kernel.problem.factors.channels]
-    # Between nodes, no colour might explain what a row shows.
-    return p[..., 0].sum(axis=2, dtype=np.float64), nodes[p.argmax(axis=2)]
+    kernel, nodes = posterior.kernel, posterior.grid.axes["base_color"]
+    masses, colors = [], []
+    for span in kernel.chunks(len(texels)):
+        p = np.array(posterior.probabilities_of(texels[span]))
+        p = p.reshape(len(p), -1, len(nodes), posterior.groups)[..., :: kernel.problem.copies]
+        masses.append(p[..., 0].sum(axis=2, dtype=np.float64))
+        if isinstance(kernel, CalibratedKernel):
+            colors.append(color_of_rows(p, kernel.problem.edges))
+        else:  # between nodes, no colour might explain what a row shows
+            colors.append(nodes[p.argmax(axis=2)])
+    return np.concatenate(masses), np.concatenate(colors)
 
 
 def _variance(

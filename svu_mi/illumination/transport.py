@@ -17,10 +17,10 @@ import numpy as np
 
 from svu_mi.illumination.samples import GRAZING, Samples
 from svu_mi.interop import fibonacci, owned
+from svu_mi.options import Diffuse
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
 from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns, mixture
 from svu_mi.reflection.shading import diffuse_shading, dot
-from svu_mi.switches import Diffuse
 from svu_mi.visibility.observe import fold
 from svu_mi.visibility.reach import is_open
 

@@ -26,7 +26,6 @@ from svu_mi.options import preset as find_preset
 from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
-from svu_mi.posterior.cells import color_of_rows
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest
 from svu_mi.posterior.kernel import Kernel, Pair, Prior, observed_by, require_scale
@@ -226,20 +225,6 @@ class CalibratedKernel(Kernel):
         half = np.hypot((high - low) / 2, wide * middle)
         return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
 
-    def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
-        """Return half the widths of intervals (see ``Kernel``)."""
-        problem, lanes = self.problem, self.lane[texels]
-        alone = problem.factors.channels == 1 or problem.given is not None or any(self.common)
-        if name != "base_color" or alone:
-            return super().half_widths(name, level, texels)
-        sd = np.stack([np.array(x)[lanes] for x in self.summary.sd], axis=1)
-        widest = sd[:, -problem.factors.channels :].argmax(axis=1)
-        parts = uniform_axis(self.grid.axes[name], COLOR_PARTS)
-        low, high = shortest(
-            kernel.color_masses(problem, parts, lanes, widest)[0], parts, len(lanes), level
-        )
-        return (np.array(high) - np.array(low)) / 2
-
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
         """Draw parameters, the same of a texel whichever others are asked for (see ``Kernel``)."""
         problem, lanes, names = self.problem, self.lane[texels], list(self.grid.axes)
@@ -265,35 +250,6 @@ class CalibratedKernel(Kernel):
     def _common(self) -> np.ndarray:
         """``common`` for as many channels as base colour has."""
         return np.asarray(self.common) if self.groups > 1 else np.mean(self.common, keepdims=True)
-
-
-def rows_of(
-    posterior: Posterior[CalibratedKernel], chosen: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return p of some texels summed over base colour, and the colour that stands for each sum
-    (``cells.color_of_rows``), without the table of ``probabilities_of``.
-
-    Args:
-        posterior: of the texels.
-        chosen: (t,) int64 indices of texels.
-
-    Returns:
-        (t, N) and (t, N, C) float64, for the N cells of all other parameters and the C channels
-        of the statistics.
-    """
-    of_texels = posterior.kernel
-    usual = posterior.prior.astype(np.float32).reshape(1, -1, posterior.grid.shape[-1], 1)
-    observed, shape = posterior.observed[chosen], (len(chosen), usual.shape[1])
-    masses = np.empty(shape, np.float64)
-    colors = np.empty((*shape, of_texels.problem.factors.channels), np.float64)
-    masses[~observed] = usual[..., 0].sum(axis=2, dtype=np.float64)
-    colors[~observed] = color_of_rows(usual, of_texels.problem.edges)
-    seen = np.flatnonzero(observed)
-    for span in of_texels.chunks(len(seen)):
-        part = seen[span]
-        lanes = of_texels.lane[chosen[part]]
-        masses[part], colors[part] = kernel.rows(of_texels.problem, lanes)
-    return masses, colors
 
 
 def calibrated_posterior(

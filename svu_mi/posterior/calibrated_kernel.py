@@ -345,52 +345,6 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
     return np.moveaxis(found, 3, 4)
 
 
-def rows(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sum ``tables`` over base colour, without making them.
-
-    Args:
-        problem: of S texels.
-        chosen: (t,) int64, which of them.
-
-    Returns:
-        The masses of all N = R M cells of all but base colour, (t, N) float64, and the colour that
-        stands for each (``cells.color_of_rows``), (t, N, C) float64.
-    """
-    (levels, of_column, of_color), channels = problem.shape, problem.factors.channels
-    masses, first = _walked(problem, chosen)
-    number = len(chosen) * levels * of_column
-    mass, colors = dr.empty(mi.Float64, number), dr.empty(mi.Float, number * channels)
-    end, mode = dr.opaque(mi.UInt32, of_column), dr.ReduceMode.NoConflicts
-
-    def write(column: Any, masses: Any) -> tuple[Any, Any]:
-        row = first * of_column + column
-        for channel in range(channels):
-            place = (column * channels + channel) * of_color
-            p = [masses[place + k] for k in range(of_color)]
-            dr.scatter(colors, _standing(p, problem.edges), row * channels + channel, mode=mode)
-            if channel == 0:  # all channels have the same
-                dr.scatter(mass, sum(mi.Float64(one) for one in p), row, mode=mode)
-        return column + 1, masses
-
-    dr.while_loop((mi.UInt32(0), masses), lambda column, _: column < end, write)
-    dr.eval(mass, colors)
-    found = mass.numpy().reshape(len(chosen), -1)
-    total = found.sum(axis=1, keepdims=True)
-    shape = (*found.shape, channels)
-    return found / np.where(total > 0, total, 1), colors.numpy().reshape(shape).astype(np.float64)
-
-
-def _standing(p: list[Any], edges: np.ndarray) -> Any:
-    """Return what ``cells.color_of_rows`` does, of the K cells of a row and channel: Float."""
-    middle = ((edges[1:] + edges[:-1]) / 2).tolist()
-    mean = sum(one * c for one, c in zip(p, middle, strict=True)) / dr.maximum(sum(p), 1e-30)
-    there, most, best = p[0], p[0], mi.Float(middle[0])
-    for one, low, c in zip(p[1:], edges[1:-1].tolist(), middle[1:], strict=True):
-        there = dr.select(mean >= low, one, there)
-        most, best = dr.maximum(most, one), dr.select(one > most, mi.Float(c), best)
-    return dr.select(there > 0, mean, best)
-
-
 def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
     """Return the masses of all cells of some texels, not normalised: (t R M C K,) Float."""
     masses, first = _walked(problem, chosen)
@@ -426,28 +380,19 @@ def _walked(problem: Problem, chosen: np.ndarray) -> tuple[Any, Any]:
     return masses.memory, texel * dr.opaque(mi.UInt32, rows) + cell
 
 
-def color_masses(
-    problem: Problem, parts: Axis, chosen: np.ndarray, channel: np.ndarray | None = None
-) -> list[Any]:
+def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]:
     """Return the masses of parts of every channel's base colour, not normalised.
 
     Args:
         problem: of S texels.
         parts: K of them.
         chosen: (t,) int64, which of the texels.
-        channel: (t,) int64, the only channel of each that is asked for; all by default. Not under
-            a prior of colours.
 
     Returns:
-        A Float in blocks for each of C channels, or for the one of each texel, of K rows and t
-        texels.
+        A Float in blocks for each of C channels, of K rows and t texels.
     """
-    edges, only = np.append(parts.low, parts.high[-1]), None
-    if channel is not None:
-        only = owned(mi.UInt32, channel.astype(np.uint32))
-    walker = Walker(problem, owned(mi.UInt32, chosen), edges, only)
-    count, K = len(chosen), parts.count
-    channels = problem.factors.channels if only is None else 1
+    walker = Walker(problem, owned(mi.UInt32, chosen), np.append(parts.low, parts.high[-1]))
+    count, K, channels = len(chosen), parts.count, problem.factors.channels
 
     def visit(node: Node, masses: Any) -> tuple[Any, ...]:
         for number, color in enumerate(node.colors):

@@ -30,7 +30,7 @@ class Node:
     Attributes:
         row, column: UInt32, numbers of the nodes.
         weight: Float, exp(-energy) integrated over base colour, prior included.
-        colors: of C channels, or of the one that is asked for, given this node.
+        colors: of C channels, given this node.
     """
 
     row: Any
@@ -46,15 +46,12 @@ class Walker:
         problem: of S texels.
         lane: UInt32, which of the texels; all in order by default.
         edges: of the cells that colours are summed in; by default those of the grid.
-        only: UInt32, the channel of every texel whose colours are asked for; all by default. Not
-            under a prior of colours.
     """
 
     def __init__(
-        self, problem: Problem, lane: Any | None = None, edges: np.ndarray | None = None,
-        only: Any | None = None,
-    ) -> None:  # fmt: skip
-        self.problem, self.nodes, self._only = problem, problem.nodes, only
+        self, problem: Problem, lane: Any | None = None, edges: np.ndarray | None = None
+    ) -> None:
+        self.problem, self.nodes = problem, problem.nodes
         everything = dr.arange(mi.UInt32, problem.factors.count)
         self.lane = everything if lane is None else lane
         self.edges = problem.edges if edges is None else edges
@@ -218,25 +215,11 @@ class Walker:
             one = Integrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
             return Node(row, column, weight, [one] * self.problem.factors.channels)
         edges = self.edges.tolist()
-        if self._only is not None:
-            return self._node_of_one(row, column, weight, parts)
         found = [Channel(*one).integrate(edges) for one in parts]
         for one in found:
             for _ in range(self.problem.copies):
                 weight *= one.mass
         return Node(row, column, weight, found)
-
-    def _node_of_one(
-        self, row: Any, column: Any, weight: Any, parts: list[Any]
-    ) -> Node:
-        """The same with the colours of one channel only, for intervals: in single precision."""
-        for one in parts:
-            weight *= Channel(*one).masses([0.0, 1.0])[0] ** self.problem.copies
-        own = parts[0]
-        for number, other in enumerate(parts[1:], 1):
-            own = dr.select(self._only == number, other, own)
-        mass, cells = Channel(*own).masses(self.edges.tolist())
-        return Node(row, column, weight, [Integrals(mass, cells, mi.Float(0), mi.Float(0))])
 
     def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:
         """Density of every channel's base colour in every cell of ``edges``, given a node."""

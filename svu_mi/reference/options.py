@@ -9,10 +9,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.options import AngularPreset
+from svu_mi.options import AngularPreset, Errors
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.reference.deviations import CORNERS
-from svu_mi.switches import Errors
 
 Method = Literal["linear", "brute"]
 Noise = Literal["relative", "heteroscedastic", "estimated"]

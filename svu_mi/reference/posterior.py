@@ -15,7 +15,7 @@ from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset
+from svu_mi.options import AngularPreset, Errors
 from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
@@ -27,7 +27,6 @@ from svu_mi.reference.record import Reference, Traced
 from svu_mi.reference.trace import UniformScene, path_integrator, trace
 from svu_mi.statistics.sums import noise_weight
 from svu_mi.surface import Texels
-from svu_mi.switches import Errors
 from svu_mi.visibility import Survey
 
 LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not

@@ -16,8 +16,8 @@ import drjit as dr
 import numpy as np
 from numpy.polynomial import legendre
 
+from svu_mi.options import Fresnel, Lobe
 from svu_mi.reflection.principled import F0
-from svu_mi.switches import Fresnel, Lobe
 
 INDEX = 1.5  # of refraction of dielectrics: specular = 0.5
 ALBEDO_NODES = 32  # of cos theta_o, at (i + 0.5) / 32

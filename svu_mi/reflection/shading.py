@@ -8,8 +8,8 @@ from typing import Any
 
 import drjit as dr
 
+from svu_mi.options import Diffuse
 from svu_mi.reflection.principled import columns, mixture
-from svu_mi.switches import Diffuse
 
 Parts = tuple[Any, Any, Any, Any]
 """(e, p, q, d) of one channel of the light, Floats: radiance (``reflection/principled.py``)."""
