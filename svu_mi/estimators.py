@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.material import constant_parameters
+from svu_mi.capture.repaint import constant_parameters
 from svu_mi.errors import OptionError
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.interop import owned

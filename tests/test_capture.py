@@ -20,7 +20,7 @@ from PIL import Image
 
 from svu_mi.capture import load_capture, render_capture, rendering
 from svu_mi.capture.folder import Description
-from svu_mi.capture.ignored import ignored
+from svu_mi.capture.load_warnings import ignored
 from svu_mi.capture.loading import plan_photographs
 from svu_mi.capture.matching import NoPhotographsError
 from svu_mi.capture.mesh import arrays, make

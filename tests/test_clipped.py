@@ -16,10 +16,10 @@ from support.photographs import in_integers
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.fingerprint import capture_key, photographs_key
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import decoded
+from svu_mi.capture.quantization import Clipped
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
 from svu_mi.illumination.exposure import equalized

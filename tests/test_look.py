@@ -9,10 +9,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.capture import look as module
-from svu_mi.capture.look import Look, alone
+from svu_mi.capture import shown as module
 from svu_mi.capture.mesh import positions
 from svu_mi.capture.poses import film_size, make_sensor, projected
+from svu_mi.capture.shown import Look, alone
 from svu_mi.interop import owned
 
 

@@ -15,7 +15,7 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.fingerprint import capture_key, photographs_key
 from svu_mi.capture.picture import decoded, quantized, srgb
-from svu_mi.capture.rounding import Rounding, variance
+from svu_mi.capture.quantization import Rounding, variance
 from svu_mi.formats.response import Response, steps
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms

@@ -9,8 +9,8 @@ from helpers import names, run
 
 import svu_mi as svu
 from svu_mi.capture.poses import scaled_sensor
+from svu_mi.capture.rays import Pictures
 from svu_mi.capture.shown import shrunk
-from svu_mi.capture.traced import Pictures
 from svu_mi.cli.options import recovered_textures
 from svu_mi.cli.report import SIDE
 from svu_mi.guidance.forecast import Forecast

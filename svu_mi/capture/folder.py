@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.poses import LARGEST, describe, make_sensor
 from svu_mi.capture.scene import check_sensor
-from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import is_temporary, read_json, write_json
 from svu_mi.limits import MAX_VIEWS

@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.matching import masks_of
 from svu_mi.capture.picture import SUFFIXES, Picture, decoded, open_picture, read_planes
 from svu_mi.capture.pixel_buffer import PixelBuffer
-from svu_mi.capture.rounding import Rounding
+from svu_mi.capture.quantization import Clipped, Rounding
 from svu_mi.capture.window import Window
 from svu_mi.errors import CaptureError
 from svu_mi.limits import require_photographs

@@ -14,14 +14,13 @@ import mitsuba as mi
 
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.folder import Description
-from svu_mi.capture.ignored import ignored
 from svu_mi.capture.images import open_photographs, read_photographs
-from svu_mi.capture.judging import judged
+from svu_mi.capture.load_warnings import ignored, judged, seen_from_behind
 from svu_mi.capture.matching import Match, Missing, match_photographs, photographs_of
 from svu_mi.capture.mesh import covered_by_charts, has_uvs
 from svu_mi.capture.picture import Picture
 from svu_mi.capture.pixel_buffer import room_for_photographs
-from svu_mi.capture.poses import film_size
+from svu_mi.capture.poses import LARGEST, film_size
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import (
     find_environment,
@@ -30,9 +29,7 @@ from svu_mi.capture.scene import (
     load_scene,
     require_variant,
 )
-from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
-from svu_mi.capture.winding import seen_from_behind
 from svu_mi.capture.window import WHOLE, Detail, Window
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
 from svu_mi.memory import Size, Sizes

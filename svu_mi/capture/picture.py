@@ -15,12 +15,13 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.float_picture import hdr_size, pfm_size, read_hdr, read_pfm
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.errors import CaptureError, SvuError, excerpt
 from svu_mi.exr import Header, read_header, read_pixels
 from svu_mi.files import may_hold
 
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may promise any number
+LOST = 0.01  # part of a map's light that negative pixels may take away
 ORIENTATION = 0x0112  # tag of EXIF
 PNG = b"\x89PNG\r\n\x1a\n"  # how its files begin
 HAS_EXIF = (b"eXIf", b"Raw profile type")  # words without which a PNG file has no EXIF data
@@ -279,3 +280,32 @@ def _jpeg(path: Path) -> Any:
     with _opening, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # damaged EXIF data does not matter here
         return JpegImageFile(path)
+
+
+def positive(
+    pixels: np.ndarray, label: str, error: type[SvuError] = CaptureError
+) -> tuple[np.ndarray, list[str]]:
+    """Set negative pixels to 0; filters and conversions of colour leave some.
+
+    Args:
+        pixels: (H, W, 3) finite radiance.
+        label: names the file or emitter.
+        error: what is raised.
+
+    Returns:
+        The pixels, and a sentence if some were negative.
+
+    Raises:
+        SvuError: they are too many, or too negative, to be rounding.
+    """
+    below = pixels < 0
+    if not below.any():
+        return pixels, []
+    count = int(below.any(axis=-1).sum())
+    kept = np.where(below, 0, pixels)
+    if np.abs(pixels[below]).sum(dtype=np.float64) > LOST * kept.sum(dtype=np.float64):
+        raise error(
+            f"{label}: {count} pixels are negative, by more than {LOST:.0%} of the light; export "
+            "the map again."
+        )
+    return kept, [f"{label}: {count} negative pixels are taken for 0."]

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.pixel_buffer import PixelBuffer
-from svu_mi.capture.rounding import Rounding
+from svu_mi.capture.quantization import Clipped, Rounding
 
 
 @dataclass(frozen=True)

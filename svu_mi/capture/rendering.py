@@ -20,6 +20,7 @@ from svu_mi.capture.folder import Description
 from svu_mi.capture.loading import map_size, plan_photographs
 from svu_mi.capture.mesh import covered_by_charts
 from svu_mi.capture.poses import describe, film_size, sphere_sensors
+from svu_mi.capture.rays import Pictures
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import (
     find_environment,
@@ -29,7 +30,6 @@ from svu_mi.capture.scene import (
     load_scene,
     require_variant,
 )
-from svu_mi.capture.traced import Pictures
 from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError, excerpt
 from svu_mi.exr import read_header, read_pixels, write_exr
 from svu_mi.hashing import Key

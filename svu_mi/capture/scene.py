@@ -14,8 +14,7 @@ import numpy as np
 
 from svu_mi import _llvm
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.nesting import check_xml
-from svu_mi.capture.scene_files import check_files
+from svu_mi.capture.scene_files import check_files, check_xml
 from svu_mi.capture.trust import (
     pin_own_plugins,
     refuse_foreign,

@@ -1,23 +1,137 @@
-"""Files of a scene, above all its meshes, checked before Mitsuba builds on them.
+"""Files of a scene, checked before Mitsuba reads them: XML, includes, and meshes.
 
-A wrong index may end the process (see ``missing_corner``). So each file is read once more, by
-Mitsuba's own reader, as a mesh without vertex normals: 1 million triangles take 0.03 to 0.05 s,
-where making the scene takes more than 1 s.
+XML that is nested without end, and reading from a pipe, Mitsuba's parser would not survive. A wrong
+index of a mesh may end the process (see ``missing_corner``), so each mesh is read once more, by
+Mitsuba's own reader, without vertex normals: 1 million triangles take 0.03 to 0.05 s, where making
+the scene takes more than 1 s.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from os.path import exists, isfile  # unlike Path's, they raise nothing for long names
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 import mitsuba as mi
 
 from svu_mi.capture.mesh import READING, missing_corner, refusal
-from svu_mi.capture.nesting import LONGEST, require_file
 from svu_mi.errors import SceneError, excerpt
+from svu_mi.limits import require_views
 
+DEEPEST = 500  # elements in one another; the parser calls itself for each, and 10 000 are too many
+LONGEST = 300  # letters of a path, in messages
 READERS = ("ply", "serialized", "obj")  # shapes with indices that come from a file
 KEYS = ("filename", "shape_index")  # their properties that choose what is read
+
+
+def check_xml(path: Path, defines: Mapping[str, str]) -> None:
+    """Look through a scene's XML, and what it includes, before Mitsuba parses it.
+
+    Args:
+        path: the XML file; files are found as ``mi.file_resolver()`` does.
+        defines: values of parameters, which names of files may have.
+
+    Raises:
+        SceneError: it is not sound, elements are nested too deeply, what it includes is a folder
+            or a pipe, or there are too many sensors, which take Mitsuba minutes.
+    """
+    parameters = dict(defines)
+    waiting, seen, sensors = [path], set(), 0
+    while waiting:
+        file = waiting.pop()
+        if file in seen or not exists(file):  # the latter is for Mitsuba to say
+            continue
+        require_file(file, path)
+        seen.add(file)
+        found = _Reader(file, parameters)
+        sensors += found.sensors
+        for name in found.others:
+            require_file(_found(name, file), path)
+        waiting += [_found(name, file) for name in found.includes]
+    require_views(sensors, f"{path}: sensors", SceneError)
+
+
+def require_file(file: Path, label: str | Path) -> None:
+    """Refuse folders and pipes where a file is meant; Mitsuba will report missing files.
+
+    Args:
+        file: that a scene refers to.
+        label: the scene's file, for the message.
+
+    Raises:
+        SceneError: it is one.
+    """
+    if exists(file) and not isfile(file):  # reading a pipe would wait for ever
+        raise SceneError(
+            f"{label}: refers to {excerpt(file, LONGEST)}, which is not a file; correct the name."
+        )
+
+
+def _found(name: str, file: Path) -> Path:
+    """Return the file of a name: beside the one that names it, or where Mitsuba looks."""
+    beside = file.parent / name
+    return beside if exists(beside) else Path(str(mi.file_resolver().resolve(name)))
+
+
+class _Reader:
+    """What one XML file says.
+
+    Attributes:
+        includes: names of XML files in it.
+        others: names of other files that Mitsuba reads while it parses: spectra.
+        sensors: how many there are.
+    """
+
+    def __init__(self, path: Path, parameters: dict[str, str]) -> None:
+        """Read a file; ``<default>`` adds to the parameters.
+
+        Raises:
+            SceneError: it is not sound, or nested too deeply.
+        """
+        self.includes: list[str] = []
+        self.others: list[str] = []
+        self.sensors = 0
+        self._path, self._parameters, self._depth = path, parameters, 0
+        self._parser = expat.ParserCreate()
+        self._parser.StartElementHandler, self._parser.EndElementHandler = self._start, self._end
+        try:
+            with path.open("rb") as stream:
+                self._parser.ParseFile(stream)
+        except expat.ExpatError as error:
+            raise SceneError(
+                f"{excerpt(path, LONGEST)}: not well-formed XML ({error}); correct it there."
+            ) from error
+        except OSError as error:
+            raise SceneError(
+                f"{excerpt(path, LONGEST)}: cannot be read ({error.strerror})."
+            ) from error
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise SceneError(
+                f"{excerpt(self._path, LONGEST)}: elements are nested more than {DEEPEST} "
+                f"deep at line {self._parser.CurrentLineNumber}; check for unclosed ones."
+            )
+        self.sensors += tag == "sensor"
+        if tag == "default":
+            name, value = attributes.get("name", ""), attributes.get("value", "")
+            self._parameters.setdefault(name, self._filled(value))
+        elif "filename" in attributes:
+            names = self.includes if tag == "include" else self.others
+            names.append(self._filled(attributes["filename"]))
+
+    def _end(self, tag: str) -> None:
+        del tag
+        self._depth -= 1
+
+    def _filled(self, text: str) -> str:
+        """Put in the values of ``$parameters``, long names first, as Mitsuba does."""
+        for name in sorted(filter(None, self._parameters), key=len, reverse=True):
+            text = text.replace(f"${name}", self._parameters[name])
+        return text
 
 
 def check_files(state: Any, label: str) -> None:

@@ -10,10 +10,9 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture import folder as capture_folder
-from svu_mi.capture.ignored import ignored
+from svu_mi.capture.load_warnings import MOST, has_front_outside, ignored, part_from_behind
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import require_variant, to_world
-from svu_mi.capture.winding import MOST, has_front_outside, part_from_behind
 from svu_mi.checking import decisions, exposure
 from svu_mi.checking.axis_hypotheses import apply_fixes
 from svu_mi.checking.light import facing, score_light

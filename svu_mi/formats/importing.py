@@ -17,12 +17,12 @@ from svu_mi.capture import folder as capture_folder
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture import scene_xml
 from svu_mi.capture.folder import Description
+from svu_mi.capture.load_warnings import MOST, has_front_outside, part_from_behind
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import unwrap
-from svu_mi.capture.winding import MOST, has_front_outside, part_from_behind
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.exposures import exposed
 from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named, turn_of

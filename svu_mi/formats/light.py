@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.picture import open_picture
+from svu_mi.capture.picture import open_picture, positive
 from svu_mi.capture.poses import affine
-from svu_mi.capture.radiance import positive
 from svu_mi.capture.scene_xml import POLES, ROWS
 from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr

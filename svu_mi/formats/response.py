@@ -9,7 +9,7 @@ import numpy as np
 
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import Transfer, decoded
-from svu_mi.capture.rounding import CURVE, Rounding
+from svu_mi.capture.quantization import CURVE, Rounding
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.formats.source_files import lines_of
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.look import Look, alone
-from svu_mi.capture.shown import srgb
+from svu_mi.capture.shown import Look, alone, srgb
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import prepare_folder

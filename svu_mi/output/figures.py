@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.look import Look, alone
-from svu_mi.capture.shown import srgb, tone_mapped
+from svu_mi.capture.shown import Look, alone, srgb, tone_mapped
 from svu_mi.errors import OptionError
 from svu_mi.output import style, views
 from svu_mi.output.result import is_seen, prior_marginal, words

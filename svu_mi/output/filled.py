@@ -13,8 +13,8 @@ import numpy as np
 import svu_mi
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
-from svu_mi.capture.look import Look, alone
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.shown import Look, alone
 from svu_mi.exr import write_exr
 from svu_mi.inpaint.record import Filled, Invented
 from svu_mi.output import style

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.look import Look, alone
 from svu_mi.capture.poses import bounding_sphere, directions_of
+from svu_mi.capture.shown import Look, alone
 from svu_mi.guidance.strategies import farthest
 
 MARGIN = 0.06  # around the object, in parts of its size

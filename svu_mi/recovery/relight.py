@@ -15,9 +15,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.rays import Pictures
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import find_environment, to_world
-from svu_mi.capture.traced import Pictures
 from svu_mi.errors import OptionError
 from svu_mi.light.environment import directions, read_environment
 from svu_mi.recovery.path.scene import PathScene
@@ -33,6 +33,7 @@ LAMPS = (
     ((-0.1, 0.2, -1.0), 0.45, (2.0, 2.4, 2.2)),
     ((0.3, -0.3, 0.9), 0.25, (4.0, 3.0, 2.0)),
 )
+FEWEST = 2  # draws that a standard deviation is of
 
 
 def relight(
@@ -134,9 +135,6 @@ def under(scene: Any, environment: Any | None) -> Any:
         return scene
     light = mi.load_dict(environment) if isinstance(environment, dict) else environment
     return scene_of([light, *scene.shapes()])
-
-
-FEWEST = 2  # draws that a standard deviation is of
 
 
 @dataclass(frozen=True)

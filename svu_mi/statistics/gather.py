@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.rounding import variance
+from svu_mi.capture.quantization import variance
 from svu_mi.errors import OptionError
 from svu_mi.parameters import MIXED, NAMES
 from svu_mi.reflection.model import Model

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.material import is_principled
+from svu_mi.capture.repaint import is_principled
 from svu_mi.errors import SceneError
 from svu_mi.parameters import CHANNELS
 from svu_mi.surface.layout import Texels

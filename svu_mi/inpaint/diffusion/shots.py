@@ -20,9 +20,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.look import Look, alone
 from svu_mi.capture.poses import film_size, scaled_sensor
-from svu_mi.capture.shown import exposure
+from svu_mi.capture.shown import Look, alone, exposure
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.inpaint.diffusion.frame import Frame
 from svu_mi.inpaint.diffusion.picture import Picture

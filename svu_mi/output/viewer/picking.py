@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.look import alone
+from svu_mi.capture.shown import alone
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.output import style

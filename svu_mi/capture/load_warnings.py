@@ -1,0 +1,267 @@
+"""Sentences about what a capture has that is left out, repaired or not accounted for.
+
+Whether the cameras see the front or the back of a surface is told by vertex normals, or else by the
+winding of the triangles. Only a closed surface has an inside that tells whether that is right.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.images import Photograph
+from svu_mi.capture.mesh import MeshArrays, arrays, faces_at
+from svu_mi.capture.repaint import is_same
+from svu_mi.capture.scene import is_closed, to_world
+from svu_mi.errors import CaptureError, excerpt
+from svu_mi.interop import evenly_spaced, owned
+
+NAMED = 3  # photographs that a sentence names
+# Parameters of ``principled`` that are not estimated, with the value that is assumed of each.
+ASSUMED = {
+    "specular": 0.5, "eta": 1.5, "anisotropic": 0.0, "clearcoat": 0.0, "sheen": 0.0,
+    "spec_tint": 0.0, "spec_trans": 0.0, "flatness": 0.0,
+}  # fmt: skip
+ALIKE = 1e-3  # difference to it that changes nothing
+WRAPPERS = {  # what Mitsuba prints of other BSDFs, most around another one, and what it stands for
+    "BumpMap[": "a bump map", "NormalMap[": "a normal map", "Mask[": "an opacity",
+    "BlendBSDF[": "a blend of two materials", "Thin Principled": "a thin, transparent surface",
+}  # fmt: skip
+NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # before parameters of a BSDF in another
+BLACK = 0.05  # part of the light that black cloth, paper or paint reflects at most
+BESIDE = {"alpha", "specular_reflectance", "opacity", "weight"}  # leave something dark dark
+SMALL = 0.01  # part of all directions that a shape may cover without a word
+SHAPES = 5  # that a sentence names
+MOST = 0.6  # of what is seen, from which the front is wrong; a plate seen from both sides has .5
+POINTS, EYES = 400, 32  # that are looked at, and from
+OFFSET = 1e-4  # of the object's size, that rays start above the surface
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A photograph that was read, its file, and its name for the user."""
+
+    photograph: Photograph
+    path: Path
+    name: str
+
+
+def judged(
+    photographs: Sequence[Photograph], paths: Sequence[Path | None], names: Sequence[str], *,
+    some: bool = False,
+) -> tuple[list[str], tuple[bool, ...]]:  # fmt: skip
+    """Return sentences about V photographs, and whether each is used: those without any light are
+    not. Unless these are only ``some``, not all may be black."""
+    taken = [
+        Taken(photograph, path, name)
+        for photograph, path, name in zip(photographs, paths, names, strict=True)
+        if path is not None
+    ]
+    used = tuple(not photograph.black for photograph in photographs)
+    if taken and not any(used) and not some:
+        raise CaptureError(
+            f"{taken[0].path.parent}: all {len(taken)} photographs are entirely black; "
+            "check the exposure and the channel names of the files."
+        )
+    notes = []
+    for remark in dict.fromkeys(remark for one in taken for remark in one.photograph.remarks):
+        found = [one for one in taken if remark in one.photograph.remarks]
+        notes.append(f"{_subject(found, taken)}{', each' if len(found) > 1 else ''}: {remark}")
+    for bits in (8, 16):
+        if found := [one for one in taken if one.photograph.bits == bits]:
+            article = "an" if bits == 8 else "a"
+            kind = f"{article} {bits}-bit image" if len(found) == 1 else f"{bits}-bit images"
+            notes.append(
+                f"{_subject(found, taken)}: {kind}, not HDR; decoded as sRGB, "
+                f"{sum(one.photograph.saturated for one in found)} saturated pixels count as at "
+                "least so bright. Clipped highlights hide gloss: use HDR."
+            )
+    if found := [one for one in taken if one.photograph.invalid]:
+        count = sum(one.photograph.invalid for one in found)
+        notes.append(
+            f"{_subject(found, taken)}: {count} pixels are NaN, infinite or negative; left out."
+        )
+    if found := [one for one in taken if one.photograph.black]:
+        what = "entirely black; these views are left out. Check their exposure, or remove them "
+        if len(found) == 1:
+            what = "the photograph is entirely black; the view is left out. Check its exposure, or "
+        with_sensors = "with their sensors" if len(found) > 1 else "remove it with its sensor"
+        notes.append(f"{_subject(found, taken)}: {what}{with_sensors}.")
+    return notes, used
+
+
+def _subject(found: Sequence[Taken], taken: Sequence[Taken]) -> str:
+    """Name what a sentence is about: one photograph, or the folder and how many of them."""
+    path, name = found[0].path, found[0].name
+    if len(found) == 1:
+        return str(path) if name == path.name else f"{path} ({name})"
+    if len(found) == len(taken):
+        return f"{path.parent}: all {len(taken)} photographs"
+    rest = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    some = ", ".join(one.name for one in found[:NAMED])
+    return f"{path.parent}: {len(found)} of {len(taken)} photographs ({some}{rest})"
+
+
+def ignored(scene: Any, target: Any) -> list[str]:
+    """Return a sentence about what the object's material has, and one about other shapes.
+
+    Args:
+        scene: the ``mi.Scene``.
+        target: the object in it.
+    """
+    notes = []
+    if found := list(dict.fromkeys(_of_material(target.bsdf()))):
+        notes.append(
+            f"Shape '{excerpt(target.id())}' has {_and(found)}, which svu does not account for: if "
+            "the photographs show that, roughness and base colour will be off."
+        )
+    others = [shape for shape in scene.shapes() if not is_same(shape, target)]
+    near = [shape for shape in others if _extent(shape, target) > SMALL]
+    if bright := [_name(shape) for shape in near if not _is_black(shape.bsdf())]:
+        several = len(bright) > 1
+        names = _and(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
+        notes.append(
+            f"Shape{'s' * several} {names} reflect{'' if several else 's'} light onto "
+            f"'{excerpt(target.id())}', which svu does not account for: base colours near "
+            f"{'them' if several else 'it'} will be too bright; put something black around the "
+            "object when it is photographed."
+        )
+    return notes
+
+
+def _of_material(bsdf: Any) -> Iterator[str]:
+    """Yield what a BSDF, or one in it, has beside what is estimated."""
+    if bsdf is None:
+        return
+    printed = str(bsdf)
+    for kind, name in WRAPPERS.items():
+        if kind in printed:
+            yield name
+    for key, value in mi.traverse(bsdf) if "Principled BSDF" in printed else ():
+        name, _, kind = NESTED.sub("", key).partition(".")
+        if name in ASSUMED and not kind.endswith("to_uv"):
+            values = np.array(value, np.float64).ravel()
+            if np.abs(values - ASSUMED[name]).max(initial=0) > ALIKE:
+                constant = kind in ("", "value")  # of a texture, data or the parameters of another
+                yield f"{name} {values[0]:.3g}" if constant else f"a {name} texture"
+
+
+def _is_black(bsdf: Any) -> bool:
+    """Return whether a BSDF certainly reflects next to nothing: none, an invisible or a dark one.
+
+    A dark one is diffuse, or plastic, which is diffuse below a gloss.
+    """
+    if bsdf is None or bsdf.class_name() == "Null":
+        return True
+    found: dict[str, list[np.ndarray]] = {}  # values and data of textures, by parameter
+    for key, value in mi.traverse(bsdf):
+        if not key.endswith("to_uv"):
+            found.setdefault(_parameter(key), []).append(np.array(value, np.float32))
+    if bsdf.class_name() == "MaskBSDF" and not any(map(np.any, found.get("opacity", [1]))):
+        return True
+    colors = [*found.pop("reflectance", ()), *found.pop("diffuse_reflectance", ())]
+    gloss = [((eta - 1) / (eta + 1)) ** 2 for eta in found.pop("eta", ())]  # 4 % of usual plastic
+    is_diffuse = bool(colors) and set(found) <= BESIDE  # others have more parameters, or no colour
+    return is_diffuse and all((values <= BLACK).all() for values in [*colors, *gloss])
+
+
+def _parameter(key: str) -> str:
+    """Return what a parameter of a BSDF, or of one in it, is called, without its texture's own."""
+    return NESTED.sub("", key).partition(".")[0]
+
+
+def _extent(shape: Any, target: Any) -> float:
+    """Return the part of all directions around an object that a sphere around a shape covers."""
+    low, high = (np.array(corner, np.float64) for corner in (shape.bbox().min, shape.bbox().max))
+    distance = np.linalg.norm((low + high) / 2 - np.array(target.bbox().center(), np.float64))
+    radius = np.linalg.norm(high - low) / 2
+    return float((1 - np.sqrt(1 - (radius / distance) ** 2)) / 2) if radius < distance else 1.0
+
+
+def _name(shape: Any) -> str:
+    return f"'{excerpt(shape.id())}'" if shape.id() else f"without an id ({shape.class_name()})"
+
+
+def _and(words: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def seen_from_behind(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[str]:
+    """Say that the cameras see mostly the back of an object, if they do.
+
+    Args:
+        scene: with the object and what hides it.
+        shape: the object, a mesh.
+        sensors: V of them.
+    """
+    mesh = arrays(shape)
+    behind = part_from_behind(scene, mesh, [to_world(each)[:3, 3] for each in sensors])
+    if behind < MOST:
+        return []
+    if has_front_outside(mesh):
+        return [
+            f"Shape '{shape.id()}': {behind:.0%} of what the photographs show of it is its back; "
+            "it is closed, so the cameras are inside it: see that its units are those of the poses."
+        ]
+    return [
+        f"Shape '{shape.id()}': {behind:.0%} of what the photographs show of it is its back, where "
+        "nothing is found; its normals point the wrong way: set flip_normals on the shape."
+    ]
+
+
+def has_front_outside(mesh: MeshArrays) -> bool:
+    """Return whether a surface is closed, and its front is where its volume is not."""
+    if not is_closed(mesh):
+        return False
+    cross, first = mesh.crosses, mesh.positions[mesh.faces[:, 0]] - mesh.positions.mean(axis=0)
+    volume = np.einsum("fi,fi->", first, cross)
+    if mesh.normals is not None:
+        volume *= np.sign(np.einsum("fi,fki->", cross, mesh.normals[mesh.faces]))
+    return bool(volume > 0)
+
+
+def part_from_behind(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -> float:
+    """Return how much of what is seen of a surface is its back, in [0, 1], by apparent area.
+
+    Args:
+        scene: what hides, with the surface itself.
+        mesh: its buffers.
+        eyes: V positions (3,) of cameras, which are taken to look at it.
+    """
+    cross = mesh.crosses
+    if not cross.any() or not len(eyes):
+        return 0.0
+    face = faces_at(cross, (np.arange(POINTS) + 0.5) / POINTS)
+    point = mesh.positions[mesh.faces[face]].mean(axis=1)
+    normal = cross[face] / np.linalg.norm(cross[face], axis=1, keepdims=True)
+    if mesh.normals is not None:
+        pointing = mesh.normals[mesh.faces[face]].sum(axis=1)
+        normal *= np.where(np.einsum("ni,ni->n", normal, pointing) < 0, -1, 1)[:, None]
+    chosen = evenly_spaced(len(eyes), EYES)
+    toward = np.array(eyes, np.float64)[chosen][:, None] - point
+    distance = np.linalg.norm(toward, axis=2)
+    direction = toward / np.maximum(distance, 1e-300)[..., None]
+    cosine = np.einsum("vni,ni->vn", direction, normal)
+    above = OFFSET * np.linalg.norm(np.ptp(mesh.positions, axis=0)) * np.sign(cosine)
+    start = point + above[..., None] * normal
+    free = _is_free(scene, start.reshape(-1, 3), direction.reshape(-1, 3), distance.ravel())
+    seen = np.abs(cosine) * free.reshape(cosine.shape) / np.maximum(distance, 1e-300) ** 2
+    return float(seen[cosine < 0].sum() / max(seen.sum(), 1e-300))
+
+
+def _is_free(
+    scene: Any, start: np.ndarray, direction: np.ndarray, distance: np.ndarray
+) -> np.ndarray:
+    """Return whether nothing is on the way: (N,) bool."""
+    ray = mi.Ray3f(
+        owned(mi.Point3f, start.T.astype(np.float32)),
+        owned(mi.Vector3f, direction.T.astype(np.float32)),
+    )
+    ray.maxt = owned(mi.Float, distance.astype(np.float32))
+    return np.array(~scene.ray_test(ray), bool)
