@@ -709,15 +709,6 @@ class TestNextBestView:
             # One sample has hardly a spectrum: there, where the light is counts for more.
             assert max(sides) < 0 if method == "angular" else min(sides) < 0
 
-    @pytest.mark.parametrize("name", ["default", "fixed"])
-    def test_the_light_is_not_filtered_again(self, sunny, name):
-        capture, layout = sunny
-        estimate = svu.estimate(some(capture, range(6)), layout, preset=name)
-        kept = dict(estimate.observed.lighting.lobes)
-        assert kept
-        svu.next_best_view(estimate, svu.Candidates.around(capture, 5), texels=50)
-        assert estimate.observed.lighting.lobes == kept
-
     @pytest.mark.slow
     def test_expected_gain_of_a_sample_is_that_of_all_within_its_error(self, sunny, estimated):
         capture, texels = sunny
@@ -733,18 +724,6 @@ class TestNextBestView:
         ]
         assert np.abs(z).max() < 4 and 0.2 < np.sqrt(np.mean(np.square(z))) < 1.5
         assert all(0 < g.proposals[0].error < 0.02 for g in few)
-
-    def test_gain_maps_add_up(self, sunny, estimated):
-        _, texels = sunny
-        estimate = estimated(0, 5, 9)
-        guidance = svu.next_best_view(estimate, count=3, texels=10**6)
-        maps = guidance.gain_maps()
-        assert maps.shape == (3, texels.count)
-        gains = [p.gain for p in guidance.proposals]
-        np.testing.assert_allclose(maps.mean(axis=1), gains, rtol=1e-4)
-        assert guidance.image(1).shape == (24, 48)
-        after = [p.entropy for p in guidance.proposals]
-        np.testing.assert_allclose(guidance.entropy - np.cumsum(gains), after, rtol=1e-5)
 
     @pytest.mark.slow
     def test_a_block_of_a_large_gain_map_has_the_gain_of_one_of_its_texels(

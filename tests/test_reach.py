@@ -347,36 +347,6 @@ def test_bits_are_those_of_one_ray_after_the_other(coarse, fine, occluded):
     assert (flux @ (ours != exact)).mean() < 0.03 * flux.sum()
 
 
-def test_reach_of_some_texels_and_of_others_joined():
-    scene, surface = surroundings()
-    cells = tree(environment(scenery), 512)
-    whole = trace_reach(scene, surface, cells)
-    lanes = np.array([39, 0, 7, 7, 12])
-
-    def part_of(chosen):
-        chosen = owned(mi.UInt32, np.array(chosen, np.uint32))
-        fields = (dr.gather(type(x), x, chosen) for x in
-                  (surface.position, surface.normal, surface.geometric_normal))  # fmt: skip
-        return Surface(*fields, surface.offset, chosen)
-
-    some = whole.at(lanes)
-    np.testing.assert_array_equal(some.texel.numpy(), lanes)
-    halves = [trace_reach(scene, part_of(c), cells) for c in (range(15), range(15, 40))]
-    both = halves[0].joined(halves[1])
-    np.testing.assert_array_equal(both.texel.numpy(), np.arange(40))
-    for name, numbers in (("coarse", 64), ("fine", 512)):
-        truth = bits_of(getattr(whole, name), numbers, 40)
-        np.testing.assert_array_equal(bits_of(getattr(some, name), numbers, 5), truth[:, lanes])
-        np.testing.assert_array_equal(bits_of(getattr(both, name), numbers, 40), truth)
-    light = band_limit(environment(scenery), 16)
-    moments = some.diffuse(part_of(lanes), light, 3)
-    np.testing.assert_allclose(
-        np.array([[x.numpy() for x in c] for c in moments]),
-        np.array([[x.numpy() for x in c] for c in whole.diffuse(surface, light, 3)])[..., lanes],
-        rtol=1e-6,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("channels", [3, 1])
 @pytest.mark.parametrize("turned", [False, True])
 def test_diffuse_moments_are_sums_over_visible_cells(turned, channels):

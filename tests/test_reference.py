@@ -233,22 +233,6 @@ def ball_part(tmp_path, kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
     return {"type": "ply", "filename": str(write_ball(tmp_path)), "bsdf": bsdf}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", ["relative", "heteroscedastic", "estimated"])
-def test_exposure_does_not_matter(tmp_path, capture, layout, noise):
-    """Four times the light and four times the photographs: the same entropies."""
-    bright = memory_capture(
-        ball_scene(tmp_path, sky(4.0), paint()), [4 * i for i in capture.images], capture.sensors
-    )
-    a, b = (
-        reference_posterior(c, layout, 50, 8, grid=GRID, noise=noise, seed=SEED)
-        for c in (capture, bright)
-    )
-    assert b.scale == pytest.approx(4 * a.scale, rel=1e-5)
-    assert b.brightness == pytest.approx(4 * a.brightness, rel=1e-5)
-    assert b.entropy == pytest.approx(a.entropy, abs=1e-3)
-
-
 @pytest.fixture
 def asked(monkeypatch):
     """Pairs and traced halves that a reference asks for, in lists that fill up."""
@@ -352,11 +336,6 @@ def test_weights_go_through_the_four_corners():
     mean = PerTexel(texel, 3, weight)
     a, b = (derive(observed, mean, GRID, render) for derive in (linear, brute))
     assert a == pytest.approx(b, rel=1e-9)
-
-
-def nodes(grid: PrincipledGrid) -> list[tuple[float, ...]]:
-    mesh = np.meshgrid(*grid.axes.values(), indexing="ij")
-    return list(zip(*(axis.ravel() for axis in mesh), strict=True))
 
 
 # --- what it is made of --------------------------------------------------------------------
@@ -549,19 +528,10 @@ def test_whatever_matters_misses_the_cache(capture, layout, tmp_path, traced):
     assert not run()
 
 
-@pytest.mark.parametrize("damage", ["truncated", "empty", "not an archive", "wrong content"])
-def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path, damage):
+def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path):
     first = reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path)
     (path,) = tmp_path.glob("*.npz")
-    whole = path.read_bytes()
-    if damage == "wrong content":
-        np.savez(path, subset=np.zeros(3))
-    else:
-        path.write_bytes(
-            {"truncated": whole[: len(whole) // 2], "empty": b"", "not an archive": b"x" * 99}[
-                damage
-            ]
-        )
+    path.write_bytes(path.read_bytes()[:-99])
     with pytest.warns(SvuWarning, match="traced again"):
         again = reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path)
     assert not again.cached
