@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from svu_mi.illumination.record import FoundGains, LightEstimate
     from svu_mi.illumination.resolve_light import with_light
     from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
-    from svu_mi.inpaint.diffusion.options import DiffusionOptions
+    from svu_mi.inpaint.diffusion.model_interface import DiffusionOptions
     from svu_mi.inpaint.fill import fill
-    from svu_mi.inpaint.record import Filled
+    from svu_mi.inpaint.fill_result import Filled
     from svu_mi.options import AngularPreset, Fit, Preset, Skip, preset
     from svu_mi.output.compare import Comparison, compare
     from svu_mi.output.report.report import write_report
@@ -83,8 +83,8 @@ _HOME = {
     "Reference": "reference", "reference_posterior": "reference",
     "Recovery": "recovery.recover", "recover": "recovery.recover",
     "TextureField": "recovery.field.field", "texture_field": "recovery.field.field",
-    "Filled": "inpaint.record", "fill": "inpaint.fill",
-    "DiffusionOptions": "inpaint.diffusion.options",
+    "Filled": "inpaint.fill_result", "fill": "inpaint.fill",
+    "DiffusionOptions": "inpaint.diffusion.model_interface",
     "fill_by_diffusion": "inpaint.diffusion.fill",
     "RelitView": "recovery.relight", "relight_draws": "recovery.relight",
     "DescentOptions": "recovery.options", "PathOptions": "recovery.options",

@@ -19,16 +19,13 @@ from helpers import fails, names, write_older
 from svu_mi.capture.poses import film_size, windowed_sensor
 from svu_mi.capture.shown import Look, alone
 from svu_mi.errors import OptionError, SvuEnvironmentError
-from svu_mi.inpaint.diffusion import loading
-from svu_mi.inpaint.diffusion.blending import blend
-from svu_mi.inpaint.diffusion.families import FAMILIES, family_of
+from svu_mi.inpaint.diffusion import load_weights
 from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
-from svu_mi.inpaint.diffusion.loading import PARTS, require_model
-from svu_mi.inpaint.diffusion.options import DiffusionOptions
-from svu_mi.inpaint.diffusion.picture import Picture
-from svu_mi.inpaint.filling import SUREST
-from svu_mi.inpaint.pieces import centred
-from svu_mi.inpaint.record import Filled
+from svu_mi.inpaint.diffusion.load_weights import PARTS, require_model
+from svu_mi.inpaint.diffusion.model import blend
+from svu_mi.inpaint.diffusion.model_interface import FAMILIES, DiffusionOptions, Picture, family_of
+from svu_mi.inpaint.fill_result import SUREST, Filled
+from svu_mi.inpaint.texel_hierarchy import centred
 from svu_mi.output.filled import fill_sentences, write_filled
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import field_around
@@ -381,7 +378,7 @@ def test_without_the_extra(tmp_path, monkeypatch, name: str) -> None:
 
 def test_the_command_refuses_before_any_work(tmp_path, capsys, monkeypatch) -> None:
     """Neither the capture nor the textures exist: nothing is read, and the older result stays."""
-    monkeypatch.setattr(loading, "NEEDED", ("a_torch_that_nobody_has",))
+    monkeypatch.setattr(load_weights, "NEEDED", ("a_torch_that_nobody_has",))
     out = tmp_path / "out"
     write_older(out, "inpaint", "run.json", ["filled.exr"])
     before = names(out)

@@ -17,10 +17,9 @@ from tiny_diffusion import write_model
 from svu_mi.capture.picture import decoded, srgb
 from svu_mi.errors import OptionError
 from svu_mi.exr import read_exr
-from svu_mi.inpaint.diffusion.families import FAMILIES
-from svu_mi.inpaint.diffusion.loading import load_model
+from svu_mi.inpaint.diffusion.load_weights import load_model
 from svu_mi.inpaint.diffusion.model import Model
-from svu_mi.inpaint.diffusion.picture import Picture
+from svu_mi.inpaint.diffusion.model_interface import FAMILIES, Picture
 from svu_mi.output.textures import read_textures
 
 REASON = "the extra diffusion is not installed"

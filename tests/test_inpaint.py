@@ -15,15 +15,12 @@ from test_field import square, those_first
 
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.exr import read_exr
-from svu_mi.inpaint import ground as grounds
+from svu_mi.inpaint import texel_hierarchy
+from svu_mi.inpaint.combine_predictors import FARTHER, TITLES, spreads
+from svu_mi.inpaint.cross_validation import UNSEEN, Judged, Trial, hidden_parts, importance
 from svu_mi.inpaint.fill import fill
-from svu_mi.inpaint.ground import Ground
-from svu_mi.inpaint.hiding import hidden_parts
-from svu_mi.inpaint.judging import UNSEEN, Judged, Trial, importance
-from svu_mi.inpaint.likeness import FEWEST, RULES, Examples, Likeness
-from svu_mi.inpaint.mixing import TITLES
-from svu_mi.inpaint.pieces import Pieces, centred, connected
-from svu_mi.inpaint.spreading import FARTHER, spreads
+from svu_mi.inpaint.symmetry_predictors import FEWEST, RULES, Examples, Likeness
+from svu_mi.inpaint.texel_hierarchy import Ground, Pieces, centred, connected
 from svu_mi.interop import owned
 from svu_mi.output.textures import read_textures, settings_of
 from svu_mi.parameters import CHANNELS, NAMES
@@ -145,7 +142,7 @@ def round_hole(side: int, radius: float) -> np.ndarray:
 @pytest.mark.parametrize("title", FARTHER)
 def test_values_spread_to_the_middle_of_a_large_hole(monkeypatch, title: str, enough: int) -> None:
     """Of surely known texels with a slope: it goes on. Of a piece by itself nothing is known."""
-    monkeypatch.setattr(grounds, "ENOUGH", enough)
+    monkeypatch.setattr(texel_hierarchy, "ENOUGH", enough)
     hole, alone = round_hole(120, 0.7), round_hole(120, 0.1)
     ground, true = sheet(120, hole, alone)
     assert ground.many == (enough == 1000)
@@ -198,7 +195,7 @@ def test_over_groups_values_spread_as_far_as_over_texels(monkeypatch, title: str
 
 
 def test_groups_are_no_help_where_known_texels_lie_here_and_there(monkeypatch) -> None:
-    monkeypatch.setattr(grounds, "ENOUGH", 100)
+    monkeypatch.setattr(texel_hierarchy, "ENOUGH", 100)
     hole = np.indices((40, 40)).sum(axis=0).ravel() % 2 > 0
     ground, true = sheet(40, hole, np.zeros_like(hole))
     assert not ground.many and ground.small is ground
@@ -341,7 +338,7 @@ def test_large_textures_are_judged_by_groups_of_texels(monkeypatch, banded) -> N
     smooth = {name: np.repeat(stripes, count, axis=1) for name, count in CHANNELS.items()}
     field = replace(field, textures=lay_out(field.texels, smooth))
     whole = fill(field, ~hidden)
-    monkeypatch.setattr(grounds, "ENOUGH", field.texels.count // 2)
+    monkeypatch.setattr(texel_hierarchy, "ENOUGH", field.texels.count // 2)
     found = fill(field, ~hidden)
     for name in NAMES:
         # Other parts are hidden, of texels twice as large.
@@ -417,11 +414,6 @@ def test_how_textures_were_recovered(tmp_path: Path) -> None:
     assert weights_of(used) == ShOptions(tv=2, tv_epsilon=0.5)
     (tmp_path / "run.json").write_text("{")
     assert settings_of(tmp_path) == {}
-
-
-def test_textures_are_not_filled_where_they_lie(shot, tmp_path, capsys):
-    said = fails(capsys, "inpaint", shot, "--recovered", tmp_path, "-o", tmp_path / "x" / "..")
-    assert "holds the textures that are to be filled" in said
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from svu_mi.cli import options as opt
 from svu_mi.cli.loading import CaptureCommand
 from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
-from svu_mi.inpaint.diffusion.options import DiffusionOptions
+from svu_mi.inpaint.diffusion.model_interface import DiffusionOptions
 from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from svu_mi.capture import Capture
     from svu_mi.inpaint.diffusion.model import Model
-    from svu_mi.inpaint.record import Filled
+    from svu_mi.inpaint.fill_result import Filled
     from svu_mi.recovery.field.field import TextureField
 
 From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -81,7 +81,7 @@ class Inpaint(CaptureCommand):
         if not self.above > 0:
             raise OptionError(f"--above must be positive, got {self.above}.")
         if self.model is not None:
-            from svu_mi.inpaint.diffusion.loading import require_model
+            from svu_mi.inpaint.diffusion.load_weights import require_model
 
             require_model(self.model)
         elif self.diffusion != DiffusionOptions():
@@ -116,7 +116,7 @@ class Inpaint(CaptureCommand):
         """Read the weights: before anything that takes long."""
         if self.model is None:
             return None
-        from svu_mi.inpaint.diffusion.loading import load_model
+        from svu_mi.inpaint.diffusion.load_weights import load_model
 
         with progress.stage("Reading the model"):
             return load_model(self.model, self.diffusion.device)

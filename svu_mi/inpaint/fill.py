@@ -1,9 +1,8 @@
-"""Fill what nobody saw by what it is like, and say how sure that is.
+"""Filling of unseen texels by symmetry and total variation, with standard deviations.
 
-No likeness is right for all objects, and which are shows only in part. So what a texel may be is a
-mean of what all of them say, and of what spreads from the border (``mixing``), each parameter by
-itself; how much each counts is found out on parts of the surface that were seen, hidden in turn,
-and so is how far off that mean is (``judging``).
+No predictor is right for all objects. So a texel gets the weighted mean of all of them
+(``combine_predictors``), for each parameter separately; cross-validation on seen parts of the
+surface, hidden in turn, gives the weights and the error of that mean (``cross_validation``).
 """
 
 from __future__ import annotations
@@ -14,12 +13,10 @@ from math import inf
 import numpy as np
 
 from svu_mi.errors import CaptureError, OptionError, ShapeError
-from svu_mi.inpaint.filling import Filling
-from svu_mi.inpaint.ground import Ground
-from svu_mi.inpaint.hiding import hidden_parts
-from svu_mi.inpaint.judging import Judged, Trial, distances
-from svu_mi.inpaint.mixing import mixed
-from svu_mi.inpaint.record import Filled, Weights
+from svu_mi.inpaint.combine_predictors import mixed
+from svu_mi.inpaint.cross_validation import Judged, Trial, distances, hidden_parts
+from svu_mi.inpaint.fill_result import Filled, Filling, Weights
+from svu_mi.inpaint.texel_hierarchy import Ground
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress, Stage
 from svu_mi.recovery.field.field import TextureField

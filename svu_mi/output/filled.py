@@ -16,7 +16,7 @@ from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import Look, alone
 from svu_mi.exr import write_exr
-from svu_mi.inpaint.record import Filled, Invented
+from svu_mi.inpaint.fill_result import Filled, Invented
 from svu_mi.output import style
 from svu_mi.output.draws import texture_colors
 from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors

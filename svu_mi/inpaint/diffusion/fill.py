@@ -1,7 +1,7 @@
 """Fill what nobody knows by a diffusion model, between what is known (Sec. 5.3 of the paper).
 
 In one view after the other, the model invents maps that agree with what is certain there
-(``blending``); texels take their values from the first view that shows them well, and are what
+(``model.blend``); texels take their values from the first view that shows them well, and are what
 later views have to agree with. What the model makes of a texel counts by its precision, beside
 what the photographs say of that texel by theirs:
 
@@ -23,19 +23,95 @@ from typing import get_args
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.inpaint.diffusion.asking import Asking, Guess, Task
-from svu_mi.inpaint.diffusion.loading import load_model
-from svu_mi.inpaint.diffusion.options import DiffusionOptions
-from svu_mi.inpaint.diffusion.picture import Inventor
-from svu_mi.inpaint.diffusion.shots import Shots
+from svu_mi.inpaint.cross_validation import hidden_parts
+from svu_mi.inpaint.diffusion.conditioning_views import Shots
+from svu_mi.inpaint.diffusion.load_weights import load_model
+from svu_mi.inpaint.diffusion.model_interface import DiffusionOptions, Inventor
 from svu_mi.inpaint.fill import by_likeness, fill, variance
-from svu_mi.inpaint.filling import Filling
-from svu_mi.inpaint.ground import Ground
-from svu_mi.inpaint.hiding import hidden_parts
-from svu_mi.inpaint.record import Answer, Filled, Invented, Source
+from svu_mi.inpaint.fill_result import Answer, Filled, Filling, Invented, Source
+from svu_mi.inpaint.texel_hierarchy import Ground
 from svu_mi.parameters import NAMES
-from svu_mi.progress import Progress
+from svu_mi.progress import Progress, Stage
 from svu_mi.recovery.field.field import TextureField
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a model is asked about.
+
+    Attributes:
+        values: (N, T), the textures so far.
+        known: (T,) bool, texels that stay as they are.
+        wanted: (T,) bool, texels that the model is asked about.
+        chosen: numbers of the places of the pictures (``Shots.cover``).
+    """
+
+    values: np.ndarray
+    known: np.ndarray
+    wanted: np.ndarray
+    chosen: Sequence[int]
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What a model makes of texels.
+
+    Attributes:
+        values: (N, T), of all texels; its guesses where it has reached them.
+        reached: (T,) bool.
+    """
+
+    values: np.ndarray
+    reached: np.ndarray
+
+
+class Asking:
+    """A model that is asked about views of one kind.
+
+    Args:
+        shots: where pictures come from.
+        model: who is asked.
+        options: how.
+        stage: shows the steps.
+    """
+
+    def __init__(
+        self, shots: Shots, model: Inventor, options: DiffusionOptions, stage: Stage
+    ) -> None:
+        self._shots, self._model, self._options, self._stage = shots, model, options, stage
+        self._done = self._total = 0
+
+    def expect(self, tasks: Sequence[Task]) -> None:
+        """Say what is to come, for the bar."""
+        pictures = sum(len(task.chosen) for task in tasks)
+        self._total += pictures * self._model.runs * self._options.steps
+
+    def guess(self, task: Task, seed: Sequence[int]) -> Guess:
+        """Return what the model makes of a task.
+
+        Args:
+            task: what is asked.
+            seed: numbers of no other task.
+        """
+        field = self._shots.field
+        values, known, reached = task.values.copy(), task.known.copy(), np.zeros_like(task.known)
+        for number, place in enumerate(task.chosen):
+            seeds = np.random.SeedSequence([*seed, number]).generate_state(2)
+            paths, noise = (int(one) for one in seeds)
+            picture = self._shots.picture(place, values, known, paths)
+            options = self._options
+            maps = self._model.invent(picture, options.steps, options.free, noise, self._step)
+            found, seen = self._shots.carried(picture.sensor, maps)
+            new = task.wanted & seen & ~reached
+            for name, of_texels in found.items():
+                values[field.rows(name), new] = of_texels[:, new]
+            known, reached = known | new, reached | new
+        return Guess(values, reached)
+
+    def _step(self) -> None:
+        self._done += 1
+        self._stage.update(self._done, self._total)
+
 
 TRIALS = 2  # parts that are hidden, of each kind of picture
 TRIAL_VIEWS = 2  # pictures of each

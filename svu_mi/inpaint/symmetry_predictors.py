@@ -3,7 +3,7 @@
 Objects are turned, cast in two halves, put together from pieces of one material each, and painted
 in bands and patterns that repeat around them. Each ``Likeness`` says which of the texels that are
 known tell what another one is; how well they do is found out by hiding parts that were seen
-(``judging``).
+(``cross_validation``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from svu_mi.inpaint.pieces import APART, Pieces
+from svu_mi.inpaint.texel_hierarchy import APART, Pieces
 
 Kind = Literal[
     "all", "piece", "near", "level", "turned", "turned piece", "mirrored", "repeated"

@@ -20,11 +20,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.poses import film_size, scaled_sensor
-from svu_mi.capture.shown import Look, alone, exposure
+from svu_mi.capture.poses import film_size, scaled_sensor, windowed_sensor
+from svu_mi.capture.shown import Look, alone, exposure, resized
 from svu_mi.guidance.candidates import Candidates
-from svu_mi.inpaint.diffusion.frame import Frame
-from svu_mi.inpaint.diffusion.picture import Picture
+from svu_mi.inpaint.diffusion.model_interface import Picture
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField
@@ -34,6 +33,52 @@ from svu_mi.surface.raster import dilate
 from svu_mi.visibility import Surface, Views, observe, pack_sensors
 from svu_mi.visibility.observe import look
 from svu_mi.visibility.views import LARGEST_FILM
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A part of a photograph, in pixels of another size.
+
+    Attributes:
+        sensor: whose film it is.
+        corner: (x, y) of the part, in pixels of the photograph.
+        part: (width, height) of it, in these.
+    """
+
+    sensor: Any
+    corner: tuple[int, int]
+    part: tuple[int, int]
+
+    @staticmethod
+    def around(
+        sensor: Any, middle: np.ndarray, length: float, side: int, *, rendered: bool
+    ) -> Frame:
+        """Cut a square out of what a sensor sees.
+
+        Args:
+            sensor: the sensor.
+            middle: (x, y) of the square, in its pixels.
+            length: of the square.
+            side: pixels of the picture's longer side.
+            rendered: the picture may be larger than a photograph, and show what lies beside it.
+        """
+        low = np.floor(middle - length / 2).astype(int)
+        high = low + int(np.ceil(length))
+        if not rendered:
+            low, high = np.maximum(low, 0), np.minimum(high, film_size(sensor))
+        part = high - low
+        scale = side / float(part.max())
+        scale = scale if rendered else min(scale, 1.0)
+        width, height = (max(int(round(scale * size)), 1) for size in part)
+        corner = int(low[0]), int(low[1])
+        sensor = windowed_sensor(sensor, corner, (width, height), scale)
+        return Frame(sensor, corner, (int(part[0]), int(part[1])))
+
+    def cut(self, photograph: np.ndarray) -> np.ndarray:
+        """Return this part of a photograph (H, W, 3), in pixels of its sensor."""
+        (x, y), (width, height) = self.corner, self.part
+        return resized(photograph[y : y + height, x : x + width], film_size(self.sensor))
+
 
 AROUND = 100  # views on a sphere, of which some are rendered
 STEEPEST = 0.3  # cosine to the camera, below which a view does not show a texel well

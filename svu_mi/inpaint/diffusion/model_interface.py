@@ -1,4 +1,4 @@
-"""Which models can be asked, how they differ, and which one a folder of weights holds.
+"""Models that can be asked: their input and output, their options, and the known families.
 
 All are latent diffusion models [Rombach et al. 2022] that are given a picture and denoise maps of
 its materials:
@@ -13,12 +13,63 @@ None is part of svu_mi, and each has its own licence (``Family.licence``).
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
+
+import numpy as np
 
 from svu_mi.errors import OptionError, excerpt
+from svu_mi.settings import require, require_ranges, require_types
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a model is given of one view, h x w pixels.
+
+    Attributes:
+        photograph: (h, w, 3) linear, exposed so that 1 is white; in [0, 1].
+        maps: by parameter, (h, w, 3) or (h, w), in [0, 1]: what is known of it where that is
+            certain, a first guess elsewhere; 0 off the object.
+        certain: (h, w) bool, pixels that show nothing but what is known.
+        sensor: where from.
+    """
+
+    photograph: np.ndarray
+    maps: Mapping[str, np.ndarray]
+    certain: np.ndarray
+    sensor: Any
+
+
+class Inventor(Protocol):
+    """Whoever makes maps of a whole picture from what is known of a part of it."""
+
+    @property
+    def title(self) -> str:
+        """For people."""
+
+    @property
+    def licence(self) -> str:
+        """Of its weights, for people."""
+
+    @property
+    def runs(self) -> int:
+        """How many times all steps are taken for one picture."""
+
+    def invent(
+        self, picture: Picture, steps: int, free: int, seed: int, after_step: Callable[[], None]
+    ) -> Mapping[str, np.ndarray]:
+        """Return maps of a picture as ``Picture.maps`` has them, by parameter, linear.
+
+        Args:
+            picture: what is known.
+            steps: of the diffusion.
+            free: of these, the last ones in which nothing that is known is put back.
+            seed: the same seed, the same maps.
+            after_step: called after every step of every run.
+        """
+
 
 INDEX = "model_index.json"
 LARGEST_INDEX = 1 << 20  # bytes
@@ -111,3 +162,34 @@ def family_of(folder: str | Path) -> Family:
             f"{known}."
         )
     return FAMILIES[name]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiffusionOptions:
+    """How a diffusion model is asked."""
+
+    views: int = 8
+    """Pictures that it is asked about, at most: fewer if they show all there is to fill. Of what
+    photographs show, these are photographs; of what none shows, renders."""
+
+    steps: int = 50
+    """Steps of the diffusion."""
+
+    free: int = 10
+    """Of these, the last ones in which what is known is not put back."""
+
+    side: int = 768
+    """Pixels of the longer side of a picture, which is never larger than a photograph."""
+
+    seed: int = 0
+    """Of the noise: the same seed, the same textures."""
+
+    device: str = "auto"
+    """Where the model runs, as PyTorch names it: cpu, cuda, cuda:1; auto takes a GPU if there is
+    one."""
+
+    def __post_init__(self) -> None:
+        require_types(self)
+        require_ranges(self, views=(1, 100), steps=(1, 1000), side=(32, 4096))
+        require(self, 0 <= self.free <= self.steps, "free", f"in [0, {self.steps}], the steps")
+        require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
