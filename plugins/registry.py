@@ -19,12 +19,7 @@ _loaded_for: str | None = None
 
 
 def load(old_variant: str | None = None, new_variant: str | None = None) -> None:
-    """Import or reload every plugin module; nothing to do if already done.
-
-    Args:
-        old_variant: what Mitsuba's callback passes; not needed.
-        new_variant: likewise.
-    """
+    """Import or reload every plugin module; nothing to do if already done."""
     del old_variant, new_variant
     global _loaded_for
     variant = mi.variant()
@@ -40,14 +35,7 @@ def load(old_variant: str | None = None, new_variant: str | None = None) -> None
 
 
 def require_variant(plugin: str) -> None:
-    """Refuse variants that a plugin does not run in.
-
-    Args:
-        plugin: its name, for the message.
-
-    Raises:
-        SvuEnvironmentError: the variant is not differentiable, or not RGB.
-    """
+    """Refuse variants that a plugin does not run in."""
     if not mi.variant().endswith("_ad_rgb"):
         raise SvuEnvironmentError(
             f"{plugin}: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active."

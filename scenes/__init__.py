@@ -32,13 +32,6 @@ def path(name: str) -> Path:
     Parameters of every scene (``-D key=value``): ``light`` (one of ``LIGHTS``),
     ``resolution`` (pixels per side), ``spp``, ``max_depth``, and ``integrator``: a type that
     takes a ``max_depth``, such as ``path`` or ``prb``.
-
-    Args:
-        name: one of ``NAMES``, or ``object``: any mesh with textures, in ``-D object=FOLDER``,
-            under any lat-long image, ``-D environment=FILE``, times ``environment_scale``.
-
-    Raises:
-        OptionError: an unknown name.
     """
     if name not in (*NAMES, "object"):
         raise OptionError(f"There is no scene {name!r}; use one of {', '.join(NAMES)} or object.")
@@ -50,16 +43,8 @@ def copy(name: str, folder: str | Path) -> Path:
 
     Files that are there already and are the same are left; the folder may hold other scenes.
 
-    Args:
-        name: as of ``path``.
-        folder: made if missing; gets a folder of this name, and one of lights beside it.
-
     Returns:
         The XML file of the copy.
-
-    Raises:
-        OptionError: an unknown name.
-        OutputError: another file is in the way, or the folder cannot be written.
     """
     scene, folder = path(name), Path(folder)
     places = [scene.parent] if name == "object" else [scene.parent, FOLDER / "lights"]

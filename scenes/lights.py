@@ -20,13 +20,7 @@ def directions() -> np.ndarray:
 
 
 def box(center: tuple[float, float, float], half: tuple[float, float], soft: float) -> np.ndarray:
-    """A rectangle on the sphere around a direction, (H, W) in [0, 1], with soft edges.
-
-    Args:
-        center: its direction, any length.
-        half: half of its width and height, tangents of the angles.
-        soft: width of the edge, likewise.
-    """
+    """A rectangle on the sphere around a direction, (H, W) in [0, 1], with soft edges."""
     d = directions()
     z = np.array(center) / np.linalg.norm(center)
     x = np.cross([0.0, 1.0, 0.0], z)

@@ -84,11 +84,7 @@ def sensors_xml(positions: np.ndarray, front_only: bool) -> str:
 
 
 def make(folder: Path) -> None:
-    """Write all assets below a folder.
-
-    Args:
-        folder: gets one folder per scene, and ``lights``.
-    """
+    """Write all assets below a folder."""
     (folder / "lights").mkdir(parents=True, exist_ok=True)
     for name in ("studio", "overcast", "window"):
         image = getattr(lights, name)()

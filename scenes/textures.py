@@ -26,10 +26,6 @@ def along(coordinate: np.ndarray, charts: int = 1) -> np.ndarray:
 
     A pattern with period 1 in this meets itself where the chart's borders meet on the surface,
     and the gutters show what is on the other side.
-
-    Args:
-        coordinate: u or v of the map, (H, W).
-        charts: number of equal charts in that direction.
     """
     start = np.floor(coordinate * charts) / charts
     return (coordinate - start - MARGIN) / (1 / charts - 2 * MARGIN)

@@ -18,21 +18,13 @@ PACKED = range(8, 2**15)  # widths that HDR packs
 
 
 def hdr_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) of an HDR picture.
-
-    Raises:
-        ValueError: it is not one, or its rows do not run from left to right and downwards.
-    """
+    """Return (width, height) of an HDR picture."""
     with path.open("rb") as stream:
         return _hdr_header(stream.read(HEADER))[:2]
 
 
 def pfm_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) of a PFM picture.
-
-    Raises:
-        ValueError: it is not one, or shorter than it says.
-    """
+    """Return (width, height) of a PFM picture."""
     with path.open("rb") as stream:
         width, height, channels, _, start = _pfm_header(stream.read(HEADER))
     if path.stat().st_size < start + 4 * width * height * channels:
@@ -41,11 +33,7 @@ def pfm_size(path: Path) -> tuple[int, int]:
 
 
 def read_hdr(path: Path) -> np.ndarray:
-    """Return radiance as (H, W, 3) float32; a correction by ``EXPOSURE`` is left to the user.
-
-    Raises:
-        ValueError: as ``hdr_size``, or the pixels are damaged.
-    """
+    """Return radiance as (H, W, 3) float32; a correction by ``EXPOSURE`` is left to the user."""
     data = path.read_bytes()
     width, height, at = _hdr_header(data[:HEADER])
     if width in PACKED and data[at : at + 2] == b"\2\2":
@@ -61,11 +49,7 @@ def read_hdr(path: Path) -> np.ndarray:
 
 
 def read_pfm(path: Path) -> np.ndarray:
-    """Return (H, W, 3) or (H, W, 1) float32, multiplied by the scale that the file has.
-
-    Raises:
-        ValueError: as ``pfm_size``.
-    """
+    """Return (H, W, 3) or (H, W, 1) float32, multiplied by the scale that the file has."""
     data = path.read_bytes()
     width, height, channels, scale, start = _pfm_header(data[:HEADER])
     order = "<f4" if scale < 0 else ">f4"

@@ -60,12 +60,7 @@ class Description:
         return names if len(set(names)) == len(names) and all(names) else list(paths)
 
     def make_sensors(self, path: Path) -> tuple[Any, ...]:
-        """Make the sensors that the photographs of this folder were taken with.
-
-        Raises:
-            CaptureError: a description is not complete, or has a value out of range.
-            SceneError: a pose is mirrored or not rigid.
-        """
+        """Make the sensors that the photographs of this folder were taken with."""
         made = []
         for index, record in enumerate(self.sensors):
             label = f"{path / FILE}: sensor {index}"
@@ -75,11 +70,7 @@ class Description:
 
 
 def read(folder: Path) -> Description | None:
-    """Read ``capture.json``; None where the folder has none.
-
-    Raises:
-        CaptureError: the file is not JSON or not a capture.
-    """
+    """Read ``capture.json``; None where the folder has none."""
     restore(folder)
     path = folder / FILE
     if not path.is_file():
@@ -147,16 +138,7 @@ FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
 
 
 def require_one_run(folder: Path, found: Mapping[Path, str], run: str) -> None:
-    """Refuse photographs of another run than the capture's, and a capture that was exchanged.
-
-    Args:
-        folder: of the capture.
-        found: runs that wrote its photographs, as they were read; empty = not known.
-        run: of the capture, as ``read`` has found it before; empty = not known.
-
-    Raises:
-        CaptureError: there is one, or the capture is another one now.
-    """
+    """Refuse photographs of another run than the capture's, and a capture that was exchanged."""
     if run and ((entry := entry_of(folder / FILE)) is None or entry.run != run):
         raise CaptureError(f"{folder}: changed while it was being read; load it again.")
     for path, other in found.items():
@@ -168,14 +150,7 @@ def require_one_run(folder: Path, found: Mapping[Path, str], run: str) -> None:
 
 
 def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> None:
-    """Write ``capture.json``, the last file of a draft.
-
-    Args:
-        draft: of the capture.
-        description: what it says; the scene's path is kept relative if it can be, to where the
-            capture will lie.
-        sensors: V perspective sensors.
-    """
+    """Write ``capture.json``, the last file of a draft."""
     scene, target = description.scene, draft.target.resolve()
     if scene is not None and scene.resolve().is_relative_to(draft.folder.resolve()):
         scene = draft.target / scene.resolve().relative_to(draft.folder.resolve())
@@ -197,12 +172,7 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
 def stamps(
     places: Iterable[Path], apart: Callable[[Path], bool] = lambda _: False
 ) -> list[tuple[str, int, int]]:
-    """Return paths, sizes and times of files, by which it is known whether inputs are the same.
-
-    Args:
-        places: files, and folders with all that is in them, but for what commands keep there.
-        apart: which folders inside of these are no inputs; they are not looked into.
-    """
+    """Return paths, sizes and times of files, by which it is known whether inputs are the same."""
     found = []
     for place in places:
         for path in [place] if place.is_file() else _files_in(place, apart):

@@ -64,11 +64,7 @@ class Photograph:
 
 
 def not_taken(size: tuple[int, int]) -> Photograph:
-    """Return what stands for a photograph that nobody has taken: NaN, in no memory.
-
-    Args:
-        size: (width, height) that it would have.
-    """
+    """Return what stands for a photograph that nobody has taken: NaN, in no memory."""
     pixels = np.broadcast_to(np.float32(np.nan), (size[1], size[0], 3))
     return Photograph(pixels, None, 0, 0, 0, 0, True)
 
@@ -76,15 +72,7 @@ def not_taken(size: tuple[int, int]) -> Photograph:
 def open_photographs(
     paths: Sequence[Path | None], films: Sequence[Size]
 ) -> dict[int, Picture]:
-    """Read the headers of photographs, by view; views without a path are left out.
-
-    Args:
-        paths: V EXR, HDR, PFM (linear), PNG or JPEG (sRGB of 8 or 16 bits) files, or None.
-        films: V (width, height) that the photographs must have.
-
-    Raises:
-        CaptureError: one is unreadable or of another size than its film, the first in order.
-    """
+    """Read the headers of photographs, by view; views without a path are left out."""
     pictures: dict[int, Picture] = {}
     for view, (path, film) in enumerate(zip(paths, films, strict=True)):
         if path is not None:
@@ -275,15 +263,8 @@ def read_mask(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     object is white, or of any bright colour. Integers of which none is bright are labels: the
     object is everything but 0.
 
-    Args:
-        path: the file.
-        shape: (H, W) of the photograph.
-
     Returns:
         (H, W) bool, True on the object.
-
-    Raises:
-        CaptureError: it cannot be read, or has another size.
     """
     planes, low_range = read_planes(path)
     values = planes[0]

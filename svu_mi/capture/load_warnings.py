@@ -109,12 +109,7 @@ def _subject(found: Sequence[Taken], taken: Sequence[Taken]) -> str:
 
 
 def ignored(scene: Any, target: Any) -> list[str]:
-    """Return a sentence about what the object's material has, and one about other shapes.
-
-    Args:
-        scene: the ``mi.Scene``.
-        target: the object in it.
-    """
+    """Return a sentence about what the object's material has, and one about other shapes."""
     notes = []
     if found := list(dict.fromkeys(_of_material(target.bsdf()))):
         notes.append(
@@ -193,13 +188,7 @@ def _and(words: list[str]) -> str:
 
 
 def seen_from_behind(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[str]:
-    """Say that the cameras see mostly the back of an object, if they do.
-
-    Args:
-        scene: with the object and what hides it.
-        shape: the object, a mesh.
-        sensors: V of them.
-    """
+    """Say that the cameras see mostly the back of an object, if they do."""
     mesh = arrays(shape)
     behind = part_from_behind(scene, mesh, [to_world(each)[:3, 3] for each in sensors])
     if behind < MOST:
@@ -227,13 +216,7 @@ def has_front_outside(mesh: MeshArrays) -> bool:
 
 
 def part_from_behind(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -> float:
-    """Return how much of what is seen of a surface is its back, in [0, 1], by apparent area.
-
-    Args:
-        scene: what hides, with the surface itself.
-        mesh: its buffers.
-        eyes: V positions (3,) of cameras, which are taken to look at it.
-    """
+    """Return how much of what is seen of a surface is its back, in [0, 1], by apparent area."""
     cross = mesh.crosses
     if not cross.any() or not len(eyes):
         return 0.0

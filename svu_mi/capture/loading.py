@@ -144,11 +144,7 @@ def plan_capture(
 
 
 def _described(path: Path, folder: Path) -> tuple[Path, Description]:
-    """Return the scene that is meant, and what a folder of photographs says of itself.
-
-    Raises:
-        CaptureError: there is no scene.
-    """
+    """Return the scene that is meant, and what a folder of photographs says of itself."""
     description = capture_folder.read(folder) or Description()
     xml = path if path.suffix.lower() == ".xml" else description.scene
     if xml is None and path.is_dir():
@@ -212,15 +208,7 @@ class CapturePlan:
         )  # fmt: skip
 
     def read(self, memory: float | None = None) -> Capture:
-        """Read the photographs.
-
-        Args:
-            memory: bytes that they may take, by default half of what is free.
-
-        Raises:
-            CaptureError: one is unreadable, or they do not fit into memory.
-            MeshError: UVs cannot be laid out.
-        """
+        """Read the photographs."""
         if memory is None:
             memory = room_for_photographs([film_size(each) for each in self.sensors])
         photographs, buffer = read_photographs(

@@ -61,17 +61,6 @@ def match_photographs(
 
     They are called ``view_0000.*``, ... by the number of their sensor, or by its id. Failing that
     there must be one picture for each, which are taken in the natural order of their names.
-
-    Args:
-        folder: where they are.
-        ids: of the V sensors, in their order.
-        missing: ``refuse``, or ``leave-out``: None for each that is not there.
-        any_name: whether all pictures there are photographs. Beside a scene they are not: its
-            textures lie there, too.
-
-    Raises:
-        CaptureError: the folder is missing, an image is missing (all are, if those may be left
-            out), or there are more.
     """
     if not folder.is_dir():
         raise CaptureError(
@@ -97,13 +86,6 @@ def photographs_of(path: Path, ids: Collection[str] = ()) -> Path:
     A capture folder holds them itself; those of a scene are in ``images`` beside it, or in
     its own folder. Many scenes keep their textures in ``images``: it is taken only if it has a
     ``view_NNNN`` or is a capture, or has the id of a sensor.
-
-    Args:
-        path: a scene or a capture.
-        ids: of the scene's sensors, when they are known.
-
-    Raises:
-        CaptureError: ``path`` does not exist.
     """
     restore(path)
     if path.is_dir():
@@ -217,11 +199,7 @@ def _in_order(
 
 
 def _once(folder: Path, pictures: Iterable[Path]) -> dict[str, Path]:
-    """Return pictures by their names without suffix.
-
-    Raises:
-        CaptureError: two have the same one.
-    """
+    """Return pictures by their names without suffix."""
     found: dict[str, Path] = {}
     for path in sorted(pictures, key=lambda path: (path.stem, path.name)):
         if path.stem in found:

@@ -59,12 +59,7 @@ def unit_vectors(vectors: np.ndarray) -> np.ndarray:
 
 
 def faces_at(crosses: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return which triangles (N,) even places are on: larger ones get as many more.
-
-    Args:
-        crosses: (F, 3) of ``MeshArrays``; not all of them 0.
-        places: (N,) in [0, 1].
-    """
+    """Return which triangles (N,) even places are on: larger ones get as many more."""
     area = np.cumsum(np.linalg.norm(crosses, axis=1))
     return np.minimum(np.searchsorted(area, places * area[-1], side="right"), len(area) - 1)
 
@@ -119,9 +114,6 @@ def missing_corner(mesh: Any) -> str | None:
 
     Mitsuba takes what a PLY or serialized file says; an index out of range ends the process as
     soon as it computes vertex normals, or a ray meets the triangle.
-
-    Args:
-        mesh: an ``mi.Mesh`` that was loaded with ``face_normals``.
     """
     faces, count = mesh.faces_buffer().numpy(), mesh.vertex_count()
     if faces.size == 0 or faces.max() < count:
@@ -130,11 +122,7 @@ def missing_corner(mesh: Any) -> str | None:
 
 
 def read_ply(path: Path) -> MeshArrays:
-    """Read a PLY file with Mitsuba's reader, but for its normals.
-
-    Raises:
-        MeshError: it cannot be read, or a face refers to a vertex that does not exist.
-    """
+    """Read a PLY file with Mitsuba's reader, but for its normals."""
     try:
         found: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": True})
     except READING as error:
@@ -163,17 +151,7 @@ def refusal(error: Exception) -> str:
 
 
 def write_ply(path: Path, name: str, mesh: MeshArrays, comment: str = "") -> None:
-    """Write a mesh as PLY, atomically.
-
-    Args:
-        path: the file.
-        name: the id of the mesh.
-        mesh: its buffers.
-        comment: one line of ASCII for the header, beside the marks of ``files.stamped``.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Write a mesh as PLY, atomically."""
     stream = mi.MemoryStream()  # to a file on a full disk, Mitsuba loses the last bytes in silence
     make(name, mesh).write_ply(stream)
     data = stream.raw_buffer()[: stream.size()]
@@ -185,12 +163,7 @@ def write_ply(path: Path, name: str, mesh: MeshArrays, comment: str = "") -> Non
 
 
 def make(name: str, mesh: MeshArrays) -> Any:
-    """Build a ``mi.Mesh`` from arrays.
-
-    Args:
-        name: the id of the new mesh.
-        mesh: its buffers.
-    """
+    """Build a ``mi.Mesh`` from arrays."""
     made = mi.Mesh(
         name,
         len(mesh.positions),

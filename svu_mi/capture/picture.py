@@ -59,9 +59,6 @@ class Picture:
         Returns:
             Three or four float32 planes (H, W), red, green, blue and, if there is one, alpha;
             integers are scaled to [0, 1] and still encoded.
-
-        Raises:
-            CaptureError: the file is damaged or lacks a channel.
         """
         planes = self.stored()
         return [self.scaled(plane) for plane in planes] if self.bits else planes
@@ -91,9 +88,6 @@ class Picture:
         """Return whether EXIF data say that it is to be shown turned or mirrored.
 
         Nothing here does that: pixels are those that are stored.
-
-        Raises:
-            CaptureError: the file is damaged.
         """
         from PIL import Image
 
@@ -106,11 +100,7 @@ class Picture:
                 return int(image.getexif().get(ORIENTATION, 1)) > 1
 
     def remarks(self) -> list[str]:
-        """Say what it states about itself that is not followed: clauses without its name.
-
-        Raises:
-            CaptureError: the file is damaged.
-        """
+        """Say what it states about itself that is not followed: clauses without its name."""
         found = []
         if self.header.foreign:
             found.append(
@@ -126,11 +116,7 @@ class Picture:
 
 
 def open_picture(path: Path) -> Picture:
-    """Read the header of a picture.
-
-    Raises:
-        CaptureError: the file is missing, not a picture of a known kind, or absurdly large.
-    """
+    """Read the header of a picture."""
     if not path.is_file():
         raise CaptureError(f"{path}: no such photograph.")
     suffix = path.suffix.lower()
@@ -157,22 +143,13 @@ def open_picture(path: Path) -> Picture:
 
 
 def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
-    """Return what ``Picture.planes`` does, and whether the file holds integers.
-
-    Raises:
-        CaptureError: as ``open_picture`` and ``Picture.planes``.
-    """
+    """Return what ``Picture.planes`` does, and whether the file holds integers."""
     picture = open_picture(path)
     return picture.planes(), picture.bits > 0
 
 
 def decoded(encoded: np.ndarray, transfer: Transfer = "srgb") -> np.ndarray:
-    """Return linear values (float32) of encoded ones in [0, 1].
-
-    Args:
-        encoded: any shape.
-        transfer: ``srgb`` (IEC 61966-2-1), ``gamma 2.2`` or ``linear``.
-    """
+    """Return linear values (float32) of encoded ones in [0, 1]."""
     if transfer == "linear":
         return np.asarray(encoded, np.float32)
     if transfer == "gamma 2.2":
@@ -287,16 +264,8 @@ def positive(
 ) -> tuple[np.ndarray, list[str]]:
     """Set negative pixels to 0; filters and conversions of colour leave some.
 
-    Args:
-        pixels: (H, W, 3) finite radiance.
-        label: names the file or emitter.
-        error: what is raised.
-
     Returns:
         The pixels, and a sentence if some were negative.
-
-    Raises:
-        SvuError: they are too many, or too negative, to be rounding.
     """
     below = pixels < 0
     if not below.any():

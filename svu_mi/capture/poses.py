@@ -29,12 +29,7 @@ KINDS = {(): "a number", (2,): "two numbers", (4, 4): "four rows of four numbers
 
 
 def affine(linear: Any, offset: Any = 0.0) -> np.ndarray:
-    """Return the map x -> linear x + offset, such as a pose, as a (4, 4) float64 matrix.
-
-    Args:
-        linear: (3, 3), such as a rotation.
-        offset: (3,), such as a position.
-    """
+    """Return the map x -> linear x + offset, such as a pose, as a (4, 4) float64 matrix."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = linear, offset
     return matrix
@@ -76,11 +71,7 @@ def describe(sensor: Any) -> dict[str, Any]:
 
 
 def make_sensor(record: Mapping[str, Any], label: str) -> Any:
-    """Make a perspective sensor from its description.
-
-    Raises:
-        CaptureError: a key is missing, out of its range, or Mitsuba refuses a value.
-    """
+    """Make a perspective sensor from its description."""
     check_record(record, label)
     try:
         return mi.load_dict(
@@ -279,15 +270,7 @@ def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.
 
 
 def check_record(record: Any, label: str) -> None:
-    """Refuse a description that is not complete, or of which Mitsuba would see nothing.
-
-    Args:
-        record: as ``poses.describe`` returns it, arrays instead of lists are welcome.
-        label: names the file and the sensor in messages.
-
-    Raises:
-        CaptureError: a field is missing, of another type or out of its range.
-    """
+    """Refuse a description that is not complete, or of which Mitsuba would see nothing."""
     if not isinstance(record, Mapping):
         raise CaptureError(f"{label}: not a JSON object with {', '.join(SHAPES)}.")
     for key, shape in SHAPES.items():

@@ -210,15 +210,7 @@ def plan_render(
 
 
 def require_rendered(capture: Capture, spp: int) -> None:
-    """Refuse photographs that were rendered otherwise than they would be now.
-
-    Args:
-        capture: that ``render_capture`` has left in a folder.
-        spp: samples per pixel that it would take now.
-
-    Raises:
-        OptionError: the scene has other sensors now, or another ``spp`` is wanted.
-    """
+    """Refuse photographs that were rendered otherwise than they would be now."""
     if capture.source is None or (found := capture_folder.read(capture.source)) is None:
         return
     own = [describe(sensor) for sensor in find_sensors(capture.scene, str(found.scene))]
@@ -233,11 +225,7 @@ def require_rendered(capture: Capture, spp: int) -> None:
 
 
 def _require_views(claim: Claim, films: Sequence[Size], run: str) -> None:
-    """Remove all but the complete views of a run from what an interrupted one has left.
-
-    Raises:
-        OutputError: there is nothing left to resume.
-    """
+    """Remove all but the complete views of a run from what an interrupted one has left."""
     left = list(claim.draft.glob(VIEWS))
     if not left:
         raise OutputError(

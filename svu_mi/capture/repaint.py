@@ -26,9 +26,6 @@ def constant_parameters(shape: Any) -> dict[str, float]:
 
     A grey value each, within its range; a constant colour is left out unless it is grey. Empty for
     another BSDF, and when nothing varies: a material without any texture is a placeholder.
-
-    Args:
-        shape: a ``mi.Shape``.
     """
     bsdf = shape.bsdf()
     found: dict[str, float] = {}
@@ -57,15 +54,7 @@ class Repainted:
 
 
 def repaint(capture: Capture, material: Any, mesh: Any = None) -> Repainted:
-    """Copy the object, give the copy a material, and put it in the place of the object.
-
-    Args:
-        capture: whose scene it is.
-        material: a ``mi.BSDF``. It reflects on both sides if the object's own does: light that
-            enters an open object meets its inside, at least in paths of several bounces.
-        mesh: the ``mi.Mesh`` to copy; by default ``capture.mesh``, which has the UVs that
-            texels are laid out in.
-    """
+    """Copy the object, give the copy a material, and put it in the place of the object."""
     shape = make(capture.shape.id(), arrays(capture.mesh if mesh is None else mesh))
     shape.set_bsdf(_as_sided_as(capture.shape.bsdf(), material))
     # An area light belongs to its shape and comes with it.

@@ -33,10 +33,6 @@ def require_variant() -> str:
     """Return the active variant if it can run the method.
 
     From then on, Mitsuba's own plugins cannot be replaced by libraries (see ``trust``).
-
-    Raises:
-        SvuEnvironmentError: no variant is set, or a scalar, spectral or monochrome one, or
-            an LLVM variant without a usable LLVM library.
     """
     variant = mi.variant()
     if variant is None:
@@ -117,16 +113,7 @@ def last_sentence(message: str) -> str:
 def find_sensors(
     scene: Any, path: str, remedy: str = "render some with svu render --views N"
 ) -> tuple[Any, ...]:
-    """Return the scene's sensors after checking each.
-
-    Args:
-        scene: the ``mi.Scene``.
-        path: its file, for messages.
-        remedy: what to do other than to add sensors.
-
-    Raises:
-        SceneError: there is none, or one is not a perspective camera or has a mirrored pose.
-    """
+    """Return the scene's sensors after checking each."""
     sensors = tuple(scene.sensors())
     if not sensors:
         raise SceneError(
@@ -144,11 +131,7 @@ def to_world(endpoint: Any) -> np.ndarray:
 
 
 def check_sensor(sensor: Any, label: str) -> None:
-    """Refuse sensors whose projection is not the pinhole the method assumes.
-
-    Raises:
-        SceneError: another camera model, or a ``to_world`` that is mirrored or not rigid.
-    """
+    """Refuse sensors whose projection is not the pinhole the method assumes."""
     if sensor.class_name() != "PerspectiveCamera":
         raise SceneError(
             f"{label} is a {sensor.class_name()}; only 'perspective' sensors are supported."
@@ -167,11 +150,7 @@ def check_sensor(sensor: Any, label: str) -> None:
 
 
 def find_environment(scene: Any, path: str) -> Any:
-    """Return the scene's one environment emitter.
-
-    Raises:
-        SceneError: there is none, or there is another emitter beside it.
-    """
+    """Return the scene's one environment emitter."""
     supported = ("EnvironmentMapEmitter", "ConstantBackgroundEmitter", "SunskyEmitter")
     emitters = scene.emitters()
     if not emitters:
@@ -195,11 +174,7 @@ def find_environment(scene: Any, path: str) -> Any:
 
 
 def require_light(capture: Any) -> None:
-    """Refuse a capture without a light, which nothing can be found about reflectance from.
-
-    Raises:
-        SceneError: it has none.
-    """
+    """Refuse a capture without a light, which nothing can be found about reflectance from."""
     if not capture.scene.emitters():
         label = f"{capture.source or 'The scene'}: the capture has no light; "
         raise SceneError(
@@ -213,9 +188,6 @@ def find_shape(scene: Any, name: str | None, path: str) -> Any:
     """Return the mesh whose texels are asked for.
 
     Without a name it is the only mesh, or the only mesh with a ``principled`` BSDF.
-
-    Raises:
-        SceneError: no such shape, not a mesh, several candidates, or inward normals.
     """
     shapes = list(scene.shapes())
     if name is not None:

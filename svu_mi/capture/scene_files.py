@@ -27,16 +27,7 @@ KEYS = ("filename", "shape_index")  # their properties that choose what is read
 
 
 def check_xml(path: Path, defines: Mapping[str, str]) -> None:
-    """Look through a scene's XML, and what it includes, before Mitsuba parses it.
-
-    Args:
-        path: the XML file; files are found as ``mi.file_resolver()`` does.
-        defines: values of parameters, which names of files may have.
-
-    Raises:
-        SceneError: it is not sound, elements are nested too deeply, what it includes is a folder
-            or a pipe, or there are too many sensors, which take Mitsuba minutes.
-    """
+    """Look through a scene's XML, and what it includes, before Mitsuba parses it."""
     parameters = dict(defines)
     waiting, seen, sensors = [path], set(), 0
     while waiting:
@@ -54,15 +45,7 @@ def check_xml(path: Path, defines: Mapping[str, str]) -> None:
 
 
 def require_file(file: Path, label: str | Path) -> None:
-    """Refuse folders and pipes where a file is meant; Mitsuba will report missing files.
-
-    Args:
-        file: that a scene refers to.
-        label: the scene's file, for the message.
-
-    Raises:
-        SceneError: it is one.
-    """
+    """Refuse folders and pipes where a file is meant; Mitsuba will report missing files."""
     if exists(file) and not isfile(file):  # reading a pipe would wait for ever
         raise SceneError(
             f"{label}: refers to {excerpt(file, LONGEST)}, which is not a file; correct the name."
@@ -85,11 +68,7 @@ class _Reader:
     """
 
     def __init__(self, path: Path, parameters: dict[str, str]) -> None:
-        """Read a file; ``<default>`` adds to the parameters.
-
-        Raises:
-            SceneError: it is not sound, or nested too deeply.
-        """
+        """Read a file; ``<default>`` adds to the parameters."""
         self.includes: list[str] = []
         self.others: list[str] = []
         self.sensors = 0
@@ -135,16 +114,7 @@ class _Reader:
 
 
 def check_files(state: Any, label: str) -> None:
-    """Check all files that the nodes of a scene refer to, and the meshes in them.
-
-    Args:
-        state: a ``mi.parser.ParserState``; files are found as ``mi.file_resolver()`` does.
-        label: the scene's file, for messages.
-
-    Raises:
-        SceneError: one is a folder or a pipe, or a mesh that cannot be read, or a face has a
-            vertex that does not exist.
-    """
+    """Check all files that the nodes of a scene refer to, and the meshes in them."""
     meshes: dict[tuple[Any, ...], dict[str, Any]] = {}
     for node in state.nodes:
         kind, props = node.props.plugin_name(), node.props

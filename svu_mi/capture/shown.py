@@ -39,11 +39,6 @@ def tone_mapped(
 ) -> np.ndarray:
     """Expose a photograph for its object and encode it as sRGB.
 
-    Args:
-        photograph: (H, W, 3) linear radiance; NaN = not usable, becomes middle grey.
-        mask: (H, W) bool, the pixels to expose for; all of them by default.
-        white: radiance that becomes white; by default that of ``exposure``.
-
     Returns:
         (H, W, 3) float32 in [0, 1].
     """
@@ -126,9 +121,6 @@ class Look:
 
     def painted(self, texture: np.ndarray) -> np.ndarray:
         """Show a texture on the object, slightly shaded.
-
-        Args:
-            texture: (H, W, 3) colours as they shall appear on the screen, row 0 at v = 0.
 
         Returns:
             (h, w, 4) float32, colour over white and the part of the pixel that is covered.

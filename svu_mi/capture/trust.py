@@ -31,12 +31,6 @@ def require_own_plugins(trust: bool = False) -> None:
     Called where a command or a function that loads a scene starts. Plugins that are registered
     in Python, such as Mitsuba's ``prb`` and those of svu_mi, are looked for in these folders
     every time, so ``pin_own_plugins`` does not do for them.
-
-    Args:
-        trust: whether the caller trusts the folders that Mitsuba searches.
-
-    Raises:
-        SceneError: there is a library in ``plugins`` of such a folder.
     """
     pin_own_plugins()
     if not trust:
@@ -49,9 +43,6 @@ def pin_own_plugins() -> frozenset[str]:
 
     Takes 0.03 to 0.08 s, once. Mitsuba never looks again for a plugin that it has: from here on
     none of these names is taken from elsewhere, whatever the scene and the working directory.
-
-    Raises:
-        SvuEnvironmentError: Mitsuba has no folder of plugins.
     """
     folder = _own_folder()
     files = map(Path, _names(folder / FOLDER))
@@ -65,29 +56,13 @@ def pin_own_plugins() -> frozenset[str]:
 
 
 def own_plugin(description: dict[str, Any]) -> Any:
-    """Make a plugin that is registered in Python, not what a folder has under its name.
-
-    Args:
-        description: as ``mi.load_dict`` takes it.
-
-    Raises:
-        SceneError: Mitsuba would load a library instead.
-    """
+    """Make a plugin that is registered in Python, not what a folder has under its name."""
     _refuse_files_of(description["type"])
     return mi.load_dict(description)
 
 
 def refuse_foreign(state: Any, label: str) -> None:
-    """Refuse a scene that would load a library, or whose folders have one.
-
-    Args:
-        state: a ``mi.parser.ParserState``; what it would search is that of ``mi.file_resolver()``.
-        label: the scene's file, for messages.
-
-    Raises:
-        SceneError: there is a library in ``plugins`` of a folder, or a plugin type names one that
-            is not Mitsuba's, such as ``../evil``.
-    """
+    """Refuse a scene that would load a library, or whose folders have one."""
     _refuse_libraries([*(Path(str(file)).parent for file in state.files), *_searched_folders()])
     for name in {node.props.plugin_name() for node in state.nodes} - pin_own_plugins():
         if name in (".", "..") or "/" in name or "\\" in name:

@@ -29,13 +29,6 @@ def unwrap(mesh: Any, label: str = "") -> Any:
 
     The atlas differs between xatlas versions, so whoever needs the same texels twice
     saves the result (``unwrapped``).
-
-    Args:
-        mesh: an ``mi.Mesh``; its own UVs, if any, are dropped.
-        label: what it is called in messages, such as its file; by default ``Shape 'ID'``.
-
-    Raises:
-        MeshError: the mesh has no faces, or xatlas finds no parameterisation.
     """
     import xatlas  # noqa: PLC0415 - needed only for meshes without UVs
 
@@ -67,14 +60,6 @@ def unwrapped(mesh: Any, folder: Path | None) -> Any:
 
     A file that belongs to another mesh, that was changed, or that is damaged is made again, with
     a warning in the log.
-
-    Args:
-        mesh: an ``mi.Mesh``.
-        folder: where ``unwrapped.ply`` is looked for and written; None keeps it in memory.
-
-    Raises:
-        MeshError: the mesh cannot be unwrapped.
-        OutputError: the file cannot be written, although files of the folder can.
     """
     path, source = None if folder is None else folder / UNWRAPPED, arrays(mesh)
     if path is not None and path.exists():
@@ -92,11 +77,7 @@ def unwrapped(mesh: Any, folder: Path | None) -> Any:
 
 
 def _saved(path: Path, source: MeshArrays) -> MeshArrays:
-    """Lay the UVs of a file on a mesh, whose positions and normals are taken.
-
-    Raises:
-        MeshError: they cannot be read, or are not those of this mesh.
-    """
+    """Lay the UVs of a file on a mesh, whose positions and normals are taken."""
     key = _key_in(path)
     saved = read_ply(path)
     if saved.uvs is None or not np.isfinite(saved.uvs).all():
@@ -127,11 +108,7 @@ def _key(source: MeshArrays, flat: MeshArrays) -> str:
 
 
 def _key_in(path: Path) -> str | None:
-    """Return the digest in the header of a PLY file, None if there is none.
-
-    Raises:
-        MeshError: it is not a file, or cannot be opened.
-    """
+    """Return the digest in the header of a PLY file, None if there is none."""
     if not path.is_file():  # opening a pipe would wait
         raise MeshError(f"{path}: is not a file")
     try:

@@ -112,12 +112,7 @@ class Detail:
     surroundings: bool = False
 
     def windows(self, target: Any, sensors: Sequence[Any]) -> list[Window]:
-        """Return what to keep of the photographs of sensors.
-
-        Args:
-            target: the object, an ``mi.Shape``.
-            sensors: V perspective sensors.
-        """
+        """Return what to keep of the photographs of sensors."""
         films = [film_size(sensor) for sensor in sensors]
         large = [width * height >= LARGE for width, height in films]
         if (self.texels is None and self.side is None) or not any(large):

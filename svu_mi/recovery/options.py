@@ -222,20 +222,12 @@ PRESETS_OF: dict[Method, Mapping[str, Any]] = {
 
 
 def sh_preset(name: str) -> ShOptions:
-    """Return the options of recovery by the SH model that a preset stands for.
-
-    Raises:
-        OptionError: an unknown preset.
-    """
+    """Return the options of recovery by the SH model that a preset stands for."""
     return _preset(SH_PRESETS, name, "sh")
 
 
 def path_preset(name: str) -> PathOptions:
-    """Return the options of recovery by path tracing that a preset stands for.
-
-    Raises:
-        OptionError: an unknown preset.
-    """
+    """Return the options of recovery by path tracing that a preset stands for."""
     return _preset(PATH_PRESETS, name, "path")
 
 
@@ -265,11 +257,7 @@ class Options:
         method: Method, preset: str, sh: ShOptions | None, path: PathOptions | None,
         tv: float | None,
     ) -> Options:
-        """Take the preset's options where none are given.
-
-        Raises:
-            OptionError: the method has no such preset.
-        """
+        """Take the preset's options where none are given."""
         if method == "sh+path":
             first, second = _preset(BOTH_PRESETS, preset, method)
         else:

@@ -55,16 +55,7 @@ class Printed:
     def sharing(
         self, observed: Observed, around: Neighbors, progress: Progress
     ) -> GlobalSharing:
-        """Find the most certain texels by the posterior of Eq. 11.
-
-        Args:
-            observed: the photographs.
-            around: the neighbours of each texel.
-            progress: shows what is going on.
-
-        Raises:
-            OptionError: a prior of another number of roughness nodes.
-        """
+        """Find the most certain texels by the posterior of Eq. 11."""
         certain = self._spectra()
         if certain is None:
             grid, prior = self._question()

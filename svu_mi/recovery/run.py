@@ -285,12 +285,7 @@ def each(rule: Callable[[Any], Any]) -> Rule:
 
 
 def require_resolution(texels: Texels, start: Textures | None) -> None:
-    """Refuse texels that make no texture, or none like the one to start from.
-
-    Raises:
-        OptionError: fewer than 2 per side.
-        ShapeError: another resolution than that of ``start``.
-    """
+    """Refuse texels that make no texture, or none like the one to start from."""
     if min(texels.resolution) < 2:
         width, height = texels.resolution
         raise OptionError(

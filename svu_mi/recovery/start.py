@@ -33,17 +33,6 @@ def estimate_for_textures(
 
     That is the given one if it is in colour and knows its noise. Another is made again, with its
     reflection model and what is known; rays are not.
-
-    Args:
-        given: what recovery goes on from; None for a capture.
-        observed: the photographs.
-        robust: number of re-weighted passes, after each of which the squared error is nearer to
-            an absolute one.
-        sharing: give texels a prior in common (``posterior/object_prior.py``).
-        progress: shows what is going on.
-
-    Raises:
-        CaptureError: all photographs are black where a texel is seen.
     """
     if not observed.found.scale > 0:
         raise CaptureError(

@@ -14,12 +14,7 @@ ROOT = np.sqrt(2 * np.pi)
 
 
 def moments(place: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation of min(max(x, 0), 1), where x is normal.
-
-    Args:
-        place: mean of x.
-        width: standard deviation of x, at least 0, of the same shape.
-    """
+    """Return mean and standard deviation of min(max(x, 0), 1), where x is normal."""
     mean, sd = np.empty(place.size), np.zeros(place.size)
     places, widths = place.ravel(), width.ravel()
     for part in _parts(place.size):
@@ -30,12 +25,7 @@ def moments(place: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
     """Return the standard deviation of x of which that of min(max(x, 0), 1) is ``sd``, by Newton's
-    method; at most ``WIDEST``, for standard deviations of more than .46.
-
-    Args:
-        place: mean of x, in [0, 1].
-        sd: at least 0, of the same shape.
-    """
+    method; at most ``WIDEST``, for standard deviations of more than .46."""
     width, places = np.array(sd, np.float64).ravel(), place.ravel()
     for part in _parts(place.size):
         mean, wanted = places[part], width[part]

@@ -47,11 +47,7 @@ class Waves:
         return Waves(number, owned(mi.Vector3f, frequencies), owned(mi.Float, phases))
 
     def at(self, place: Any) -> list[Any]:
-        """Return the fields, Floats (T,).
-
-        Args:
-            place: (T,) Point3f in units of the length l.
-        """
+        """Return the fields, Floats (T,)."""
         found = []
         for field in range(self.number):
             first = dr.opaque(mi.UInt32, field * WAVES)

@@ -280,13 +280,7 @@ def has_field(estimate: Estimate) -> bool:
 
 def field_of(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:
     """Return the field around textures that somebody has recovered; None where the estimate does
-    not say enough for one, or is of other texels.
-
-    Args:
-        textures: over the mesh.
-        estimate: what is known of every texel by itself.
-        mesh: ``capture.mesh``.
-    """
+    not say enough for one, or is of other texels."""
     if not has_field(estimate) or textures.resolution != estimate.texels.resolution:
         return None
     return field_around(textures, estimate, neighbors(estimate.texels, mesh))
@@ -296,15 +290,7 @@ def field_around(
     textures: Textures, estimate: Estimate, around: Neighbors, names: Sequence[str] = NAMES,
     options: ShOptions | None = None,
 ) -> TextureField:  # fmt: skip
-    """Return the field around textures, whoever recovered them.
-
-    Args:
-        textures: over the texels of the estimate.
-        estimate: one that ``has_field``.
-        around: the texels' neighbours.
-        names: of the parameters that are in question.
-        options: weights of total variation; ours by default.
-    """
+    """Return the field around textures, whoever recovered them."""
     posterior, texels = estimate.posterior, estimate.texels
     assert isinstance(posterior.kernel, CalibratedKernel)
     options = options or ShOptions()

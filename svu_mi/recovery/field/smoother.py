@@ -68,15 +68,7 @@ class Smoother:
         precision: np.ndarray, values: np.ndarray, around: Sequence[Any], strength: float,
         epsilon: float,
     ) -> Smoother:  # fmt: skip
-        """Link neighbours that are alike.
-
-        Args:
-            precision: (N, T), positive.
-            values: (N, T), that links depend on.
-            around: K columns (T,) UInt32 (``Neighbors.around``).
-            strength: lambda.
-            epsilon: differences far below it do not make a link any stronger.
-        """
+        """Link neighbours that are alike."""
         own, start = _vector(precision, 1), _vector(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
         lanes = lanes_of(around, fours(len(values)))
@@ -86,26 +78,14 @@ class Smoother:
         self, precision: np.ndarray, values: np.ndarray | None = None,
         blind: np.ndarray | None = None,
     ) -> Smoother:  # fmt: skip
-        """Return links of the same strength with another D.
-
-        Args:
-            precision: (N, T), positive.
-            values: (N, T), that links depend on; by default, those that they do.
-            blind: (T,) bool, texels whose values they must not know.
-        """
+        """Return links of the same strength with another D."""
         start = self.start if values is None else _vector(values)
         hidden = None if blind is None else owned(mi.Bool, blind)
         return replace(self, own=_vector(precision, 1), start=start, blind=hidden)._completed()
 
     def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> Smoother:
         """Return links between groups of 2 x 2 texels: two links of texels go from one group to
-        the next, over twice the way.
-
-        Args:
-            owner: (T,) int64, the group that each texel is of.
-            precision: (N, G), positive.
-            values: (N, G), that links depend on.
-        """
+        the next, over twice the way."""
         around = grouped([np.array(column, np.int64) for column in self.around], owner)
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
         dr.eval(strength, epsilon)
@@ -133,10 +113,6 @@ class Smoother:
     def solve(self, right: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
         """Return x with (D + K) x = right, by conjugate gradients [Hestenes and Stiefel 1952].
 
-        Args:
-            right: (N, T).
-            start: (N, T), near x, if something is known that is.
-
         Returns:
             (N, T) float64.
         """
@@ -147,13 +123,7 @@ class Smoother:
         return self._table(self._descend(x, wanted - self @ x, mi.Float(1), goal, MOST))
 
     def fill(self, right: np.ndarray, start: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Return x with (D + K) x = right at some texels, and what it was at all others, (N, T).
-
-        Args:
-            right: (N, T).
-            start: (N, T), x to begin with.
-            free: (T,) bool, where x is looked for.
-        """
+        """Return x with (D + K) x = right at some texels, and what it was at all others, (N, T)."""
         x, wanted = _vector(start), _vector(np.tile(free, (len(start), 1)))
         rest = wanted * (_vector(right) - self @ x)
         goal = CLOSE**2 * dr.sum(dr.square(rest) / self.diagonal)
@@ -277,12 +247,7 @@ class Nested:
 
     @staticmethod
     def of(smoother: Smoother, squares: np.ndarray) -> Nested:
-        """Group texels in squares of 2 x 2, then groups, until few are left.
-
-        Args:
-            smoother: of T texels.
-            squares: (T, 2) int64, their rows and columns in the map.
-        """
+        """Group texels in squares of 2 x 2, then groups, until few are left."""
         if len(squares) <= FEW:
             return Nested(smoother)
         wider, owner = owners_of(squares // 2)

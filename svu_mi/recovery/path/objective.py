@@ -49,13 +49,7 @@ FLOOR = 0.1  # of the relative loss: radiance, in units of the scale, that count
 
 
 def l1(render: Any, target: Any, scale: Any = 1.0) -> Any:
-    """Return mean |r - y| / s, the paper's loss.
-
-    Args:
-        render: radiance r, Floats or TensorXf.
-        target: photographed radiance y, likewise.
-        scale: radiance s that stands for 1; a float, or an opaque Float.
-    """
+    """Return mean |r - y| / s, the paper's loss."""
     return dr.mean(dr.abs(render - target), axis=None) / scale
 
 
@@ -193,19 +187,7 @@ def path_objective(
     fixed: Textures | None = None,
     views: Views | None = None,
 ) -> PathObjective:
-    """Make the objective of a capture.
-
-    Args:
-        capture: photographs, scene and light.
-        texels: of ``capture.mesh``, at the resolution of the textures.
-        options: batches, paths and loss.
-        fixed: values of parameters that the objective is not given; 0.5 by default.
-        views: those of ``pack_views``, if they were packed already.
-
-    Raises:
-        ShapeError: ``fixed`` has another resolution than the texels.
-        CaptureError: no pixel that can be used.
-    """
+    """Make the objective of a capture."""
     fixed = uniform(texels) if fixed is None else fixed
     if fixed.resolution != texels.resolution:
         raise ShapeError(

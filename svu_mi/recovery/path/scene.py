@@ -50,15 +50,7 @@ class PathScene:
         return painted
 
     def paint(self, textures: Mapping[str, Any]) -> None:
-        """Replace textures, differentiably: gradients of a render reach these tensors.
-
-        Args:
-            textures: TensorXf (H, W, C) by name, all of them or only some.
-
-        Raises:
-            OptionError: there is no such parameter.
-            ShapeError: a texture of another size.
-        """
+        """Replace textures, differentiably: gradients of a render reach these tensors."""
         width, height = self.resolution
         for name, tensor in textures.items():
             if name not in CHANNELS:

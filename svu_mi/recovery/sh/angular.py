@@ -59,12 +59,7 @@ class AngularObjective:
     factor: Any
 
     def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
-        """Return the loss as a Float that derivatives reach the textures through.
-
-        Args:
-            textures: (H, W, C) TensorXf by name.
-            step: not used: every step looks at everything.
-        """
+        """Return the loss as a Float that derivatives reach the textures through."""
         del step
         values = look_up(textures, self.place)
         with dr.suspend_grad():
@@ -139,16 +134,7 @@ class AngularObjective:
 
 
 def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObjective:
-    """Prepare the loss: fit the light of every texel that some view sees.
-
-    Args:
-        observed: the photographs, and their light.
-        switches: the reflection model; ``paper`` for the paper's.
-
-    Raises:
-        OptionError: a model that does not fit its light.
-        CaptureError: all photographs are black where a texel is seen.
-    """
+    """Prepare the loss: fit the light of every texel that some view sees."""
     found, texels = observed.found, observed.texels
     channels = 1 if observed.lighting.environment.grey else 3
     seen = np.flatnonzero(observed.coverage)

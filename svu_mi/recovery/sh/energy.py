@@ -53,10 +53,6 @@ def information(factors: Factors, values: Values) -> list[list[Any]]:
     """Return J^T J of S texels, J the derivatives of the residuals whose squares ``energy`` adds
     up: half of its second derivatives, but for what the residuals themselves bend.
 
-    Args:
-        factors: of S texels.
-        values: their parameters in [0, 1].
-
     Returns:
         A symmetric matrix of Floats (S,), squared radiance; rows and columns are all values of
         all parameters, in the order of ``values``.

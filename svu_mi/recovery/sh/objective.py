@@ -53,12 +53,7 @@ class Likelihood:
         return Likelihood(factors, place, weight)
 
     def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
-        """Return the loss, a Float of one value.
-
-        Args:
-            textures: (H, W, C) tensors by name.
-            step: not used: the loss is the same in every step.
-        """
+        """Return the loss, a Float of one value."""
         del step
         values = look_up(textures, self.place)
         with dr.suspend_grad():
@@ -192,15 +187,7 @@ class Smoothing:
         posterior: Posterior[CalibratedKernel], texels: Texels, names: Sequence[str],
         around: Neighbors, variation: tuple[float, float],
     ) -> Smoothing:  # fmt: skip
-        """Take means and variances of a posterior in colour.
-
-        Args:
-            posterior: of the texels.
-            texels: T texels.
-            names: parameters to smooth.
-            around: the neighbours of the texels.
-            variation: lambda, and epsilon of total variation.
-        """
+        """Take means and variances of a posterior in colour."""
         keys = tuple((name, k) for name in names for k in range(CHANNELS[name]))
         (means, sds), seen = moments(posterior), posterior.kernel.problem.factors.texel.numpy()
         shown = np.zeros(texels.count)
@@ -227,12 +214,7 @@ class Smoothing:
         return replace(options, scales=scales)
 
     def __call__(self, channels: Mapping[str, Any], step: int = 0) -> Any:
-        """Return the loss, a Float of one value.
-
-        Args:
-            channels: tensors of the channels.
-            step: not used: the loss is the same in every step.
-        """
+        """Return the loss, a Float of one value."""
         del step
         values = [channels[_key(name, k)].array for name, k in self.keys]
         with dr.suspend_grad():

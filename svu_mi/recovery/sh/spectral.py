@@ -70,12 +70,7 @@ class SpectralObjective:
     factor: Any
 
     def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
-        """Return the loss as a Float that derivatives reach the textures through.
-
-        Args:
-            textures: (H, W, C) TensorXf by name.
-            step: not used: every step looks at everything.
-        """
+        """Return the loss as a Float that derivatives reach the textures through."""
         del step
         return dr.sum(self.errors(look_up(textures, self.place))) * self.factor
 
@@ -127,17 +122,7 @@ class SpectralObjective:
 def spectral_objective(
     observed: Observed, switches: Preset, domain: Domain
 ) -> SpectralObjective:
-    """Fit the photographs, and prepare the loss.
-
-    Args:
-        observed: the photographs, and their light.
-        switches: of the fit and of the model; ``paper`` for the paper's.
-        domain: ``coefficients`` or ``spectrum``.
-
-    Raises:
-        OptionError: an unknown domain.
-        CaptureError: no texel is seen with any radiance.
-    """
+    """Fit the photographs, and prepare the loss."""
     if domain not in get_args(Domain):
         raise OptionError(f"domain must be one of {', '.join(get_args(Domain))}, got {domain!r}.")
     found, lighting, texels = observed.found, observed.lighting, observed.texels
