@@ -1,4 +1,4 @@
-"""What is too large to begin with: sizes are held against the machine before any work."""
+"""Limits of sizes, checked before any work."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
 from svu_mi.memory import Size, address_space, free_memory
 
-MAX_LANES = 2**32 - 1  # of one kernel: Dr.Jit counts them in 32 bits
+MAX_LANES = 2**32 - 1  # of one kernel
 MAX_VIEWS = 10_000  # photographs are called view_0000 to view_9999
 MAX_TEXELS = 2**14  # per side
-# Mitsuba has Dr.Jit's workers decode EXR files, and waits for them: for ever if there is none,
-# that is with one thread, which is the default on a machine, or a share of one, with one core.
+# Mitsuba waits for Dr.Jit's workers to decode EXR files: for ever with one thread, which is the
+# default on one core.
 FEWEST_THREADS = 2
 MIN_TEXELS = 2  # per side; Mitsuba has no texture below
-TEXEL_BYTES = 2**8  # of the grid, laid out; what is computed of them is told by memory.py
+TEXEL_BYTES = 2**8  # of the grid, laid out
 PIXEL_BYTES = 16  # of a photograph in memory: three floats, a mask, and what can be used
 RENDER_BYTES = 100  # per pixel of a film while it is rendered; measured: 90
 MASK_LANES = 9  # rays per pixel that find the object

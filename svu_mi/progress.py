@@ -1,8 +1,7 @@
-"""What a run is doing, and how long each stage took.
+"""Stages of a run: their times, compiled kernels, and progress bars.
 
-Dr.Jit compiles and launches when an array is evaluated, and shows nothing of it. A stage
-measures its own time with the device synchronised at both ends, counts the kernels that
-were compiled in it, and, with a console, shows what is going on:
+A stage measures its time with the device synchronised at both ends, counts the kernels that were
+compiled in it, and is shown on a console, if one is given:
 
     progress = Progress(Console())        # or Progress(): measures, shows nothing
     with progress.stage("Gathering radiance") as stage:
@@ -10,8 +9,7 @@ were compiled in it, and, with a console, shows what is going on:
     progress.timings                                 # {"Gathering radiance": 0.41}, seconds
 
 On a terminal (or in a notebook) a stage is a live line, replaced by one plain line when it
-ends; elsewhere, such as a log file, there is only that plain line, and now and then one about a
-long stage.
+ends; in a log file there is only that plain line, and one every ``PERIOD`` of a long stage.
 """
 
 from __future__ import annotations
@@ -33,15 +31,7 @@ PERIOD = 30.0  # seconds between lines about a stage in a log
 
 
 class Stage:
-    """One running stage.
-
-    A stage that nobody looks at accepts the same calls and does nothing.
-
-    Args:
-        bar: rich's, on a terminal.
-        task: the stage in it.
-        say: prints a line in a log.
-    """
+    """One running stage: a task of rich's bar on a terminal, or lines of a log (``say``)."""
 
     def __init__(
         self, bar: Any = None, task: Any = None, say: Callable[[str], None] | None = None
@@ -58,7 +48,7 @@ class Stage:
             self._last = time.monotonic()
 
     def state(self, text: str) -> None:
-        """Say what the stage is waiting for, until the next ``update``."""
+        """Show what the stage is waiting for, until the next ``update``."""
         if self._bar is not None:
             self._bar.update(self._task, state=text)
 
@@ -139,33 +129,30 @@ def _bar(console: Console) -> Any:
     from rich import progress as rich
     from rich.text import Text
 
-    class State(rich.ProgressColumn):
-        """The stage's own word; else, after a silence, what is most likely going on."""
+    class Column(rich.ProgressColumn):
+        """A text by task."""
+
+        def __init__(self, text: Callable[[rich.Task], str]) -> None:
+            super().__init__()
+            self._text = text
 
         def render(self, task: rich.Task) -> Text:
-            state = task.fields["state"]
-            if state is None:
-                silent = task.completed == 0 and (task.elapsed or 0.0) > PATIENCE
-                state = COMPILING if silent else ""
-            return Text(printable(state), style="dim")
+            return Text(self._text(task))
 
-    class Steps(rich.ProgressColumn):
-        """How many steps are done, of how many; nothing of a stage that does not know."""
+    def steps(task: rich.Task) -> str:
+        return "" if task.total is None else f"{task.completed:.0f}/{task.total:.0f}"
 
-        def render(self, task: rich.Task) -> Text:
-            known = task.total is not None
-            return Text(f"{task.completed:.0f}/{task.total:.0f}" if known else "")
+    def state(task: rich.Task) -> str:
+        """The stage's own word; after a silence, the likely reason."""
+        silent = task.completed == 0 and (task.elapsed or 0.0) > PATIENCE
+        text = task.fields["state"]
+        return printable(text if text is not None else COMPILING if silent else "")
 
     return rich.Progress(
         rich.SpinnerColumn("dots" if console.encoding.startswith("utf") else "line"),
-        rich.TextColumn("{task.description}", markup=False),
-        rich.BarColumn(bar_width=24),
-        Steps(),
-        rich.TimeElapsedColumn(),
-        State(),
-        console=console,
-        transient=True,
-    )
+        rich.TextColumn("{task.description}", markup=False), rich.BarColumn(bar_width=24),
+        Column(steps), rich.TimeElapsedColumn(), Column(state), console=console, transient=True,
+    )  # fmt: skip
 
 
 def _synchronize() -> None:

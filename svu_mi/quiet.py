@@ -1,7 +1,4 @@
-"""A library that prints before it raises is silenced; whatever else is printed is not.
-
-OpenEXR writes to the process's stderr, and its binding to ``sys.stdout``, when pixels are damaged.
-"""
+"""Hide what OpenEXR prints before it raises: to stderr, and to ``sys.stdout`` by its binding."""
 
 from __future__ import annotations
 
@@ -16,12 +13,11 @@ OPENEXR = b"(EXR_ERR_"  # in each of its lines
 
 
 class Quiet:
-    """Keep OpenEXR's lines away while it reads or writes; our exception says it better.
+    """Hide OpenEXR's lines while it reads or writes.
 
     Both streams belong to the whole process. On stdout the lines of other threads pass. On stderr
-    all lines, of every thread and library, wait for the last thread to leave, and those of OpenEXR
-    are then left out. If the process is killed or crashes meanwhile, what waits is lost: also the
-    last words of the crash.
+    all lines wait for the last thread to leave; those of OpenEXR are then left out. They are lost
+    if the process crashes meanwhile.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The terminal: whatever becomes of it, the work is done, and nothing but text is sent to it."""
+"""Streams of the terminal: work goes on if they are closed, and only plain text is printed."""
 
 from __future__ import annotations
 
@@ -19,13 +19,9 @@ PLAIN = str.maketrans({"±": "+-", "·": "-", "•": "*", "×": "x", "\u2009": "
 
 
 class Forgiving:
-    """A stream that loses what cannot be written, instead of ending the work behind it.
+    """A stream that drops what cannot be written: the reader has ended, or the disk is full.
 
-    Nobody may read any more (``svu ... | head``), or the disk may be full; from then on nothing
-    is kept. Letters that the encoding does not have are spelt out or escaped.
-
-    Args:
-        stream: where text goes as long as it can.
+    Letters that the encoding does not have are spelt out or escaped.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -54,8 +50,7 @@ class Forgiving:
             self._give_up()
 
     def _give_up(self) -> None:
-        # What is left in the buffer must go somewhere: Python tries again when it ends, and
-        # would complain and change the exit status.
+        # Python flushes the buffer again when it ends, and would change the exit status.
         with suppress(OSError, ValueError):
             null = os.open(os.devnull, os.O_WRONLY)
             try:
