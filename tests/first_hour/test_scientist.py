@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-from hour import done, notebook, svu
+from hour import done
 
 from svu_mi.exr import read_exr, write_exr
 
@@ -15,44 +15,6 @@ FOUND = re.compile(
     r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* of the "
     r"surface seen, metallic on .*, base colour on .* \(90 % intervals\)\."
 )
-CELLS = """
-import mitsuba as mi
-import svu_mi as svu
-mi.set_variant("llvm_ad_rgb")
-capture = svu.load_capture("capture")
-texels = svu.texels(capture.mesh, 16)
-def says(call):
-    try:
-        call()
-    except svu.SvuError as error:
-        print(error)
-for prior in ("uniform", [[1, 2], [3]], {"roughness": 1}):
-    says(lambda: svu.estimate(capture, texels, prior=prior))
-estimate = svu.estimate(capture, texels)
-says(lambda: svu.next_best_view(estimate, 100, 5))
-says(lambda: svu.check("capture"))
-"""
-
-
-@pytest.mark.slow
-def test_mistakes_in_a_notebook_are_sentences(desk):
-    said = notebook(CELLS, desk)
-    prior = "estimate(): the prior must be numbers, (8, 8, 8) or (8,), got a "
-    assert said.out == [
-        f"{prior}str.", f"{prior}list.", f"{prior}dict.",
-        "next_best_view(): candidates must be Candidates or sensors, got 100; place some with "
-        "svu.Candidates.around(capture, count).",
-        "check(): a capture is needed, got a str; read one with svu.load_capture(path).",
-    ], said  # fmt: skip
-
-
-@pytest.mark.slow  # without processes of its own: test_messages.py
-def test_the_shell_answers_in_words_of_the_shell(desk):
-    assert svu("entropy capture --known metal=0", desk).refusal == (
-        "--known: there is no parameter 'metal'; use base_color, roughness or metallic."
-    )
-
-
 @pytest.mark.slow
 def test_the_last_lines_say_what_was_found(desk):
     """Where people look: not only where it was written."""
@@ -120,18 +82,3 @@ def test_what_was_not_estimated_is_said(desk):
         "Shape 'vase' has clearcoat 1, which svu does not account for: if the photographs show "
         "that, roughness and base colour will be off."
     ]
-
-
-@pytest.mark.slow
-def test_memory_is_known_before_it_is_taken(desk):
-    """Announced first; and a limit of the shell ends in a sentence, not in signal 11."""
-    said = done("entropy capture --resolution 32 --no-pictures -o out/needs", desk)
-    assert re.fullmatch(r"Needs up to 0\.\d+ GB of memory, \d+ are there", said.out[0])
-    limited = ("bash", "-c", 'ulimit -v "$1"; shift; exec "$@"', "bash")
-    assert svu("entropy capture -o out/needs", desk, *limited, "400000").refusal == (
-        "needs 1.2 GB of address space to start, ulimit -v allows 0.41; raise it."
-    )
-    said = svu("entropy capture -o out/needs", desk, *limited, "1300000")
-    assert re.fullmatch(
-        r"capture: needs \S+ GB of address space, ulimit -v allows 1\.3; raise it.*", said.refusal
-    )
