@@ -30,9 +30,6 @@ def require_memory(size: float, what: str, fix: str, error: type[SvuError] = Opt
         what: begins the sentence, in the plural, such as ``"scene.xml: 8 photographs"``.
         fix: ends it.
         error: what is raised.
-
-    Raises:
-        SvuError: there is less.
     """
     known = [free_memory(), _unreserved()]
     free = min((room for room in known if room is not None), default=None)
@@ -50,11 +47,7 @@ def _unreserved() -> int | None:
 
 
 def require_files(more: int) -> None:
-    """Let this process open so many more files; a system's default is 1024 in all, or 256.
-
-    Raises:
-        CaptureError: it may not.
-    """
+    """Let this process open so many more files; a system's default is 1024 in all, or 256."""
     try:
         import resource  # not on Windows
     except ImportError:
@@ -80,11 +73,7 @@ def _open_files(most: int) -> int:
 
 
 def require_texels(resolution: Size, option: str) -> None:
-    """Refuse a grid of texels that cannot be laid out.
-
-    Raises:
-        OptionError: a side is out of range, or there is not enough memory.
-    """
+    """Refuse a grid of texels that cannot be laid out."""
     width, height = resolution
     if min(resolution) < MIN_TEXELS or max(resolution) > MAX_TEXELS:
         raise OptionError(
@@ -103,20 +92,13 @@ def require_views(count: int, what: str, error: type[SvuError] = OptionError) ->
         count: of them.
         what: begins the sentence, such as ``"--views"`` or ``"scene.xml: sensors"``.
         error: what is raised.
-
-    Raises:
-        SvuError: there are more.
     """
     if count > MAX_VIEWS:
         raise error(f"{what}: at most {MAX_VIEWS} are supported, got {count}; leave some out.")
 
 
 def require_spp(spp: int, option: str = "spp") -> None:
-    """Refuse a number of samples per pixel that no film can take.
-
-    Raises:
-        OptionError: it is out of range.
-    """
+    """Refuse a number of samples per pixel that no film can take."""
     if not 1 <= spp <= MAX_LANES:
         raise OptionError(f"{option} must be at least 1 and below 2^32, got {spp}.")
 
@@ -128,10 +110,6 @@ def require_render(sizes: Sequence[Size], spp: int, label: str) -> None:
         sizes: (width, height) of each film.
         spp: samples per pixel.
         label: the scene, for the message.
-
-    Raises:
-        SceneError: a film has more pixels than one kernel takes, or than there is memory.
-        OptionError: it takes fewer samples.
     """
     width, height = max(sizes, key=lambda size: size[0] * size[1], default=(1, 1))
     pixels = width * height
@@ -155,9 +133,6 @@ def require_photographs(sizes: Sequence[Size], label: str, rendering: int = 0) -
         sizes: (width, height) of each.
         label: where they are, for the message.
         rendering: bytes that it takes to render one of them; 0 if they are read.
-
-    Raises:
-        CaptureError: they do not.
     """
     width, height = max(sizes, default=(0, 0))
     fix = "make the films smaller" if rendering else "shrink them (svu import --shrink)"

@@ -186,14 +186,7 @@ class Need:
         )
 
     def require(self, label: str = "") -> None:
-        """Refuse what takes more memory, or address space, than there is.
-
-        Args:
-            label: begins the sentence: the scene, or the folder of the photographs.
-
-        Raises:
-            CaptureError: there is less; the sentence says what needs less.
-        """
+        """Refuse what takes more memory, or address space, than there is."""
         label = f"{label}: " if label else ""
         room = _room()
         if room is not None and not self.fits:
@@ -269,11 +262,7 @@ def light_bytes(size: Size) -> float:
 
 
 def require_start() -> None:
-    """Refuse to begin where libraries cannot even be loaded: they end the process.
-
-    Raises:
-        SvuEnvironmentError: there is too little memory or address space.
-    """
+    """Refuse to begin where libraries cannot even be loaded: they end the process."""
     room, space = _room(), address_space()
     if room is not None and room < START:
         raise SvuEnvironmentError(

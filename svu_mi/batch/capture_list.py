@@ -41,10 +41,6 @@ def read_list(path: Path) -> list[Item]:
 
     A subfolder is a capture if it has a ``capture.json``, or one Mitsuba scene. A table has the
     column ``capture``, a path relative to the table, and may have ``name`` and ``OPTIONS``.
-
-    Raises:
-        CaptureError: there is no such list, or it is empty.
-        OptionError: a row or a column is invalid.
     """
     if path.is_dir():
         items = _in_folder(path)
@@ -60,16 +56,7 @@ def read_list(path: Path) -> list[Item]:
 
 
 def require_apart(output: Path, items: Sequence[Item]) -> None:
-    """Refuse to write results among the files of captures.
-
-    Args:
-        output: folder of the batch, which gets a folder per capture.
-        items: the captures.
-
-    Raises:
-        OutputError: the results of one would lie in a capture, or among photographs or the files
-            of a scene.
-    """
+    """Refuse to write results among the files of captures."""
     captures = {real(item.capture) for item in items if item.capture.is_dir()}
     places = {place for item in items for place in places_of(item)}
     for item in items:

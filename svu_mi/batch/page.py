@@ -23,13 +23,7 @@ COLUMNS = ("capture", "seen", "entropy", "known", "seconds", "peak_gb", "problem
 
 
 def write_index(output: Path, outcomes: Sequence[Outcome], waiting: int = 0) -> None:
-    """Write ``index.html`` and ``index.csv``, each in one step.
-
-    Args:
-        output: folder of the batch.
-        outcomes: of captures that have ended.
-        waiting: number of those that have not.
-    """
+    """Write ``index.html`` and ``index.csv``, each in one step."""
     rows = sorted(outcomes, key=lambda outcome: outcome.name)
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")

@@ -113,13 +113,6 @@ class BatchRunner:
         """Work on captures by the workers of a cluster, which see the same files.
 
         A worker that ends costs the command it was at: another one continues.
-
-        Args:
-            client: a ``distributed.Client``.
-            items: the captures.
-
-        Raises:
-            OptionError: the cluster has no workers.
         """
         from distributed import KilledWorker, as_completed
 
@@ -219,11 +212,6 @@ def connected(address: str) -> Iterator[Any]:
 
     Yields:
         A ``distributed.Client``.
-
-    Raises:
-        SvuEnvironmentError: Dask is not installed.
-        OptionError: the scheduler does not answer.
-        SvuError: the connection was lost.
     """
     client = _client(address)
     from distributed.comm import CommClosedError  # of a result that is on its way
@@ -271,11 +259,7 @@ def _tried(commands: Commands, words: Sequence[str], left: Path | None) -> Ended
 
 
 class Commands:
-    """The commands that are running; none starts any more once they were ended.
-
-    Args:
-        memory: bytes that each may take; 0 for all.
-    """
+    """The commands that are running; none starts any more once they were ended."""
 
     def __init__(self, memory: int = 0) -> None:
         self._memory = memory

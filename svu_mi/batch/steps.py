@@ -55,14 +55,7 @@ STEPS = {
 
 
 def words_of(step: Step, item: Item, folder: Path, steps: Sequence[str]) -> list[str]:
-    """Return the words of a command.
-
-    Args:
-        step: which.
-        item: the capture, with all its options.
-        folder: of its results.
-        steps: names of all steps that are taken.
-    """
+    """Return the words of a command."""
     recovered, output = str(folder / STEPS["recover"].output), str(folder / step.output)
     if step.command == "export":
         return ["export", recovered, "-o", output]
@@ -83,15 +76,7 @@ def key_of(words: Sequence[str], before: str) -> str:
 
 
 def inputs_key(item: Item, output: Path | None = None) -> str:
-    """Return a digest of the files of a capture and of its scene, by their sizes and times.
-
-    Args:
-        item: the capture, with all its options.
-        output: folder of the batch, which may lie beside a scene and is not among its files.
-
-    Raises:
-        CaptureError: the ``capture.json`` cannot be read.
-    """
+    """Return a digest of the files of a capture and of its scene, by their sizes and times."""
     places, own = places_of(item), None if output is None else real(output)
     folders = {place for place in places if place.is_dir()}
     described = [read(folder) for folder in places if folder in folders]

@@ -93,11 +93,7 @@ class Batch(Common):
             yield from runner.run_on(client, items)
 
     def _runner(self) -> BatchRunner:
-        """Return how captures are worked on.
-
-        Raises:
-            OptionError: an option makes no sense.
-        """
+        """Return how captures are worked on."""
         from svu_mi.batch.runner import BatchRunner
         from svu_mi.batch.steps import STEPS
 

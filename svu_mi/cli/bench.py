@@ -140,11 +140,7 @@ class Bench(Common):
 
 
 def names(words: str, option: str) -> tuple[str, ...]:
-    """Return the names of a comma-separated list; none for an empty one.
-
-    Raises:
-        OptionError: an empty name.
-    """
+    """Return the names of a comma-separated list; none for an empty one."""
     found = tuple(word.strip() for word in words.split(",")) if words.strip() else ()
     if not all(found):
         raise OptionError(f"{option} takes names separated by commas, none empty, got {words!r}.")

@@ -47,13 +47,7 @@ class Common:
     directory: they run with all your rights. Without it they are refused."""
 
     def start(self) -> None:
-        """Set the variant and the number of threads.
-
-        Raises:
-            SvuEnvironmentError: the variant does not exist or cannot run here.
-            OptionError: a negative number of threads.
-            SceneError: the working directory has libraries that Mitsuba would load.
-        """
+        """Set the variant and the number of threads."""
         if self.threads < 0:
             raise OptionError(f"--threads must be 0 (all) or more, got {self.threads}.")
         if self.threads > MAX_THREADS:

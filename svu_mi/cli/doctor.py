@@ -201,11 +201,7 @@ def collect_facts() -> None:
 
 
 def render_test(variant: str) -> None:
-    """Render a white sphere in white light, which shows 1 everywhere, and print its mean.
-
-    Raises:
-        RuntimeError: the picture, a minimum or a maximum is wrong.
-    """
+    """Render a white sphere in white light, which shows 1 everywhere, and print its mean."""
     import drjit as dr
     import mitsuba as mi
     import numpy as np

@@ -131,11 +131,7 @@ class Guide(CaptureCommand):
         return candidates.restricted(self._within_reach(candidates.count))
 
     def _within_reach(self, count: int) -> np.ndarray:
-        """Return (count,) bool, which candidates can be reached.
-
-        Raises:
-            OptionError: a number that no candidate has, or none is left.
-        """
+        """Return (count,) bool, which candidates can be reached."""
         flags = np.ones(count, bool)
         if self.reachable is not None:
             flags = _flags(_read_numbers(self.reachable), count, str(self.reachable))
@@ -148,12 +144,7 @@ class Guide(CaptureCommand):
         return flags
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work.
-
-        Raises:
-            OptionError: a number out of range, or an option that has no effect.
-            CaptureError: a file that does not exist, or is not to be read.
-        """
+        """Refuse options that make no sense, before any work."""
         opt.texel_size(self.resolution)
         self.capture.check(self.spp)
         self.estimation.check()
@@ -219,11 +210,7 @@ def _number(word: str) -> int | None:
 
 
 def _flags(numbers: list[Any], count: int, label: str) -> np.ndarray:
-    """Return (count,) bool, True at some numbers, or as flags say that are given instead.
-
-    Raises:
-        OptionError: a number that no candidate has, or another count of flags.
-    """
+    """Return (count,) bool, True at some numbers, or as flags say that are given instead."""
     if any(isinstance(number, bool) for number in numbers):
         if len(numbers) != count:
             raise OptionError(
@@ -241,11 +228,7 @@ def _flags(numbers: list[Any], count: int, label: str) -> np.ndarray:
 
 
 def _read_numbers(path: Path) -> list[Any]:
-    """Read numbers, or a JSON list of them or of flags.
-
-    Raises:
-        OptionError: the file cannot be read, or holds anything else.
-    """
+    """Read numbers, or a JSON list of them or of flags."""
     try:
         text = path.read_text(encoding="utf-8")
         values = json.loads(text) if text.lstrip().startswith("[") else list(map(int, text.split()))

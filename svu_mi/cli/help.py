@@ -49,11 +49,7 @@ def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
 
 @contextmanager
 def flowing(commands: Any) -> Iterator[None]:
-    """Print the texts of ``--help`` without the line ends that they have in the code.
-
-    Args:
-        commands: classes of options, or a union of them.
-    """
+    """Print the texts of ``--help`` without the line ends that they have in the code."""
     for command in typing.get_args(commands) or (commands,):
         _join(typing.get_args(command)[0] if typing.get_args(command) else command)
     width = shutil.get_terminal_size().columns

@@ -72,11 +72,7 @@ class Inpaint(CaptureCommand):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work.
-
-        Raises:
-            OptionError: there is one.
-        """
+        """Refuse options that make no sense, before any work."""
         self.capture.check(self.spp)
         if not self.above > 0:
             raise OptionError(f"--above must be positive, got {self.above}.")

@@ -85,11 +85,7 @@ class FindLight(CaptureCommand):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work.
-
-        Raises:
-            OptionError: there is one.
-        """
+        """Refuse options that make no sense, before any work."""
         from svu_mi.illumination.scale import require_albedo
 
         opt.texel_size(self.resolution)
@@ -123,11 +119,7 @@ class FindLight(CaptureCommand):
             )
 
     def _options(self) -> LightOptions:
-        """Return how light is found.
-
-        Raises:
-            OptionError: a number out of range.
-        """
+        """Return how light is found."""
         moves = self.light_moves if self.light_moves or self.light_fixed else None
         return LightOptions(
             texels=self.texels, depths=self.depths, seed=self.seed, moves=moves,

@@ -56,12 +56,6 @@ class CaptureCommand(Common):
             again: read photographs that an earlier run has rendered.
             missing: replaces the option of that name.
             surroundings: whether pixels beside the object are used.
-
-        Raises:
-            SceneError: the scene cannot be loaded or lacks something.
-            CaptureError: photographs are missing, unreadable or do not fit, or there is not enough
-                memory.
-            OptionError: there are no photographs, and --render was not given.
         """
         from svu_mi.capture.matching import has_photographs
         from svu_mi.capture.rendering import require_rendered
@@ -87,19 +81,7 @@ class CaptureCommand(Common):
         self, progress: Progress, need: NeedOf, size: tuple[int, int], light: Path | None,
         **options: Any,
     ) -> tuple[Capture, Texels]:  # fmt: skip
-        """Load the capture with a light, which is found in the photographs if need be.
-
-        Args:
-            progress: shows stages.
-            need: memory of the command by sizes.
-            size: texels, (width, height).
-            light: a folder of ``svu light``, or a map; replaces the scene's light.
-            options: others of ``load``.
-
-        Raises:
-            CaptureError: the given light is invalid, or the photographs do not determine it.
-            SceneError: it moves with the cameras.
-        """
+        """Load the capture with a given light, its own, or one found in the photographs."""
         from svu_mi.illumination.resolve_light import illuminated
 
         need = with_search(need) if light is None else need
@@ -168,17 +150,9 @@ def read_capture(
 
 
 def announce_sizes(progress: Progress, label: str, need: NeedOf, sizes: Sizes) -> float:
-    """Refuse sizes that need too much memory, and announce others.
+    """Refuse sizes that need too much memory, announce others, and return bytes for photographs.
 
-    Args:
-        progress: shows the sentence.
-        label: begins the refusal: the scene, or the folder of the photographs.
-        need: memory of a command by sizes.
-        sizes: of the capture.
-
-    Returns:
-        Bytes that photographs may take: 0 where all else needs the memory, unless a size was asked
-        for.
+    These are 0 where all else needs the memory, unless a size was asked for.
     """
     found = need(sizes)
     if not (found.fits or sizes.asked):

@@ -79,11 +79,7 @@ class SceneOptions:
     """Id of the object, if the scene has several."""
 
     def defines(self) -> dict[str, str]:
-        """Return the -D words as a dictionary.
-
-        Raises:
-            OptionError: a word is not KEY=VALUE.
-        """
+        """Return the -D words as a dictionary."""
         pairs = [word.partition("=") for word in self.define]
         for word, (key, separator, _) in zip(self.define, pairs, strict=True):
             if not (key and separator):
@@ -138,14 +134,7 @@ class CaptureOptions:
     rendering: Annotated[RenderOptions, tyro.conf.arg(name="")] = RenderOptions()
 
     def check(self, spp: int) -> None:
-        """Refuse options that make no sense, before any work.
-
-        Args:
-            spp: samples per pixel of ``--render``.
-
-        Raises:
-            OptionError: there is one.
-        """
+        """Refuse options that make no sense, before any work."""
         require_spp(spp, "--spp")
         scene = self.source.scene
         _ = self.photographs.bytes, self.source.defines()
@@ -177,11 +166,7 @@ class EstimateOptions:
         return self.preset if self.method == "angular" else self.method
 
     def check(self) -> None:
-        """Refuse an unknown preset or parameter.
-
-        Raises:
-            OptionError: there is one.
-        """
+        """Refuse an unknown preset or parameter."""
         find_preset(self.preset, method=self.method)
         parse_known(self.known)
 
@@ -198,11 +183,7 @@ class EstimateOptions:
 
 
 def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
-    """Return (width, height) from one or two numbers.
-
-    Raises:
-        OptionError: another count of numbers, or one below 1.
-    """
+    """Return (width, height) from one or two numbers."""
     if len(size) not in (1, 2) or min(size) < 1:
         found = " ".join(map(str, size))
         raise OptionError(f"{option} takes one or two positive numbers, got {found}.")
@@ -210,22 +191,14 @@ def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
 
 
 def texel_size(resolution: tuple[int, ...]) -> tuple[int, int]:
-    """Return (width, height) of ``--resolution``.
-
-    Raises:
-        OptionError: it is invalid, or too large.
-    """
+    """Return (width, height) of ``--resolution``."""
     size = pair(resolution, "--resolution")
     require_texels(size, "--resolution")
     return size
 
 
 def bytes_of(text: str, option: str) -> float | None:
-    """Return how many bytes "4G" or "800M" are; None for an empty text.
-
-    Raises:
-        OptionError: it is no such size.
-    """
+    """Return how many bytes "4G" or "800M" are; None for an empty text."""
     if not text:
         return None
     number, unit = (text[:-1], text[-1].upper()) if text[-1].upper() in UNITS else (text, "")
@@ -253,11 +226,7 @@ def with_known_repeated(words: Sequence[str]) -> list[str]:
 
 
 def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] | None:
-    """Return ``--known`` words as values by parameter, or as ``"scene"``.
-
-    Raises:
-        OptionError: a word is not NAME=NUMBER, or "scene" among others.
-    """
+    """Return ``--known`` words as values by parameter, or as ``"scene"``."""
     if words == ("scene",):
         return "scene"
     known = {}
@@ -284,17 +253,7 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
 def recovered_textures(
     folder: Path | None, resolution: tuple[int, ...], default: int
 ) -> tuple[tuple[int, int], Textures | None]:
-    """Return the (width, height) of a grid, and the textures to show on it.
-
-    Args:
-        folder: of the textures, if any; the grid is theirs.
-        resolution: of the grid, if it was given.
-        default: texels per side, without either.
-
-    Raises:
-        CaptureError: the folder has no textures, or they cannot be read.
-        OptionError: they have another resolution.
-    """
+    """Return the (width, height) of a grid, and the textures to show on it."""
     from svu_mi.output.textures import read_textures
 
     if folder is None:

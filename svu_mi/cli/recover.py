@@ -96,11 +96,7 @@ class Recover(CaptureCommand):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work.
-
-        Raises:
-            OptionError: there is one.
-        """
+        """Refuse options that make no sense, before any work."""
         opt.texel_size(self.resolution)
         self.capture.check(self.spp)
         if not self.parameters:
@@ -167,12 +163,7 @@ class Recover(CaptureCommand):
             return Knowledge.of(known)
 
     def _initial(self, texels: Texels) -> Textures | None:
-        """Read the textures of --start.
-
-        Raises:
-            CaptureError: they cannot be read.
-            OptionError: they are of another resolution.
-        """
+        """Read the textures of --start."""
         if self.initial is None:
             return None
         from svu_mi.output.textures import read_textures
@@ -187,11 +178,7 @@ class Recover(CaptureCommand):
         return textures
 
     def _options(self) -> dict[str, Any]:
-        """Return the options of both methods that differ from their presets.
-
-        Raises:
-            OptionError: an unknown preset, or a number out of range.
-        """
+        """Return the options of both methods that differ from their presets."""
         from svu_mi.recovery.options import Options
 
         self._require_used("steps", "path")

@@ -69,11 +69,7 @@ class Relight(CaptureCommand):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work.
-
-        Raises:
-            OptionError: there is one.
-        """
+        """Refuse options that make no sense, before any work."""
         self.capture.check(self.spp)
         if not 1 <= self.side <= MOST_PIXELS:
             raise OptionError(f"--side must be in [1, {MOST_PIXELS}], got {self.side}.")

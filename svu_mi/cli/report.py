@@ -72,11 +72,7 @@ class Report(CaptureCommand):
         return name(f"{stem}_capture"), name(f"{stem}_light")
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work.
-
-        Raises:
-            OptionError: there is one.
-        """
+        """Refuse options that make no sense, before any work."""
         opt.texel_size(self.resolution or (SIDE,))
         self.capture.check(self.spp)
         self.estimation.check()
