@@ -610,9 +610,10 @@ def test_only_an_earlier_import_is_replaced(source, tmp_path):
     (tmp_path / "mine").mkdir()
     for folder in (tmp_path / "capture", tmp_path / "mine"):  # imported there, or not
         (folder / "recovered").mkdir()
+        (folder / "recovered" / "notes.txt").touch()
         with pytest.raises(OutputError, match="holds other files"):
             import_capture(source, folder)
-        assert (folder / "recovered").exists()
+        assert (folder / "recovered" / "notes.txt").exists()
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="is a file"):
         import_capture(source, tmp_path / "file")

@@ -1,4 +1,4 @@
-"""Exposures of photographs whose format has no place for them: from a list, or from EXIF."""
+"""Exposure gains of photographs from a list, or from EXIF."""
 
 from __future__ import annotations
 
@@ -29,13 +29,10 @@ def exposed(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame
 
 
 def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
-    """Return frames with the gains that a list names.
+    """Return frames with the gains of a text file, which has one line per photograph.
 
-    Args:
-        frames: V of them.
-        path: a text file with one line ``NAME GAIN`` for each photograph, such as
-            ``IMG_0012.jpg 0.25`` or ``left/IMG_0012.jpg 0.25``; empty lines and what follows a
-            ``#`` are left out.
+    A line is ``NAME GAIN``, such as ``IMG_0012.jpg 0.25`` or ``left/IMG_0012.jpg 0.25``; empty
+    lines and comments (``#``) are ignored.
 
     Raises:
         CaptureError: it cannot be read, a line is wrong, or a photograph is not named, or by a name
@@ -65,9 +62,7 @@ def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
 def with_exif_exposures(frames: Sequence[Frame]) -> list[Frame]:
     """Return frames with gains of time * ISO / aperture^2, relative to the median photograph.
 
-    Args:
-        frames: V of them, of JPEG or PNG photographs with EXIF. Without an aperture (a lens that
-            tells none) it is taken to be the same in all.
+    A missing aperture (a lens without contacts) is taken to be the same in all.
 
     Raises:
         CaptureError: a photograph has no exposure time.
@@ -78,7 +73,7 @@ def with_exif_exposures(frames: Sequence[Frame]) -> list[Frame]:
 
 
 def _names(path: Path) -> Iterator[str]:
-    """Return what a list may call a photograph: its path, or any end of it, longest first."""
+    """Return possible names of a photograph: its path, or any end of it, longest first."""
     parts = path.parts
     return ("/".join(parts[first:]) for first in range(len(parts)))
 

@@ -42,12 +42,12 @@ LEFT_OUT = (
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """A mesh and what it is painted with.
+    """A mesh and its material.
 
     Attributes:
         mesh: its buffers; V of the UVs is 0 in the first row of the textures.
         textures: pictures by parameter of ``principled``; empty without any.
-        notes: sentences about what was decided while reading.
+        notes: sentences about decisions while reading.
     """
 
     mesh: MeshArrays
@@ -60,9 +60,8 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
 
     Args:
         path: GLB, glTF, OBJ, PLY or STL. Parts are placed by the file's own transformations and
-            merged; V of GLB, glTF and OBJ runs upwards or downwards as their formats say, that of
-            PLY is Mitsuba's, or upwards if the file names a texture.
-        geometry_only: leave UVs and textures out, so that several materials do not matter.
+            merged; V runs as in the format, in PLY as in Mitsuba, or upwards with a texture.
+        geometry_only: ignore UVs, textures and the number of materials.
 
     Raises:
         MeshError: the file is missing, damaged or of another kind, has no triangle, or several
@@ -108,7 +107,7 @@ def _about_ignored(path: Path, parts: Sequence[_Part]) -> list[str]:
 
 
 def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
-    """Return the buffers of all parts; UVs and normals only if each has them."""
+    """Concatenate parts; UVs and normals only if each has them."""
     meshes = [part.mesh for part in parts]
     first = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
     mesh = MeshArrays(
@@ -128,7 +127,7 @@ def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
 
 
 def _without_strays(mesh: MeshArrays) -> MeshArrays:
-    """Leave out vertices that no triangle has: scans keep some far away."""
+    """Remove vertices without a triangle: scans keep some far away."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) == len(mesh.positions):
         return mesh
@@ -142,18 +141,15 @@ def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
 
 
 def _tile(uvs: np.ndarray) -> np.ndarray:
-    """Return the whole tile all UVs lie in: an offset that repeats the same texture."""
+    """Return the integer offset of the tile that UVs lie in."""
     return np.floor((uvs.min(axis=0) + uvs.max(axis=0)) / 2)
 
 
 @dataclass(frozen=True)
 class _Part:
-    """One mesh of a file, in its world, and what it is painted with.
+    """One mesh of a file in its world, with trimesh's ``visual``.
 
-    Attributes:
-        mesh: its buffers.
-        visual: that of trimesh; its pictures are whole.
-        paint: a number that parts of the same material share; None without UVs.
+    ``paint``: a number that parts of the same material share; None without UVs.
     """
 
     mesh: MeshArrays
@@ -183,9 +179,12 @@ class _Part:
 
 
 def _own_normals(part: Any) -> np.ndarray | None:
-    """Return a file's own normals, one per vertex; trimesh computes others when asked for them,
-    up to UV seams, and leaves those of a PLY where they are."""
-    if "vertex_normals" in part._cache:
+    """Return a file's own normals, one per vertex, None if trimesh has computed them.
+
+    trimesh keeps those of a PLY in the metadata.
+    """
+    bare = trimesh.Trimesh(part.vertices, part.faces, face_normals=part.face_normals, process=False)
+    if not np.array_equal(part.vertex_normals, bare.vertex_normals, equal_nan=True):
         return np.asarray(part.vertex_normals)
     raw = part.metadata.get("_ply_raw", {}).get("vertex", {})
     if not {"nx", "ny", "nz"} <= set(raw.get("properties", ())):
@@ -221,7 +220,7 @@ def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:
 
 @contextlib.contextmanager
 def _damage_of(path: Path) -> Iterator[None]:
-    """Say of which file a damage is; trimesh's own word on it, with its traceback, is left out."""
+    """Turn parser errors into a MeshError of a file, without trimesh's log."""
     spoken, trimesh.util.log.disabled = trimesh.util.log.disabled, True
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
@@ -237,14 +236,10 @@ def _damage_of(path: Path) -> Iterator[None]:
 
 
 class _Inside(trimesh.resolvers.Resolver):
-    """Read files that a mesh refers to, if they lie in its folder (a trimesh resolver).
+    """Resolver of trimesh for files in the folder of a mesh.
 
-    trimesh goes on without a material that it cannot read, so what is wrong is kept.
-
-    Attributes:
-        root: the folder.
-        refused: what must not, or cannot be read.
-        missing: names of files that are not there.
+    trimesh continues without a material that it cannot read, so errors are collected in ``refused``
+    and names of missing files in ``missing``.
     """
 
     def __init__(self, root: Path) -> None:
@@ -270,11 +265,11 @@ class _Inside(trimesh.resolvers.Resolver):
             raise OSError(str(error)) from error
 
     def keys(self) -> list[str]:
-        """Return the names of the files there."""
+        """Return the names of the files in the folder."""
         return [file.name for file in self.root.iterdir()]
 
     def namespaced(self, namespace: str) -> _Inside:
-        """Refuse: no format that is read here asks for a folder."""
+        """Refuse: no supported format needs a folder."""
         raise OSError(f"{self.root}: {namespace} is not searched.")
 
     def write(self, name: str, data: object) -> None:

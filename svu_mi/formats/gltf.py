@@ -1,7 +1,7 @@
-"""What a glTF file says about itself: whether its numbers are ones that trimesh reads as meant.
+"""Checks of glTF headers for features that trimesh misreads.
 
-trimesh takes normalised integers for coordinates, leaves sparse changes and texture transforms
-out, and makes zeros of what is compressed, all without a word. Names are those of
+trimesh takes normalised integers for coordinates, ignores sparse changes and texture transforms,
+and reads compressed data as zeros, all silently. Names are those of
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
 
@@ -35,18 +35,11 @@ MODEL = "KHR_materials_"  # how extensions of the reflection model begin
 
 
 def check_gltf(path: Path, *, geometry_only: bool) -> int:
-    """Refuse a file that would be read as something else, or that is not to be trusted.
-
-    Args:
-        path: the GLB or glTF.
-        geometry_only: its UVs and textures do not matter.
-
-    Returns:
-        The bytes that the file and its buffers have.
+    """Return the bytes of a file and its buffers; refuse what trimesh would misread.
 
     Raises:
-        MeshError: it is compressed or quantised, moves its textures, or asks for more numbers
-            than its files hold, which would all be made.
+        MeshError: it is compressed or quantised, moves its textures (unless ``geometry_only``), or
+            declares more numbers than its files hold, which would be allocated.
     """
     record = _header(path)
     for name in COMPRESSION:
@@ -56,7 +49,7 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
     _refuse_bombs(path, record, held)
     attributes = ATTRIBUTES[:2] if geometry_only else ATTRIBUTES
     accessors = record.get("accessors", ())
-    for primitive in (p for mesh in record.get("meshes", ()) for p in mesh["primitives"]):
+    for primitive in _primitives(record):
         for name in attributes:
             index = primitive["attributes"].get(name)
             given = {} if index is None else accessors[index]
@@ -74,24 +67,23 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
 
 
 def ignored(path: Path) -> list[str]:
-    """Return what a file's materials have that is left out, such as ``a normal map``.
-
-    Args:
-        path: a GLB or glTF that ``check_gltf`` has passed.
-    """
+    """Return ignored parts of the materials of a checked file, such as ``a normal map``."""
     record = _header(path)
     materials = record.get("materials", [])
-    primitives = [p for mesh in record.get("meshes", ()) for p in mesh["primitives"]]
+    primitives = _primitives(record)
     used = [materials[p["material"]] for p in primitives if "material" in p]
-    names = [
-        name for material in used for key, name in IGNORED.items()
-        if material.get(key, "OPAQUE") != "OPAQUE"
-    ]  # fmt: skip
-    names += ["emission" for m in used if any(m.get("emissiveFactor", ()))]
-    extensions = [key for material in used for key in material.get("extensions", ())]
-    names += [key.removeprefix(MODEL) for key in extensions if key.startswith(MODEL)]
+    names = []
+    for material in used:
+        names += [n for key, n in IGNORED.items() if material.get(key, "OPAQUE") != "OPAQUE"]
+        names += ["emission"] if any(material.get("emissiveFactor", ())) else []
+        extensions = [key for key in material.get("extensions", ()) if key.startswith(MODEL)]
+        names += [key.removeprefix(MODEL) for key in extensions]
     names += ["vertex colours" for p in primitives if "COLOR_0" in p["attributes"]]
     return list(dict.fromkeys(names))
+
+
+def _primitives(record: Mapping[str, Any]) -> list[Any]:
+    return [p for mesh in record.get("meshes", ()) for p in mesh["primitives"]]
 
 
 def _header(path: Path) -> dict[str, Any]:
@@ -104,7 +96,7 @@ def _header(path: Path) -> dict[str, Any]:
 
 
 def _held(path: Path, record: Mapping[str, Any]) -> int:
-    """Return how many bytes the file and its buffers have."""
+    """Return the bytes of the file and its buffers."""
     names = [buffer.get("uri", "data:") for buffer in record.get("buffers", ())]
     files = [inside(path.parent, unquote(n), str(path)) for n in names if not n.startswith("data:")]
     return sum(file.stat().st_size for file in {path, *files} if file.is_file())
@@ -112,12 +104,7 @@ def _held(path: Path, record: Mapping[str, Any]) -> int:
 
 def _refuse_bombs(path: Path, record: Mapping[str, Any], held: int) -> None:
     counts = [int(accessor.get("count", 0)) for accessor in record.get("accessors", ())]
-    used = [
-        counts[index]
-        for mesh in record.get("meshes", ())
-        for primitive in mesh["primitives"]
-        for index in primitive["attributes"].values()
-    ]
+    used = [counts[index] for p in _primitives(record) for index in p["attributes"].values()]
     if min(counts, default=0) < 0 or max(sum(counts), sum(used)) > max(FREE, held):
         raise MeshError(f"{path}: an accessor reads past the end of the file; export it again.")
 

@@ -59,18 +59,17 @@ def import_capture(
 ) -> list[str]:
     """Write a capture folder: ``scene.xml`` with all it refers to, photographs, ``capture.json``.
 
-    All of it is put there in one step at the end: the folder is complete, or as it was.
+    The folder appears complete in one step at the end.
 
     Args:
-        source: what a reader has found.
-        folder: made if missing. A capture that was imported there earlier is replaced; a folder
-            that holds anything else, or a file that was changed since, is refused.
+        source: of a reader.
+        folder: made if missing. An earlier import is replaced; a folder that holds anything else,
+            or a file that was changed since, is refused.
         options: see there.
-        words: of the command that asked for it, without ``svu import`` and the folder; they are
-            kept for ``cli.import_.import_again``.
-        progress: called with (photographs done, photographs in all).
-        preflight: called before any pixel is read with how large the photographs are that are in
-            memory at a time, and the light; it may refuse.
+        words: of the command, without ``svu import`` and the folder; kept in ``capture.json``.
+        progress: called with (photographs done, total).
+        preflight: called before any pixel is read with the sizes of photographs in memory at a
+            time and of the light; it may refuse.
 
     Returns:
         Sentences about what was found, decided and changed.
@@ -97,45 +96,35 @@ def import_capture(
     if preflight is not None:
         preflight(_sizes(frames, light))
     with writing(folder, "import", capture_folder.FILE) as draft:
-        made = draft.folder
-        geometry = _placed(read_geometry(mesh, geometry_only=options.geometry_only), options, fixes)
-        found = _write_photographs(frames, made, options.shrink, progress)
-        sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame, _ in found]
-        geometry = _facing(geometry, [frame for frame, _ in found], fixes, str(mesh))
-        geometry = _with_uvs(geometry, str(mesh))
-        if all(converted.empty for _, converted in found):
-            raise CaptureError(
-                f"{frames[0].mask or frames[0].image}: this mask and all others are empty; "
-                "in a mask, white is the object."
-            )
+        geometry = _geometry(str(mesh), frames, options, fixes)
+        found = _write_photographs(frames, draft.folder, options.shrink, progress)
+        squares = [frame for frame, _ in found]
         notes = [*source.notes, *left_out, *geometry.notes, *about(frames, [c for _, c in found])]
         if light is not None:
             light = replace(light, to_world=light.to_world @ turn_of(fixes, "light"))
-        notes += _write_scene(made, geometry, light, sensors)
-        description = Description(
-            scene=made / SCENE,
-            shape=OBJECT,
-            exposures=[frame.exposure for frame, _ in found],
-            imported={
-                "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
-                "photographs": [name_in(source.root, frame.image) for frame, _ in found],
-                "notes": notes,
-                **({"options": list(words)} if words else {}),
-            },
-        )  # fmt: skip
+        sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame in squares]
+        notes += _write_scene(draft.folder, geometry, light, sensors)
+        imported = {
+            "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
+            "photographs": [name_in(source.root, frame.image) for frame in squares],
+            "notes": notes, **({"options": list(words)} if words else {}),
+        }  # fmt: skip
+        exposures = [frame.exposure for frame in squares]
+        scene = draft.folder / SCENE
+        description = Description(scene=scene, shape=OBJECT, exposures=exposures, imported=imported)
         capture_folder.write(draft, description, sensors)
     return notes
 
 
 def _sizes(frames: Sequence[Frame], light: Light | None) -> Sizes:
-    """Return how large the photographs are that are in memory at a time, and the light."""
+    """Return the sizes of photographs that are in memory at a time, and of the light."""
     largest = sorted((frame.size for frame in frames), key=lambda size: size[0] * size[1])
     at_a_time = largest[-_at_a_time(frames) :]
     return Sizes(at_a_time, (0, 0) if light is None else open_picture(light.path).size)
 
 
 def _at_a_time(frames: Sequence[Frame]) -> int:
-    """Return how many photographs are converted at a time."""
+    """Return the number of photographs that are converted at a time."""
     largest = max(frame.size[0] * frame.size[1] for frame in frames)
     return max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
 
@@ -147,7 +136,7 @@ def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
 
 
 def _there(source: Source, options: ImportOptions) -> tuple[list[Frame], list[str]]:
-    """Return the frames that are asked for and have a photograph, and what is left out."""
+    """Return the requested frames that have a photograph, and a note about others."""
     asked = source.frames[:: options.every]
     require_views(len(asked), f"{source.root}: photographs", CaptureError)
     there = [frame for frame in asked if frame.image.is_file()]
@@ -168,7 +157,7 @@ def _there(source: Source, options: ImportOptions) -> tuple[list[Frame], list[st
 def _frames(
     there: Sequence[Frame], source: Source, options: ImportOptions, fixes: Sequence[Fix]
 ) -> list[Frame]:
-    """Return frames as large as their photographs, with fixed cameras."""
+    """Return frames of the size of their photographs, with corrected cameras."""
     frames = []
     for frame in with_response(exposed(there, options.exposures), options.response):
         poses = frame.to_world[None]
@@ -187,13 +176,21 @@ def _frames(
     return frames
 
 
-def _placed(geometry: Geometry, options: ImportOptions, fixes: Sequence[Fix]) -> Geometry:
-    """Apply the fixes of the mesh and its texture, and scale it."""
+def _geometry(
+    label: str, frames: Sequence[Frame], options: ImportOptions, fixes: Sequence[Fix]
+) -> Geometry:
+    """Read the mesh, correct and scale it, and lay out missing UVs."""
+    geometry = read_geometry(label, geometry_only=options.geometry_only)
     mesh = geometry.mesh
     for fix in fixes:
         if fix.kind in ("mesh", "texture", "winding"):
             mesh = corrected_mesh(mesh, fix)
-    return replace(geometry, mesh=replace(mesh, positions=mesh.positions * options.mesh_scale))
+    mesh = replace(mesh, positions=mesh.positions * options.mesh_scale)
+    mesh, notes = _facing(mesh, frames, fixes, label)
+    if mesh.uvs is None:
+        mesh = capture_mesh.arrays(unwrap(capture_mesh.make(OBJECT, mesh), label))
+        notes.append(f"{label}: has no UVs; they are laid out by xatlas and kept in {MESH}.")
+    return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes])
 
 
 def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
@@ -205,15 +202,14 @@ def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
 
 
 def _facing(
-    geometry: Geometry, frames: Sequence[Frame], fixes: Sequence[Fix], label: str
-) -> Geometry:
-    """Turn an open surface that the photographs show from behind, unless a correction says how."""
-    scene = scene_of([capture_mesh.make(OBJECT, geometry.mesh)])
-    eyes = [frame.to_world[:3, 3] for frame in frames]
-    behind = part_from_behind(scene, geometry.mesh, eyes)
+    mesh: MeshArrays, frames: Sequence[Frame], fixes: Sequence[Fix], label: str
+) -> tuple[MeshArrays, list[str]]:
+    """Turn an open surface that is seen from behind, unless a correction exists; with a note."""
+    scene = scene_of([capture_mesh.make(OBJECT, mesh)])
+    behind = part_from_behind(scene, mesh, [frame.to_world[:3, 3] for frame in frames])
     if behind < MOST:
-        return geometry
-    mesh, what = geometry.mesh, "its triangles are flipped."
+        return mesh, []
+    what = "its triangles are flipped."
     if any(fix.kind == "winding" for fix in fixes):
         what = "--fix mesh-inside-out has turned it so: leave it out if that was not meant."
     elif has_front_outside(mesh):
@@ -223,28 +219,17 @@ def _facing(
         )
     else:
         mesh = corrected_mesh(mesh, FIXES["mesh-inside-out"])
-    note = (
+    return mesh, [
         f"{label}: {behind:.0%} of what the photographs show of it is its back, where nothing can "
         f"be found; {what}"
-    )
-    return replace(geometry, mesh=mesh, notes=[*geometry.notes, note])
-
-
-def _with_uvs(geometry: Geometry, label: str) -> Geometry:
-    if geometry.mesh.uvs is not None:
-        return geometry
-    mesh = capture_mesh.arrays(unwrap(capture_mesh.make(OBJECT, geometry.mesh), label))
-    note = f"{label}: has no UVs; they are laid out by xatlas and kept in {MESH}."
-    return replace(geometry, mesh=mesh, notes=[*geometry.notes, note])
+    ]
 
 
 def _write_photographs(
-    frames: Sequence[Frame],
-    folder: Path,
-    shrink: float,
+    frames: Sequence[Frame], folder: Path, shrink: float,
     progress: Callable[[int, int], None] | None,
-) -> list[tuple[Frame, Converted]]:
-    """Write ``view_0000.exr``, ...; return the frames with square pixels, and what was found."""
+) -> list[tuple[Frame, Converted]]:  # fmt: skip
+    """Write ``view_0000.exr``, ...; return the frames with square pixels, and remarks on them."""
     squares = [squared(frame, shrink) for frame in frames]
 
     def write(index: int, context: Context) -> Converted:
@@ -258,6 +243,11 @@ def _write_photographs(
             found.append(converted)
             if progress is not None:
                 progress(len(found), len(frames))
+    if all(converted.empty for converted in found):
+        raise CaptureError(
+            f"{frames[0].mask or frames[0].image}: this mask and all others are empty; "
+            "in a mask, white is the object."
+        )
     return [(square, converted) for (square, _), converted in zip(squares, found, strict=True)]
 
 

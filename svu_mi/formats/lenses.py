@@ -1,7 +1,7 @@
-"""Lenses that bend straight lines: OpenCV's model of them, and its inverse.
+"""OpenCV's lens distortion and its inverse.
 
-What a pinhole would show at (x, y), in parts of the focal length from the principal point with +X
-right and +Y down, is seen at
+The point that a pinhole shows at (x, y), in focal lengths from the principal point with +X right
+and +Y down, is seen at
 
     x' = x d + 2 p1 x y + p2 (r^2 + 2 x^2)
     y' = y d + p1 (r^2 + 2 y^2) + 2 p2 x y         d = 1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8
@@ -25,12 +25,7 @@ FRACTIONS = np.linspace(0, 1, 33)[1:]  # of the way from the centre, that is loo
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens, by the numbers of its model.
-
-    Attributes:
-        radial: k1, k2, k3, k4.
-        tangential: p1, p2.
-    """
+    """Coefficients of a lens: k1, k2, k3, k4, and p1, p2."""
 
     radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     tangential: tuple[float, float] = (0.0, 0.0)
@@ -57,11 +52,10 @@ class Lens:
         ], axis=-1)  # fmt: skip
 
     def straightened(self, seen: np.ndarray) -> np.ndarray:
-        """Return the points (..., 2) that are seen at others: the inverse of ``bent``.
+        """Return the inverse of ``bent`` by Newton's method, for points (..., 2).
 
-        Newton's method starts where the points are seen. A point is NaN where that does not arrive:
-        the lens shows nothing there. Where the lens folds over, what it arrives at may be any of
-        several points (see ``is_one_to_one``).
+        A point is NaN where it does not converge: the lens shows nothing there. Where the lens
+        folds over, the result may be any of several points (see ``is_one_to_one``).
         """
         points = np.array(seen, np.float64)
         near = EXACT * (1 + np.abs(points))
@@ -79,10 +73,9 @@ class Lens:
         return points
 
     def is_one_to_one(self, outline: np.ndarray) -> bool:
-        """Whether no two points inside an outline are seen at the same place.
+        """Whether no two points inside an outline (N, 2) are seen at the same place.
 
-        Args:
-            outline: (N, 2), around the principal point or beside it; NaN makes it False.
+        The outline need not contain the principal point; NaN makes it False.
         """
         with np.errstate(all="ignore"):
             xx, xy, yy = self._slopes(FRACTIONS[:, None, None] * outline)

@@ -22,10 +22,6 @@ MIRROR = np.diag([-1.0, 1.0, 1.0])  # of the envmap's frame: u becomes 1 - u
 def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:
     """Write a map as EXR, mirrored if its matrix is.
 
-    Args:
-        light: the map; its matrix may be mirrored.
-        path: the EXR file.
-
     Returns:
         The (4, 4) ``to_world`` of the emitter, a rotation, and sentences about the map.
 

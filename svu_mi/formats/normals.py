@@ -21,15 +21,11 @@ AGREE = 0.6  # mean cosine between vertex normals and faces; sound files have .9
 def repaired(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
     """Turn a closed surface that is inside out; replace normals that are missing or contradict it.
 
-    Normals that are computed are smooth, but for edges: there vertices get one on each side. A
-    scan of which much would be edges is noisy: it is smoothed all over.
-
-    Args:
-        mesh: its buffers; normals may be missing.
-        label: its file, for the notes.
+    Computed normals are smooth, except at edges, where vertices get one on each side. A scan with
+    many edges is noisy and smoothed everywhere.
 
     Returns:
-        The mesh, with unit normals, and sentences about what was changed.
+        The mesh, with unit normals, and sentences about changes of the file ``label``.
     """
     _, unique, inverse = np.unique(mesh.positions, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.ravel()
@@ -61,10 +57,10 @@ def repaired(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
 
 
 def _shaded(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[MeshArrays, bool]:
-    """Compute normals, by the angles that triangles have at a vertex; say whether it is all noise.
+    """Compute angle-weighted normals; also return whether the surface is noisy.
 
-    Corners of triangles that meet at a vertex share a normal if one gets from one to the other
-    over edges that are no creases. A vertex with several becomes several vertices.
+    Corners at a vertex share a normal if they are connected over edges that are no creases. A
+    vertex with several normals is duplicated.
     """
     cross = crosses_of(welded.vertices, welded.faces)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
@@ -112,10 +108,9 @@ def _without_empty(fan: np.ndarray, is_real: np.ndarray, vertex: np.ndarray) -> 
 
 
 def _across_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners (2, E, 2) that meet at both ends of an edge, of one triangle and another.
+    """Return corners (2, E, 2) at both ends of each edge, of one triangle and another.
 
-    And whether these two are all that the edge has: (E,) bool. The corners of triangle f are 3 f,
-    3 f + 1 and 3 f + 2.
+    Also return (E,) whether the edge has only these two. Triangle f has the corners 3 f to 3 f + 2.
     """
     sides = [[0, 1], [1, 2], [2, 0]]
     ends = faces[:, sides].reshape(-1, 2)

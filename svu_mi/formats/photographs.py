@@ -1,4 +1,4 @@
-"""Photographs of any kind as linear EXR with the mask as alpha, and what was found in them."""
+"""Conversion of photographs to linear EXR with the mask as alpha."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ PART = 1e-6  # of a new pixel that an unusable one may cover, which is rounding
 
 @dataclass(frozen=True, kw_only=True)
 class Converted:
-    """What was found in a photograph.
+    """Properties of a converted photograph.
 
     Attributes:
-        bits: 8 or 16 if it holds integers; 0 for floats.
+        bits: 8 or 16 for integers; 0 for floats.
         foreign: whether its chromaticities are not those of Rec. 709.
-        turned: whether EXIF data say that it is to be shown turned.
-        saturated: number of its pixels that are clipped, on the object if there is a mask.
-        crushed: part of the object's pixels that have a channel as dark as code 0, which is said of
-            anything darker; 0 without a mask, as black background is no loss, and for floats.
-        invalid: number of its pixels that are NaN, infinite or negative.
+        turned: whether its EXIF data set an orientation.
+        saturated: number of clipped pixels, on the object if there is a mask.
+        crushed: part of the object's pixels with a channel as dark as code 0; 0 for floats, and
+            without a mask, as black background is no loss.
+        invalid: number of pixels that are NaN, infinite or negative.
         masked: whether it has a mask; an alpha channel that is opaque everywhere does not count.
-        empty: whether nothing of the object is in its mask.
-        inverted: whether its mask has the border of the photograph, and leaves something out.
+        empty: whether its mask is empty.
+        inverted: whether its mask covers the border of the photograph, but not all of it.
     """
 
     bits: int
@@ -69,15 +69,11 @@ class Converted:
 
 
 def with_response(frames: Sequence[Frame], response: str | Path | None) -> Sequence[Frame]:
-    """Return frames whose integers mean what was measured; without a response, as they are.
-
-    Args:
-        frames: V photographs, which are there.
-        response: a file as ``read_response`` takes it, or None.
+    """Return frames with a measured response, which ``read_response`` reads; None changes none.
 
     Raises:
         CaptureError: the file, or the header of a photograph, cannot be read.
-        OptionError: no photograph holds integers, and others are linear.
+        OptionError: all photographs are linear.
     """
     if response is None or not frames:
         return frames
@@ -93,10 +89,9 @@ def with_response(frames: Sequence[Frame], response: str | Path | None) -> Seque
 def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     """Write a photograph as EXR: R, G, B linear, and A = 1 on the object if there is a mask.
 
-    A large JPEG that needs no change is copied, with its mask as a PNG beside it: as an EXR it
-    would take ten times the room, and be no better. Channels that are clipped become -2, and what
-    they are at least is written into the header. Pixels that hold no radiance become -1, and those
-    that are made of clipped ones and others.
+    A large JPEG that needs no change is copied, with its mask as a PNG next to it: an EXR would be
+    ten times larger. Clipped channels become -2, and their least radiance is in the header. Pixels
+    without radiance, and mixtures of clipped and other pixels, become -1.
 
     Args:
         frame: the photograph with its mask; its size is that of the file.
@@ -143,7 +138,7 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
 
 
 def _serves(picture: Picture, frame: Frame, scale: tuple[float, float]) -> bool:
-    """Return whether a photograph is read from a capture as it is."""
+    """Return whether a photograph can be copied."""
     width, height = picture.size
     jpeg = picture.path.suffix.lower() in JPEG and picture.bits == 8
     plain = frame.lens is None and tuple(scale) == (1.0, 1.0) and frame.transfer == "srgb"
@@ -168,7 +163,7 @@ def _copied(picture: Picture, frame: Frame, path: Path) -> Converted:
 def _converted(
     picture: Picture, mask: np.ndarray | None, clipped: np.ndarray, black: np.ndarray, invalid: int
 ) -> Converted:
-    """Say what became of a photograph of which some pixels (H, W) are clipped or black."""
+    """Return the properties of a photograph with masks (H, W) of clipped and black pixels."""
     return Converted(
         bits=picture.bits, foreign=picture.header.foreign, turned=picture.is_turned(),
         saturated=int(clipped.sum()),
@@ -179,8 +174,7 @@ def _converted(
 
 
 def _mark(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str, float]:
-    """Mark pixels that are not usable, and clipped channels, in place; return what the header
-    says of these."""
+    """Mark unusable pixels and clipped channels in place; return header entries about them."""
     touched = channels.pop("bad") > PART
     over = {name: channels.pop(CLIPPED_LAYER + name, None) for name in "RGB"}
     found = {name: part for name, part in over.items() if part is not None}
@@ -203,7 +197,7 @@ def _is_inverted(mask: np.ndarray) -> bool:
 def _resampled(
     layers: dict[str, np.ndarray], frame: Frame, scale: tuple[float, float]
 ) -> dict[str, np.ndarray]:
-    """Straighten and shrink layers, which are taken out one by one: photographs may be huge."""
+    """Straighten and shrink layers, freeing each one: photographs may be huge."""
     names = list(layers)
     straight = unbent([np.asarray(layers.pop(name), np.float32) for name in names], frame)
     return {
@@ -224,12 +218,7 @@ def _mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray
 
 
 def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
-    """Say what the photographs are not good for.
-
-    Args:
-        frames: V photographs.
-        found: V times what was found in them.
-    """
+    """Return sentences about problems of V photographs."""
     count, low = len(found), {c.bits for c in found if c.bits}
 
     def those(chosen: Sequence[bool], words: str, least: float = 0) -> list[str]:

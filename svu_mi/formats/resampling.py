@@ -1,4 +1,4 @@
-"""Straight lines, square pixels, and fewer of them: photographs resampled.
+"""Resampling of photographs: straight lines, square pixels, and fewer of them.
 
 Mitsuba's cameras have no distortion and square pixels. First lines are straightened, then a
 photograph whose focal lengths differ is brought to the coarser of the two by area, so that no
@@ -17,7 +17,7 @@ import scipy
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.source import Frame
 
-NEARLY_SQUARE = 0.05  # pixels that nothing may be displaced by, for pixels to pass as square
+NEARLY_SQUARE = 0.05  # largest displacement, in pixels, for pixels to count as square
 WHOLE = 1e-6  # of a pixel that may be missing from the last one
 STRIP = 128  # lines that are averaged at a time
 SAME_ASPECT = 2.0  # pixels by which a resized photograph may miss the ratio of its sides
@@ -26,41 +26,35 @@ WIDEST = 2.0  # sides of a straightened photograph, in parts of those it had; as
 
 
 def fitted(frame: Frame, size: tuple[int, int]) -> Frame:
-    """Return the frame for a photograph that was resized after it was calibrated.
-
-    Args:
-        frame: the frame.
-        size: (width, height) that the photograph has.
+    """Return the frame for a photograph that was resized to (width, height) after calibration.
 
     Raises:
-        CaptureError: the photograph has another shape than the frame says.
+        CaptureError: the photograph has another aspect ratio than the frame.
     """
     if size == frame.size:
         return frame
-    scale = size[0] / frame.size[0], size[1] / frame.size[1]
-    if abs(frame.size[1] * scale[0] - size[1]) > SAME_ASPECT:
-        if abs(frame.size[0] * size[0] / frame.size[1] - size[1]) <= SAME_ASPECT:
+    (width, height), (made_width, made_height) = frame.size, size
+    if abs(height * made_width / width - made_height) > SAME_ASPECT:
+        differ = (
+            f"{frame.image}: has {made_width} x {made_height} pixels, but {frame.label} is of "
+            f"{width} x {height}"
+        )
+        if abs(width * made_width / height - made_height) <= SAME_ASPECT:
             raise CaptureError(
-                f"{frame.image}: has {size[0]} x {size[1]} pixels, but {frame.label} is of "
-                f"{frame.size[0]} x {frame.size[1]}: the photograph is stored on its side; save "
-                "its pixels upright (its EXIF orientation may be set)."
+                f"{differ}: the photograph is stored on its side; save its pixels upright (its "
+                "EXIF orientation may be set)."
             )
         raise CaptureError(
-            f"{frame.image}: has {size[0]} x {size[1]} pixels, but {frame.label} is of "
-            f"{frame.size[0]} x {frame.size[1]}, which has another aspect ratio; give the "
-            "photograph that was calibrated."
+            f"{differ}, which has another aspect ratio; give the photograph that was calibrated."
         )
-    return replace(_scaled(frame, scale), size=size)
+    return replace(_scaled(frame, (made_width / width, made_height / height)), size=size)
 
 
 def straightened(frame: Frame) -> Frame:
-    """Return the camera that sees straight lines as such, for ``unbent``.
+    """Return the pinhole camera for ``unbent``; a frame without a lens as it is.
 
-    As COLMAP does it: the focal length is kept, so that nothing changes in the centre, and the
-    photograph becomes the largest one without empty borders, at most twice as wide and high.
-
-    Args:
-        frame: the frame, as calibrated; without a lens it is returned as it is.
+    As in COLMAP, the focal length is kept, so that the centre does not change, and the photograph
+    becomes the largest one without empty borders, at most twice as wide and high.
 
     Raises:
         CaptureError: the lens folds over inside the photograph, or shows nothing of it.
@@ -94,14 +88,9 @@ def straightened(frame: Frame) -> Frame:
 
 
 def unbent(planes: Sequence[np.ndarray], frame: Frame) -> Sequence[np.ndarray]:
-    """Look planes of a photograph up where the lens has put them, between the four nearest pixels.
+    """Undistort planes (H, W) of a photograph bilinearly; they are returned without a lens.
 
-    Args:
-        planes: (H, W) each, float32 and finite, of the frame's size.
-        frame: the frame, as calibrated; without a lens the planes themselves are returned.
-
-    Returns:
-        As many (H', W') float32, of the size that ``straightened`` says.
+    They are float32 and finite, and get the size of ``straightened(frame)``.
     """
     if frame.lens is None:
         return planes
@@ -124,7 +113,7 @@ def squared(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, floa
     """Return the frame with straight lines and square pixels, and the scale of width and height.
 
     Args:
-        frame: the frame, as calibrated.
+        frame: as calibrated.
         shrink: factor by which pixels become larger, at least 1.
 
     Raises:
@@ -147,14 +136,10 @@ def squared(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, floa
 
 
 def resampled(image: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
-    """Average an image over the area of its new pixels.
+    """Average an image (H, W, C) over the area of its new pixels.
 
-    Args:
-        image: (H, W, C), finite.
-        scale: of width and height, at most 1 each; both 1 returns the image itself.
-
-    Returns:
-        (H', W', C) float32; H' and W' are those of ``squared``.
+    ``scale``: of width and height, at most 1; both 1 returns the image itself. The new size is that
+    of ``squared``.
     """
     for axis, factor in ((1, scale[0]), (0, scale[1])):
         if factor != 1:
@@ -163,7 +148,7 @@ def resampled(image: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
 
 
 def _averaged(image: np.ndarray, factor: float, axis: int) -> np.ndarray:
-    """Average along one axis, a strip at a time, as double precision takes much memory."""
+    """Average along one axis in strips, to save memory in double precision."""
     lines = np.moveaxis(image, axis, 0)
     count = int(len(lines) * factor + WHOLE)
     made = np.empty((count, *lines.shape[1:]), np.float32)
@@ -173,7 +158,7 @@ def _averaged(image: np.ndarray, factor: float, axis: int) -> np.ndarray:
 
 
 def _integrated(lines: np.ndarray, count: int, factor: float) -> np.ndarray:
-    """Return averages: differences of the integral of a piecewise constant function."""
+    """Return averages as differences of the integral of a piecewise constant function."""
     lines = np.asarray(lines, np.float64)
     integral = np.concatenate([np.zeros_like(lines[:1]), np.cumsum(lines, axis=0)])
     edges = np.minimum(np.arange(count + 1) / factor, len(lines))
@@ -184,8 +169,5 @@ def _integrated(lines: np.ndarray, count: int, factor: float) -> np.ndarray:
 
 
 def _scaled(frame: Frame, scale: tuple[float, float]) -> Frame:
-    return replace(
-        frame,
-        focal=(frame.focal[0] * scale[0], frame.focal[1] * scale[1]),
-        center=(frame.center[0] * scale[0], frame.center[1] * scale[1]),
-    )
+    (fx, fy), (cx, cy), (x, y) = frame.focal, frame.center, scale
+    return replace(frame, focal=(fx * x, fy * y), center=(cx * x, cy * y))

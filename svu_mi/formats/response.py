@@ -56,20 +56,15 @@ def linear(encoded: np.ndarray, transfer: Transfer | Response, channel: int) -> 
 
 
 def saturation(transfer: Transfer | Response, bits: int) -> float:
-    """Return the linear value that a clipped channel of 8 or 16 bits has at least.
-
-    Curves of channels differ little so near to white, where all are 1. The smallest is right for
-    each of them, because it says no more than "at least so bright".
-    """
+    """Return the least linear value of a clipped channel of 8 or 16 bits, over all channels."""
     most = np.array(SATURATED[bits], np.float32)
     return min(float(linear(most, transfer, channel)) for channel in range(3))
 
 
 def steps(transfer: Transfer | Response, bits: int) -> tuple[float, float]:
-    """Return the first step and the slope of 8 or 16 bits (``Rounding``), of the channel whose are
-    the largest.
+    """Return the largest first step and slope over channels of 8 or 16 bits (``Rounding``).
 
-    Codes that a curve does not tell apart are one step; those that are clipped are none.
+    Codes with equal values are one step; clipped ones are none.
     """
     last = 2**bits - 1
     if not isinstance(transfer, Response):
@@ -89,11 +84,9 @@ def steps(transfer: Transfer | Response, bits: int) -> tuple[float, float]:
 def read_response(path: Path) -> Response:
     """Read a measured response.
 
-    Args:
-        path: a text file with one line ``ENCODED LINEAR``, or ``ENCODED R G B``, for each sample,
-            with blanks or commas between; empty lines and what follows a ``#`` are left out.
-            Encoded values ascend from 0 to 1, to 255 or to 65535. Linear ones are in any unit,
-            of each channel in its own: they are divided by that of the largest code.
+    The text file has one line ``ENCODED LINEAR``, or ``ENCODED R G B``, for each sample, with
+    blanks or commas between; empty lines and comments (``#``) are ignored. Encoded values ascend
+    from 0 to 1, to 255 or to 65535. Linear ones are in any unit, also per channel.
 
     Raises:
         CaptureError: it cannot be read, a line is wrong, or codes or values are not such.
@@ -149,7 +142,7 @@ def _numbers(text: str, label: str) -> list[float]:
 
 
 def _require_order(row: list[float], before: list[list[float]], label: str) -> None:
-    """Refuse a sample that does not go on from those before."""
+    """Refuse a sample that does not ascend."""
     if not before:
         return
     last = before[-1]

@@ -26,14 +26,10 @@ Textures = Mapping[str, np.ndarray]
 
 
 def textures_of(visual: Any, path: Path) -> Textures:
-    """Return what a mesh is painted with.
+    """Return the textures of the ``visual`` of a ``trimesh.Trimesh``.
 
     Textures are multiplied by the material's factors (base colour in linear light); normal maps,
-    occlusion and emission are left out. Of an OBJ's material only the diffuse picture is taken.
-
-    Args:
-        visual: ``visual`` of a ``trimesh.Trimesh``.
-        path: the file it comes from, for messages.
+    occlusion and emission are ignored. Of an OBJ's material only the diffuse picture is read.
 
     Raises:
         MeshError: a texture is damaged.
@@ -51,7 +47,7 @@ def textures_of(visual: Any, path: Path) -> Textures:
 
 
 def is_textured(visual: Any) -> bool:
-    """Return whether a mesh is painted with at least one picture."""
+    """Return whether a mesh has at least one picture."""
     material = getattr(visual, "material", None)
     if getattr(material, "image", None) is not None:
         return hash(material) != hash(empty_material())  # what trimesh gives to UVs alone
@@ -60,18 +56,13 @@ def is_textured(visual: Any) -> bool:
 
 
 def ignored_of(visual: Any) -> list[str]:
-    """Return what the material of an OBJ has that is left out, such as ``a bump map``."""
+    """Return ignored parts of an OBJ's material, such as ``a bump map``."""
     said = getattr(getattr(visual, "material", None), "kwargs", None) or {}
     return [name for key, name in IGNORED.items() if key in said]
 
 
 def load_pictures(visual: Any) -> None:
-    """Decode all pictures of a material; Pillow puts that off.
-
-    Raises:
-        ValueError: one is too large.
-        Exception: whatever Pillow's decoders meet.
-    """
+    """Decode all pictures of a material; a ValueError if one is too large, or Pillow's errors."""
     material = getattr(visual, "material", None)
     for name in ("image", "baseColorTexture", "metallicRoughnessTexture"):
         picture = getattr(material, name, None)
