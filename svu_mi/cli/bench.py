@@ -38,7 +38,7 @@ Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(Common):
-    """Compare the estimators with a path-traced posterior, and time them.
+    """Measure accuracy, calibration and speed.
 
     Writes bench.json, bench.md and plots. The same command continues an interrupted run.
     """
