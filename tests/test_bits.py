@@ -86,15 +86,3 @@ def test_joined_bits_stand_one_after_the_other(numbers: int) -> None:
     lanes = np.array([LANES + 8, 0, LANES])
     some = table_of(both.at(owned(mi.UInt32, lanes.astype(np.uint32))), numbers, 3)
     np.testing.assert_array_equal(some, found[:, lanes])
-
-
-def test_no_kernel_for_another_number_of_lanes() -> None:
-    for run, (lanes, taken) in enumerate(((21, 5), (40, 17), (33, 33))):
-        bits = in_order(random_table(100, lanes))
-        some = owned(mi.UInt32, np.arange(taken, dtype=np.uint32))
-        dr.sync_thread()
-        compiled = sum(dr.detail.launch_stats()[1:])  # looked for on disk, or compiled
-        found = bits.at(some)
-        dr.eval(found)
-        if run:
-            assert sum(dr.detail.launch_stats()[1:]) == compiled

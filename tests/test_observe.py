@@ -191,18 +191,3 @@ def test_masked_and_unusable_pixels_are_not_samples(tmp_path):
     by_mask = seen_by_first(images=[image, image], masks=(left_out, None))
     np.testing.assert_array_equal(by_nan, by_mask)
     assert 0.3 < by_nan.sum() / whole.sum() < 0.7
-
-
-def test_one_kernel_serves_any_number_of_views(tmp_path):
-    """A new view must not mean a new kernel."""
-    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
-    found = texels(scene.shapes()[0], 32)
-    for run, number in enumerate((3, 5, 11)):
-        sensors = sphere_sensors(scene.shapes()[0], number, (24, 24))
-        capture = memory_capture(scene, [np.ones((24, 24, 3))] * number, sensors)
-        views, surface = pack_views(capture), Surface.of(found)
-        dr.sync_thread()
-        compiled = sum(dr.detail.launch_stats()[1:])  # looked for on disk, or compiled
-        survey(views, surface)
-        if run:
-            assert sum(dr.detail.launch_stats()[1:]) == compiled
