@@ -7,7 +7,6 @@ keeps the resolution that its lobe needs, so all of them take little more memory
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -110,8 +109,7 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     spectrum = np.fft.rfft(flux, axis=1)
     reach = _reach(profile, rows)
     result = np.empty_like(flux)
-
-    def filter_rows(i: int) -> None:
+    for i in range((rows + 1) // 2):
         near = slice(max(i - reach, 0), i + reach + 1)
         cosine = np.cos(theta[i]) * np.cos(theta[near, None]) + (
             np.sin(theta[i]) * np.sin(theta[near, None]) * turn
@@ -125,10 +123,6 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         for row, seen in ((i, spectrum), (rows - 1 - i, spectrum[::-1])):
             summed = np.einsum("jm,jmc->mc", wave, seen[near])
             result[row] = np.fft.irfft(summed, n=columns, axis=0)
-
-    # NumPy lets go of the interpreter in what takes long.
-    with ThreadPoolExecutor(max(1, dr.thread_count())) as pool:
-        list(pool.map(filter_rows, range((rows + 1) // 2)))
     # FFT rounding can leave black a hair below zero, a lobe that is negative somewhere more.
     return np.maximum(result if even else result[..., :-1] / result[..., -1:], 0)
 
