@@ -1,4 +1,4 @@
-"""Arrays by name in one file that is whole or not there, and is read with care.
+"""Named arrays in one file that is complete or missing, read with bounds.
 
     write_arrays("state.npz", {"step": np.array(3), "values/roughness": texture})
     read_arrays("state.npz")["step"]
@@ -10,15 +10,16 @@ other programs are read here as well: tables of numbers up to a size, never pick
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import math
 import re
 import warnings
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
@@ -33,11 +34,7 @@ PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; others unpack
 
 
 def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
-    """Write arrays, numbers or text by name, with a digest; never half of them.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write arrays, numbers or text by name, with a digest; never half of them."""
     found = {name: np.asarray(value) for name, value in arrays.items()}
     with replacing(path) as temporary:
         np.savez(temporary, **found, **{DIGEST: np.array(_digest(found))})  # type: ignore[arg-type]
@@ -47,19 +44,11 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Read all that ``write_arrays`` has written.
 
     Every size is compared with that of the file before anything is read.
-
-    Raises:
-        ValueError: it cannot be read, or holds anything else; with the reason, a few words.
     """
-    if not path.is_file():  # a pipe, say, would wait for ever
-        raise ValueError("it is not a file")
-    try:
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
-            members = archive.infolist()
-            _require_plain(members, path.stat().st_size)
-            found = {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
-    except Exception as error:  # a broken archive fails in any way that a zip file can
-        raise ValueError(excerpt(error) or type(error).__name__) from error
+    with _opened(path) as file, zipfile.ZipFile(file) as archive:
+        members = archive.infolist()
+        _require_plain(members, path.stat().st_size)
+        found = {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
     digest = found.pop(DIGEST, None)
     if digest is None or digest.shape or str(digest) != _digest(found):
         raise ValueError("its checksum does not match")
@@ -82,11 +71,7 @@ class Field(NamedTuple):
 
 
 def require_schema(arrays: Mapping[str, np.ndarray], schema: Mapping[str, Field]) -> None:
-    """Refuse arrays other than those of a schema.
-
-    Raises:
-        ValueError: one is missing, unknown, of another type or shape, infinite or out of range.
-    """
+    """Refuse arrays other than those of a schema."""
     other = sorted(set(schema) ^ set(arrays))
     if other:
         what = "lacks" if other[0] in schema else "has an unknown array"
@@ -107,36 +92,22 @@ def require_schema(arrays: Mapping[str, np.ndarray], schema: Mapping[str, Field]
 
 
 def read_foreign_array(path: Path, largest: int) -> np.ndarray:
-    """Read an ``.npy`` file of another program.
-
-    Args:
-        path: the file.
-        largest: bytes that it may have.
+    """Read an ``.npy`` file of another program of at most ``largest`` bytes.
 
     Returns:
         float64 of any shape; NaN and infinity are kept.
 
     Raises:
-        ValueError: it cannot be read, is larger, or holds anything but real numbers; with the
-            reason, a few words.
+        ValueError: it cannot be read, is larger, or holds anything but real numbers.
     """
-    if not path.is_file():
-        raise ValueError("it is not a file")
-    try:
-        if path.stat().st_size > largest:
-            raise ValueError(f"it has more than {largest} bytes")
-        return _numbers(path.read_bytes())
-    except Exception as error:  # a broken header fails in any way that Python's parser can
-        raise ValueError(excerpt(error) or type(error).__name__) from error
+    with _opened(path, largest) as file:
+        return _numbers(file.read())
 
 
 def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> dict[str, np.ndarray]:
-    """Read some arrays of an ``.npz`` file of another program, packed or not.
+    """Read the arrays of an ``.npz`` file of another program whose whole names match a pattern.
 
-    Args:
-        path: the file.
-        wanted: what their names match as a whole; others are not read.
-        largest: bytes that they may have unpacked, all together, and that the file may have.
+    Packed or not, they may have ``largest`` bytes together, and so may the file.
 
     Returns:
         float64 of any shape, by name; NaN and infinity are kept.
@@ -144,22 +115,29 @@ def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> di
     Raises:
         ValueError: as ``read_foreign_array``.
     """
-    if not path.is_file():
+    with _opened(path, largest) as file, zipfile.ZipFile(file) as archive:
+        named = [(m.filename.removesuffix(".npy"), m) for m in archive.infolist()]
+        members = [(name, member) for name, member in named if wanted.fullmatch(name)]
+        if any(member.compress_type not in PACKINGS for _, member in members):
+            raise ValueError("one of its arrays is packed in an unknown way")
+        if sum(member.file_size for _, member in members) > largest:
+            raise ValueError(f"its arrays have more than {largest} bytes")
+        if len({name for name, _ in members}) < len(members):
+            raise ValueError("two of its arrays have the same name")
+        return {name: _numbers(archive.read(member)) for name, member in members}
+
+
+@contextlib.contextmanager
+def _opened(path: Path, largest: float = math.inf) -> Iterator[BinaryIO]:
+    """Open a file; whatever fails while it is read becomes a ValueError of a few words."""
+    if not path.is_file():  # a pipe would wait for ever
         raise ValueError("it is not a file")
     try:
         if path.stat().st_size > largest:
             raise ValueError(f"it has more than {largest} bytes")
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
-            named = [(m.filename.removesuffix(".npy"), m) for m in archive.infolist()]
-            members = [(name, member) for name, member in named if wanted.fullmatch(name)]
-            if any(member.compress_type not in PACKINGS for _, member in members):
-                raise ValueError("one of its arrays is packed in an unknown way")
-            if sum(member.file_size for _, member in members) > largest:
-                raise ValueError(f"its arrays have more than {largest} bytes")
-            if len({name for name, _ in members}) < len(members):
-                raise ValueError("two of its arrays have the same name")
-            return {name: _numbers(archive.read(member)) for name, member in members}
-    except Exception as error:  # a broken archive fails in any way that a zip file can
+        with path.open("rb") as file:
+            yield file
+    except Exception as error:  # a broken archive or header fails in any way that parsers can
         raise ValueError(excerpt(error) or type(error).__name__) from error
 
 

@@ -63,12 +63,7 @@ def mesh_key(mesh: Any) -> str:
 
 
 def scene_key(scene: Any, target: Any) -> str:
-    """Return a digest of a scene's shapes and light, whatever its sensors: 32 hexadecimal letters.
-
-    Args:
-        scene: the ``mi.Scene``.
-        target: the object in it.
-    """
+    """Return a digest of a scene's shapes and light, whatever its sensors."""
     return Key(_shapes(scene, target).digest(), _light(scene).digest()).digest()
 
 
@@ -78,13 +73,7 @@ def integrator_key(scene: Any) -> str:
 
 
 def capture_parts(capture: Capture) -> dict[str, str]:
-    """Return digests of what a capture consists of.
-
-    Returns:
-        ``shapes`` (geometry and materials, and which one is the object), ``light``,
-        ``integrator``, ``sensors``, ``photographs`` (and which are used), ``masks`` and
-        ``exposures``. Pixels of a view that is not used count for nothing.
-    """
+    """Return digests of what a capture consists of."""
     used = [view for view in range(capture.count) if capture.used[view]]
     pixels = _digests(capture.images[view] for view in used)
     masks = _digests(capture.masks[view] for view in used)

@@ -24,13 +24,6 @@ def spreads(ground: Ground, titles: Container[str] = FARTHER) -> Iterator[tuple[
     then over links that are weak across edges of what has spread [Vogel and Oman 1996]. Pieces of
     which nothing is known are as the mean of all. Of many texels groups come first, and what
     has spread over these says where edges are.
-
-    Args:
-        ground: what is known.
-        titles: those of ``FARTHER`` that are asked for.
-
-    Yields:
-        A title, and (N, T).
     """
     known, values, weights = ground.known, ground.values, ground.weights
     mean = np.average(values[:, known], axis=1, weights=weights[:, known])[:, None]
@@ -77,12 +70,7 @@ TITLES = (*FARTHER, *(one.title for one in LIKENESSES))
 
 
 def mixed(ground: Ground, weights: Weights) -> np.ndarray:
-    """Return weighted means of all that is said of texels that are not known, (N, T), 0 elsewhere.
-
-    Args:
-        ground: what is known.
-        weights: of everything.
-    """
+    """Return weighted means of the predictions of unknown texels, (N, T), 0 elsewhere."""
     titles = {title for used in weights.values() for title, weight in used.items() if weight > 0}
     wanted, mean = np.flatnonzero(~ground.known), np.zeros_like(ground.values)
     for title, guess in guesses(ground, wanted, titles):
@@ -95,13 +83,7 @@ def mixed(ground: Ground, weights: Weights) -> np.ndarray:
 def guesses(
     ground: Ground, wanted: np.ndarray, titles: Container[str] = TITLES
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield titles, and what each says (N, w) of wanted texels.
-
-    Args:
-        ground: what is known.
-        wanted: (w,) numbers of texels that are not.
-        titles: what is asked for.
-    """
+    """Yield titles, and what each says (N, w) of wanted texels."""
     for title, values in spreads(ground, titles):
         yield title, values[:, wanted]
     likenesses = [one for one in LIKENESSES if one.title in titles]

@@ -38,12 +38,6 @@ def hidden_parts(ground: Ground) -> list[np.ndarray]:
 
     Each is what faces one way, or of a flat object what lies on one side, about as large as what
     is not known, so that it is as far from what is.
-
-    Args:
-        ground: T texels.
-
-    Returns:
-        (T,) bool each; none if nothing would be left to guess from.
     """
     point, normal = ground.pieces.point, ground.pieces.normal
     side = point / np.maximum(np.linalg.norm(point, axis=1, keepdims=True), 1e-9)
@@ -101,13 +95,7 @@ class Trial:
 
     @staticmethod
     def of(ground: Ground, hidden: np.ndarray, far: np.ndarray) -> Trial:
-        """Try all guesses on a part of what is known.
-
-        Args:
-            ground: what is known.
-            hidden: (T,) bool, the part.
-            far: distances from what is known to what is to be filled (``distances``).
-        """
+        """Try all guesses on a part of what is known."""
         left, texels = ground.without(hidden), np.flatnonzero(hidden)
         texels = texels[intervals.spread(np.arange(len(texels)), TRIED)]
         true = ground.single[:, texels]
@@ -177,11 +165,7 @@ class Judged:
         return float(min(((h + np.sqrt(h**2 + UNSEEN**2 * d)) / d).min(), 1))
 
     def weights(self, most: float = 1.0) -> dict[str, float]:
-        """Return how much every guess counts, by title.
-
-        Args:
-            most: that a may be.
-        """
+        """Return how much every guess counts, by title."""
         found = self.spread + min(self.share, most) * (self.mixed - self.spread)
         return dict(zip(TITLES, found.tolist(), strict=True))
 

@@ -105,11 +105,7 @@ def variance(field: TextureField, known: np.ndarray) -> np.ndarray:
 
 
 def require_seen(field: TextureField, seen: np.ndarray) -> np.ndarray:
-    """Return flags of all texels, (T,) bool.
-
-    Raises:
-        ShapeError: there are others.
-    """
+    """Return flags of all texels, (T,) bool."""
     flags = np.asarray(seen)
     if flags.shape != (field.texels.count,):
         raise ShapeError(
@@ -120,15 +116,7 @@ def require_seen(field: TextureField, seen: np.ndarray) -> np.ndarray:
 
 
 def by_likeness(ground: Ground, weights: Weights) -> np.ndarray:
-    """Return all values, those that are not known filled as others have been.
-
-    Args:
-        ground: what is known.
-        weights: of ``Filled``.
-
-    Returns:
-        (N, T).
-    """
+    """Return all values, those that are not known filled as others have been."""
     values, found = ground.values.copy(), mixed(ground, weights)
     for name, used in weights.items():
         if used:

@@ -114,14 +114,7 @@ class Filling:
         self.values, self.least = start.values.copy(), start.width.copy()
 
     def put(self, name: str, at: np.ndarray, guess: np.ndarray, off: np.ndarray) -> None:
-        """Give texels the mean of what is known of them and a guess, weighted by precisions.
-
-        Args:
-            name: of a parameter of C values.
-            at: (T,) bool, the texels.
-            guess: (C, T).
-            off: (C, 1) or less, standard deviation of the guess.
-        """
+        """Give texels the mean of what is known of them and a guess, weighted by precisions."""
         rows = self.field.rows(name)
         off = np.maximum(off, SUREST)
         own = np.where(self.shown, 1 / np.maximum(self.field.sds[rows], SUREST) ** 2, 0)

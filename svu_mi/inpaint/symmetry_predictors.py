@@ -109,16 +109,7 @@ class Likeness:
     def guess(
         self, pieces: Pieces, known: Examples, wanted: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Guess values of texels from those that are like them.
-
-        Args:
-            pieces: all texels.
-            known: those whose values are known.
-            wanted: (w,) numbers of texels.
-
-        Returns:
-            (N, w) values; and (w,) bool, whether anything is alike.
-        """
+        """Guess values of texels from those that are like them."""
         if self.kind == "all":
             return np.repeat(known.mean, len(wanted), axis=1), np.ones(len(wanted), bool)
         if self.kind == "piece":

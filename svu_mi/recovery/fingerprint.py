@@ -18,19 +18,7 @@ def fingerprint(
     capture: Capture, texels: Texels, start: Textures | None, sharing: GlobalSharing | bool,
     posterior: Posterior | None,
 ) -> dict[str, str]:  # fmt: skip
-    """Return digests of everything but the settings.
-
-    Args:
-        capture: scene, photographs, masks and sensors.
-        texels: where the textures belong.
-        start: the caller's textures, None where the method finds its own.
-        sharing: the caller's regulariser, or whether there is one.
-        posterior: of the caller's estimate, None for a capture.
-
-    Returns:
-        Digests by words for messages: the parts of the capture (``capture_parts``), and
-        ``layout of texels``, ``textures to start from``, ``seeds of sharing`` and ``posterior``.
-    """
+    """Return digests of everything but the settings."""
     # Their normals are those of the shape, which has a digest that knows rounding.
     found = {"layout of texels": _digest(texels.index, texels.position)}
     if start is not None:

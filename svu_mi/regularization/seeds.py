@@ -21,11 +21,6 @@ def find_seeds(estimate: Estimate, around: Neighbors, count: int = 20) -> np.nda
     candidate; each further one is that whose mean parameters are furthest from those of all
     seeds so far, a distance that counts 1 - H times. The most certain ones
     alone may all be of one material, and leave the others without a seed.
-
-    Args:
-        estimate: entropy and posterior of T texels; those never seen are not seeds.
-        around: the neighbours of each texel.
-        count: most seeds.
     """
     observed = np.array(estimate.coverage) > 0
     if not observed.any():
@@ -55,13 +50,6 @@ def least_minima(
     A texel is a local minimum if no neighbour has a lower entropy. Neighbours of exactly equal
     entropy are one plateau; it is a minimum if no neighbour of any of its texels is lower, and
     the texel of the lowest number stands for it.
-
-    Args:
-        entropy: (T,).
-        observed: (T,) bool; a texel that nobody saw is not a minimum, and does not keep its
-            neighbours from being one.
-        around: the neighbours of each texel.
-        count: at most so many; ordered by entropy, then by number.
     """
     found = minima(entropy, observed, around, rings=1, resolution=0.0)
     return found[np.argsort(entropy[found], kind="stable")][:count]
@@ -74,13 +62,6 @@ def minima(
     """Return one texel of every local minimum, in order of their numbers.
 
     A minimum is the lowest within some rings of texels; a plateau of equal values is one minimum.
-
-    Args:
-        values: (T,).
-        allowed: (T,) bool; others are not minima, and do not keep others from being one.
-        around: the neighbours of each texel.
-        rings: steps from texel to texel within which nothing is lower.
-        resolution: values are compared in steps of it; exactly if it is 0.
     """
     level = np.where(allowed, np.round(values / resolution) if resolution else values, np.inf)
     table = around.table()
@@ -115,13 +96,7 @@ def _plateaus(level: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 
 def spread(points: np.ndarray, worth: np.ndarray, count: int) -> np.ndarray:
-    """Return the first point and, one by one, those whose distance to all before is worth most.
-
-    Args:
-        points: (N, D).
-        worth: (N,), what a distance is multiplied by.
-        count: at most so many.
-    """
+    """Return the first point and, one by one, those whose distance to all before is worth most."""
     chosen = [0]
     nearest = np.linalg.norm(points - points[0], axis=1)
     while len(chosen) < count and (nearest * worth).max() > 0:

@@ -195,14 +195,6 @@ def divergences(posterior: Posterior, chosen: np.ndarray, kind: Divergence) -> n
     """Return KL(P_p || P_q), or KL(P_q || P_p) if reverse, of all texels p to some texels q.
 
     Where each channel has a distribution of its own, the mean over channels.
-
-    Args:
-        posterior: of T texels.
-        chosen: (S,) numbers q of texels.
-        kind: which of them is asked for.
-
-    Returns:
-        (S, T) float64, not negative.
     """
     q = _rows(posterior, chosen)
     log_q = np.log(np.maximum(q, LEAST))

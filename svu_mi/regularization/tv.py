@@ -86,12 +86,7 @@ class TotalVariation(Regularizer):
 
 
 def absolute(difference: Any, epsilon: Any | None) -> tuple[Any, Any]:
-    """Return the size of differences, and its derivative.
-
-    Args:
-        difference: Float.
-        epsilon: opaque Float, see ``TotalVariation``; None for absolute values.
-    """
+    """Return the size of differences, and its derivative."""
     if epsilon is None:
         return dr.abs(difference), sign(difference)
     smooth = dr.sqrt(dr.fma(difference, difference, dr.square(epsilon)))

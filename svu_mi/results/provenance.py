@@ -120,12 +120,6 @@ def marks_of(path: Path) -> tuple[str, str]:
     """Return the id of the run that wrote a file, and the key of its capture.
 
     Both are empty in files of others, which may have been put there by hand.
-
-    Args:
-        path: an EXR file, or one that has its marks in a comment (XML, PLY).
-
-    Raises:
-        CaptureError: it cannot be read.
     """
     if path.suffix.lower() == ".exr":
         found = read_header(path).attributes
@@ -141,17 +135,7 @@ def marks_of(path: Path) -> tuple[str, str]:
 
 
 def require_one_run(folder: Path, names: Sequence[str], record: str, command: str) -> None:
-    """Refuse files of different runs.
-
-    Args:
-        folder: where they are.
-        names: of files that one run of ``command`` writes; some may be others'.
-        record: name of the record beside them, which need not be there.
-        command: that writes them, for the message.
-
-    Raises:
-        CaptureError: two are of different runs, or one is of another than the record.
-    """
+    """Refuse files of different runs."""
     runs = {name: marks_of(folder / name)[0] for name in names}
     if (entry := entry_of(folder / record, command)) is not None:
         runs[record] = entry.run
@@ -165,11 +149,7 @@ def require_one_run(folder: Path, names: Sequence[str], record: str, command: st
 
 
 def are_of_one_capture(first: Path, second: Path) -> bool:
-    """Return whether two files are about one capture, as far as their marks say.
-
-    Raises:
-        CaptureError: one cannot be read.
-    """
+    """Return whether two files are about one capture, as far as their marks say."""
     keys = [marks_of(path)[1] for path in (first, second)]
     return not all(keys) or keys[0] == keys[1]
 
@@ -189,11 +169,7 @@ def text_in(record: Any, *names: str) -> str:
 
 
 def require_no_result(folder: Path) -> None:
-    """Refuse a folder that was given as a capture, if it is a result of another command.
-
-    Raises:
-        CaptureError: it is.
-    """
+    """Refuse a folder that was given as a capture, if it is a result of another command."""
     found = next((e.command for e in entries_in(folder).values() if e.command not in CAPTURES), "")
     if found:
         known = entry_of(folder / RUN_RECORD) is not None
@@ -205,17 +181,7 @@ def require_no_result(folder: Path) -> None:
 
 
 def require_recovery(folder: Path, names: Sequence[str], record: str, other: str) -> None:
-    """Refuse a folder without the files of ``svu recover``, and say what it is instead.
-
-    Args:
-        folder: that is read.
-        names: of the files that are needed.
-        record: name of the record beside them, which need not be there.
-        other: name of a file by which a result of ``svu entropy`` is known.
-
-    Raises:
-        CaptureError: one is missing.
-    """
+    """Refuse a folder without the files of ``svu recover``, and say what it is instead."""
     if not folder.is_dir():
         raise CaptureError(f"{folder}: no such folder; give one that svu recover wrote.")
     missing = [name for name in names if not (folder / name).is_file()]

@@ -53,15 +53,7 @@ class Frame:
     def around(
         sensor: Any, middle: np.ndarray, length: float, side: int, *, rendered: bool
     ) -> Frame:
-        """Cut a square out of what a sensor sees.
-
-        Args:
-            sensor: the sensor.
-            middle: (x, y) of the square, in its pixels.
-            length: of the square.
-            side: pixels of the picture's longer side.
-            rendered: the picture may be larger than a photograph, and show what lies beside it.
-        """
+        """Cut a square out of what a sensor sees."""
         low = np.floor(middle - length / 2).astype(int)
         high = low + int(np.ceil(length))
         if not rendered:
@@ -116,10 +108,6 @@ class Shots:
     def cover(self, wanted: np.ndarray, most: int) -> list[int]:
         """Return the numbers of some places that together show what is wanted: each adds more
         than any other would.
-
-        Args:
-            wanted: (T,) bool.
-            most: how many, at most.
         """
         texels = np.flatnonzero(wanted)
         texels = texels[:: -(-len(texels) // JUDGED) or 1]
@@ -137,14 +125,7 @@ class Shots:
         return chosen
 
     def picture(self, place: int, values: np.ndarray, known: np.ndarray, seed: int) -> Picture:
-        """Return what a model is given of a place.
-
-        Args:
-            place: its number.
-            values: (N, T), of all parameters, as the textures are by now.
-            known: (T,) bool, where they are not to be changed.
-            seed: of a render's paths.
-        """
+        """Return what a model is given of a place."""
         frame = self._frame(place)
         maps = self._maps(frame.sensor, values, known)
         usable = self._packed(frame.sensor).usable
@@ -164,15 +145,7 @@ class Shots:
     def carried(
         self, sensor: Any, maps: Mapping[str, np.ndarray]
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return what maps of a picture say of texels.
-
-        Args:
-            sensor: that of the picture.
-            maps: as ``Picture.maps`` has them.
-
-        Returns:
-            By parameter (C, T) values; and (T,) bool, the texels that the view shows well.
-        """
+        """Return what maps of a picture say of texels."""
         surface, views = Surface.of(self.field.texels), self._packed(sensor)
         seen = _shown(views, surface, 0)
         found = {}

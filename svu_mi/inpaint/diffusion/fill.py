@@ -87,12 +87,7 @@ class Asking:
         self._total += pictures * self._model.runs * self._options.steps
 
     def guess(self, task: Task, seed: Sequence[int]) -> Guess:
-        """Return what the model makes of a task.
-
-        Args:
-            task: what is asked.
-            seed: numbers of no other task.
-        """
+        """Return what the model makes of a task."""
         field = self._shots.field
         values, known, reached = task.values.copy(), task.known.copy(), np.zeros_like(task.known)
         for number, place in enumerate(task.chosen):

@@ -19,12 +19,7 @@ BROKEN = (OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError
 
 
 def require_model(folder: str | Path) -> Family:
-    """Refuse what ``load_model`` would, as far as that is known without reading weights.
-
-    Raises:
-        SvuEnvironmentError: PyTorch, diffusers or transformers are not installed.
-        OptionError: the folder holds no weights that are known here, or pickled ones.
-    """
+    """Refuse what ``load_model`` would, as far as that is known without reading weights."""
     family = family_of(folder)
     for part in PARTS:
         if not any((Path(folder) / part).glob("*.safetensors")):
@@ -46,15 +41,6 @@ def load_model(folder: str | Path, device: str = "auto") -> Model:
 
     Known are Marigold (intrinsics, appearance) and RGB<->X (RGB to X). Neither comes with svu_mi;
     each has a licence of its own, that of RGB<->X for noncommercial research only.
-
-    Args:
-        folder: as published, with a ``model_index.json`` and weights as safetensors; nothing is
-            looked for elsewhere.
-        device: as PyTorch names it; ``auto`` takes a GPU if there is one.
-
-    Raises:
-        SvuEnvironmentError: PyTorch, diffusers or transformers are not installed.
-        OptionError: the folder holds no such weights, or they cannot be used on the device.
     """
     folder = Path(folder)
     family = require_model(folder)

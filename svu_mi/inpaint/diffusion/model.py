@@ -50,14 +50,6 @@ def blend(
     """Return the latent that a model makes of noise, between what is certain.
 
     Arrays and tensors of any library will do.
-
-    Args:
-        predict: ``predict(latent, time)``, the model.
-        schedule: its times.
-        known: x, latent of the map as far as it is known.
-        certain: M, 1 where it is and 0 elsewhere; of a shape that goes with ``known``.
-        noise: what to start from, of the shape of ``known``.
-        free: steps at the end in which nothing is put back; 0 keeps what is certain exactly.
     """
     latent, times = noise, list(schedule.times)
     for number, time in enumerate(times, 1):

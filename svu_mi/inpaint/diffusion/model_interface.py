@@ -60,15 +60,7 @@ class Inventor(Protocol):
     def invent(
         self, picture: Picture, steps: int, free: int, seed: int, after_step: Callable[[], None]
     ) -> Mapping[str, np.ndarray]:
-        """Return maps of a picture as ``Picture.maps`` has them, by parameter, linear.
-
-        Args:
-            picture: what is known.
-            steps: of the diffusion.
-            free: of these, the last ones in which nothing that is known is put back.
-            seed: the same seed, the same maps.
-            after_step: called after every step of every run.
-        """
+        """Return maps of a picture as ``Picture.maps`` has them, by parameter, linear."""
 
 
 INDEX = "model_index.json"
@@ -137,11 +129,7 @@ FAMILIES = {
 
 
 def family_of(folder: str | Path) -> Family:
-    """Return which kind of weights a folder holds; nothing else of it is read.
-
-    Raises:
-        OptionError: it holds none, or none that are known here.
-    """
+    """Return which kind of weights a folder holds; nothing else of it is read."""
     index = Path(folder) / INDEX
     known = " or ".join(family.title for family in FAMILIES.values())
     try:
