@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import secrets
-import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
@@ -156,30 +155,6 @@ def write_text(path: str | Path, text: str) -> None:
 def write_json(path: str | Path, record: Any) -> None:
     """Write a JSON file (errors as ``write_text``)."""
     write_text(path, json.dumps(record, indent=1))
-
-
-@contextlib.contextmanager
-def making_folder(folder: str | Path) -> Iterator[Path]:
-    """Give a new, empty folder that becomes ``folder`` when the block succeeds.
-
-    Raises:
-        OutputError: it cannot be made, or one is there with anything in it.
-    """
-    folder = Path(folder).resolve()
-    prepare_folder(folder.parent)
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"{folder}: is a file, not a folder; choose another folder.")
-    if folder.is_dir() and any(folder.iterdir()):
-        raise OutputError(f"{folder}: holds other files; choose another folder, or empty it.")
-    made = folder.with_name(f".{folder.name[:STEM]}.{secrets.token_hex(4)}.tmp")
-    try:
-        made.mkdir()
-        yield made
-        made.replace(folder)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({_reason(folder, error)}).") from error
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
 
 
 def _reason(path: Path, error: OSError) -> str:

@@ -27,7 +27,7 @@ from svu_mi.capture.poses import describe, film_size, focal_length
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, SceneError
 from svu_mi.exr import read_exr, write_exr
-from svu_mi.files import making_folder, read_json
+from svu_mi.files import read_json
 from svu_mi.formats.fixes import FIXES
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture
@@ -822,30 +822,6 @@ def test_the_model_that_nerfstudio_keeps(tmp_path):
     (tmp_path / "data" / "colmap" / "images").rename(tmp_path / "data" / "images")
     (found,) = read_source(tmp_path / "data").frames
     assert found.image == tmp_path / "data" / "images" / "view_0000.png"
-
-
-# --- folders --------------------------------------------------------------------------
-
-
-def test_a_folder_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch):
-    def refused(path: Path, target: Path) -> Path:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "replace", refused)
-    with pytest.raises(OutputError, match="No space"), making_folder(tmp_path / "project") as made:
-        (made / "new").touch()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_is_made_where_there_is_none_or_an_empty_one(tmp_path):
-    (tmp_path / "disk").mkdir()
-    (tmp_path / "project").symlink_to(tmp_path / "disk")
-    with making_folder(tmp_path / "project") as made:
-        (made / "new").touch()
-    assert (tmp_path / "project").is_symlink() and (tmp_path / "disk" / "new").exists()
-    assert {path.name for path in tmp_path.iterdir()} == {"project", "disk"}
-    with pytest.raises(OutputError, match="holds other files"), making_folder(tmp_path / "disk"):
-        pass
 
 
 def test_json_with_a_mark_of_its_encoding(tmp_path):

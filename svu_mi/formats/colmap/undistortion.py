@@ -22,8 +22,8 @@ from PIL import Image
 
 from svu_mi.capture.images import read_mask
 from svu_mi.capture.picture import quantized, read_planes
-from svu_mi.errors import CaptureError, SvuEnvironmentError
-from svu_mi.files import making_folder, prepare_folder
+from svu_mi.errors import CaptureError, OutputError, SvuEnvironmentError
+from svu_mi.files import prepare_folder
 from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
 from svu_mi.formats.colmap.source import IMAGES, MASKS, read_project
 from svu_mi.formats.resampling import straightened
@@ -68,8 +68,13 @@ def undistort(
     cameras = {view.camera: project.cameras[view.camera] for view in views}
     for number, camera in cameras.items():
         _require_one_to_one(camera, f"{project.model}: camera {number}")
-    with making_folder(output) as made, TemporaryDirectory(dir=made) as name:
-        scratch = Path(name)
+    target = output.resolve()
+    prepare_folder(target.parent)
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise OutputError(f"{output}: holds other files; choose another folder, or empty it.")
+    with TemporaryDirectory(prefix=".svu-undistorted-", dir=target.parent) as name:
+        scratch, made = Path(name), Path(name) / "made"
+        made.mkdir()
         masked = []
         for view, file, found in zip(views, project.photographs, project.masks, strict=True):
             mask = _checked(cameras[view.camera], file, found)
@@ -84,6 +89,7 @@ def undistort(
         if masked:
             straight = _straightened(cameras, masked, scratch / MASKS, scratch / "shapes")
             (straight / IMAGES).rename(made / MASKS)
+        made.replace(target)
     return output
 
 
