@@ -81,11 +81,7 @@ class ViewCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """Means over all views of a capture.
-
-    Attributes:
-        overlap, contrast, color_error: see ``ViewCheck``; None without any.
-    """
+    """Means over all views of a capture, see ``ViewCheck``; None without any."""
 
     overlap: float | None
     contrast: float | None

@@ -27,14 +27,9 @@ WIDTHS = (0.06, 0.18, 0.4)  # alpha of the lobes that highlights are compared wi
 
 @dataclass(frozen=True)
 class Sky:
-    """Distant light.
-
-    Attributes:
-        flux: (M, 3) radiance times solid angle of the light's cells.
-        toward: (M, 3) unit directions of their light, in the frame of the map.
-        lobes: the light under a lobe of each of ``WIDTHS``.
-        to_local: (3, 3), from the frame of the mesh to that of the map, as the capture says.
-    """
+    """Distant light: flux (M, 3) of cells, radiance times solid angle, from unit directions (M, 3)
+    in the frame of the map, the light under a lobe of each of ``WIDTHS``, and the rotation (3, 3)
+    from the mesh to the map."""
 
     flux: np.ndarray
     toward: np.ndarray

@@ -26,13 +26,7 @@ POSITION = slice(12, 15)  # and the camera
 
 @dataclass(frozen=True)
 class Frames:
-    """The V used photographs of a reduced capture, packed for kernels.
-
-    Attributes:
-        capture: see ``reduced``.
-        views: the same packed, including pixels on silhouettes.
-        poses: (V, 4, 4) float64, camera to world.
-    """
+    """The V used photographs of a reduced capture, packed; poses (V, 4, 4) are camera to world."""
 
     capture: Capture
     views: Views

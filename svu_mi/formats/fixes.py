@@ -105,26 +105,14 @@ def turn_of(fixes: Sequence[Fix], kind: Literal["mesh", "light"]) -> np.ndarray:
 
 
 def corrected_poses(poses: np.ndarray, fix: Fix, camera_axes: np.ndarray) -> np.ndarray:
-    """Return camera-to-world matrices after a correction of cameras.
-
-    Args:
-        poses: (V, 4, 4).
-        fix: of kind ``camera``.
-        camera_axes: (4, 4), what the importer multiplied camera-to-world matrices by from the
-            right; ``camera-inverse`` alone depends on it.
-    """
+    """Correct camera-to-world matrices (V, 4, 4); see ``apply_fixes`` for ``camera_axes``."""
     if fix.matrix is None:
         return np.linalg.inv(poses @ np.linalg.inv(camera_axes)) @ camera_axes
     return poses @ affine(fix.matrix)
 
 
 def corrected_mesh(mesh: MeshArrays, fix: Fix) -> MeshArrays:
-    """Return a mesh turned, mirrored, inside out, or textured the other way round.
-
-    Args:
-        mesh: its buffers.
-        fix: of kind ``mesh``, ``texture`` or ``winding``.
-    """
+    """Return a mesh turned, mirrored, inside out, or with V flipped."""
     if fix.kind == "winding":
         normals = None if mesh.normals is None else -mesh.normals
         return replace(mesh, normals=normals, faces=mesh.faces[:, ::-1])

@@ -85,18 +85,11 @@ def import_capture(
     fixes = _fixes(options)
     there, left_out = _there(source, options)
     frames = _frames(there, source, options, fixes)
-    mesh, light = options.mesh or source.mesh, options.environment or source.light
-    if light is not None and not light.path.is_file():
-        raise CaptureError(
-            f"{light.path}: no such file, which should be the light; give an HDR or EXR map with "
-            "--environment."
-        )
-    if mesh is None:
-        raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
+    mesh, light = _mesh_and_light(source, options)
     if preflight is not None:
         preflight(_sizes(frames, light))
     with writing(folder, "import", capture_folder.FILE) as draft:
-        geometry = _geometry(str(mesh), frames, options, fixes)
+        geometry = _geometry(mesh, frames, options, fixes)
         found = _write_photographs(frames, draft.folder, options.shrink, progress)
         squares = [frame for frame, _ in found]
         notes = [*source.notes, *left_out, *geometry.notes, *about(frames, [c for _, c in found])]
@@ -114,6 +107,19 @@ def import_capture(
         description = Description(scene=scene, shape=OBJECT, exposures=exposures, imported=imported)
         capture_folder.write(draft, description, sensors)
     return notes
+
+
+def _mesh_and_light(source: Source, options: ImportOptions) -> tuple[str, Light | None]:
+    """Return the file of the mesh, and the light; options precede the source."""
+    mesh, light = options.mesh or source.mesh, options.environment or source.light
+    if light is not None and not light.path.is_file():
+        raise CaptureError(
+            f"{light.path}: no such file, which should be the light; give an HDR or EXR map with "
+            "--environment."
+        )
+    if mesh is None:
+        raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
+    return str(mesh), light
 
 
 def _sizes(frames: Sequence[Frame], light: Light | None) -> Sizes:

@@ -20,10 +20,7 @@ MIRROR = np.diag([-1.0, 1.0, 1.0])  # of the envmap's frame: u becomes 1 - u
 
 
 def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Write a map as EXR, mirrored if its matrix is.
-
-    Returns:
-        The (4, 4) ``to_world`` of the emitter, a rotation, and sentences about the map.
+    """Write a map as EXR; return the emitter's ``to_world`` (4, 4), a rotation, and notes.
 
     Raises:
         CaptureError: as ``read_environment_map``.

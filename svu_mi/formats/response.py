@@ -22,13 +22,12 @@ FIX = f"write one line {COLUMNS} for each sample of the curve"
 
 @dataclass(frozen=True, kw_only=True)
 class Response:
-    """What a camera's codes mean, from measurements: straight lines between samples.
+    """A measured response, linear between samples.
 
     Attributes:
-        name: of the file that they come from, for messages.
+        name: of its file, for messages.
         codes: (N,) float32, ascending from 0 to 1: encoded values, relative to the largest.
-        values: (N, 3) float64, linear values of R, G and B there; they never fall, and the last
-            are 1.
+        values: (N, 3) float64, ascending linear values of R, G and B; the last are 1.
     """
 
     name: str
@@ -39,12 +38,7 @@ class Response:
         return f"{self.name} says"
 
     def decode(self, encoded: np.ndarray, channel: int) -> np.ndarray:
-        """Return linear values (float32), 1 = white.
-
-        Args:
-            encoded: values of one channel in [0, 1], of any shape.
-            channel: 0, 1 or 2 for red, green or blue.
-        """
+        """Return linear values (float32) of a channel's encoded ones in [0, 1], of any shape."""
         return np.interp(encoded, self.codes, self.values[:, channel]).astype(np.float32)
 
 

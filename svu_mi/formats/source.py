@@ -72,12 +72,7 @@ class Frame:
     lens: Lens | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is not a camera.
-
-        Raises:
-            CaptureError: a number that is NaN, infinite or out of range, or a pose that is
-                mirrored or not rigid.
-        """
+        """Refuse numbers that are out of range and poses that are not rigid (CaptureError)."""
         object.__setattr__(self, "to_world", _rigid(self.to_world, self.label))
         width, height = self.size
         if not all(1 <= side <= MAX_SIDE for side in self.size):
@@ -108,14 +103,10 @@ class Frame:
         return abs(self.focal[1] / self.focal[0] - 1) <= SQUARE
 
     def sensor(self, clip: tuple[float, float] = (NEAR, FAR)) -> Any:
-        """Make the ``perspective`` sensor of this camera.
-
-        Args:
-            clip: distance of the near and the far plane.
+        """Return the ``perspective`` sensor of this camera, with near and far plane.
 
         Raises:
-            CaptureError: the lens is distorted, or the pixels are not square (see
-                ``resampling.squared``).
+            CaptureError: the lens is distorted, or the pixels are not square (``squared``).
         """
         if self.lens is not None:
             raise CaptureError(
@@ -144,10 +135,7 @@ class Frame:
 def frame_of(sensor: Any, image: Path, **fields: Any) -> Frame:
     """Return the frame of a ``perspective`` sensor; its crop window is the photograph.
 
-    Args:
-        sensor: the sensor.
-        image: its photograph, which need not exist.
-        fields: others of ``Frame``.
+    The file ``image`` need not exist; ``fields`` are others of ``Frame``.
     """
     focal = focal_length(sensor)
     return Frame(**{

@@ -22,12 +22,7 @@ def inside(root: Path, name: Any, label: str) -> Path:
     r"""Return the path of a file that is named relative to a folder; it need not exist.
 
     ``\`` separates folders, too, as on Windows. Links are followed when the file is opened: they
-    were made by the owner of the folder.
-
-    Args:
-        root: the folder.
-        name: as given by the source.
-        label: the file and frame, for the message.
+    were made by the owner of the folder. ``label``: the file and frame, for the message.
 
     Raises:
         CaptureError: the name is not text, absolute, leaves the folder by ``..``, names the folder
@@ -90,12 +85,7 @@ def photographs_of_poses(
 ) -> list[Path]:
     """Return the photographs of poses that do not name them, in the order of their names.
 
-    Args:
-        root: folder of the poses.
-        asked: folder of the photographs, None for one of ``names`` in ``root``.
-        names: of folders.
-        poses: file of the poses, for the message.
-        count: number of the poses.
+    They are in the folder ``asked``, or in one of ``names`` next to the poses.
 
     Raises:
         CaptureError: there is no such folder, or there are more photographs or fewer.
@@ -139,13 +129,8 @@ def mask_of(folder: Path, name: Path) -> Path | None:
 def lines_of(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:
     """Yield number and text of each line that is not empty, without comments (``#``).
 
-    Args:
-        path: the file.
-        what: what it should be, such as ``a list of exposures``.
-        fix: the remedy, for messages.
-
-    Raises:
-        CaptureError: it is missing, larger than 16 MiB, or no text.
+    A file that is missing, larger than 16 MiB, or no text is refused (CaptureError) as no ``what``,
+    such as ``a list of exposures``, with the remedy ``fix``.
     """
     try:
         if path.stat().st_size > LARGEST_TEXT:

@@ -47,10 +47,10 @@ class OrbView:
     """One photograph of the data set.
 
     Attributes:
-        capture: name of the capture that it belongs to: another one for ``novel`` views.
+        capture: name of its capture: another one for ``novel`` views.
         frame: photograph, mask and camera, in the world of the capture that was read.
-        light: the environment it was taken under, if the data set has that.
-        albedo: a picture of the object's base colour (sRGB), if the data set has that.
+        light: its environment map, if there is one.
+        albedo: picture of the object's base colour (sRGB), if there is one.
     """
 
     capture: str
@@ -118,14 +118,9 @@ def read_orb(
 
 
 def read_views(path: str | Path, split: Split) -> tuple[OrbView, ...]:
-    """Read photographs with the environment that each was taken under.
+    """Read the photographs of a split (``train``, ``test``, ``novel``) with their environments.
 
-    Args:
-        path: folder of a capture, as for ``read_orb``.
-        split: ``train`` (no environments), ``test`` or ``novel``.
-
-    Raises:
-        CaptureError: as ``read_orb``.
+    Errors are those of ``read_orb``; ``train`` has no environments.
     """
     path = Path(os.path.abspath(path))
     if path.parent.name not in SUFFIXES:

@@ -105,13 +105,8 @@ def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
 def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:
     """Write frames as ``transforms.json``, with intrinsics per frame.
 
-    Args:
-        path: the file.
-        frames: V of them; photographs and masks in the file's folder are named relative to it,
-            others by their name alone, and need not exist.
-
-    Raises:
-        OutputError: the file cannot be written.
+    Files in the folder of ``path`` are named relative to it, others by their name alone; they need
+    not exist. An OutputError says that the file cannot be written.
     """
     root = Path(path).parent
     records = [_record(frame, root) for frame in frames]
@@ -151,15 +146,10 @@ def parse_frame(
     record: Mapping[str, Any], given: Any, root: Path, label: str, before: np.ndarray,
     usual: tuple[int, int] | None = None,
 ) -> Frame:  # fmt: skip
-    """Read one frame.
+    """Read one frame, ``given``, with the common values of ``record``.
 
-    Args:
-        record: values common to all frames.
-        given: the frame.
-        root: folder that files are named relative to.
-        label: the file and frame, for messages.
-        before: (4, 4), applied to the pose from the left.
-        usual: size of a photograph that is missing.
+    Files are named relative to ``root``, ``before`` (4, 4) is applied to the pose from the left,
+    and ``usual`` is the size of a missing photograph.
 
     Raises:
         CaptureError: as ``read_transforms``.

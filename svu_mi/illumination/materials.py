@@ -19,18 +19,16 @@ HEAT, COOLING = 12.0, 0.6  # factor of the first round's overdispersion, and its
 
 
 def columns_of(transport: Transport, light: np.ndarray, switches: AngularPreset) -> Columns:
-    """Return what light (N, 3) makes of the samples at the levels that statistics have."""
+    """Return the columns of light (N, 3) at the roughness levels of the statistics."""
     return transport.columns(light, np.linspace(0, 1, switches.levels))
 
 
 @dataclass(frozen=True)
 class Moments:
-    """What the samples of every texel say under a light, and under the same light dimmed.
+    """Sums over the samples of n texels under a light, for any dimmer or brighter one.
 
-    Attributes:
-        samples: of n texels.
-        table: (5, 5, n, K, 3) float64, weighted sums of products of e, p, q, d and what is
-            observed, at K roughnesses.
+    ``table``: (5, 5, n, K, 3) float64, weighted products of e, p, q, d and the observation at K
+    roughnesses.
     """
 
     samples: Samples
@@ -51,12 +49,7 @@ class Moments:
     def posterior(
         self, switches: AngularPreset, factor: np.ndarray | float = 1.0
     ) -> Posterior[CalibratedKernel]:
-        """Return the posterior of the texels' parameters.
-
-        Args:
-            switches: of the posterior.
-            factor: how many times brighter the light is, or each channel of it.
-        """
+        """Return the posterior of the texels under light brighter by a factor, also per channel."""
         samples, unit = self.samples, np.eye(len(self.table))[..., None]
         e, p, q, d, observed = (row * np.ones(3) for row in unit)
         mixed = columns(factor * e, factor * p, factor * q, factor * d, observed)
@@ -83,15 +76,15 @@ def materials_of(posterior: Posterior[CalibratedKernel]) -> Materials:
 
 
 def misfit_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
-    """Return the noise of the median texel as a part of a radiance: what light cannot explain."""
+    """Return the noise of the median texel, relative to a radiance."""
     return float(np.median(posterior.kernel.noise)) / unit
 
 
 def noise_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
-    """Return the geometric mean of the texels' noise as a part of a radiance."""
+    """Return the geometric mean of the texels' noise, relative to a radiance."""
     return float(np.exp(np.log(posterior.kernel.noise).mean())) / unit
 
 
 def tempered(switches: AngularPreset, factor: float) -> AngularPreset:
-    """Return switches under which samples say less, by a factor."""
+    """Return switches with a likelihood annealed by a factor."""
     return replace(switches, overdispersion=switches.overdispersion * factor)

@@ -50,12 +50,8 @@ DARK = 1e-4  # part of the mean radiance that counts as black
 
 @dataclass(frozen=True)
 class Prior:
-    """Of the logarithms x (N, 3) of the radiance of N even cells.
-
-    Attributes:
-        brightness: (N, N) float64, precision of the channels' mean.
-        color: (N, N) float64, precision of what a channel differs by from it.
-    """
+    """Precisions (N, N) float64 of the logarithms of radiance x (N, 3) in N even cells: of the
+    channels' mean, and of a channel's difference from it."""
 
     brightness: np.ndarray
     color: np.ndarray

@@ -26,20 +26,18 @@ FACING = 0.4  # cosine: a pixel of a steeper view shows much of what is beside t
 
 @dataclass(frozen=True)
 class Samples:
-    """S samples of n texels in V views, those of a texel next to each other.
+    """S samples of n texels in V views, sorted by texel.
 
     Attributes:
-        scene: what occludes.
+        scene: that occludes.
         surface: the n texels.
-        owner: (S,) int64, which of the texels, ascending.
-        view: (S,) int64, which of the views.
+        owner, view: (S,) int64, indices of texel, ascending, and view.
         direction: (S, 3) float32, unit, from the texel to the camera, world space.
         cosine: (S,) float32, between it and the shading normal.
-        radiance: (S, 3) float32.
-        contrast: (S,) float32, variance of the pixels that it is the mean of.
+        radiance, contrast: (S, 3) and (S,) float32, mean and variance of the pixels.
         weight: (S,) float64 (``noise_weight``).
         cameras: (V, 3, 3) float64, rotations of camera space to world space.
-        unit: radiance that noise is a part of.
+        unit: radiance that noise is relative to.
         kappa, edges: of the weights.
     """
 
@@ -77,11 +75,7 @@ class Samples:
         return np.add.reduceat(values, self.first, axis=0)
 
     def facing(self) -> tuple[Samples, np.ndarray]:
-        """Leave steep views out, and texels that few others are left of.
-
-        Returns:
-            The samples, or all if nothing else is left; and which of all they are.
-        """
+        """Return the samples without steep views and texels seen too little, and their indices."""
         kept = self.cosine > FACING
         enough = np.bincount(self.owner[kept], minlength=self.texels) >= FEWEST
         if not enough.any():
@@ -96,11 +90,11 @@ class Samples:
         return samples, chosen
 
     def without(self, views: np.ndarray) -> Samples:
-        """Leave views (V,) bool out; texels of which none is left stay, and weigh nothing."""
+        """Give views (V,) bool no weight."""
         return replace(self, weight=np.where(views[self.view], 0, self.weight))
 
     def divided(self, gains: np.ndarray) -> Samples:
-        """Return the same samples of photographs without their gains (V, 3)."""
+        """Divide samples by gains (V, 3) of their photographs."""
         of_sample = gains[self.view]
         radiance = (self.radiance / of_sample).astype(np.float32)
         contrast = self.contrast / np.square(of_sample.mean(axis=1))
@@ -112,12 +106,7 @@ class Samples:
 
     @staticmethod
     def of(observed: Observed, switches: AngularPreset, count: int) -> Samples:
-        """Look at some of the texels that photographs show, evenly spread over the surface.
-
-        Args:
-            observed: the photographs.
-            switches: how much samples count.
-            count: at most so many texels.
+        """Sample at most ``count`` visible texels, evenly spread over the surface.
 
         Raises:
             CaptureError: no texel is seen in enough photographs, or all are black.

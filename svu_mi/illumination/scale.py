@@ -30,11 +30,7 @@ Wanted = Callable[[Estimate], np.ndarray]  # factor (3,) by which base colours a
 
 
 def require_albedo(value: float, option: str) -> None:
-    """Refuse what is no base colour.
-
-    Raises:
-        OptionError: it is not in (0, 1].
-    """
+    """Refuse a base colour outside (0, 1] by an OptionError."""
     if not SMALLEST <= value <= LARGEST:
         raise OptionError(
             f"{option}: a base colour must be in [{SMALLEST}, {LARGEST:g}], got {value:g}."
@@ -42,12 +38,10 @@ def require_albedo(value: float, option: str) -> None:
 
 
 def scaled_by_mean(found: LightEstimate, observed: Observed, albedo: float) -> LightEstimate:
-    """Return light as bright as a mean base colour says: one factor for all channels.
+    """Scale light until the mean base colour has a given value: one factor for all channels.
 
-    Args:
-        found: light of the right shape.
-        observed: the photographs, at the texels to take the mean of.
-        albedo: mean of base colour over the surface that is seen, by area, and of R, G and B.
+    The mean is over the visible surface, by area, and over R, G and B, at the texels of
+    ``observed``.
 
     Raises:
         OptionError: it is no base colour.
@@ -67,15 +61,13 @@ def scaled_by_mean(found: LightEstimate, observed: Observed, albedo: float) -> L
 def scaled_by_card(
     found: LightEstimate, observed: Observed, uv: tuple[float, float], albedo: float
 ) -> LightEstimate:
-    """Return light as bright as a grey spot of known base colour says: a factor per channel.
-
-    Such a card is not metallic, and is taken to be none.
+    """Scale light until a grey spot has a given base colour: a factor per channel.
 
     Args:
         found: light of the right shape.
         observed: the photographs, at texels that resolve the spot.
         uv: its texture coordinates.
-        albedo: base colour there, of R, G and B alike.
+        albedo: base colour of R, G and B there; the card is taken as not metallic.
 
     Raises:
         OptionError: it is no base colour, or there are no such texture coordinates.
@@ -93,7 +85,7 @@ def scaled_by_card(
 
 
 def _spot(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
-    """Return the texels that are next to texture coordinates, those that are seen."""
+    """Return the visible texels next to texture coordinates."""
     if not all(0 <= value <= 1 for value in uv):
         raise OptionError(f"The grey card: texture coordinates are in [0, 1], got {uv}.")
     layout = observed.texels
@@ -114,7 +106,7 @@ def _scaled(
     found: LightEstimate, observed: Observed, wanted: Wanted,
     known: Mapping[str, float] | None = None,
 ) -> LightEstimate:  # fmt: skip
-    """Return light under which base colours are as they should be, to ``DONE``."""
+    """Scale light until the base colours are as wanted, to ``DONE``."""
     if found.moves:
         raise CaptureError(
             "The light turns with the camera, so base colours cannot be found under it; give its "

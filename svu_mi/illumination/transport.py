@@ -161,12 +161,7 @@ class Transport:
         )  # fmt: skip
 
     def columns(self, light: np.ndarray, roughness: np.ndarray) -> Columns:
-        """Return what reaches the cameras at some roughnesses.
-
-        Args:
-            light: (N, 3) radiance of the cells.
-            roughness: (K,) the same for all texels, or (n, K).
-        """
+        """Return the columns at roughnesses (K,), or (n, K), under light (N, 3)."""
         levels = np.broadcast_to(roughness, (self.samples.texels, np.shape(roughness)[-1]))
         of_texel = [owned(mi.Float, alpha_from_roughness(level)) for level in levels.T]
         widths = [dr.gather(mi.Float, alpha, self.lanes[0]) for alpha in of_texel]

@@ -50,13 +50,9 @@ UNIT = 1e-2  # by which the norm of a quaternion may differ from 1
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera as COLMAP has it.
+    """A camera of COLMAP: a model of ``PARAMETERS``, a size in pixels, and its parameters.
 
-    Attributes:
-        model: name of the camera model, a key of ``PARAMETERS``.
-        width: in pixels.
-        height: in pixels.
-        parameters: focal length(s), principal point, distortion; the corner is (0, 0).
+    These are focal length(s), principal point from the corner (0, 0), and distortion.
     """
 
     model: str
@@ -77,11 +73,11 @@ class Camera:
 
     @property
     def bends(self) -> tuple[float, ...]:
-        """What bends lines, of a model in ``FOCAL_LENGTHS``."""
+        """Distortion, of a model in ``FOCAL_LENGTHS``."""
         return self.parameters[FOCAL_LENGTHS[self.model] + 2 :]
 
     def lens(self) -> Lens | None:
-        """Return what bends lines if it is of the model that is straightened here, else None."""
+        """Return the lens if it is of our model, else None."""
         names = BENT.get(self.model, ())
         if not names or any(self.bends[len(names) :]):
             return None
@@ -90,13 +86,9 @@ class Camera:
 
 @dataclass(frozen=True)
 class View:
-    """The pose of one image, world to camera, +X right, +Y down, +Z forward.
+    """The pose of an image, world to camera, +X right, +Y down, +Z forward.
 
-    Attributes:
-        name: path of the image in the folder of images.
-        camera: number of its camera.
-        rotation: (w, x, y, z), a unit quaternion.
-        translation: (3,).
+    ``rotation`` is a unit quaternion (w, x, y, z).
     """
 
     name: str
@@ -141,14 +133,8 @@ def read_model(folder: Path) -> tuple[dict[int, Camera], list[View]]:
 
 
 def write_model(folder: Path, cameras: Mapping[int, Camera], views: Sequence[View]) -> None:
-    """Write ``cameras.bin``, ``images.bin``, and ``points3D.bin`` without points.
-
-    Binary, because names with spaces do not survive in COLMAP's text files.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
-    pack = struct.pack
+    """Write ``cameras.bin``, ``images.bin``, and ``points3D.bin`` without points."""
+    pack = struct.pack  # binary: names with spaces do not survive in COLMAP's text files
     files = {stem: [pack("<Q", n)] for stem, n in (
         ("cameras", len(cameras)), ("images", len(views)), ("points3D", 0),
     )}  # fmt: skip
@@ -213,7 +199,7 @@ class _Records:
 
 @contextlib.contextmanager
 def _damage_of(path: Path) -> Iterator[None]:
-    """Say of which file a damage is."""
+    """Turn parser errors into a CaptureError of a file."""
     try:
         yield
     except (OSError, ValueError) as error:

@@ -38,16 +38,10 @@ LONGEST = 160  # letters of its reason, in a message
 def undistort(
     path: Path, output: Path, *, images: Path | None = None, masks: Path | None = None
 ) -> Path:
-    """Write an undistorted copy of a project, for ``read_colmap``.
+    """Write an undistorted copy of a project into an empty or new folder, for ``read_colmap``.
 
-    Args:
-        path: as ``read_colmap``.
-        output: folder of the copy, with ``sparse``, ``images`` and ``masks``; empty, or made.
-        images: as ``read_colmap``.
-        masks: as ``read_colmap``; without any, alpha channels become masks.
-
-    Returns:
-        The folder of the copy.
+    ``images`` and ``masks`` are those of ``read_colmap``; without masks, alpha channels become
+    masks. Returns the folder.
 
     Raises:
         CaptureError: the model or a picture is missing or damaged, has another size than its
