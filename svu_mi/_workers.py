@@ -1,18 +1,17 @@
-"""Dr.Jit's workers: a second one where a process may use one core only, and work in even parts.
+"""Threads of Dr.Jit: at least two, and small parts of launches.
 
-Mitsuba has Dr.Jit's workers decode EXR files and load scenes, and waits for them: for ever where
-there are none, which is what Dr.Jit begins with on one core.
+Mitsuba waits for Dr.Jit's workers to decode EXR files and load scenes: for ever where there are
+none, which is the default on one core.
 """
 
 from __future__ import annotations
 
 import ctypes
-import os
-import sys
 from contextlib import suppress
 from pathlib import Path
 
 from svu_mi.limits import FEWEST_THREADS
+from svu_mi.memory import cores
 
 PART = 2**12  # lanes of a launch that a worker takes at a time; 2^14 are Dr.Jit's own
 SET_PART = "_Z23jit_llvm_set_block_sizej"  # of Dr.Jit's core in C++, without a Python name
@@ -20,7 +19,7 @@ SET_PART = "_Z23jit_llvm_set_block_sizej"  # of Dr.Jit's core in C++, without a 
 
 def bootstrap() -> None:
     """Make sure of two threads where there is one core; elsewhere Dr.Jit is not even imported."""
-    if _cores() >= FEWEST_THREADS:
+    if cores() >= FEWEST_THREADS:
         return
     with suppress(ImportError):  # svu doctor says what is wrong with it
         import drjit as dr
@@ -36,9 +35,3 @@ def take_small_parts() -> None:
 
         core = ctypes.CDLL(str(Path(dr.__file__).with_name("libdrjit-core.so")))
         core[SET_PART](ctypes.c_uint(PART))
-
-
-def _cores() -> int:
-    if sys.platform == "linux":
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -277,12 +277,15 @@ def require_start() -> None:
         )
 
 
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
 def _threads() -> int:
     """Return the number of threads that this process has, or will have."""
     drjit = sys.modules.get("drjit")
-    if drjit is not None:
-        return int(drjit.thread_count())
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    return cores() if drjit is None else int(drjit.thread_count())
 
 
 def _room() -> float | None:

@@ -62,6 +62,7 @@ Command = (
 )
 
 
+DESCRIPTION = "What photographs say about the reflectance of an object, and how much."
 ZERO = "embedded null"  # how Python says that a path has a zero byte, which no system allows
 LONGEST = 200  # letters of a path in a sentence
 REMEDIES = {
@@ -72,44 +73,35 @@ REMEDIES = {
 }
 
 
-def main(
-    arguments: Sequence[str] | None = None,
-    commands: Any = Command,
-    program: str = "svu",
-    description: str = "What photographs say about the reflectance of an object, and how much.",
-) -> int:
-    """Run one command. Nobody needs to read what it prints: its work and its status are the same.
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; works with closed streams.
 
     Args:
         arguments: the words after ``svu``; those of this process by default.
-        commands: classes of options, each with ``run``.
-        program: its name, for ``--help``.
-        description: of all commands together, for ``--help``.
 
     Returns:
         0 on success, 2 on bad input (one line on stderr), 130 when interrupted.
     """
     with forgiving_streams():
-        words = sys.argv[1:] if arguments is None else arguments
-        return _run(words, commands, program, description)
+        return _run(sys.argv[1:] if arguments is None else arguments)
 
 
-def _run(arguments: Sequence[str], commands: Any, program: str, description: str) -> int:
+def _run(arguments: Sequence[str]) -> int:
     for word in arguments:
         if problem := _problem(word):
             return _fail(f"{excerpt(word, LONGEST)}: {problem}.", 2)
     if list(arguments) == ["--version"]:
-        print(f"{program} {__version__}")
+        print(f"svu {__version__}")
         return 0
     verbose = not {"-v", "--verbose"}.isdisjoint(arguments)
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[LogLines()])
     warnings.showwarning = _show_warning
     try:
         asked = not {"-h", "--help"}.isdisjoint(arguments)
-        with flowing(commands) if asked else nullcontext():
-            command = tyro.cli(
-                commands, prog=program, description=description,
-                args=with_known_repeated(arguments),
+        with flowing(Command) if asked else nullcontext():
+            command: Any = tyro.cli(
+                Command,  # type: ignore[arg-type]
+                prog="svu", description=DESCRIPTION, args=with_known_repeated(arguments),
                 config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands), registry=REGISTRY,
             )  # fmt: skip
         _require_a_place()
@@ -130,7 +122,7 @@ def _run(arguments: Sequence[str], commands: Any, program: str, description: str
 
 
 def _problem(word: str) -> str | None:
-    """Say what no file's name, and so no argument, may have; None if all is well."""
+    """Return why a word cannot be the name of a file; None if it can."""
     if "\0" in word:
         return "it has a zero byte, which no name may have"
     try:
@@ -153,21 +145,18 @@ def _require_a_place() -> None:
 
 
 def _sentence(error: Exception) -> tuple[str, int]:
-    """Say what an error means, and with which status the process ends."""
+    """Return the sentence of an error, and the exit status."""
     if isinstance(error, SvuError):
         return error.shell, 2
     if isinstance(error, OSError):  # of the system: no space, no permission, a name too long, ...
-        place = f"{excerpt(os.fsdecode(error.filename), LONGEST)}: " if _named(error) else ""
+        named = isinstance(error.filename, str | bytes | os.PathLike)
+        place = f"{excerpt(os.fsdecode(error.filename), LONGEST)}: " if named else ""
         remedy = f"; {REMEDIES[error.errno]}" if error.errno in REMEDIES else ""
         return f"{place}{error.strerror or error}{remedy}.", 2
     if isinstance(error, ValueError) and ZERO in str(error):
         return "a file name must not have a zero byte.", 2
     kind = type(error).__name__
     return f"internal error ({kind}: {error}); please report it with the output of -v", 1
-
-
-def _named(error: OSError) -> bool:
-    return isinstance(error.filename, str | bytes | os.PathLike)
 
 
 def _fail(sentence: str, status: int) -> int:
