@@ -79,14 +79,7 @@ class Asset:
     def of(
         cls, capture: Any, recovery: Any, estimate: Any | None = None, field: Any | None = None
     ) -> Asset:
-        """Put an asset together from results in memory.
-
-        Args:
-            capture: the ``Capture``.
-            recovery: its ``Recovery``.
-            estimate: its ``Estimate``, if entropy is to be exported; of any resolution.
-            field: the ``TextureField``, if how sure the textures are is to be exported.
-        """
+        """Return an asset of results in memory; an estimate may have any resolution."""
         seen = recovery if estimate is None else estimate
         entropy = None if estimate is None else padded(seen, np.array(estimate.entropy, np.float32))
         return cls(
@@ -107,14 +100,7 @@ class Asset:
 
 @dataclass(frozen=True, kw_only=True)
 class Written:
-    """A file of an asset.
-
-    Attributes:
-        file: path, relative to the asset's folder.
-        format: what kind of file.
-        holds: what is in it.
-        values: how its numbers are to be read.
-    """
+    """A file of an asset: its relative path, format, content, and how to read its values."""
 
     file: str
     format: str

@@ -22,16 +22,10 @@ STRAY_LIMIT = 0.02  # part of the seen texels that may lie where the mesh has no
 
 
 def with_gutters(asset: Asset, width: int | None) -> Asset:
-    """Give texels outside the charts the value of the nearest one inside.
+    """Fill texels outside the charts with the nearest value inside.
 
-    Args:
-        asset: the asset.
-        width: of the gutter in texels; None is as far as it goes. Beyond it textures stay as they
-            are, entropy is 1, all other maps 0.
-
-    Raises:
-        MeshError: no texel lies on a chart.
-        CaptureError: entropy and coverage belong to other UVs.
+    Up to a distance of ``width`` texels, None is no limit. Beyond it textures stay as they are,
+    entropy is 1, and all other maps are 0. A ``CaptureError`` if the maps belong to other UVs.
     """
     images = {name: np.array(tensor) for name, tensor in asset.textures.items()}
     shapes = [image.shape[:2] for image in (*images.values(), *asset.maps.values())]
@@ -54,11 +48,7 @@ def with_gutters(asset: Asset, width: int | None) -> Asset:
 
 
 def inside_charts(asset: Asset, shape: tuple[int, int]) -> np.ndarray:
-    """Return (H, W) bool: True where a texel's centre lies on a chart.
-
-    Raises:
-        MeshError: none does.
-    """
+    """Return (H, W) bool: True where a texel's centre lies on a chart; refuse if none does."""
     height, width = shape
     assert asset.mesh.uvs is not None
     count = rasterize(asset.mesh.uvs[asset.mesh.faces], (width, height))[1]
@@ -82,21 +72,11 @@ def _require_fitting(asset: Asset, inside: dict[tuple[int, ...], np.ndarray]) ->
 
 
 def at_vertices(mesh: MeshArrays, image: np.ndarray) -> np.ndarray:
-    """Average a map around every vertex.
+    """Return the mean (N,) float32 of a map (H, W) with gutters around every vertex of N.
 
     A texel counts for the three vertices of its face, by its area and barycentric coordinates:
     the L2 projection onto linear elements with a lumped mass matrix. Vertices at the same point,
     as along the border of a chart, get the same value.
-
-    Args:
-        mesh: N vertices with UVs.
-        image: (H, W), gutters filled.
-
-    Returns:
-        (N,) float32.
-
-    Raises:
-        MeshError: the UVs cannot carry texels.
     """
     assert mesh.uvs is not None
     height, width = image.shape

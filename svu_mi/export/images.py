@@ -24,11 +24,7 @@ PACKED = "linear: R occlusion (1, as it is unknown), G roughness, B metallic, as
 
 
 def write_exr_images(asset: Asset, folder: Path, *, half: bool) -> list[Written]:
-    """Write the textures and maps as EXR, linear; entropy and coverage have the channel Y.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write the textures and maps as linear EXR; entropy and coverage have the channel Y."""
     write_textures(asset.textures, folder / TEXTURES, half=half)
     written = [
         Written(file=f"{TEXTURES}/{file}", format="exr", holds=name, values=LINEAR)
@@ -42,11 +38,7 @@ def write_exr_images(asset: Asset, folder: Path, *, half: bool) -> list[Written]
 
 
 def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
-    """Write the textures, their packed ``orm``, and the maps as PNG.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write the textures, their packed ``orm``, and the maps as PNG."""
     images: dict[str, tuple[np.ndarray, str]] = {}
     for name, tensor in asset.textures.items():
         pixels = np.array(tensor)
@@ -69,26 +61,18 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
 
 
 def packed(asset: Asset) -> np.ndarray:
-    """Return occlusion, roughness and metallic as one (H, W, 3) image.
+    """Return occlusion, roughness and metallic (H, W, 3), as glTF 2.0 prescribes (Sec. 3.9.2).
 
-    The layout that glTF 2.0 prescribes (Sec. 3.9.2): G is roughness, B metallic; R is free there
-    for occlusion, which is 1 as nothing is known of it.
+    Occlusion is not known, so it is 1.
     """
     rough, metal = np.array(asset.textures.roughness), np.array(asset.textures.metallic)
     return np.concatenate([np.ones_like(rough), rough, metal], axis=-1)
 
 
 def write_png(path: Path, pixels: np.ndarray, *, color: bool) -> None:
-    """Write (H, W) or (H, W, C) integers as PNG, as they are.
+    """Write (H, W) or (H, W, C) uint8 or uint16 as PNG.
 
-    Args:
-        path: the file.
-        pixels: uint8 or uint16.
-        color: whether the file says that they are sRGB; else it says nothing, since a viewer
-            that went by a gamma would change data.
-
-    Raises:
-        OutputError: the file cannot be written.
+    Without ``color`` (sRGB) no gamma is declared: a viewer that used it would change data.
     """
     shown = np.ascontiguousarray(pixels[..., 0] if pixels.shape[2:] == (1,) else pixels)
     with replacing(path) as temporary:

@@ -93,11 +93,7 @@ def _write(path: Path, children: list[Any]) -> None:
 
 
 def write_materialx(asset: Asset, folder: Path) -> list[Written]:
-    """Write ``material.mtlx`` and ``mesh.obj``; the textures are those written as PNG.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write ``material.mtlx`` and ``mesh.obj``; the textures are those written as PNG."""
     scene_xml.write_document(_document(materialx_name(asset.name)), folder / MATERIAL)
     _write_obj(asset, folder / OBJ)
     return [

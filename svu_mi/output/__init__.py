@@ -49,17 +49,9 @@ def write_outputs(
     knowledge: Knowledge | None = None,
     pictures: bool = True,
 ) -> None:
-    """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json``.
+    """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json`` in one step.
 
-    All of it takes the place of an older result in one step (``results.transaction``).
-
-    Args:
-        capture: the ``Capture``.
-        estimate: its ``Estimate``.
-        folder: made if missing.
-        run: how it came about.
-        knowledge: what the estimate says in units; computed if not given.
-        pictures: whether ``overview.png`` is one of the files.
+    ``knowledge`` is computed if not given.
 
     Raises:
         OutputError: the folder or a file cannot be written.

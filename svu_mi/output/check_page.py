@@ -55,13 +55,6 @@ def write_check(
 ) -> None:  # fmt: skip
     """Write ``check.html``, with all its pictures inside, and ``check.json``.
 
-    Args:
-        capture: what was checked.
-        found: what was found.
-        folder: made if missing.
-        settings: what the caller was asked for.
-        remedy: the command that corrects the capture; empty if nothing is to be done.
-
     Raises:
         OutputError: a file cannot be written.
     """
@@ -178,10 +171,10 @@ def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[Picture, str]
 
 
 def _panorama(capture: Capture) -> Picture:
-    """Draw the light as one would see it from the object: up is the cameras' up.
+    """Draw the light around the object, up as the cameras have it; cameras are dots.
 
-    The centre is where the first camera looks, so that it can be compared with what is behind
-    the object in the first photograph. Cameras are dots.
+    The centre is where the first camera looks: it can be compared with the background of the
+    first photograph.
     """
     environment = read_environment(emitter_of(capture))
     grid = resolved(environment)

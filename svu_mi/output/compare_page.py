@@ -36,11 +36,6 @@ def write_comparison(
     An EXR has the difference (Y, or R, G, B), ``deviations`` where these are known, and
     ``compared``: 1 where both sides have a value; all others are 0 elsewhere.
 
-    Args:
-        found: the comparison.
-        folder: made if missing.
-        settings: options of the caller, for the record.
-
     Raises:
         OutputError: a file cannot be written.
     """

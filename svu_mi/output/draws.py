@@ -35,20 +35,9 @@ HEADING = "Textures that explain the photographs about as well"
 def write_draws(
     draws: Iterator[Textures], folder: Path, attributes: Mapping[str, Any] | None = None
 ) -> list[Textures]:
-    """Write ``draws/draw_000.exr`` and so on, half floats, each a draw of all parameters.
+    """Write ``draws/draw_000.exr`` and so on, half floats; return the first, for the sheet.
 
     Channels are ``base_color.R`` (.G, .B), ``roughness`` and ``metallic``, all in [0, 1].
-
-    Args:
-        draws: of ``TextureField.draw``.
-        folder: an existing folder.
-        attributes: header entries.
-
-    Returns:
-        The first of them, as many as the sheet shows.
-
-    Raises:
-        OutputError: a file cannot be written.
     """
     place, first = folder / FOLDER, []
     prepare_folder(place)
@@ -64,11 +53,7 @@ def write_draws(
 
 
 def find_draws(folder: Path) -> list[Path]:
-    """Return the files that ``write_draws`` has written, in order.
-
-    Raises:
-        CaptureError: there are none.
-    """
+    """Return the files of ``write_draws`` in order; a ``CaptureError`` if there are none."""
     found = sorted((folder / FOLDER).glob("draw_*.exr"))
     if not found:
         raise CaptureError(
@@ -78,11 +63,7 @@ def find_draws(folder: Path) -> list[Path]:
 
 
 def read_draws(files: Sequence[Path]) -> Iterator[Textures]:
-    """Read what ``write_draws`` has written.
-
-    Raises:
-        CaptureError: a file is damaged, or has other channels.
-    """
+    """Yield the textures of files of ``write_draws``; a ``CaptureError`` if one is damaged."""
     for path in files:
         channels = read_exr(path)
         missing = [key for name in NAMES for key in _channels(name) if key not in channels]
@@ -97,18 +78,7 @@ def read_draws(files: Sequence[Path]) -> Iterator[Textures]:
 def write_sheet(
     capture: Capture, recovery: Recovery, draws: Sequence[Textures], path: Path, view: int
 ) -> None:
-    """Draw the recovered textures and some draws on the object, a row for every parameter.
-
-    Args:
-        capture: the ``Capture``.
-        recovery: its ``Recovery``.
-        draws: the others.
-        path: the PNG file.
-        view: sensor that it is seen from.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Draw the recovered textures and some draws on the object, a row for every parameter."""
     columns = [recovery.textures, *draws]
     look = Look.at(alone(capture), capture.sensors[view])
     panels: list[Panel] = []

@@ -163,18 +163,9 @@ def draw_posterior(
 ) -> QuadMesh:
     """Draw the posterior of one texel over two parameters (Fig. 4 of the paper).
 
-    Any other parameter is marginalised; of three colour channels the mean is shown.
-
-    Args:
-        axes: where to.
-        posterior: of all texels.
-        texel: index of the texel.
-        names: the parameters along x and y; by default the first two of ``posterior.axes``,
-            known ones last.
-        truth: true parameters of all texels, to mark with a cross.
-
-    Returns:
-        What was drawn, to hand to ``figure.colorbar``; colours end at 0 and the largest p.
+    By default over the first two of ``posterior.axes``, known ones last. Any other parameter is
+    marginalised; of three colour channels the mean is shown. The value in ``truth``, the true
+    parameters of all texels, is marked with a cross. Colours end at 0 and the largest p.
 
     Raises:
         OptionError: an unknown parameter, twice the same, or a texel that does not exist.

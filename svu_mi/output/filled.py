@@ -43,18 +43,9 @@ def write_filled(
     capture: Capture, before: TextureField, found: Filled, folder: str | os.PathLike[str],
     run: Run | None = None, *, pictures: bool = True,
 ) -> None:  # fmt: skip
-    """Write textures, ``recovered.xml``, ``uncertainty.exr``, ``filled.exr``, ``filled.png`` and
-    ``run.json``.
+    """Write textures, ``recovered.xml``, ``uncertainty.exr``, ``filled.exr`` and ``run.json``.
 
-    All of it takes the place of an older result in one step (``results.transaction``).
-
-    Args:
-        capture: the ``Capture``.
-        before: the textures as they were.
-        found: what ``fill`` has made of them.
-        folder: made if missing.
-        run: how it came about.
-        pictures: whether ``filled.png`` is among the files.
+    ``before`` are the textures that were filled; with ``pictures`` ``filled.png``, too.
 
     Raises:
         OutputError: the folder or a file cannot be written.

@@ -48,16 +48,7 @@ def write_guidance(
 ) -> None:
     """Write proposals as poses, maps and pictures, with ``guidance.json`` and ``run.json``.
 
-    All of it takes the place of an older result in one step (``results.transaction``).
-
-    Args:
-        capture: the ``Capture``.
-        estimate: what its photographs say.
-        guidance: the ``Guidance`` from there.
-        folder: made if missing.
-        run: how it came about.
-        up: top of the map of directions.
-        pictures: whether ``guidance.png`` and thumbnails are among the files.
+    ``up`` is the top of the map of directions; ``pictures`` are ``guidance.png`` and thumbnails.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -116,7 +107,7 @@ def plan(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, 
 
 
 def file_names(capture: Capture, guidance: Guidance) -> list[str]:
-    """Return the file names that photographs of the proposals should have.
+    """Return file names for photographs of the proposals.
 
     A sensor of the capture has its own; all others come after it, in their order.
     """
@@ -135,9 +126,6 @@ def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]
     """Write perspective sensors as a Mitsuba scene of their own, to be loaded or included.
 
     ``-D spp=N`` sets samples per pixel; ``names`` are their ids.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
     root = scene_xml.scene()
     root.extend(scene_xml.sensor(s, name) for s, name in zip(sensors, names, strict=True))

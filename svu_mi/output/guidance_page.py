@@ -49,19 +49,9 @@ def write_guidance_overview(
     capture: Capture, estimate: Estimate, guidance: Guidance, maps: np.ndarray,
     looks: Sequence[Look], path: str | Path, up: tuple[float, float, float] = UP,
 ) -> None:  # fmt: skip
-    """Draw where to go, what it is worth, and what will be seen: 1800 x 1120 pixels.
+    """Draw directions, ranking, and what proposed cameras will see: 1800 x 1120 pixels.
 
-    Args:
-        capture: the ``Capture``.
-        estimate: of its photographs.
-        guidance: the ``Guidance`` from there.
-        maps: of ``Guidance.gain_maps``.
-        looks: of ``looks_of``.
-        path: the PNG file.
-        up: top of the map of directions.
-
-    Raises:
-        OutputError: the file cannot be written.
+    ``maps`` are of ``Guidance.gain_maps``, ``looks`` of ``looks_of``; ``up`` is the top of the map.
     """
     entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
     everywhere, empty = all_seen(guidance.texels), np.zeros(guidance.texels.count, np.float32)
@@ -200,16 +190,9 @@ def gain_limit(maps: np.ndarray) -> float:
 def gain_picture(
     capture: Capture, guidance: Guidance, proposal: int, maps: np.ndarray
 ) -> np.ndarray:
-    """Render the object as a proposed camera will see it, grey where no entropy will go.
+    """Render the object as a proposed camera will see it, (h, w, 4), grey where nothing is gained.
 
-    Args:
-        capture: whose object it is.
-        guidance: the proposals.
-        proposal: number of the proposal.
-        maps: (proposals, T) of ``Guidance.gain_maps``; all have one scale of colours.
-
-    Returns:
-        (h, w, 4) float32 as of ``views.picture``.
+    ``maps`` (proposals, T) of ``Guidance.gain_maps`` have one scale of colours.
     """
     look = Look.at(alone(capture), _large(guidance.proposals[proposal].sensor))
     return gain_pictures([look], guidance, maps[proposal : proposal + 1], gain_limit(maps))[0]

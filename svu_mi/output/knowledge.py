@@ -18,12 +18,9 @@ ROUNDING = 1e-6  # of interval ends in single precision
 
 
 class Intervals:
-    """Intervals of a posterior's parameters, each computed when it is first asked for.
+    """Intervals of the parameters of a posterior of T texels, computed on first use.
 
-    Args:
-        posterior: of T texels.
-        level: probability that an interval holds.
-        chosen: (t,) indices of texels; all T by default.
+    ``chosen`` (t,) are indices of texels, all by default; ``level`` is the probability.
     """
 
     def __init__(

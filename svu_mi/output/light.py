@@ -31,17 +31,8 @@ def write_light(
 ) -> None:
     """Write ``light.exr``, ``light.npz``, ``light.png`` and ``light.json``.
 
-    All of it takes the place of an older result in one step (``results.transaction``).
-
-    Args:
-        capture: that the light was found in.
-        estimate: the light.
-        folder: made if missing.
-        run: how it came about.
-        used: options of the search, for the record.
-        against: how like the capture's own light it is, if that has one.
-        timings: seconds per stage.
-        pictures: whether ``light.png`` is one of the files.
+    ``used`` are the options of the search, ``against`` the likeness to the capture's own light, and
+    ``timings`` seconds per stage.
 
     Raises:
         OutputError: the folder or a file cannot be written.

@@ -36,14 +36,7 @@ def write_light_page(
 ) -> None:
     """Draw radiance, its logarithm, its standard deviation and what is known, as lat-long maps.
 
-    Args:
-        capture: with its own light, which is drawn, too, if it is compared with.
-        estimate: what was found.
-        path: the PNG file.
-        against: how like that light it is.
-
-    Raises:
-        OutputError: the file cannot be written.
+    With ``against`` the capture's own light is drawn, too.
     """
     truth = None if against is None else _map_of(capture.environment, estimate.radiance.shape)
     tone = Tone.of(estimate.radiance if truth is None else truth)
@@ -77,11 +70,10 @@ def _radiance(title: str, radiance: np.ndarray, tone: Tone) -> list[Panel]:
 
 @dataclass(frozen=True)
 class Tone:
-    """How radiance is drawn: dark parts and lamps at once (Reinhard's curve).
+    """Tone mapping of radiance for dark parts and lamps at once (Reinhard's curve).
 
-    Attributes:
-        middle: radiance that is drawn in middle grey.
-        limits: ends of the scale of powers of two, relative to it.
+    ``middle`` is drawn in middle grey; ``limits`` are the ends of the scale of powers of two,
+    relative to it.
     """
 
     middle: float

@@ -23,15 +23,9 @@ GUTTER = 4  # texels; enough for bilinear lookups down to a quarter of the resol
 def write_maps(estimate: Estimate, folder: str | Path, *, gutter: int = GUTTER) -> None:
     """Write ``entropy.exr`` and ``coverage.exr``, both with the one float32 channel Y.
 
-    Entropy is in [0, 1]; coverage is the number of views that see a texel. Texels nobody saw
-    have the entropy of the prior, exactly 1 without one of one's own: that they are unseen is
-    what coverage 0 says. Outside the charts entropy is 1 and coverage 0, but for a gutter that
-    repeats the border of the charts in both.
-
-    Args:
-        estimate: the ``Estimate``.
-        folder: an existing folder.
-        gutter: width of the gutter in texels; 0 for none.
+    Entropy is in [0, 1]; coverage is the number of views that see a texel. Unseen texels have the
+    entropy of the prior, exactly 1 by default, and coverage 0. Outside the charts entropy is 1 and
+    coverage 0, except for a gutter that repeats the border of the charts in both.
 
     Raises:
         OutputError: a file cannot be written, or a value is NaN.
@@ -43,14 +37,11 @@ def write_maps(estimate: Estimate, folder: str | Path, *, gutter: int = GUTTER) 
 
 
 def write_uncertainty(estimate: Estimate, folder: Path) -> None:
-    """Write ``uncertainty.exr``: the standard deviation of every parameter, float32, by channel.
+    """Write ``uncertainty.exr``: the standard deviation of every parameter, float32.
 
-    Channels are named ``roughness.sd``, ``metallic.sd`` and ``base_color.sd.R`` (.G, .B; without
-    a letter if R, G and B have one in common). Texels nobody saw have that of the prior; outside
-    the charts it is 0, but for a gutter.
-
-    Raises:
-        OutputError: the file cannot be written, or a value is NaN.
+    Channels are ``roughness.sd``, ``metallic.sd`` and ``base_color.sd.R`` (.G, .B; without a letter
+    if R, G and B have one in common). Unseen texels have that of the prior; outside the charts it
+    is 0, except for a gutter.
     """
     channels: dict[str, np.ndarray] = {}
     for name in estimate.posterior.axes:
@@ -60,16 +51,9 @@ def write_uncertainty(estimate: Estimate, folder: Path) -> None:
 
 
 def write_field(field: TextureField, folder: Path, attributes: Mapping[str, Any]) -> None:
-    """Write ``uncertainty.exr`` of recovered textures: what ``write_uncertainty`` writes, and the
-    ends of the intervals that hold 90 %, ``roughness.low`` and ``roughness.high`` and so on.
+    """Write ``uncertainty.exr`` of recovered textures: as ``write_uncertainty``, and intervals.
 
-    Args:
-        field: how sure textures are.
-        folder: an existing folder.
-        attributes: header entries.
-
-    Raises:
-        OutputError: the file cannot be written, or a value is NaN.
+    The ends of those that hold 90 % are ``roughness.low``, ``roughness.high`` and so on.
     """
     channels: dict[str, np.ndarray] = {}
     for name in field.names:
@@ -92,29 +76,21 @@ def _channels(made: Any, name: str, values: Any) -> dict[str, np.ndarray]:
 
 
 def header(made: Any, **more: Any) -> dict[str, Any]:
-    """Return what the header of each file of a result says, and more by name.
-
-    ``made`` is an ``Estimate``, a ``Guidance`` or a ``Recovery``.
-    """
+    """Return header entries for a file of an ``Estimate``, ``Guidance`` or ``Recovery``."""
     found = {"version": svu_mi.__version__, "method": made.method, **more}
     return {f"svu:{name}": value for name, value in found.items()}
 
 
 def padded(made: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:
-    """Lay values (T,) of the same out as an (H, W) texture with a gutter around the charts.
+    """Lay values (T,) out as an (H, W) texture with a gutter around the charts.
 
-    Only texels outside the charts are filled. A texel that is valid but unseen keeps its own
-    value and hands that one to its gutter: nothing seen may grow into what was not.
+    Only texels outside the charts are filled: unseen ones keep their value.
     """
     return dilate(made.texels.to_image(values, fill), made.texels.inside(), gutter)
 
 
 def read_map(path: Path) -> np.ndarray | None:
-    """Return the channel Y (H, W) of ``entropy.exr`` or ``coverage.exr``; None without the file.
-
-    Raises:
-        CaptureError: it is damaged, or has no such channel.
-    """
+    """Return the channel Y (H, W) of an EXR file, None without the file."""
     if not path.is_file():
         return None
     channels = read_exr(path)
@@ -124,11 +100,7 @@ def read_map(path: Path) -> np.ndarray | None:
 
 
 def read_deviations(folder: Path) -> dict[str, np.ndarray]:
-    """Return standard deviations (H, W, C) of ``uncertainty.exr`` by parameter, if it is there.
-
-    Raises:
-        CaptureError: it is damaged.
-    """
+    """Return standard deviations (H, W, C) of ``uncertainty.exr`` by parameter, if it exists."""
     path = folder / UNCERTAINTY
     channels = read_exr(path) if path.is_file() else {}
     planes = {name: [channels[f"{name}.sd{letter}"] for letter in ("", ".R", ".G", ".B")

@@ -39,11 +39,7 @@ def write_overview(
 ) -> None:
     """Draw photographs, entropy, coverage and marginals on one page of 1600 x 940 pixels.
 
-    Args:
-        capture: the ``Capture``.
-        estimate: its ``Estimate``; nothing need have been seen.
-        path: the PNG file.
-        knowledge: widths of the estimate's intervals; computed if not given.
+    ``knowledge`` are widths of the estimate's intervals; computed if not given.
 
     Raises:
         OutputError: the file cannot be written.

@@ -34,13 +34,7 @@ NARROW_SPACE = "\u202f"  # at which no line breaks
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture inside a page.
-
-    Attributes:
-        uri: the whole file as a ``data:`` URI.
-        width: in pixels.
-        height: in pixels.
-    """
+    """A picture inside a page: the file as a ``data:`` URI, and its size in pixels."""
 
     uri: str
     width: int
@@ -48,14 +42,9 @@ class Picture:
 
 
 def drawing(image: np.ndarray, side: int | None = None) -> Picture:
-    """Embed a map or a drawing without loss, as PNG.
+    """Embed a map (H, W, 3) or, with opacity, (H, W, 4) of screen values in [0, 1], as PNG.
 
-    Args:
-        image: (H, W, 3) or, with opacity, (H, W, 4) screen values in [0, 1].
-        side: the longer side is made this small, if it is longer.
-
-    Raises:
-        OutputError: a value is NaN or infinite, or there is no pixel.
+    Its longer side is reduced to ``side``. An ``OutputError`` if a value is NaN or infinite.
     """
     return _embedded(image, side, "png", compress_level=PNG_LEVEL)
 
@@ -66,16 +55,7 @@ def photograph(image: np.ndarray, side: int | None = THUMBNAIL) -> Picture:
 
 
 def write_page(path: str | Path, template: str, **context: Any) -> None:
-    """Write a page, atomically.
-
-    Args:
-        path: the HTML file.
-        template: its name in ``templates``.
-        context: what the template shows; text is escaped.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write a page of a template, atomically; text is escaped."""
     write_text(path, page_of(template, **context))
 
 

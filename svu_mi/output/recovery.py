@@ -59,20 +59,16 @@ def write_recovery(
 ) -> None:
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
 
-    All of it takes the place of an older result in one step (``results.transaction``).
-
     Args:
         capture: the ``Capture``.
         recovery: its ``Recovery``.
         folder: made if missing.
         run: how it came about.
-        estimate: the ``Estimate`` whose entropy and standard deviations are written and drawn; by
-            default the one that the textures were recovered from, if there is one.
-        field: how sure the textures are; without one, ``uncertainty.exr`` is what the estimate says
-            of every texel by itself.
-        draws: how many other textures to draw from the field, if any, into ``draws``.
-        pictures: whether ``recovery.png`` and ``relit.png`` are among the files, and ``draws.png``
-            if there are draws.
+        estimate: whose entropy and standard deviations are written and drawn; by default that of
+            the recovery, if there is one.
+        field: the uncertainty of the textures; without one, ``uncertainty.exr`` is the estimate's.
+        draws: how many textures to draw from the field, if any, into ``draws``.
+        pictures: whether ``recovery.png``, ``relit.png`` and ``draws.png`` are among the files.
 
     Raises:
         OutputError: the folder or a file cannot be written.

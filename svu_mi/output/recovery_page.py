@@ -46,17 +46,7 @@ def write_recovery_overview(
 ) -> None:
     """Draw textures, their uncertainty, losses and comparisons on a page of 1800 x 1020 pixels.
 
-    Args:
-        capture: the ``Capture``.
-        recovery: its ``Recovery``.
-        comparisons: of two views, or one.
-        path: the PNG file.
-        estimate: an ``Estimate``, if any; its entropy is drawn, and its standard deviations if
-            there is no ``field``.
-        field: the uncertainty of the textures.
-
-    Raises:
-        OutputError: the file cannot be written.
+    Of an ``estimate`` the entropy is drawn, and standard deviations if there is no ``field``.
     """
     scene = alone(capture)
     objects: list[Panel | None] = []

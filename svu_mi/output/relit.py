@@ -95,14 +95,9 @@ def explain(
     spp: int = SAMPLES,
     side: int = SIDE,
 ) -> list[Comparison]:
-    """Render the object in some textures as some of the cameras saw it.
+    """Render the object in some textures as the ``chosen`` sensors saw it.
 
-    Args:
-        capture: whose scene is rendered.
-        textures: of the object.
-        chosen: indices of its sensors.
-        spp: samples per pixel.
-        side: of the pictures' longer side, in pixels.
+    ``side`` is the longer side of the pictures, in pixels.
     """
     sensors = [scaled_sensor(capture.sensors[view], side) for view in chosen]
     covered = Pictures(sensors).covered(capture.scene, capture.shape)

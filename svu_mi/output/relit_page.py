@@ -44,18 +44,7 @@ def write_relighting(
     capture: Capture, found: Sequence[RelitView], names: Sequence[str],
     folder: str | os.PathLike[str], run: Run | None = None, *, draws: int, pictures: bool = True,
 ) -> None:  # fmt: skip
-    """Write pictures, how sure they are, ``relight.png`` and ``run.json``.
-
-    All of it takes the place of an older result in one step (``results.transaction``).
-
-    Args:
-        capture: that was relit.
-        found: of ``relight_draws``.
-        names: of its views.
-        folder: made if missing.
-        run: how it came about.
-        draws: how many there were.
-        pictures: whether ``relight.png`` is among the files.
+    """Write pictures, their standard deviations, ``relight.png`` and ``run.json``.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -79,8 +68,7 @@ def write_relighting(
 
 
 def files_of(names: Sequence[str]) -> list[str]:
-    """Return what the files of views are called, without endings: as the views are, where these can
-    be names of files, and no two or other files of the folder are called so; else by number."""
+    """Return file names of views, without endings: their own, or numbers where these cannot be."""
     own = {Path(PAGE).stem, Path(RECORD).stem, *(name.casefold() for name in names)}
     if len(own) == len(names) + 2 and all(map(PLAIN.fullmatch, names)):
         return list(names)
@@ -106,17 +94,7 @@ def write_relit_views(
     found: Sequence[RelitView], names: Sequence[str], folder: Path,
     attributes: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
-    """Write ``NAME.exr`` (R, G, B, mean.R, ... and sd.R, ..., linear) and ``NAME.png`` per view.
-
-    Args:
-        found: what was rendered.
-        names: of the views.
-        folder: an existing folder.
-        attributes: header entries.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write ``NAME.exr`` (R, G, B, mean.R, ... and sd.R, ..., linear) and ``NAME.png`` per view."""
     for view, name in zip(found, names, strict=True):
         channels = {"RGB": view.picture}
         for kind, image in (("mean", view.mean), ("sd", view.sd)):
@@ -130,18 +108,7 @@ def write_relit_views(
 def write_relit_page(
     found: Sequence[RelitView], names: Sequence[str], path: Path, notes: Sequence[str]
 ) -> None:
-    """Draw every view: the picture, the standard deviation of its pixels, and that relative to the
-    picture.
-
-    Args:
-        found: what was rendered; the first six are drawn.
-        names: of the views.
-        path: the PNG file.
-        notes: what the heading says besides.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Draw the first six views: picture, standard deviation, and that relative to the picture."""
     shown = list(zip(found, names, strict=True))[:ROWS]
     panels: list[Panel] = []
     for view, name in shown:

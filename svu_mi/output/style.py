@@ -209,15 +209,9 @@ def color_bar(
     place: tuple[float, float, float, float] | None = BELOW, size: float = TEXT,
     ticks: Sequence[float] = (),
 ) -> Any:  # fmt: skip
-    """Draw the scale of what was drawn and return it.
+    """Draw the scale of an image, or of a ``scale``, and return it.
 
-    Args:
-        axes: of what was drawn.
-        drawn: an image, or what ``scale`` returns.
-        label: what the numbers are.
-        place: left, bottom, width and height in parts of the axes; None fills them.
-        size: of the words, in points.
-        ticks: numbers to write; by default as many as fit a wide bar.
+    ``place`` is left, bottom, width and height in parts of the axes; None fills them.
     """
     figure: Any = axes.figure
     inside = axes if place is None else axes.inset_axes(place)

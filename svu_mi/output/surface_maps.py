@@ -26,14 +26,7 @@ ENDS |= {p.name: p.ends for p in PARAMETERS.values()}
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """How numbers become colours.
-
-    Attributes:
-        colormap: a name of matplotlib's.
-        high: value at the upper end; 0 is at the lower.
-        label: what the numbers are.
-        ends: words for the lower and the upper end.
-    """
+    """Colours of numbers from 0 to ``high``, and words for both ends."""
 
     colormap: str = COLORMAP
     high: float = 1
@@ -91,19 +84,10 @@ def surface_maps(
     intervals: Intervals | None = None,
     field: TextureField | None = None,
 ) -> dict[str, SurfaceMap]:
-    """Return what can be shown, by name; its colours are computed when they are asked for.
+    """Return all maps by name; their colours are computed on request.
 
-    Entropy, coverage, the most probable parameters, how well each is known (half the width of its
-    interval, and the entropy of its marginal); and recovered textures.
-
-    Args:
-        estimate: what the photographs say.
-        recovered: textures of the same resolution.
-        intervals: of the estimate's posterior; computed if not given.
-        field: how sure the recovered textures are.
-
-    Raises:
-        ShapeError: they are of another one.
+    Entropy, coverage, the most probable parameters, half the width of their intervals, and the
+    entropy of their marginals; and recovered textures, of the same resolution.
     """
     intervals = intervals or Intervals(estimate.posterior)
     unknown = open_axes(estimate)

@@ -44,12 +44,6 @@ def write_textures(
     Linear values in [0, 1]; row 0 is v = 0. Texels outside the charts are written as they
     are: ``lay_out`` has filled them with their neighbours.
 
-    Args:
-        textures: what to write.
-        folder: an existing folder.
-        attributes: header entries of each file, such as the settings of the run.
-        half: store half floats instead of float32.
-
     Raises:
         OutputError: a file cannot be written, or a value is NaN or infinite.
     """
@@ -67,21 +61,12 @@ def write_scene(
     *,
     attributes: Mapping[str, str | int | float] | None = None,
 ) -> Path:
-    """Write the capture's scene with the object in recovered textures.
+    """Write the capture's scene with the object in recovered textures; return its path.
 
     The file loads with ``mitsuba.load_file`` alone and has the object with the UVs of its
     texels, all other shapes, the light, and one sensor per photograph (``view_0000``, ...).
     Beside it lie the textures, and in ``assets`` the meshes and the map of the light; all
     file names are relative, so the folder can be moved. ``-D spp=N`` sets samples per pixel.
-
-    Args:
-        capture: the ``Capture``.
-        textures: over the UVs of ``capture.mesh``.
-        folder: made if missing.
-        attributes: header entries of the textures, such as the settings of the run.
-
-    Returns:
-        The path of the scene file.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -124,16 +109,13 @@ def settings_of(folder: str | Path) -> dict[str, Any]:
 
 
 def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
-    """Read the three files that ``write_textures`` writes, from wherever they come.
+    """Read the three files of ``write_textures``, from any program.
 
-    Args:
-        folder: holds ``base_color.exr``, ``roughness.exr`` and ``metallic.exr``; the latter two
-            may also have the one channel R, or three equal ones.
-        one_run: refuse files of different runs, as far as they say.
+    Roughness and metallic may also have the one channel R, or three equal ones.
 
     Raises:
         CaptureError: one is missing, damaged, of another size or has other channels, holds a value
-            outside [0, 1], or is of another run than the others.
+            outside [0, 1], or (unless ``one_run`` is False) is of another run than the others.
     """
     folder = Path(folder)
     restore(folder)
@@ -151,14 +133,7 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
 def require_textures_of(capture: Capture, folder: str | Path) -> None:
     """Refuse textures that were recovered over another mesh, as far as their record says.
 
-    Those of another capture of the mesh are taken as they are, with a warning.
-
-    Args:
-        capture: that they are to be shown with.
-        folder: holds them (see ``read_textures``); they may be anybody's.
-
-    Raises:
-        CaptureError: the UVs of their mesh are others, or a file cannot be read.
+    Those of another capture of the mesh are used, with a warning.
     """
     folder = Path(folder)
     run, key = marks_of(folder / FILES["base_color"])
@@ -186,15 +161,9 @@ def find_textures(folder: Path) -> dict[str, Path]:
 
 
 def read_texture(path: Path, name: str) -> tuple[np.ndarray, str]:
-    """Read one texture of anybody's.
+    """Read a texture: EXR, which is linear, or PNG, in which base colour is in sRGB.
 
-    Args:
-        path: EXR, whose values are linear; or PNG, of which a base colour is in sRGB, and all
-            others are linear.
-        name: of the parameter.
-
-    Returns:
-        (H, W, C) float32 in [0, 1], and a sentence on how it was read, which may be empty.
+    Returns (H, W, C) float32 in [0, 1], and a sentence on how it was read, which may be empty.
 
     Raises:
         CaptureError: it is damaged, has other channels, or holds values outside [0, 1] or NaN.

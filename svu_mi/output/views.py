@@ -18,15 +18,10 @@ Window = tuple[float, float, float, float]  # left, right, top, bottom, in parts
 def far_apart(
     capture: Any, seen_per_view: Sequence[int] | None = None, count: int = 2
 ) -> list[int]:
-    """Choose the used sensor that sees most texels, and those farthest from it in direction.
+    """Return ``count`` used sensors: the one that sees most texels, and those farthest from it.
 
-    Args:
-        capture: the ``Capture``.
-        seen_per_view: texels seen by each used view; by default the first view is taken.
-        count: how many sensors; each is the farthest from all before it.
-
-    Returns:
-        Indices into ``capture.sensors``: ``count``, or fewer if there are fewer.
+    Indices into ``capture.sensors``, fewer if there are fewer. Each is the farthest in direction
+    from all before it.
     """
     used = [index for index, used in enumerate(capture.used) if used]
     if len(used) < 2:

@@ -32,13 +32,8 @@ LIFT = 1e-3  # of rays above the surface, in parts of the object's extent
 class Turntable:
     """Sensors in a ring around an object, slightly above it.
 
-    Attributes:
-        scene: the object alone.
-        sensors: in the order of turning; the first looks from where the first photograph was
-            taken.
-        window: what the object covers in any frame. All are cut to it alike, so that nothing jumps
-            as the object turns.
-        up: (3,) unit vector.
+    The first is where the first photograph was taken. All frames are cut to the same ``window``, so
+    that the object does not jump as it turns. ``up`` is a (3,) unit vector.
     """
 
     scene: Any
@@ -48,13 +43,7 @@ class Turntable:
 
     @classmethod
     def around(cls, capture: Capture, count: int, side: int) -> Turntable:
-        """Place sensors around the ``mesh`` of a capture.
-
-        Args:
-            capture: whose cameras say which way is up, and what is the front.
-            count: number of sensors.
-            side: width and height of their films in pixels, before empty borders are cut off.
-        """
+        """Place sensors around the ``mesh`` of a capture, with films of ``side`` pixels."""
         center, radius = bounding_sphere(capture.mesh)
         distance = ROOM * radius / np.sin(np.radians(FOV) / 2)
         up = upright(capture)
@@ -77,14 +66,9 @@ class Turntable:
         return cls(alone(capture), tuple(sensors), window, up)
 
     def frame(self, texture: np.ndarray, number: int) -> np.ndarray:
-        """Render a texture on the object.
+        """Render a texture (H, W, 3) of screen colours on the object, as sensor ``number`` sees it.
 
-        Args:
-            texture: (H, W, 3) screen colours, row 0 at v = 0.
-            number: index of the sensor.
-
-        Returns:
-            (h, w, 4) screen colours and opacity, cut to ``window``.
+        Returns (h, w, 4) screen colours and opacity, cut to ``window``.
         """
         look = self._front if number == 0 else self._look(number)
         image = look.painted(texture)
@@ -104,15 +88,9 @@ class Turntable:
         return Look.of(self.scene, self.sensors[number])
 
     def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
-        """Find the one of some texels that is shown best, and where.
+        """Return the one of some texels (t,) that is shown best: its index, frame, x and y.
 
-        Args:
-            texels: of the capture's mesh.
-            chosen: (t,) indices of texels.
-
-        Returns:
-            Which of them, the number of the frame, and how far from the left and from the top of
-            the frame it is, in parts of it; None if no frame shows any.
+        x and y are from the left and the top, in parts of the frame. None if no frame shows any.
         """
         points = np.array(texels.position).T[chosen]
         normals = np.array(texels.normal).T[chosen]

@@ -150,14 +150,11 @@ def require_port(port: int) -> None:
 
 
 def serve(port: int) -> tuple[Any, str]:
-    """Start a ``ViserServer`` for who knows the page's address, and return it and the address.
-
-    Args:
-        port: where; the next free one if it is taken, any free one if it is 0.
+    """Return a ``ViserServer`` and its secret address; the next free port is used, any if 0.
 
     Raises:
         SvuEnvironmentError: viser is not installed, or this version of it cannot be guarded.
-        OptionError: no port.
+        OptionError: not a port.
     """
     require_port(port)
     viser = require_viser()

@@ -144,9 +144,7 @@ class Viewer:
     def look_through(self, view: int | None, client: Any | None = None) -> None:
         """Go to a camera and see its photograph over the object; None leaves it.
 
-        Args:
-            view: index of the camera.
-            client: the browser that goes there; all of them by default.
+        In the browser ``client``, in all by default.
         """
         if self._view is not None and view != self._view:  # its large picture is of no use there
             self._frusta[self._view].image = frustum(self._capture, self._view, THUMBNAIL).image
