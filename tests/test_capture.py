@@ -550,15 +550,6 @@ def test_the_first_bad_image_in_order_is_named_whichever_thread_meets_it_first(t
         load_capture(path)
 
 
-def test_a_header_is_read_once(scene, monkeypatch):
-    opened = []
-    monkeypatch.setattr("svu_mi.capture.picture.read_header", lambda path: (
-        opened.append(path.name), read_header(path)
-    )[1])  # fmt: skip
-    load_capture(scene)
-    assert opened == ["view_0000.exr", "view_0001.exr", "view_0002.exr"]
-
-
 def test_a_photograph_that_is_exchanged_while_it_is_read_is_refused(scene):
     path = scene.parent / "images" / "view_0000.exr"
     picture = open_picture(path)

@@ -108,11 +108,6 @@ def test_texels_that_stand_alone_are_not_grouped() -> None:
     assert Nested.of(Smoother.of(alone, alone, around, 1.0, EPSILON), squares).coarser is None
 
 
-def test_a_solution_of_nothing_is_nothing() -> None:
-    smoother, _ = made()
-    assert not smoother.solve(np.zeros((2, SIDE * SIDE))).any()
-
-
 def test_links_pull_at_both_ends_with_the_covariance_of_K() -> None:
     smoother, matrix = made(fields=1)
     K = matrix[0] - np.diag(smoother.precision[0])

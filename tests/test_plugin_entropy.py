@@ -187,8 +187,3 @@ def test_it_survives_a_change_of_variant(file, values):
     mi.set_variant("llvm_ad_rgb")
     image = picture({"map": file, "colormap": "none"})
     np.testing.assert_allclose(image[..., 0], seen(values), atol=1e-6)
-
-
-def test_it_prints_its_settings(file):
-    text = str(mi.load_dict({"type": "svu_entropy", "map": file, "shape": "vase"}))
-    assert "map.exr" in text and "viridis" in text and "vase" in text

@@ -357,8 +357,3 @@ def test_it_survives_a_change_of_variant(variant):
         load()
     mi.set_variant("llvm_ad_rgb")
     assert picture(ball(paint()), load(), sensor=0).any()
-
-
-def test_it_prints_its_settings():
-    text = str(load(preset="gaussian", levels=12))
-    assert "gaussian" in text and "12" in text and "occlusion = False" in text

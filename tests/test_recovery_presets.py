@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -12,7 +12,6 @@ import pytest
 from helpers import render_ball
 
 import svu_mi as svu
-from svu_mi.cli.recover import Recover
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.options import PRESETS, Fit, preset
 from svu_mi.posterior import ParameterGrid, SpectrumKernel
@@ -64,11 +63,6 @@ def test_a_preset_that_a_method_does_not_have_is_refused_and_others_are_listed()
                     f"Unknown preset {name!r} of method {method!r}; use one of {', '.join(table)}."
                     f"{hint}"
                 )
-
-
-def test_the_command_offers_every_preset_there_is():
-    offered = get_args(get_type_hints(Recover)["preset"])
-    assert set(offered) == {*SH, *PATH, *BOTH}
 
 
 @pytest.mark.parametrize("wrong", [{"tv_space": "map"}, {"tv_epsilon": -1.0}])
@@ -280,15 +274,6 @@ def test_a_run_fits_as_the_given_estimate_of_the_paper_does(seen, told, name):
         assert (mine.coefficients.degree, usual.coefficients.degree) == (2, 6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["sh", "path"])
-@pytest.mark.parametrize("name", ["default", "fixed", "fast", "paper"])
-def test_recovery_goes_on_from_every_angular_preset(seen, told, method, name):
-    own = svu.estimate(seen, preset=name)
-    found = svu.recover(own, None, method, sharing=True)
-    assert found.settings["sharing"] is True and np.isfinite(found.losses).all()
-
-
 def test_a_prior_in_common_is_no_empty_promise(seen, told):
     """Losses of the paper do not know it by themselves; a weight of 0 is none."""
     mixed = replace(SH_PRESETS["paper"], common_prior=True, sharing=8.0)
@@ -296,12 +281,6 @@ def test_a_prior_in_common_is_no_empty_promise(seen, told):
     assert found.settings["sharing"] is True and len(told.rules[-1]) == 2
     none = svu.recover(seen, sharing=True, sh=replace(mixed, sharing=0.0))
     assert none.settings["sharing"] is False
-
-
-def test_our_presets_share_by_a_prior_in_common(seen, told):
-    found = svu.recover(seen, sharing=True)
-    assert not told.sharing
-    assert found.settings["sharing"] is True
 
 
 def test_a_rule_of_one_s_own_is_written_down(seen, told):
@@ -314,21 +293,6 @@ def test_a_rule_of_one_s_own_is_written_down(seen, told):
 
 
 # ---- checkpoints ----
-
-
-def brief(**changes: Any) -> ShOptions:
-    return replace(
-        SH_PRESETS["paper"], descent=DescentOptions(steps=2, learning_rate=0.01), **changes
-    )
-
-
-@pytest.mark.parametrize("change", [{"tv_space": "surface"}, {"tv_epsilon": 0.01}])
-def test_a_checkpoint_of_another_variation_is_refused(seen, tmp_path, change):
-    kept = tmp_path / "checkpoint.npz"
-    svu.recover(seen, preset="paper", sh=brief(), checkpoint=kept)
-    svu.recover(seen, preset="paper", sh=brief(), checkpoint=kept, resume=True)
-    with pytest.raises(SvuError, match=next(iter(change))):
-        svu.recover(seen, preset="paper", sh=brief(**change), checkpoint=kept, resume=True)
 
 
 def test_whether_seeds_are_pulled_is_part_of_a_fingerprint(seen, capture, grid):

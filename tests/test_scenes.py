@@ -147,14 +147,6 @@ def test_the_script_makes_the_committed_assets(tmp_path):
             assert ours.read_text() == theirs.read_text()
 
 
-def test_the_script_writes_the_same_bytes_twice(tmp_path):
-    make_assets.make(tmp_path / "a")
-    make_assets.make(tmp_path / "b")
-    for path in (p for p in (tmp_path / "a").rglob("*") if p.is_file()):
-        again = tmp_path / "b" / path.relative_to(tmp_path / "a")
-        assert path.read_bytes() == again.read_bytes(), path.name
-
-
 def test_scenes_are_small_and_their_paths_relative():
     assert scenes.names() == scenes.NAMES
     for name in (*scenes.names(), "object", "lights"):

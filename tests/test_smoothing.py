@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,9 +13,7 @@ import pytest
 import svu_mi as svu
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.options import DescentOptions
-from svu_mi.recovery.recover import recover
 from svu_mi.recovery.sh.objective import Pull, Smoothing
-from svu_mi.recovery.start import posterior_means
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface.neighbors import neighbors
 
@@ -82,17 +79,3 @@ def test_rates_of_parameters_are_those_of_their_channels(vase: SimpleNamespace):
     assert len(options.scales) == len(smoothing.keys)
     for (name, _), scale in zip(smoothing.keys, options.scales.values(), strict=True):
         assert scale == (0.5 if name == "base_color" else 1.0)
-
-
-def test_a_start_of_rate_nothing_stays_what_it_is(vase: SimpleNamespace):
-    """The first step of the descent that follows is tiny."""
-    still = DescentOptions(steps=1, learning_rate=1e-9)
-    frozen = replace(svu.ShOptions(), descent=still, smoothing=replace(
-        still, learning_rate=1.0, steps=3, scales=dict.fromkeys(NAMES, 0.0)
-    ))  # fmt: skip
-    recovery = recover(vase.estimate, sh=frozen)
-    means = posterior_means(vase.estimate)
-    for name in NAMES:
-        np.testing.assert_allclose(
-            recovery.textures.at(vase.texels, name), means.at(vase.texels, name), atol=1e-6
-        )

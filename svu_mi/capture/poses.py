@@ -47,59 +47,38 @@ def describe(sensor: Any) -> dict[str, Any]:
     ``to_world`` is row-major, camera space is +X left, +Y up, +Z forward; ``x_fov`` is in
     degrees over the full film width.
     """
-    params = mi.traverse(sensor)
-    film = sensor.film()
+    params, film = mi.traverse(sensor), sensor.film()
 
     def number(key: str) -> float:
         return float(np.array(params[key]).ravel()[0])
 
-    def pair(value: Any) -> list[int]:
-        return [int(value[0]), int(value[1])]
-
+    offset = [number(f"principal_point_offset_{axis}") for axis in "xy"]
+    sizes = film.size(), film.crop_offset(), film.crop_size()
     return {
-        "to_world": to_world(sensor).tolist(),
-        "x_fov": number("x_fov"),
-        "principal_point_offset": [
-            number("principal_point_offset_x"),
-            number("principal_point_offset_y"),
-        ],
-        "clip": [number("near_clip"), number("far_clip")],
-        "film": pair(film.size()),
-        "crop_offset": pair(film.crop_offset()),
-        "crop_size": pair(film.crop_size()),
-    }
+        "to_world": to_world(sensor).tolist(), "x_fov": number("x_fov"),
+        "principal_point_offset": offset, "clip": [number("near_clip"), number("far_clip")],
+        **{key: [int(n) for n in pair] for key, pair in zip(WHOLE, sizes, strict=True)},
+    }  # fmt: skip
 
 
 def make_sensor(record: Mapping[str, Any], label: str) -> Any:
     """Make a perspective sensor from its description."""
     check_record(record, label)
+    (width, height), (left, top), (wide, high) = (map(int, record[key]) for key in WHOLE)
+    shift_x, shift_y = map(float, record["principal_point_offset"])
+    near, far = map(float, record["clip"])
+    film = {
+        "type": "hdrfilm", "width": width, "height": height, "crop_offset_x": left,
+        "crop_offset_y": top, "crop_width": wide, "crop_height": high, "pixel_format": "rgb",
+        "component_format": "float32", "rfilter": {"type": "box"},
+    }  # fmt: skip
     try:
-        return mi.load_dict(
-            {
-                "type": "perspective",
-                "id": label,
-                "to_world": mi.ScalarTransform4f(np.array(record["to_world"], np.float64)),
-                "fov": float(record["x_fov"]),
-                "fov_axis": "x",
-                "principal_point_offset_x": float(record["principal_point_offset"][0]),
-                "principal_point_offset_y": float(record["principal_point_offset"][1]),
-                "near_clip": float(record["clip"][0]),
-                "far_clip": float(record["clip"][1]),
-                "film": {
-                    "type": "hdrfilm",
-                    "width": int(record["film"][0]),
-                    "height": int(record["film"][1]),
-                    "crop_offset_x": int(record["crop_offset"][0]),
-                    "crop_offset_y": int(record["crop_offset"][1]),
-                    "crop_width": int(record["crop_size"][0]),
-                    "crop_height": int(record["crop_size"][1]),
-                    "pixel_format": "rgb",
-                    "component_format": "float32",
-                    "rfilter": {"type": "box"},
-                },
-                "sampler": {"type": "independent"},
-            }
-        )
+        return mi.load_dict({
+            "type": "perspective", "id": label, "fov": float(record["x_fov"]), "fov_axis": "x",
+            "to_world": mi.ScalarTransform4f(np.array(record["to_world"], np.float64)),
+            "principal_point_offset_x": shift_x, "principal_point_offset_y": shift_y,
+            "near_clip": near, "far_clip": far, "film": film, "sampler": {"type": "independent"},
+        })  # fmt: skip
     except RuntimeError as error:
         reason = last_sentence(str(error))
         raise CaptureError(f"{label}: Mitsuba rejects the sensor: {reason}") from error
@@ -209,20 +188,17 @@ def sphere_sensors(
         raise OptionError(f"Sensors need a positive distance from the object, got {distance}.")
     wide = max(1.0, resolution[0] / resolution[1])
     x_fov = 2 * np.degrees(np.arctan(np.tan(np.radians(fov) / 2) * wide))
+    record = {
+        "x_fov": x_fov, "principal_point_offset": [0.0, 0.0],
+        "clip": [distance * 1e-2, distance * 1e2], "film": resolution, "crop_offset": [0, 0],
+        "crop_size": resolution,
+    }  # fmt: skip
+    poses = [
+        _look_at(center + distance * direction, center, up)
+        for direction in _fibonacci(count, np.array(up, np.float64), lowest)
+    ]
     return tuple(
-        make_sensor(
-            {
-                "to_world": _look_at(center + distance * direction, center, up),
-                "x_fov": x_fov,
-                "principal_point_offset": [0.0, 0.0],
-                "clip": [distance * 1e-2, distance * 1e2],
-                "film": resolution,
-                "crop_offset": [0, 0],
-                "crop_size": resolution,
-            },
-            f"view_{number:04d}",
-        )
-        for number, direction in enumerate(_fibonacci(count, np.array(up, np.float64), lowest))
+        make_sensor(record | {"to_world": pose}, f"view_{k:04d}") for k, pose in enumerate(poses)
     )
 
 

@@ -14,14 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, crosses_of, has_uvs
-from svu_mi.capture.poses import (
-    describe,
-    film_size,
-    focal_length,
-    make_sensor,
-    principal_point,
-    projected,
-)
+from svu_mi.capture.poses import film_size, focal_length, projected, windowed_sensor
 from svu_mi.memory import Size
 
 LARGE = 2**22  # pixels of a photograph from which on it is worth it
@@ -85,15 +78,7 @@ class Window:
         """Return the sensor whose whole film is the result; the same one if that is the film."""
         if self == Window.whole(film_size(sensor)):
             return sensor
-        focal, size = focal_length(sensor) / self.shrink, self.size
-        corner = (self.left, self.top)
-        center = [(principal_point(sensor)[k] - corner[k]) / self.shrink for k in range(2)]
-        record = describe(sensor) | {
-            "x_fov": float(2 * np.degrees(np.arctan(size[0] / 2 / focal))),
-            "principal_point_offset": [0.5 - center[k] / size[k] for k in range(2)],
-            "film": list(size), "crop_offset": [0, 0], "crop_size": list(size),
-        }  # fmt: skip
-        return make_sensor(record, sensor.id())
+        return windowed_sensor(sensor, (self.left, self.top), self.size, 1 / self.shrink)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,6 @@ from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.progress import Progress
-from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent
 from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.run import Run, require_resolution
@@ -85,22 +84,12 @@ class Recovery:
 
 
 def recover(
-    source: Capture | Observed | Estimate,
-    texels: Texels | None = None,
-    method: Method = "sh",
-    preset: str = "default",
-    *,
-    sharing: GlobalSharing | bool = False,
-    tv: float | None = None,
-    parameters: Sequence[str] = NAMES,
-    start: Textures | None = None,
-    sh: ShOptions | None = None,
-    path: PathOptions | None = None,
-    checkpoint: str | Path | None = None,
-    resume: bool = False,
-    checkpoint_seconds: float = 30.0,
-    progress: Progress | None = None,
-) -> Recovery:
+    source: Capture | Observed | Estimate, texels: Texels | None = None, method: Method = "sh",
+    preset: str = "default", *, sharing: GlobalSharing | bool = False, tv: float | None = None,
+    parameters: Sequence[str] = NAMES, start: Textures | None = None, sh: ShOptions | None = None,
+    path: PathOptions | None = None, checkpoint: str | Path | None = None, resume: bool = False,
+    checkpoint_seconds: float = 30.0, progress: Progress | None = None,
+) -> Recovery:  # fmt: skip
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
 
     Args:
@@ -110,8 +99,7 @@ def recover(
         texels: texels of ``capture.mesh``, textures have their resolution; may be left out with
             an estimate.
         method: ``sh`` compares photographs with a reflection model; ``path`` with renderings by
-            Mitsuba's ``prb``; ``sh+path`` goes on from the result of the first with one epoch
-            of the second.
+            Mitsuba's ``prb``; ``sh+path`` continues the first with one epoch of the second.
         preset: ``default`` or ``paper``; ``coefficients`` and ``spectrum`` are the paper's other
             losses, of ``sh`` and of that part of ``sh+path``, whose epoch is then the paper's, too.
             For ``path``, also ``polish`` and ``paper_polish``, those epochs by themselves.
@@ -120,15 +108,14 @@ def recover(
             printed, by the posterior of Eq. 11: that of ``source`` if it is one over (roughness,
             Ks), or one made for it. Or a ``GlobalSharing`` of one's own making.
         tv: weight of total variation, instead of the options'.
-        parameters: names of the textures to recover; others stay as ``start``, or the scene's
-            own material, has them.
+        parameters: names of the textures to recover; others are those of ``start``, or the scene's.
         start: textures to start from, instead of the closed form (sh) or of 0.5 (path).
         sh: options of ``sh``, instead of the preset's.
-        path: options of ``path``, instead of the preset's.
+        path: options of ``path``, likewise.
         checkpoint: file that states of the last descent are saved to.
-        resume: go on from that file, if there is one.
+        resume: continue from that file, if there is one.
         checkpoint_seconds: between two states.
-        progress: shows what is going on and collects timings.
+        progress: shows the stages and collects timings.
 
     Raises:
         OptionError: an unknown method or parameter, a preset that the method does not have, a
@@ -141,37 +128,24 @@ def recover(
     if resume and checkpoint is None:
         raise OptionError("recover(): resume=True needs a checkpoint to resume from.")
     names = _checked(method, sharing, parameters)
-    options = Options.of(method, preset, sh, path, tv)
-    progress = progress or Progress()
+    options, progress = Options.of(method, preset, sh, path, tv), progress or Progress()
     require_resolution(subject_of(source, texels)[1], start)
     observed = observed_of(source, texels, progress)
     with progress.stage("Reading the light"):
         _ = observed.lighting  # refused before any work: a black light shows nothing
     given = source if isinstance(source, Estimate) else None
     run = Run(method, observed, given, names, options, start, sharing, progress)
-    saved = None
-    if checkpoint is not None:
-        saved = Checkpoint(
-            checkpoint, run.settings, content=run.content(), resume=resume,
-            every=checkpoint_seconds,
-        )  # fmt: skip
-    textures, descent = run.run(saved)
-    return _result(run, textures, descent)
+    saved = None if checkpoint is None else run.checkpoint(checkpoint, resume, checkpoint_seconds)
+    return _result(run, *run.run(saved))
 
 
 def _result(run: Run, textures: Textures, descent: Descent) -> Recovery:
     return Recovery(
-        method=run.method,
-        texels=run.texels,
-        textures=textures,
-        coverage=run.observed.coverage,
-        losses=descent.losses,
-        stopped=descent.stopped,
-        settings=run.settings,
-        timings=run.progress.timings,
-        estimate=run.estimate if run.asked else None,
-        around=vars(run).get("around"),  # cached, if anything has needed it
-    )
+        method=run.method, texels=run.texels, textures=textures, coverage=run.observed.coverage,
+        losses=descent.losses, stopped=descent.stopped, settings=run.settings,
+        timings=run.progress.timings, estimate=run.estimate if run.asked else None,
+        around=run.found_neighbors,
+    )  # fmt: skip
 
 
 def _checked(

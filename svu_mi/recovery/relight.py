@@ -210,13 +210,18 @@ def relight_draws(
         progress(count)
     if count < FEWEST:
         raise OptionError(f"relight_draws(): needs at least {FEWEST} draws, got {count}.")
-    views = []
-    for image, mask, first, second in zip(middle, inside, total, squares, strict=True):
-        mean = first / count
-        sd = np.sqrt(np.maximum(second - count * mean**2, 0) / (count - 1))
-        views.append(RelitView(image, (image + mean).astype(np.float32),
-                               sd.astype(np.float32), mask))  # fmt: skip
-    return views
+    return [
+        _relit(*parts, count) for parts in zip(middle, inside, total, squares, strict=True)
+    ]
+
+
+def _relit(
+    image: np.ndarray, inside: np.ndarray, total: np.ndarray, squares: np.ndarray, count: int
+) -> RelitView:
+    """Return a view with the moments of ``count`` draws, by sums of their changes."""
+    mean = total / count
+    sd = np.sqrt(np.maximum(squares - count * mean**2, 0) / (count - 1))
+    return RelitView(image, (image + mean).astype(np.float32), sd.astype(np.float32), inside)
 
 
 def _zeros(images: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from math import sqrt
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -49,7 +50,8 @@ class Run:
         observed: the photographs.
         given: the estimate that it goes on from, if there is one.
         names: parameters to recover; those that the estimate knows leave the list.
-        asked: whether anybody asked for ``estimate``.
+        asked: whether ``estimate`` was used.
+        found_neighbors: those of the texels on the surface, if ``around`` was used.
     """
 
     method: Method
@@ -61,6 +63,7 @@ class Run:
     sharing: GlobalSharing | bool
     progress: Progress
     asked: bool = field(default=False, init=False)
+    found_neighbors: Neighbors | None = field(default=None, init=False)
     _variations: dict[tuple[str, float], Rule] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
@@ -87,10 +90,11 @@ class Run:
             }  # fmt: skip
         return found
 
-    def content(self) -> dict[str, str]:
-        """Return digests of what it works on."""
+    def checkpoint(self, path: str | Path, resume: bool, seconds: float) -> Checkpoint:
+        """Return the checkpoint of this run, with digests of its inputs."""
         posterior = None if self.given is None else self.given.posterior
-        return fingerprint(self.capture, self.texels, self.start, self.sharing, posterior)
+        content = fingerprint(self.capture, self.texels, self.start, self.sharing, posterior)
+        return Checkpoint(path, self.settings, content=content, resume=resume, every=seconds)
 
     def _shares(self) -> bool | dict[str, Any]:
         """Return how texels share: not at all, by a prior in common (True), or by which rule."""
@@ -106,11 +110,13 @@ class Run:
             found["prior in common, too"] = True
         return found
 
-    @cached_property
+    @property
     def around(self) -> Neighbors:
         """The texels' neighbours on the surface."""
-        with self.progress.stage("Finding neighbours"):
-            return neighbors(self.texels, self.capture.mesh)
+        if self.found_neighbors is None:
+            with self.progress.stage("Finding neighbours"):
+                self.found_neighbors = neighbors(self.texels, self.capture.mesh)
+        return self.found_neighbors
 
     @cached_property
     def _printed_sharing(self) -> GlobalSharing:
