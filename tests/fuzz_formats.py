@@ -45,7 +45,7 @@ from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
 from svu_mi.formats.textures import write_pictures
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.results.transaction import writing
+from svu_mi.results.transaction import Draft
 
 WIDTH, HEIGHT = 16, 8  # of all pictures, so that each may be a lat-long map
 
@@ -307,10 +307,11 @@ def _orb(folder: Path) -> None:
 def write_scene_capture(folder: Path) -> None:
     scene = write_scene(folder, sensors=sensor_xml(2, WIDTH, HEIGHT))
     sensors = mi.load_file(str(scene)).sensors()
-    with writing(folder, "import", capture_folder.FILE) as draft:
-        for number in range(len(sensors)):
-            write_exr(draft.folder / f"view_{number:04d}.exr", {"RGB": _pixels()})
-        capture_folder.write(draft, Description(scene=scene, exposures=[1.0, 2.0]), sensors)
+    for number in range(len(sensors)):
+        write_exr(folder / f"view_{number:04d}.exr", {"RGB": _pixels()})
+    # Written in place, beside its scene.
+    draft = Draft(folder=folder, target=folder, run="0" * 16, command="import", capture="")
+    capture_folder.write(draft, Description(scene=scene, exposures=[1.0, 2.0]), sensors)
 
 
 def _scene(folder: Path) -> None:
