@@ -32,7 +32,7 @@ MIN_COSINE = 0.05  # grazing surfaces recede at most as fast as this cosine says
 BLOCK = 1024  # tiles per launch: 1 M rays, 8 MiB
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Films:
     """Where the pixels of V views lie, and the rays through them.
 

@@ -31,15 +31,13 @@ SAMPLED = 2**18  # pixels, those of the object among which have the median of al
 GREY = 1e-6  # part of its largest channel that the channels of a grey pixel differ by
 
 
-@dataclass(frozen=True)
-class Views:
-    """The V views of a capture that may be used.
+@dataclass(frozen=True, kw_only=True)
+class Views(Films):
+    """The V views of a capture that may be used, and their ``Films``.
 
     Attributes:
         cameras: (V * 16,) Float: projection rows x, y, w (pixels of the crop window, times
             depth), position in world space, near clip as a depth.
-        width, height: (V,) UInt32, size of each photograph in pixels.
-        offset: (V,) UInt32, index of each photograph's first pixel.
         pixels: (3 P,) Float, radiance of all photographs, interleaved RGB: the capture's own
             memory where they lie in one block. None where nothing was photographed.
         usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance. None where
@@ -47,7 +45,6 @@ class Views:
         count: V, an opaque UInt32, so that its value is not part of a kernel.
         number: V as a Python int.
         scene: the ``mi.Scene`` that visibility is traced in.
-        rays: (V * 24,) Float, what rays through the photographs are made of, see ``ray_floats``.
         grey: R = G = B in every usable pixel of the photographs (to 1e-6 of the largest), so
             that one channel says what three do. True without any usable pixel.
         clipped: pixels of which some channels are clipped; None where there are none.
@@ -57,16 +54,12 @@ class Views:
     """
 
     cameras: Any
-    width: Any
-    height: Any
-    offset: Any
-    pixels: Any
-    usable: Any
+    pixels: Any = None
+    usable: Any = None
     count: Any
     number: int
     scene: Any
-    rays: Any
-    grey: bool
+    grey: bool = True
     clipped: ClippedPixels | None = None
     rounding: tuple[Any, Any] | None = None
     outline: Outline | None = None
@@ -103,7 +96,7 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
             f"{2**32 // 3}; reduce their resolution."
         )
     poses = [_Pose.of(capture.sensors[index]) for index in kept]
-    films = _films(poses, offset)
+    views = _views(capture.scene, poses, offset)
     # The photographs stay where they are; they are only looked up, never streamed.
     pixels = _Pixels(
         mi.Float(buffer.pixels),
@@ -117,7 +110,7 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
     else:
         masks = [capture.masks[index] for index in kept]
         tiles = _tiles(capture.shape, poses, masks)
-        for index, inside in interior(capture.scene, capture.shape, films, tiles):
+        for index, inside in interior(capture.scene, capture.shape, views, tiles):
             pixels.judge(index, inside)
     for place, count, ratio in pixels.drop_hot(offset):
         pixel = "pixel is" if count == 1 else "pixels are up to"
@@ -127,12 +120,10 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
             SvuWarning, stacklevel=3,
         )  # fmt: skip
     buffer.advise_random_access()
-    packed = _views(
-        capture.scene, poses, films, pixels.usable, pixels.radiance, grey=not pixels.coloured[0]
-    )
     return replace(
-        packed, clipped=pixels.clipped_pixels(capture, kept), rounding=_rounding(capture, kept)
-    )
+        views, usable=pixels.usable, pixels=pixels.radiance, grey=not pixels.coloured[0],
+        clipped=pixels.clipped_pixels(capture, kept), rounding=_rounding(capture, kept),
+    )  # fmt: skip
 
 
 def pack_sensors(
@@ -147,15 +138,15 @@ def pack_sensors(
     poses = [_Pose.of(scaled_sensor(sensor, largest)) for sensor in sensors]
     sizes = np.array([pose.size for pose in poses], np.int64).reshape(-1, 2)
     ends = np.cumsum(sizes.prod(axis=1))
-    films = _films(poses, ends - sizes.prod(axis=1))
+    views = _views(scene, poses, ends - sizes.prod(axis=1))
     if later:
-        return replace(_views(scene, poses, films, None), outline=Outline(target, films))
+        return replace(views, outline=Outline(target, views))
     usable = dr.zeros(mi.Bool, int(ends[-1]) if len(ends) else 0)
     dr.eval(usable)
-    for index, inside in interior(scene, target, films, _tiles(target, poses, [None] * len(poses))):
+    for index, inside in interior(scene, target, views, _tiles(target, poses, [None] * len(poses))):
         dr.scatter(usable, mi.Bool(True), index, inside)
         dr.eval(usable)
-    return _views(scene, poses, films, usable)
+    return replace(views, usable=usable)
 
 
 class _Pixels:
@@ -283,33 +274,19 @@ class _Pose:
         )
 
 
-def _views(
-    scene: Any, poses: Sequence[_Pose], films: Films, usable: Any, pixels: Any | None = None, *,
-    grey: bool = True,
-) -> Views:  # fmt: skip
-    return Views(
-        cameras=owned(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
-        width=films.width,
-        height=films.height,
-        offset=films.offset,
-        pixels=pixels,
-        usable=usable,
-        count=dr.opaque(mi.UInt32, len(poses)),
-        number=len(poses),
-        scene=scene,
-        rays=films.rays,
-        grey=grey,
-    )
-
-
-def _films(poses: Sequence[_Pose], offset: np.ndarray) -> Films:
+def _views(scene: Any, poses: Sequence[_Pose], offset: np.ndarray) -> Views:
+    """Return views without pixels, of which ``offset`` has the first of each."""
     sizes = np.array([pose.size for pose in poses], np.uint32).reshape(-1, 2)
-    return Films(
+    return Views(
         width=owned(mi.UInt32, sizes[:, 0]),
         height=owned(mi.UInt32, sizes[:, 1]),
         offset=owned(mi.UInt32, offset.astype(np.uint32)),
         angle=owned(mi.Float, np.array([pose.angle for pose in poses], np.float32)),
         rays=owned(mi.Float, np.array([pose.rays for pose in poses], np.float32).ravel()),
+        cameras=owned(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
+        count=dr.opaque(mi.UInt32, len(poses)),
+        number=len(poses),
+        scene=scene,
     )
 
 
