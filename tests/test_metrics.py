@@ -129,6 +129,12 @@ def test_sparsification_does_not_depend_on_units_or_order(rng):
     assert other.ause == pytest.approx(first.ause)
 
 
+def test_curves_for_a_plot():
+    found = metrics.sparsification([1, 2, 3], [1, 2, 3]).sampled(3)
+    curve = [1, 0.75, 0.5]
+    assert found == {"removed": [0, 0.33333, 0.66667], "by_uncertainty": curve, "oracle": curve}
+
+
 def test_sparsification_without_errors():
     for error in ([0.0, 0.0, 0.0], [0.5, 0.5, 0.5], [2.0]):
         found = metrics.sparsification(error, np.arange(len(error)))

@@ -192,10 +192,8 @@ def fit_sh(
     if texels * views * channels == 0:
         return dr.zeros(mi.TensorXf, shape)
 
-    samples = _Samples(
-        direction_tensor.array, weight_tensor.array, value_tensor.array,
-        dr.opaque(mi.UInt32, views), channels,
-    )  # fmt: skip
+    flat = (direction_tensor.array, weight_tensor.array, value_tensor.array)
+    samples = _Samples(*flat, dr.opaque(mi.UInt32, views), channels)
     groups = solver_groups(_inspect(samples, texels, views), lmax, method)
     system = System.of(lmax, channels, float(regularizer), penalize_constant)
     return mi.TensorXf(_fitted(samples, system, groups, texels), shape)

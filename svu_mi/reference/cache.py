@@ -59,8 +59,9 @@ def load(path: Path, options: Options) -> Reference | None:
     except (ValueError, SvuError) as error:
         warnings.warn(
             f"{path}: the cached reference cannot be read ({error}); it is traced again.",
-            SvuWarning, stacklevel=3,
-        )  # fmt: skip
+            SvuWarning,
+            stacklevel=3,
+        )
         return None
 
 

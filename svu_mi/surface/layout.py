@@ -245,10 +245,7 @@ def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return code
 
 
-POINTS = {
-    "position": 3, "normal": 3, "geometric_normal": 3, "uv": 2, "footprint": 1, "along_u": 3,
-    "along_v": 3,
-}  # fmt: skip
+POINTS = dict(position=3, normal=3, geometric_normal=3, uv=2, footprint=1, along_u=3, along_v=3)
 """Components of what is interpolated; see ``Texels``."""
 
 

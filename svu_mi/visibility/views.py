@@ -120,10 +120,9 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
             SvuWarning, stacklevel=3,
         )  # fmt: skip
     buffer.advise_random_access()
-    return replace(
-        views, usable=pixels.usable, pixels=pixels.radiance, grey=not pixels.coloured[0],
-        clipped=pixels.clipped_pixels(capture, kept), rounding=_rounding(capture, kept),
-    )  # fmt: skip
+    clipped, rounding = pixels.clipped_pixels(capture, kept), _rounding(capture, kept)
+    views = replace(views, grey=not pixels.coloured[0], clipped=clipped, rounding=rounding)
+    return replace(views, usable=pixels.usable, pixels=pixels.radiance)
 
 
 def pack_sensors(
