@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
-from dataclasses import fields
 from numbers import Integral, Real
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from svu_mi.errors import OptionError
 
-KINDS: dict[Any, type] = {"int": int, "float": float, "bool": bool}
 WORDS: dict[Any, tuple[type, str]] = {
     int: (Integral, "a whole number"), float: (Real, "a number"), bool: (bool, "True or False"),
 }  # fmt: skip
@@ -51,20 +48,15 @@ def require_types(options: Any) -> None:
     Raises:
         OptionError: a field of another type.
     """
-    there = vars(sys.modules[type(options).__module__])
-    for each in fields(options):
-        # Types are text, as annotations are, unless something such as tyro has resolved them.
-        kind = KINDS.get(each.type, each.type)
-        kind = there.get(kind) if isinstance(kind, str) else kind
+    for name, kind in get_type_hints(type(options)).items():
+        value = getattr(options, name)
         if get_origin(kind) is Literal:
             allowed = get_args(kind)
-            fits = getattr(options, each.name) in allowed
-            require(options, fits, each.name, f"one of {', '.join(allowed)}")
+            require(options, value in allowed, name, f"one of {', '.join(allowed)}")
         elif kind in WORDS:
             number, words = WORDS[kind]
-            value = getattr(options, each.name)
             fits = isinstance(value, number) and (kind is bool or not isinstance(value, bool))
-            require(options, fits, each.name, words)
+            require(options, fits, name, words)
 
 
 def require_ranges(options: Any, **ranges: tuple[float, float]) -> None:

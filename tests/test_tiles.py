@@ -10,7 +10,7 @@ from support.photographs import in_integers
 
 import svu_mi as svu
 from svu_mi import estimators
-from svu_mi.posterior import calibrated_kernel
+from svu_mi.posterior import calibrated
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.recovery.field.field import texture_field
 
@@ -27,7 +27,7 @@ def tiled(monkeypatch):
     def estimated(*args, do=svu.estimate, **options):
         monkeypatch.setattr(estimators, "TILE", SMALL)
         monkeypatch.setattr(TiledKernel, "size", SMALL)
-        monkeypatch.setattr(calibrated_kernel, "SPAN", SMALL)
+        monkeypatch.setattr(calibrated, "SPAN", SMALL)
         found = do(*args, **options)
         monkeypatch.undo()
         return found

@@ -43,6 +43,7 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.problem import Problem
 from svu_mi.statistics import Factors, Statistics
 
+SPAN = 2**17  # texels at a time, of whose nodes the masses are in memory
 FEWEST = 4  # levels of roughness that a spline goes through
 
 
@@ -195,22 +196,14 @@ class CalibratedKernel(Kernel):
         """Return the ends of intervals (see ``Kernel``)."""
         lanes = self.lane[texels]
         of = self._ends_of_color if name == "base_color" else partial(self._ends_of_nodes, name)
-        if self.summary.rows is not None:
-            return of(level, lanes)
-        found = [of(level, lanes[span]) for span in kernel.spans(len(lanes))]
+        found = [of(level, lanes[first : first + SPAN]) for first in range(0, len(lanes), SPAN)]
         low, high = (np.concatenate([ends[k] for ends in found]) for k in range(2))
         return low, high
 
-    def _ends_of_nodes(
-        self, name: str, level: float, lanes: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        problem, found = self.problem, self.summary
-        if found.rows is None:  # of so many texels nobody keeps them
-            found = kernel.summary_of(problem, owned(mi.UInt32, lanes.astype(np.uint32)))
-            lanes = np.arange(len(lanes))
-        masses, count = found.masses(problem, name), dr.width(found.total)
-        low, high = shortest(masses, problem.axis(name), count, level)
-        return np.array(low)[lanes, None], np.array(high)[lanes, None]
+    def _ends_of_nodes(self, name: str, level: float, lanes: np.ndarray) -> Pair:
+        masses = kernel.node_masses(self.problem, name, lanes)
+        low, high = shortest(masses, self.problem.axis(name), len(lanes), level)
+        return np.array(low)[:, None], np.array(high)[:, None]
 
     def _ends_of_color(self, level: float, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         problem = self.problem

@@ -5,8 +5,7 @@ Each is one walk over the nodes of all but base colour (``walk``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -19,14 +18,6 @@ from svu_mi.posterior.nodes import Axis
 from svu_mi.posterior.problem import Problem
 from svu_mi.posterior.walk import Node, Walker
 from svu_mi.statistics.blocks import BLOCK, size, start
-
-SPAN = 2**17  # texels at a time, of whose nodes the masses are in memory
-
-
-def spans(count: int) -> Iterator[slice]:
-    """Yield the numbers from 0 to ``count``, ``SPAN`` at a time."""
-    for first in range(0, count, SPAN):
-        yield slice(first, min(first + SPAN, count))
 
 
 def least(problem: Problem, *, excess: bool = False) -> Any:
@@ -58,7 +49,7 @@ def least(problem: Problem, *, excess: bool = False) -> Any:
 
 @dataclass(frozen=True)
 class Summary:
-    """What is asked of every texel.
+    """Results of one walk over all nodes of S texels.
 
     Attributes:
         entropy: (S,) Float, nats, of the masses of the cells; the mean over channels.
@@ -68,9 +59,6 @@ class Summary:
         best: (S,) UInt32, which of the R M cells of all but base colour has most mass, the first
             of several.
         best_colors: UInt32s (S,), which of K is that of every channel's base colour, given that.
-        rows, columns: Floats in blocks (statistics/blocks.py), not normalised: the masses of N
-            nodes of roughness, and of L columns; None where more than ``SPAN`` texels are summed
-            up, of which they would take more than all else.
     """
 
     entropy: Any
@@ -79,49 +67,6 @@ class Summary:
     sd: list[Any]
     best: Any
     best_colors: list[Any]
-    rows: Any | None
-    columns: Any | None
-
-    @staticmethod
-    def joined(parts: list[Summary]) -> Summary:
-        """Return what is asked of the texels of all parts, without the masses of nodes."""
-
-        def all_of(name: str) -> Any:
-            columns = zip(*(getattr(part, name) for part in parts), strict=True)
-            return [dr.concat(list(column)) for column in columns]
-
-        entropy, total, best = (
-            dr.concat([getattr(part, name) for part in parts])
-            for name in ("entropy", "total", "best")
-        )
-        mean, sd, best_colors = (all_of(name) for name in ("mean", "sd", "best_colors"))
-        dr.eval(entropy, total, mean, sd, best, best_colors)
-        return Summary(entropy, total, mean, sd, best, best_colors, None, None)
-
-    def masses(self, problem: Problem, name: str) -> Any:
-        """Return the masses of the nodes of a parameter that is walked over, in blocks."""
-        assert self.rows is not None and self.columns is not None
-        if name not in MIXED:
-            return self.rows
-        which, shape = MIXED.index(name), problem.mixed.shape
-        if shape[which] == problem.mixed.count:
-            return self.columns  # there is nothing else to sum over
-        table = self.columns.numpy().reshape(-1, *shape, BLOCK)
-        others = tuple(1 + k for k in range(len(shape)) if k != which)
-        return owned(mi.Float, table.sum(axis=others).ravel())
-
-
-def summarize(problem: Problem) -> Summary:
-    """Sum all texels up."""
-    count = problem.factors.count
-    if count <= SPAN:
-        return summary_of(problem, dr.arange(mi.UInt32, count))
-    parts = []
-    for span in spans(count):
-        first = dr.opaque(mi.UInt32, span.start)
-        lanes = dr.arange(mi.UInt32, span.stop - span.start) + first
-        parts.append(replace(summary_of(problem, lanes), rows=None, columns=None))
-    return Summary.joined(parts)
 
 
 @dataclass
@@ -242,20 +187,18 @@ class CellMasses:
 
 @dataclass
 class Sums:
-    """Everything that one walk over all nodes sums up.
+    """Everything that the walk of ``summarize`` adds up.
 
     Attributes:
         cells: of the present cell of roughness.
-        columns: local memory, masses of the columns.
         of_row: Float, mass of the present node of roughness.
-        total: Float64, of all that are finished.
-        roughness: its moments, over nodes that are finished.
-        others: those of all other parameters, base colours last.
+        total: Float64, mass of those that are finished.
+        roughness: its moments, of those that are finished.
+        others: moments of all other parameters, base colours last.
         best: the cell of the largest mass.
     """
 
     cells: CellMasses
-    columns: Any
     of_row: Any
     total: Any
     roughness: Moments
@@ -263,19 +206,19 @@ class Sums:
     best: BestCell
 
     @staticmethod
-    def zeros(problem: Problem, count: int) -> Sums:
+    def zeros(problem: Problem) -> Sums:
         """Begin with nothing."""
-        channels, columns = problem.factors.channels, problem.nodes.columns
+        count, channels = problem.factors.count, problem.factors.channels
+        others = Moments.zeros(len(problem.nodes.columns) + channels, count)
         return Sums(
-            CellMasses.zeros(problem, count), cleared(problem.mixed.count),
-            dr.zeros(mi.Float, count), dr.zeros(mi.Float64, count), Moments.zeros(1, count),
-            Moments.zeros(len(columns) + channels, count), BestCell.zeros(channels, count),
+            CellMasses.zeros(problem, count), dr.zeros(mi.Float, count),
+            dr.zeros(mi.Float64, count), Moments.zeros(1, count), others,
+            BestCell.zeros(channels, count),
         )  # fmt: skip
 
     def add(self, problem: Problem, node: Node) -> None:
         """Add a node."""
         self.cells.add(problem, node)
-        self.columns[node.column] = self.columns[node.column] + node.weight
         self.of_row = self.of_row + node.weight
         values = [of_column.moments(node.column) for of_column in problem.nodes.columns]
         for color in node.colors:
@@ -284,47 +227,32 @@ class Sums:
         self.others.add(node.weight, values)
 
     def finish_row(self, problem: Problem, row: Any) -> None:
-        """After all nodes of a roughness, add its mass."""
+        """Add the mass of a node of roughness."""
         self.total = self.total + mi.Float64(self.of_row)
         self.roughness.add(self.of_row, [problem.nodes.rows.moments(row)])
         self.of_row = mi.Float(0)
         self.cells, self.best = self.cells.finish_row(problem, row, self.best)
 
 
-def summary_of(problem: Problem, lanes: Any) -> Summary:
-    """Walk once over all nodes of some texels.
-
-    Args:
-        problem: of S texels.
-        lanes: UInt32, which of them; no more than ``SPAN``.
-    """
-    walker, count = Walker(problem, lanes), dr.width(lanes)
-    rows, columns = problem.roughness.count, problem.mixed.count
-    by_row, by_column = (dr.zeros(mi.Float, size(n, count)) for n in (rows, columns))
-    dr.eval(by_row, by_column)
-    launch = dr.arange(mi.UInt32, count)
-    place = start(launch, dr.opaque(mi.UInt32, rows))
+def summarize(problem: Problem) -> Summary:
+    """Walk once over all nodes of all texels."""
 
     def visit(node: Node, sums: Sums) -> tuple[Sums]:
         sums.add(problem, node)
         return (sums,)
 
     def row_ends(row: Any, sums: Sums) -> tuple[Sums]:
-        dr.scatter(by_row, sums.of_row, place + row * BLOCK, mode=dr.ReduceMode.NoConflicts)
         sums.finish_row(problem, row)
         return (sums,)
 
-    (sums,) = walker.over_rows(
-        mi.UInt32(0), dr.opaque(mi.UInt32, rows), visit, row_ends, (Sums.zeros(problem, count),)
-    )
-    by_column = _write(sums.columns, columns, launch, by_column)
+    (sums,) = Walker(problem).over_all(visit, (Sums.zeros(problem),), row_ends)
     total = dr.select(sums.total > 0, sums.total, 1)
-    of_all = (sums.roughness.finish(total), sums.others.finish(total))
-    mean, sd = (of_all[0][k] + of_all[1][k] for k in range(2))
+    roughness, others = sums.roughness.finish(total), sums.others.finish(total)
+    mean, sd = (roughness[k] + others[k] for k in range(2))
     total = mi.Float(total)
     entropy = dr.log(total) - sums.cells.logs / (total * problem.factors.channels)
-    dr.eval(entropy, total, mean, sd, sums.best, by_row, by_column)
-    return Summary(entropy, total, mean, sd, sums.best.row, sums.best.colors, by_row, by_column)
+    dr.eval(entropy, total, mean, sd, sums.best)
+    return Summary(entropy, total, mean, sd, sums.best.row, sums.best.colors)
 
 
 def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
@@ -350,7 +278,7 @@ def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
     masses, first = _walked(problem, chosen)
     size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
     result = dr.empty(mi.Float, len(chosen) * problem.shape[0] * size_of_row)  # all is written
-    result = _write(masses, size_of_row, None, result, first * size_of_row)
+    result = _write(masses, size_of_row, result, first * size_of_row)
     dr.eval(result)
     return result
 
@@ -375,41 +303,50 @@ def _walked(problem: Problem, chosen: np.ndarray) -> tuple[Any, Any]:
 
     (masses,) = walker.over_rows(
         dr.gather(mi.UInt32, nodes.first, cell), dr.gather(mi.UInt32, nodes.first, cell + 1),
-        visit, lambda _, masses: (masses,), (CellMasses.zeros(problem, 1),),
+        visit, (CellMasses.zeros(problem, 1),),
     )  # fmt: skip
     return masses.memory, texel * dr.opaque(mi.UInt32, rows) + cell
 
 
-def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]:
-    """Return the masses of parts of every channel's base colour, not normalised.
+def node_masses(problem: Problem, name: str, chosen: np.ndarray) -> Any:
+    """Return the masses of the N nodes of a parameter but base colour, not normalised.
 
     Args:
         problem: of S texels.
-        parts: K of them.
+        name: of the parameter.
         chosen: (t,) int64, which of the texels.
 
     Returns:
-        A Float in blocks for each of C channels, of K rows and t texels.
+        A Float in blocks (``statistics.blocks``) of N rows and t texels.
     """
-    walker = Walker(problem, owned(mi.UInt32, chosen), np.append(parts.low, parts.high[-1]))
-    count, K, channels = len(chosen), parts.count, problem.factors.channels
+    number, place = problem.axis(name).count, None
+    if name in MIXED:
+        nodes = np.unravel_index(np.arange(problem.mixed.count), problem.mixed.shape)
+        place = owned(mi.UInt32, nodes[MIXED.index(name)].astype(np.uint32))
 
-    def visit(node: Node, masses: Any) -> tuple[Any, ...]:
+    def visit(node: Node, masses: Any) -> tuple[Any]:
+        k = node.row if place is None else dr.gather(mi.UInt32, place, node.column)
+        masses[k] = masses[k] + node.weight
+        return (masses,)
+
+    walker = Walker(problem, owned(mi.UInt32, chosen))
+    (masses,) = walker.over_all(visit, (cleared(number),))
+    return _in_blocks(masses, number, len(chosen))
+
+
+def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]:
+    """Return the masses of K parts of base colour, (see ``node_masses``), for each channel."""
+    walker = Walker(problem, owned(mi.UInt32, chosen), np.append(parts.low, parts.high[-1]))
+    K, channels = parts.count, problem.factors.channels
+
+    def visit(node: Node, masses: Any) -> tuple[Any]:
         for number, color in enumerate(node.colors):
             for k, part in enumerate(color.cells):
                 masses[number * K + k] = masses[number * K + k] + node.weight * part
         return (masses,)
 
-    (masses,) = walker.over_rows(
-        mi.UInt32(0), dr.opaque(mi.UInt32, problem.roughness.count), visit,
-        lambda _, masses: (masses,), (cleared(channels * K),),
-    )  # fmt: skip
-    found = []
-    for number in range(channels):
-        target = dr.zeros(mi.Float, size(K, count))
-        dr.eval(target)
-        lane = dr.arange(mi.UInt32, count)
-        found.append(_write(masses, K, lane, target, first=number * K))
+    (masses,) = walker.over_all(visit, (cleared(channels * K),))
+    found = [_in_blocks(masses, K, len(chosen), number * K) for number in range(channels)]
     dr.eval(found)
     return found
 
@@ -440,10 +377,7 @@ def draw(
                 dr.select(here, node.column, column))  # fmt: skip
 
     zero = dr.zeros(mi.UInt32, count)
-    _, row, column = walker.over_rows(
-        mi.UInt32(0), dr.opaque(mi.UInt32, problem.roughness.count), visit,
-        lambda _, *state: state, (dr.zeros(mi.Float, count), zero, zero),
-    )  # fmt: skip
+    _, row, column = walker.over_all(visit, (dr.zeros(mi.Float, count), zero, zero))
     dr.eval(row, column)
     places = [(nodes.rows, row), *((values, column) for values in nodes.columns)]
     colors = walker.colors_at(row, column, random[1 + len(places) :])
@@ -470,17 +404,22 @@ def cleared(number: int) -> Any:
     return dr.while_loop(start, lambda k, _: k < number, clear)[1]
 
 
+def _in_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:
+    """Return local memory in blocks, written within the kernel that computes it."""
+    target = dr.zeros(mi.Float, size(number, count))
+    dr.eval(target)
+    place = start(dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, number))
+    return _write(masses, number, target, place, BLOCK, first)
+
+
 def _write(
-    masses: Any, number: int, lane: Any | None, target: Any, place: Any | None = None,
-    first: Any = 0,
-) -> Any:  # fmt: skip
-    """Write local memory out, within the kernel that computes it: in blocks, or from ``place``."""
-    stride = 1 if lane is None else BLOCK
-    begin = place if lane is None else start(lane, dr.opaque(mi.UInt32, number))
+    masses: Any, number: int, target: Any, place: Any, stride: int = 1, first: int = 0
+) -> Any:
+    """Write local memory to ``target``, from ``place`` on."""
     end, first = dr.opaque(mi.UInt32, number), mi.UInt32(first)
 
     def write(k: Any, masses: Any) -> tuple[Any, Any]:
-        dr.scatter(target, masses[first + k], begin + k * stride, mode=dr.ReduceMode.NoConflicts)
+        dr.scatter(target, masses[first + k], place + k * stride, mode=dr.ReduceMode.NoConflicts)
         return k + 1, masses
 
     dr.while_loop((mi.UInt32(0), masses), lambda k, _: k < end, write)

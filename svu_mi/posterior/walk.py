@@ -61,9 +61,17 @@ class Walker:
         self._columns = dr.opaque(mi.UInt32, problem.mixed.count)
         self._slack = dr.opaque(mi.Float, problem.slack)
 
+    def over_all(
+        self, visit: Callable[..., Any], state: tuple[Any, ...],
+        row_ends: Callable[..., Any] | None = None,
+    ) -> tuple[Any, ...]:  # fmt: skip
+        """Fold over all nodes of roughness (see ``over_rows``)."""
+        end = dr.opaque(mi.UInt32, self.problem.roughness.count)
+        return self.over_rows(mi.UInt32(0), end, visit, state, row_ends)
+
     def over_rows(
-        self, begin: Any, end: Any, visit: Callable[..., Any], row_ends: Callable[..., Any],
-        state: tuple[Any, ...],
+        self, begin: Any, end: Any, visit: Callable[..., Any], state: tuple[Any, ...],
+        row_ends: Callable[..., Any] | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
         """Fold over nodes of roughness, and within each over columns.
 
@@ -72,8 +80,8 @@ class Walker:
             end: UInt32, the one after the last.
             visit: ``visit(node, *state)`` returns the new state; only called where a node
                 matters; traced once.
+            state: Dr.Jit arrays, local memory, or records of these.
             row_ends: ``row_ends(row, *state)`` returns the new state after all columns.
-            state: Dr.Jit arrays and local memory.
         """
 
         def body(row: Any, *state: Any) -> tuple[Any, ...]:
@@ -94,7 +102,7 @@ class Walker:
                 state=(mi.UInt32(0), *state), body=of_column,
                 cond=lambda column, *_: column < self._columns,
             )[1:]  # fmt: skip
-            return (row + 1, *row_ends(row, *state))
+            return (row + 1, *(row_ends(row, *state) if row_ends else state))
 
         return dr.while_loop(
             state=(mi.UInt32(begin), *state), cond=lambda row, *_: row < end, body=body
