@@ -62,11 +62,11 @@ def undistort(
     cameras = {view.camera: project.cameras[view.camera] for view in views}
     for number, camera in cameras.items():
         _require_one_to_one(camera, f"{project.model}: camera {number}")
-    target = output.resolve()
-    prepare_folder(target.parent)
+    place = output.resolve()
+    prepare_folder(place.parent)
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise OutputError(f"{output}: holds other files; choose another folder, or empty it.")
-    with TemporaryDirectory(prefix=".svu-undistorted-", dir=target.parent) as name:
+    with TemporaryDirectory(prefix=".svu-undistorted-", dir=place.parent) as name:
         scratch, made = Path(name), Path(name) / "made"
         made.mkdir()
         masked = []
@@ -83,7 +83,7 @@ def undistort(
         if masked:
             straight = _straightened(cameras, masked, scratch / MASKS, scratch / "shapes")
             (straight / IMAGES).rename(made / MASKS)
-        made.replace(target)
+        made.replace(place)
     return output
 
 
