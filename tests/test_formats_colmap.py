@@ -18,12 +18,13 @@ from PIL import Image
 from support.colmap import write_colmap
 
 from svu_mi.errors import CaptureError, SvuEnvironmentError
-from svu_mi.formats.colmap import read_colmap, undistortion
+from svu_mi.formats.colmap import source as colmap
+from svu_mi.formats.colmap import undistortion
 from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
 from svu_mi.formats.colmap.source import find_model
 from svu_mi.formats.lenses import Lens
-from svu_mi.formats.reading import read_source
-from svu_mi.formats.source import OPENCV
+from svu_mi.formats.reading import ReadOptions, read_source
+from svu_mi.formats.source import OPENCV, Source
 
 POINTS = np.random.default_rng(4401).uniform(-0.4, 0.4, (6, 3))
 # Projects points by a model, and makes another of a kind that has rigs, frames and points.
@@ -46,6 +47,10 @@ made.write_text(f"{root}/txt")
 images = sorted(made.images.values(), key=lambda image: image.name)
 np.save(f"{root}/poses.npy", [image.cam_from_world().matrix() for image in images])
 """
+
+
+def read_colmap(path: Path, **options: Path) -> Source:
+    return colmap.read(path, ReadOptions(**options))
 
 
 @pytest.fixture(scope="module")

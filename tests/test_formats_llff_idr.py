@@ -21,12 +21,17 @@ from svu_mi.capture.poses import principal_point
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, OptionError, SvuError
 from svu_mi.exr import read_exr, write_exr
-from svu_mi.formats.idr import decomposed, read_idr
-from svu_mi.formats.llff import read_llff
+from svu_mi.formats import idr
+from svu_mi.formats.idr import decomposed
 from svu_mi.formats.reading import ReadOptions, read_source
 from svu_mi.formats.resampling import fitted
 from svu_mi.formats.source import Source, frame_of
 from svu_mi.formats.transforms import write_transforms
+
+
+def read_idr(path: Path, **options: object) -> Source:
+    return idr.read(path, ReadOptions(**options))
+
 
 SIZE = 40, 24  # width and height
 POINTS = np.random.default_rng(6170).uniform(-0.3, 0.3, (6, 3))
@@ -262,12 +267,12 @@ def test_masks_of_idr_go_by_their_order(tmp_path, name):
 
 def test_folders_with_several_formats_are_read_as_before(tmp_path):
     """As transforms or COLMAP, which say more; what lies beside it is said."""
-    llff, idr = write_llff(tmp_path / "llff"), write_idr(tmp_path / "idr")
-    frames = read_llff(llff).frames
+    lines, cameras = write_llff(tmp_path / "llff"), write_idr(tmp_path / "idr")
+    frames = read_source(lines).frames
     model = tmp_path / "model"
-    write_colmap(model, Source(format="test", root=llff, frames=frames))
+    write_colmap(model, Source(format="test", root=lines, frames=frames))
     assert read_source(model).format == "colmap" and len(read_source(model).notes) == 1
-    for folder, name in ((llff, "llff"), (idr, "idr")):
+    for folder, name in ((lines, "llff"), (cameras, "idr")):
         (model / "sparse").rename(folder / "sparse")
         (folder / "images").mkdir(exist_ok=True)
         for k in range(3):

@@ -16,7 +16,8 @@ from svu_mi.capture.picture import read_planes
 from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.formats.light import write_environment
-from svu_mi.formats.objects_with_lighting import find_inputs, read_owl
+from svu_mi.formats.objects_with_lighting import find_inputs, read
+from svu_mi.formats.reading import ReadOptions
 from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, Light
 
 STOPS = -0.75
@@ -48,7 +49,7 @@ def written(source, tmp_path_factory):
 
 
 def test_what_is_written_is_read(source, written):
-    found = read_owl(written)
+    found = read(written, ReadOptions())
     assert found.format == "owl" and (found.camera_axes == OPENCV).all()
     assert found.root == written / "test" and "not for reconstruction" in found.notes[0]
     for got, wanted in zip(found.frames, source.frames, strict=True):
@@ -69,7 +70,7 @@ def test_what_is_written_is_read(source, written):
 
 def test_cameras_are_those_of_the_readme(written):
     """``x = K (R X + t)``, as the data set's own snippet reads the file."""
-    for index, frame in enumerate(read_owl(written).frames):
+    for index, frame in enumerate(read(written, ReadOptions()).frames):
         rows = np.loadtxt(written / f"test/inputs/camera_{index:04d}.txt")
         K, R, t = rows[:3], rows[3:6], rows[6]
         x = (POINTS @ R.T + t) @ K.T
@@ -99,7 +100,7 @@ def test_directions_of_the_map_are_those_of_the_readme(written, tmp_path, turned
     world_to_env = np.eye(4)
     world_to_env[:3, :3] = TURN
     np.savetxt(test / "world_to_env.txt", world_to_env)
-    pose, _ = write_environment(read_owl(tmp_path).light, tmp_path / "map.exr")
+    pose, _ = write_environment(read(tmp_path, ReadOptions()).light, tmp_path / "map.exr")
     emitter = mi.load_dict({"type": "envmap", "filename": str(tmp_path / "map.exr"),
                             "to_world": mi.ScalarTransform4f(pose)})  # fmt: skip
     for direction, wanted in TABLE.items():
@@ -126,7 +127,7 @@ def test_an_object_is_found_from_any_of_its_folders(written):
     inputs = written / "test" / "inputs"
     for path in (written, written / "test", inputs):
         assert find_inputs(path) == inputs
-        assert read_owl(path).light is not None
+        assert read(path, ReadOptions()).light is not None
     assert find_inputs(written.parent) is None
 
 
@@ -170,5 +171,5 @@ def test_a_broken_object_is_named(tmp_path, case):
         if text is not None:
             (test / name).write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(CaptureError, match=sentence) as error:
-        read_owl(tmp_path)
+        read(tmp_path, ReadOptions())
     assert str(tmp_path) in str(error.value) and "\n" not in str(error.value)

@@ -49,41 +49,24 @@ def recognises(path: Path, _: str) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> Source:
-    """Read a file, or that of a folder (see ``read_idr``)."""
-    return read_idr(path, images=options.images, masks=options.masks, normalized=options.normalized)
-
-
-def read_idr(
-    path: str | Path,
-    *,
-    images: Path | None = None,
-    masks: Path | None = None,
-    normalized: bool = False,
-) -> Source:
     """Read cameras, in the order of the photographs' names.
 
-    Args:
-        path: the file, or its folder.
-        images: folder of the photographs; by default ``image`` or ``images`` beside the file.
-        masks: folder of the masks, as many as photographs; by default ``mask`` or ``masks``
-            beside the file, if there is one.
-        normalized: whether poses are in the unit sphere of ``scale_mat`` instead of the world.
+    Masks belong to photographs by their order, too; both are next to the file by default.
 
     Raises:
         CaptureError: the file is not such an archive, a matrix is missing or no camera, or there
             are more photographs or masks than cameras, or fewer.
         OptionError: normalized poses of a file without ``scale_mat``.
     """
-    path = Path(path)
     found = (path / name for name in FILES if (path / name).is_file())
     file = next(found, path / FILES[0]) if path.is_dir() else path
     worlds, sphere = _matrices(file)
-    if sphere is None and normalized:
+    if sphere is None and options.normalized:
         raise OptionError(f"{file}: has no {SCALE}_0; leave --normalized out.")
     root = file.parent
-    files = photographs_of_poses(root, images, IMAGES, file, len(worlds))
-    shapes = _masks(folder_of("masks", masks, (root / name for name in MASKS)), files)
-    turn = sphere if sphere is not None and normalized else np.eye(4)
+    files = photographs_of_poses(root, options.images, IMAGES, file, len(worlds))
+    shapes = _masks(folder_of("masks", options.masks, (root / name for name in MASKS)), files)
+    turn = sphere if sphere is not None and options.normalized else np.eye(4)
     return Source(
         format="idr",
         root=root,
@@ -92,7 +75,7 @@ def read_idr(
             for index, (world, image, mask) in enumerate(zip(worlds, files, shapes, strict=True))
         ],
         camera_axes=OPENCV,
-        notes=_notes(file, sphere, normalized),
+        notes=_notes(file, sphere, options.normalized),
     )
 
 

@@ -37,30 +37,20 @@ def recognises(path: Path, _: str) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> Source:
-    """Read a file, or that of a folder (see ``read_llff``)."""
-    return read_llff(path, images=options.images, masks=options.masks)
-
-
-def read_llff(path: str | Path, *, images: Path | None = None, masks: Path | None = None) -> Source:
     """Read poses, in the order of the photographs' names.
 
-    Args:
-        path: the file, or its folder.
-        images: folder of the photographs, such as ``images_4``; by default ``images`` beside the
-            file. They may have another size than the file says, and the same shape.
-        masks: folder of the masks; by default ``masks`` or ``mask`` beside the file, if there is
-            one: of the photographs' names, with any suffix.
+    Photographs may have another size than in the file, with the same aspect ratio. Masks have their
+    names, with any suffix; both are in folders next to the file by default.
 
     Raises:
         CaptureError: the file is not such a table, a pose is none, there are more photographs or
             fewer, or masks of which none is of a photograph.
     """
-    path = Path(path)
     file = path / FILE if path.is_dir() else path
     rows = _rows(file)
     root = file.parent
-    files = photographs_of_poses(root, images, IMAGES, file, len(rows))
-    folder = folder_of("masks", masks, (root / name for name in MASKS))
+    files = photographs_of_poses(root, options.images, IMAGES, file, len(rows))
+    folder = folder_of("masks", options.masks, (root / name for name in MASKS))
     found = [None if folder is None else mask_of(folder, Path(file.name)) for file in files]
     if folder is not None and not any(found):
         raise CaptureError(

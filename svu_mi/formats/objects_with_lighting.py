@@ -49,15 +49,9 @@ def recognises(path: Path, _: str) -> bool:
 
 
 def read(path: Path, _: ReadOptions) -> Source:
-    """Read an object (see ``read_owl``)."""
-    return read_owl(path)
-
-
-def read_owl(path: Path) -> Source:
     """Read the photographs of an object that are for reconstruction, and their light.
 
-    Args:
-        path: the object's folder, ``test`` in it, or ``inputs`` in that.
+    ``path``: the object's folder, ``test`` in it, or ``inputs`` in that.
 
     Raises:
         CaptureError: a file is missing or damaged, or a camera is not a pinhole.

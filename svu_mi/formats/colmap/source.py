@@ -18,7 +18,6 @@ import scipy
 from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.formats.colmap.model import Camera, View, is_model, read_model
-from svu_mi.formats.lenses import Lens
 from svu_mi.formats.source import OPENCV, Frame, Source
 from svu_mi.formats.source_files import folder_of, inside, mask_of, no_folder
 
@@ -52,31 +51,28 @@ def recognises(path: Path, _: str) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> Source:
-    """Read a project (see ``read_colmap``)."""
-    return read_colmap(path, images=options.images, masks=options.masks)
-
-
-def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = None) -> Source:
     """Read a sparse model, in the order of the images' names.
 
-    Args:
-        path: the model's folder, the folder ``sparse`` that its ``0`` is in, or a project with
-            ``sparse/0``, ``sparse`` or ``dense/sparse``.
-        images: folder of the photographs; by default ``images`` beside the model.
-        masks: folder of the masks, by default ``masks`` beside the model if there is one:
-            ``NAME.png`` for the image NAME, as COLMAP has it, or of the same stem.
+    ``path``: the model's folder, the folder ``sparse`` that its ``0`` is in, or a project with
+    ``sparse/0``, ``sparse`` or ``dense/sparse``. ``images`` and ``masks`` are next to the model by
+    default; a mask is ``NAME.png`` for the image NAME, or of the same stem.
 
     Raises:
         CaptureError: there is no model, it is damaged, a lens is of a model that only pycolmap
             straightens, or a photograph is missing.
     """
-    project = read_project(path, images, masks, partly=True)
+    project = read_project(path, options.images, options.masks, partly=True)
     frames = []
     for view, photograph, mask in zip(
         project.views, project.photographs, project.masks, strict=True
     ):
         camera = project.cameras[view.camera]
-        lens = None if camera.pinhole() else _lens(camera, f"{project.model}: camera {view.camera}")
+        lens = None if camera.pinhole() else camera.lens()
+        if lens is None and not camera.pinhole():
+            raise CaptureError(
+                f"{project.model}: camera {view.camera}: the lens is distorted ({camera.model}); "
+                "svu import undistorts the photographs with --undistort."
+            )
         focal, center = camera.intrinsics
         frames.append(Frame(
             label=_label(project.model, view),
@@ -104,7 +100,7 @@ def read_project(
 ) -> Project:
     """Read the model and find its pictures, some of which may be missing if ``partly``.
 
-    Arguments and errors are those of ``read_colmap``.
+    Paths and errors are those of ``read``.
     """
     model = find_model(path)
     if model is None:
@@ -140,16 +136,6 @@ def _near(model: Path, name: str) -> list[Path]:
     nested = model.absolute().parts[-3:-2] == ("colmap",)
     ways = (".", "..", "../..", *(["../../.."] if nested else []))
     return [Path(os.path.normpath(model / up / name)) for up in ways]
-
-
-def _lens(camera: Camera, label: str) -> Lens:
-    lens = camera.lens()
-    if lens is None:
-        raise CaptureError(
-            f"{label}: the lens is distorted ({camera.model}); svu import undistorts the "
-            "photographs with --undistort."
-        )
-    return lens
 
 
 def _to_world(view: View) -> np.ndarray:

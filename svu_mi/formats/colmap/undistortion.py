@@ -38,9 +38,9 @@ LONGEST = 160  # letters of its reason, in a message
 def undistort(
     path: Path, output: Path, *, images: Path | None = None, masks: Path | None = None
 ) -> Path:
-    """Write an undistorted copy of a project into an empty or new folder, for ``read_colmap``.
+    """Write an undistorted copy of a project into an empty or new folder, for ``source.read``.
 
-    ``images`` and ``masks`` are those of ``read_colmap``; without masks, alpha channels become
+    ``images`` and ``masks`` are those of ``source.read``; without masks, alpha channels become
     masks. Returns the folder.
 
     Raises:
@@ -74,9 +74,9 @@ def undistort(
             mask = _checked(cameras[view.camera], file, found)
             if mask is not None:
                 masked.append(replace(view, name=f"{view.name}.png"))
-                target = scratch / MASKS / masked[-1].name
-                target.parent.mkdir(parents=True, exist_ok=True)
-                Image.fromarray(mask).save(target)
+                place = scratch / MASKS / masked[-1].name
+                place.parent.mkdir(parents=True, exist_ok=True)
+                Image.fromarray(mask).save(place)
         straight = _straightened(cameras, views, project.images, scratch / "photographs")
         (straight / IMAGES).rename(made / IMAGES)
         (straight / "sparse").rename(made / "sparse")
