@@ -704,16 +704,9 @@ def test_no_emitter(tmp_path):
     (tmp_path / "images" / "capture.json").write_text(json.dumps(record))
     with pytest.raises(SceneError) as refused:
         load_capture(path)
-    assert str(refused.value) == (
-        f"{tmp_path / 'images'}: was imported without a light; load it with light=\"optional\", "
-        "and find one with svu.estimate_light(capture, texels), or import it again with "
-        "--environment, the map of the light that the photographs were taken under."
-    )
-    assert refused.value.shell == (
-        f"{tmp_path / 'images'}: was imported without a light; find it in the photographs with svu "
-        "light, or import it again with --environment, the map of the light that they were taken "
-        "under."
-    )
+    start = f"{tmp_path / 'images'}: was imported without a light; "
+    assert str(refused.value).startswith(f'{start}load it with light="optional", and find one with')
+    assert refused.value.shell.startswith(f"{start}find it in the photographs with svu light, or")
 
 
 def test_a_light_on_a_shape_is_named(tmp_path):
@@ -823,17 +816,13 @@ BRIGHT = {
 }
 
 
-@pytest.mark.parametrize("bsdf", BLACK.values(), ids=BLACK)
-def test_nothing_is_said_of_what_is_black(bsdf):
+@pytest.mark.parametrize(
+    ("bsdf", "said"), [*((b, False) for b in BLACK.values()), *((b, True) for b in BRIGHT.values())]
+)
+def test_shapes_that_are_not_black_are_said(bsdf, said):
     target = shape_of(PRINCIPLED)
-    assert ignored(scene_of([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target) == []
-
-
-@pytest.mark.parametrize("bsdf", BRIGHT.values(), ids=BRIGHT)
-def test_what_is_not_black_is_said(bsdf):
-    target = shape_of(PRINCIPLED)
-    (said,) = ignored(scene_of([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
-    assert said.startswith("Shape 'wall' reflects light onto 'ball', which")
+    found = ignored(scene_of([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
+    assert [each.startswith("Shape 'wall' reflects light onto") for each in found] == [True] * said
 
 
 def test_several_shapes_that_reflect_are_one_sentence():

@@ -340,20 +340,6 @@ def test_an_odd_number_of_paths_has_no_halves(capture, grid):
 
 
 @pytest.mark.slow
-@pytest.mark.few(1)
-@pytest.mark.parametrize("loss", LOSSES)
-def test_true_textures_are_a_stationary_point(capture, grid, loss):
-    """Within noise: of paths, and of photographs; away from the truth gradients are far larger."""
-    objective = path_objective(capture, grid, options(loss=loss, spp=128, pixels_per_batch=4096))
-    _, truth = loss_and_gradients(objective, textures_of(grid))
-    _, wrong = loss_and_gradients(objective, textures_of(grid, (0.5, 0.5, 0.5), 0.5, 0.5))
-    for name in NAMES:
-        # The mean over texels: an absolute error has a gradient of size 1 at every pixel, whose
-        # sign is what cancels.
-        assert abs(truth[name].mean()) < 0.2 * np.abs(wrong[name]).mean()
-
-
-@pytest.mark.slow
 def test_parameters_that_are_not_given_stay_as_they_were_fixed(capture, grid):
     fixed = Textures(**textures_of(grid))
     objective = path_objective(capture, grid, options(spp=64), fixed=fixed)

@@ -199,24 +199,6 @@ def test_nothing_known_is_one_also_where_texels_share(shared: svu.Recovery) -> N
     assert len(mean) == 0 or np.ptp(mean[0]) > 0.01
 
 
-@pytest.mark.slow
-def test_the_options_of_a_method_decide_how_it_shares(capture: Capture, grid: Texels) -> None:
-    both = svu.recover(
-        capture, grid, "sh+path", preset="paper", sharing=True,
-        sh=replace(sh_preset("paper"), descent=DescentOptions(steps=2)),
-        path=svu.PathOptions(epochs=0.05, max_depth=2),
-    )  # fmt: skip
-    assert both.estimate.posterior.kernel.learned
-    found = [
-        svu.recover(capture, grid, "path", path=svu.PathOptions(epochs=0.05, max_depth=2),
-                    sh=replace(ShOptions(), robust=robust), sharing=True)
-        for robust in (0, 3)
-    ]  # fmt: skip
-    np.testing.assert_allclose(found[0].losses, found[1].losses, rtol=1e-3)
-    with pytest.raises(OptionError, match="sharing must be True, False"):
-        svu.recover(capture, grid, sharing=0.5)  # type: ignore[arg-type]
-
-
 def test_it_starts_from_the_means_of_the_posterior(
     known: svu.Estimate, grid: Texels, truth: Textures
 ) -> None:
@@ -373,6 +355,8 @@ def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
         svu.recover(capture, grid, parameters=["albedo"])
     with pytest.raises(OptionError, match="parameters must be one or more"):
         svu.recover(capture, grid, parameters=[])
+    with pytest.raises(OptionError, match="sharing must be True, False"):
+        svu.recover(capture, grid, sharing=0.5)  # type: ignore[arg-type]
     other = svu.texels(capture.mesh, SIZE // 2)
     with pytest.raises(ShapeError, match="texels"):
         svu.recover(capture, grid, start=uniform(other))

@@ -25,14 +25,12 @@ from svu_mi.options import preset
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.sh.angular import angular_objective
-from svu_mi.recovery.sh.energy import look_up
 from svu_mi.recovery.sh.spectral import spectral_objective
 from svu_mi.recovery.start import estimate_for_textures
 from svu_mi.reflection.continuous import continuous, shade
 from svu_mi.reflection.lobes import dielectric_albedo, profile_of, split_sum
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.shading import radiance
-from svu_mi.statistics.gather import flat
 from svu_mi.visibility import Surface
 
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
@@ -41,7 +39,6 @@ PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": TRUTH["bas
          "roughness": TRUTH["roughness"][0], "metallic": TRUTH["metallic"][0]}  # fmt: skip
 LEVELS = 7
 SIZE = 12
-FINE = 48
 
 
 def angular(name, **switches):
@@ -60,16 +57,6 @@ def capture(tmp_path_factory):
 def observed(capture):
     """Views, texels, survey and light."""
     return observe(capture, svu.texels(capture.mesh, SIZE))
-
-
-def constant(values, size=SIZE):
-    return {
-        name: mi.TensorXf(
-            owned(mi.Float, np.tile(np.float32(values[name]), size * size)),
-            shape=(size, size, CHANNELS[name]),
-        )
-        for name in NAMES
-    }
 
 
 def random_textures(seed=9213):
@@ -174,33 +161,6 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
     assert np.median(error) < 2e-4 * np.abs(difference).max()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["fast", "gaussian"])
-@pytest.mark.parametrize("channels", [3, 1])
-def test_levels_of_the_angular_model_are_met(observed, name, channels):
-    """At the levels themselves nothing is interpolated: both models are one.
-
-    Along the normal, where no lobe is narrower for being seen obliquely.
-    """
-    switches, lighting = angular(name), observed.lighting
-    roughness = np.linspace(0, 1, LEVELS)
-    model = observed.model(roughness, switches, channels)
-    assert model.wide is None and model.narrow is not None
-    same = continuous(lighting, switches, LEVELS, channels)
-    direction = mi.Vector3f(model.surface.normal)
-    cosine = dr.full(mi.Float, 1, model.surface.count)
-    exact = model.columns(direction, cosine, mi.Bool(True))
-    for level, rough in enumerate(roughness.tolist()):
-        here = dr.full(mi.Float, rough, model.surface.count)
-        found = shade(same, here, model.surface.normal, direction, model.moments)
-        for c in range(channels):
-            for ours, theirs in zip(found[c], exact[level][c], strict=True):
-                # Directions are rounded once more, times the light's steepest slope.
-                truth = np.broadcast_to(theirs.numpy(), model.surface.count)
-                value = np.broadcast_to(ours.numpy(), model.surface.count)
-                np.testing.assert_allclose(value, truth, rtol=2e-5, atol=1e-5 * truth.max() + 1e-7)
-
-
 def test_moments_by_normal_are_sums_over_the_light(observed):
     """The maps against quadrature over all directions of the light, in double precision."""
     environment = observed.lighting.environment
@@ -236,30 +196,6 @@ def objectives(observed, kind):
 KINDS = ("paper", "default coefficients", "default spectrum")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_truth_is_nearly_stationary(capture, kind):
-    """No textures a step away from the true ones fit much better, and those far off do not.
-
-    Texels are about as small as pixels: over a larger one the ball bends, and looks rougher.
-    """
-    objective = objectives(observe(capture, svu.texels(capture.mesh, FINE)), kind)
-
-    def loss(values):
-        return float(objective(constant(values, FINE), 0)[0])
-
-    best = loss(TRUTH)
-    far = [("roughness", [0.9]), ("metallic", [0.1]), ("base_color", [0.4, 0.1, 0.5]),
-           ("base_color", [1.0, 0.7, 0.5])]  # fmt: skip
-    for name, value in far:
-        assert loss({**TRUTH, name: value}) > 1.4 * best, name
-    for name in NAMES:
-        for sign in (-1, 1):
-            near = {**TRUTH, name: [value + sign * 0.04 for value in TRUTH[name]]}
-            # Gaussian lobes, and the power of few views of a hemisphere, are off.
-            assert loss(near) > 0.85 * best, (name, sign)
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_compiled_between_steps(observed, kind):
@@ -282,12 +218,6 @@ def test_many_views_are_fitted_by_the_other_solver(observed, monkeypatch):
     other, others = backward(angular_objective(observed, angular("paper")), textures)
     assert other == pytest.approx(loss, rel=1e-5)
     np.testing.assert_allclose(others, slopes, atol=1e-4 * np.abs(slopes).max())
-
-
-def test_more_texels_than_an_array_holds_are_refused(observed):
-    light = observed.mirrored(angular("paper").fit, 3)
-    with pytest.raises(OptionError, match="too much for .* texels that are seen: 10 at most"):
-        light.room(2**32 // 10)
 
 
 # --- losses on spherical harmonics ----------------------------------------------------------
@@ -352,11 +282,3 @@ def test_black_photographs_are_refused(observed):
     ):
         with pytest.raises(CaptureError, match="is seen with any radiance"):
             prepare()
-
-
-def test_textures_are_looked_up_where_the_texels_are(observed):
-    texels, textures = observed.texels, random_textures()
-    values = look_up(textures, texels.index)
-    rows = as_rows(textures, texels.index)
-    for k, value in enumerate(flat(values)):
-        np.testing.assert_array_equal(np.array(value), np.float32(rows[:, k]))
