@@ -25,7 +25,6 @@ from svu_mi.batch.capture_list import Item, read_list, require_apart
 from svu_mi.batch.page import write_index
 from svu_mi.batch.runner import BatchRunner, Commands, Ended, sentence_of, work_there
 from svu_mi.batch.steps import STEPS, key_of, read_done, words_of, write_done
-from svu_mi.capture.folder import stamps
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.main import Command
 from svu_mi.cli.options import given as options_given
@@ -168,18 +167,6 @@ def steps_made(shelf: BatchRunner, item: Item) -> list[str]:
     commands = Made()
     assert not shelf.work(item, commands).sentence
     return [line[0] for line in commands.lines]
-
-
-def test_files_of_a_capture_are_looked_at_once(shelf_of, tmp_path, monkeypatch):
-    item, looked_at = Item("a", shelf_of("a") / "a"), []
-
-    def counted(places, *words):
-        looked_at.extend(places)
-        return stamps(places, *words)
-
-    monkeypatch.setattr("svu_mi.batch.steps.stamps", counted)
-    assert steps_made(BatchRunner(output=tmp_path / "out"), item) == list(STEPS)
-    assert looked_at.count(item.capture.resolve()) == 1
 
 
 def test_a_scene_outside_of_its_capture_and_the_variant_are_inputs(shelf_of, tmp_path):
@@ -344,12 +331,6 @@ def test_a_capture_that_is_called_like_a_file_of_the_batch_is_refused(shelf_of, 
 ])  # fmt: skip
 def test_the_sentence_of_a_row_is_the_last_that_was_said(said, sentence):
     assert sentence_of(said) == sentence
-
-
-@pytest.mark.slow  # the same words, and another mistake in a process, are above and below
-def test_a_preset_that_there_is_not_is_a_sentence(tmp_path):
-    ended = Commands().run(["entropy", str(tmp_path), "--preset=bogus"])
-    assert ended.status == 2 and ended.said.startswith("invalid choice 'bogus' for argument")
 
 
 def test_nothing_is_loaded_from_where_a_batch_runs(tmp_path, monkeypatch):

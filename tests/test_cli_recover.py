@@ -97,23 +97,6 @@ def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_record_says_how_the_paper_s_preset_recovers(shot, tmp_path, no_pictures):
-    words = ("--preset", "paper", "--sharing", "--method", "sh+path", "--epochs", 0.1)
-    assert run("recover", shot, "-o", tmp_path, "--resolution", 16, "--steps", 5, *words) == 0
-    written = json.loads((tmp_path / "run.json").read_text())["settings"]
-    settings = written["used"]
-    # Entropy and sd beside the textures are those of the same model.
-    assert written["entropy_of"]["preset"]["name"] == "paper"
-    for part in ("sh", "path"):
-        assert settings[part]["tv_space"] == "texture" and settings[part]["tv_epsilon"] == 0
-    assert settings["path"]["spp"] == 16 and settings["path"]["loss"] == "l1"
-    assert settings["path"]["epochs"] == 0.1 and settings["sh"]["descent"]["steps"] == 5
-    assert settings["sharing"]["seeding"] == "least"
-    posterior = settings["sharing"]["posterior"]
-    assert (posterior["method"], posterior["name"]) == ("spectrum", "paper")
-
-
-@pytest.mark.slow
 def test_the_path_tracer_recovers_too(shot, tmp_path, no_pictures):
     assert recover(shot, tmp_path, "--method", "path", "--epochs", 0.5) == 0
     assert names(tmp_path) == NUMBERS

@@ -22,19 +22,6 @@ def test_an_error_says_the_same_to_both_but_for_the_call():
     assert (str(both), both.shell) == ("Use trust=True.", "Use --trust.")
 
 
-def test_options_are_named_as_they_are_given(shot, tmp_path, capsys):
-    """A scientist reads what was typed, not how Python holds it."""
-    words = ("entropy", shot, "-o", tmp_path / "out")
-    assert fails(capsys, *words, "--known", "metal=0") == (
-        "svu: --known: there is no parameter 'metal'; use base_color, roughness or metallic."
-    )
-    assert fails(capsys, *words, "--resolution", 0) == (
-        "svu: --resolution takes one or two positive numbers, got 0."
-    )
-    line = fails(capsys, "guide", shot, "--band-limit", "growing", "-o", tmp_path / "out")
-    assert line == "svu: --band-limit growing needs --method spectrum."
-
-
 @pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")
 def test_overlapping_charts_name_the_option_or_the_argument(tmp_path, capsys):
     scene = write_scene(tmp_path, **overlapping_balls())

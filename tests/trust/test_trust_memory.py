@@ -13,7 +13,7 @@ import pytest
 from helpers import ball, fails, lettered, python, recovered_folder, write_ball
 
 import svu_mi as svu
-from svu_mi import limits, memory, scenes
+from svu_mi import memory, scenes
 from svu_mi.capture import mesh
 from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.poses import sphere_sensors
@@ -117,19 +117,6 @@ def test_a_process_that_cannot_even_start_is_told(monkeypatch):
         memory.require_start()
 
 
-def test_the_readme_has_the_same_figures(root):
-    page = (root / "README.md").read_text(encoding="utf-8")
-    cost, texel = memory.COSTS["entropy"], memory.MODELS
-    assert (
-        f"{cost.start / 1e6:g} MB + {cost.pixel:g} bytes per pixel of all photographs + "
-        f"{texel['default']} bytes per texel"
-    ) in page
-    assert (
-        f"({texel['fixed']} with the preset fixed, {texel['paper']} with the SH model, "
-        f"{texel['spectrum']} with spectra)"
-    ) in page
-
-
 # --- what there is ------------------------------------------------------------------------
 
 
@@ -188,12 +175,6 @@ def test_free_memory_is_that_of_an_old_group(proc):
     group(folder, memory_limit_in_bytes=2_000_000_000, memory_usage_in_bytes=1_900_000_000)
     group(folder, memory_stat="total_inactive_file 5")
     assert memory.free_memory() == 100_000_005
-
-
-def test_limits_hold_texels_against_the_same_memory(proc):
-    group(proc / "groups", memory_max=10**6)
-    with pytest.raises(limits.OptionError, match="1024 x 1024 texels take at least 0.268 GB"):
-        limits.require_texels((1024, 1024), "--resolution")
 
 
 # --- commands -----------------------------------------------------------------------------

@@ -148,17 +148,3 @@ def test_commands_run_on_one_core(command, shot, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "run.json").is_file()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
-def test_the_tests_of_the_pipeline_run_on_one_core(root):
-    """They call Mitsuba as users do; the first of them has waited for ever."""
-    file = root / "tests" / "test_pipeline.py"
-    words = ("-x", "-m", "not slow", "-p", "no:cacheprovider")
-    code = ONE + "import pytest; sys.exit(pytest.main(sys.argv[1:]))"
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(file), *words], cwd=root, capture_output=True, text=True,
-        timeout=400, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout
