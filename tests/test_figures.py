@@ -67,14 +67,6 @@ def test_a_map_has_values_and_greys_where_there_are_none(estimate):
     assert (cover[~inside] == np.float32([*OUTSIDE, 1])).all()
 
 
-def test_a_map_of_other_values(estimate):
-    place, values = axes(), np.arange(estimate.texels.count)
-    drawn = draw_map(place, estimate, values, limits=(-3, 3), colormap="RdBu")
-    assert drawn.get_clim() == (-3, 3) and drawn.get_cmap().name == "RdBu"
-    image = shown(place)[0]
-    np.testing.assert_array_equal(image.ravel()[np.array(estimate.texels.index)], values)
-
-
 def test_on_the_object_are_the_colours_of_the_map(vase):
     place, twos = axes(), np.full(vase.texels.count, 2.0)
     scale = {"limits": (0, 2), "colormap": "Reds"}

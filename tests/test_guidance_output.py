@@ -102,17 +102,6 @@ def test_the_plan_ranks_all_candidates(guidance, written):
     assert ranked[0]["number"] == guidance.proposals[0].candidate
 
 
-def test_the_record_comes_last_and_says_what_was_run(vase, written):
-    record = json.loads((written / "run.json").read_text())
-    assert record["settings"]["given"] == {"add": 3} and record["kernels_compiled"] == {"a": 1}
-    assert record["settings"]["used"]["hypotheses"] == 8
-    assert record["result"]["candidates"] == 14 and len(record["result"]["proposals"]) == 3
-    assert record["skipped"]["candidates that cannot be reached"] == 3
-    assert record["skipped"]["texels never seen"] == vase.estimate.skipped["texels never seen"]
-    assert {"Tracing visibility", "Choosing views"} <= set(record["timings_s"])
-    assert record["environment"]["versions"]["mitsuba"] == mi.__version__
-
-
 def test_maps_sum_to_the_gain(vase, guidance, written):
     """All texels were looked at, so the mean of the map is the gain, up to single precision."""
     inside = vase.texels.inside()

@@ -8,9 +8,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.errors import OptionError
 from svu_mi.output.knowledge import Intervals, Knowledge
-from svu_mi.posterior import ParameterGrid, PrincipledGrid, tabulated_posterior
+from svu_mi.posterior import PrincipledGrid, tabulated_posterior
 from svu_mi.posterior.intervals import spread
 
 AXES = {"roughness": np.linspace(0, 1, 21), "base_color": np.linspace(0, 1, 21)}
@@ -84,16 +83,6 @@ def test_another_tolerance_and_level(posterior):
     assert found.sentence().endswith("base colour on 100 % (50 % intervals).")
 
 
-def test_intervals_are_computed_once(posterior):
-    intervals = Intervals(posterior)
-    Knowledge.of(estimate_of(posterior), intervals)
-    np.testing.assert_allclose(intervals.half_width("roughness")[:3], [0.05, 0.1, 0.04], atol=1e-6)
-    assert sorted(posterior.asked) == [("base_color", 0.9), ("roughness", 0.9)]
-    for _ in range(2):
-        assert [intervals.ends(name)[0].shape[1] for name in AXES] == [1, 3]
-    assert len(posterior.asked) == 4
-
-
 def test_a_sample_stands_for_a_large_surface():
     """Half-widths grow along the surface; areas, too."""
     count = 100_000
@@ -118,13 +107,6 @@ def test_as_many_texels_are_taken_as_asked_for_at_equal_steps(most):
             steps = np.diff(taken)
             assert taken[0] == 0 and steps.max() - steps.min() <= 1
             assert count - taken[-1] <= -(-count // most)
-
-
-def test_nothing_seen_is_said_and_nothing_computed(posterior):
-    found = Knowledge.of(estimate_of(posterior, coverage=(0,) * 5))
-    assert (found.seen_part, found.known_part, found.all_known_part) == (0, {}, 0)
-    assert found.sentence() == "Nothing is known: no photograph shows the surface."
-    assert posterior.asked == []
 
 
 def test_what_is_known_beforehand_is_no_finding(posterior):
@@ -155,13 +137,3 @@ def test_a_coarse_grid_knows_no_better_than_its_cells():
     assert found.known_part == {"roughness": 0, "metallic": 1, "base_color": 1}
     assert found.cell_width == pytest.approx({"roughness": 1 / 7, "metallic": 1 / 7})
     assert found.sentence().endswith("(90 % intervals; the grid's cells are up to 0.14 wide).")
-
-
-def test_the_parameters_are_those_of_the_grid():
-    posterior = certain(ParameterGrid(21, 21, "uniform"), (3, 4))
-    found = Knowledge.of(estimate_of(posterior, (2,), (1.0,)))
-    assert found.sentence() == (
-        "Roughness known to ±0.05 on 100 % of the surface seen, specular on 100 % (90 % intervals)."
-    )
-    with pytest.raises(OptionError, match="no parameter 'metallic'"):
-        Intervals(posterior).ends("metallic")

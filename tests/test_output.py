@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import drjit as dr
 import matplotlib
 import mitsuba as mi
 import numpy as np
@@ -21,7 +20,6 @@ from svu_mi.errors import OutputError
 from svu_mi.exr import read_exr, read_header
 from svu_mi.output import (
     Run,
-    environment_record,
     views,
     write_maps,
     write_outputs,
@@ -171,15 +169,6 @@ def test_the_manifest_is_plain_json(tmp_path):
     with pytest.raises(OutputError, match=r"no\.json\.outer\.inner\[1\]: a function"):
         write_manifest(tmp_path / "no.json", {"outer": {"inner": [1, refuse]}})
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
-
-
-def test_the_environment_says_what_ran():
-    record = environment_record()
-    versions = {"mitsuba": mi.__version__, "drjit": dr.__version__, "numpy": np.__version__}
-    assert record["versions"].items() >= versions.items()
-    assert record["versions"]["OpenEXR"] and record["versions"]["svu_mi"]
-    assert record["variant"] == "llvm_ad_rgb" and record["threads"] >= 1
-    assert int(record["llvm"]["version"].split(".")[0]) >= 17
 
 
 def test_a_run_leaves_four_files_and_nothing_else(tmp_path, vase):

@@ -71,12 +71,6 @@ def test_a_picture_with_nan_is_refused():
         page.photograph(np.zeros((0, 2, 3)))
 
 
-def test_nothing_half_written(tmp_path):
-    with pytest.raises(OutputError, match="no folder"):
-        page.write_page(tmp_path / "none" / "page.html", "base.html")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_percent_does_not_round_to_nothing_or_all():
     words = {0: "0", 0.004: "under 1", 0.006: "1", 0.5: "50", 0.996: "over 99", 1: "100"}
     assert {p: page.percent(p) for p in words} == {p: f"{w}\u202f%" for p, w in words.items()}

@@ -83,15 +83,6 @@ def test_textures_come_back_bit_by_bit(tmp_path):
         np.testing.assert_array_equal(np.array(tensor), np.array(getattr(textures, name)))
 
 
-def test_mitsuba_reads_one_channel_as_one(tmp_path):
-    textures = any_textures()
-    write_textures(textures, tmp_path)
-    for name in NAMES:
-        read = np.array(mi.Bitmap(str(tmp_path / f"{name}.exr")))
-        expected = np.array(getattr(textures, name)).reshape(read.shape)
-        np.testing.assert_array_equal(read, expected)
-
-
 @pytest.mark.parametrize("channel", ["R", "RGB"])
 def test_a_grey_texture_of_another_program_is_read(tmp_path, channel):
     textures = any_textures()

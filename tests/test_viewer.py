@@ -6,14 +6,12 @@ import sys
 import time
 import urllib.request
 from dataclasses import replace
-from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
 import pytest
 from browser import SECONDS, Browser
 from helpers import memory_capture, posed, render_ball, write_scene
-from matplotlib import colormaps
 from unseen import blind
 
 from svu_mi.capture.poses import describe, make_sensor
@@ -121,17 +119,6 @@ def test_the_panel_says_mean_and_interval_of_every_channel(capture, known):
         for k, label in enumerate(channels if len(mean) == 3 else (name,)):
             assert f"| {label} | **{mean[k]:.2f}** | {low[k]:.2f}–{high[k]:.2f} |" in text
     assert text.count("base colour") == 3 and "90 % interval" in text
-
-
-def test_uncertainty_is_half_the_width_of_the_interval(known):
-    count = known.texels.count
-    given = SimpleNamespace(level=0.8, half_width=lambda _: np.linspace(0, 0.4, count))
-    shown = surface_maps(known, intervals=given)["uncertainty of roughness"]
-    assert shown.scale.label == "half the width of the 80 % interval"
-    own = shown.colors(np.inf).reshape(-1, 3)[known.texels.index.numpy()]
-    expected = colormaps[shown.scale.colormap](np.linspace(0, 0.4 / shown.scale.high, count))
-    seen = np.array(known.coverage) > 0
-    assert np.allclose(own[seen], expected[seen, :3], atol=0.01)
 
 
 def test_seen_by_numbers_the_views_of_the_capture(capture, known, picker):
