@@ -25,7 +25,7 @@ from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import Run, guidance_page
 from svu_mi.output import directions as sky
 from svu_mi.output.guidance import file_names, write_guidance, write_sensors
-from svu_mi.output.upright import facing
+from svu_mi.output.views import facing
 
 RNG_SEED = 1630517742
 FILES = [

@@ -68,7 +68,7 @@ class FindLight(CaptureCommand):
     def run(self, console: Console) -> int:
         """Find the light, write it, and say what is known of it."""
         from svu_mi.illumination.light_summary import gain_sentences, likeness_sentence, sentences
-        from svu_mi.output.upright import upright
+        from svu_mi.output.views import upright
 
         self.check()
         with claimed(self.output, "light", overwrite=self.overwrite) as place:
@@ -132,7 +132,7 @@ class FindLight(CaptureCommand):
         from svu_mi.illumination.estimate import estimate_light
         from svu_mi.illumination.light_summary import likeness
         from svu_mi.output import Run
-        from svu_mi.output.light import write_light
+        from svu_mi.output.light_page import write_light
 
         options, size = self._options(), opt.texel_size(self.resolution)
         need = partial(to_find_light, resolution=size, options=options)

@@ -14,7 +14,7 @@ from svu_mi.capture.repaint import is_two_sided
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.names import plain_name
 from svu_mi.output.maps import padded
-from svu_mi.output.upright import Axis, nearest_axis, upright
+from svu_mi.output.views import Axis, nearest_axis, upright
 from svu_mi.recovery.textures import Textures
 
 TEXTURES, RECORD = "textures", "asset.json"  # in an exported folder

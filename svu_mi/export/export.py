@@ -18,7 +18,7 @@ from svu_mi.export.images import write_exr_images, write_png_images
 from svu_mi.export.reading import load_asset
 from svu_mi.files import prepare_folder
 from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.output.upright import Axis
+from svu_mi.output.views import Axis
 from svu_mi.results.transaction import writing
 from svu_mi.settings import require, require_types
 

@@ -15,7 +15,7 @@ from svu_mi.export.asset import Asset, Written
 from svu_mi.export.images import packed
 from svu_mi.files import replacing
 from svu_mi.output.style import COLORMAP
-from svu_mi.output.upright import Axis
+from svu_mi.output.views import Axis
 
 ASSET, ENTROPY = "asset.glb", "entropy.glb"
 # glTF 2.0, Sec. 3.4: right-handed, +Y up.

@@ -21,7 +21,7 @@ from svu_mi.memory import Size
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
 from svu_mi.output.textures import FILES, MESH, SCENE, read_textures
-from svu_mi.output.upright import nearest_axis, up_of
+from svu_mi.output.views import nearest_axis, up_of
 from svu_mi.results.exchange import restore
 from svu_mi.results.provenance import (
     are_of_one_capture,

@@ -22,7 +22,7 @@ from svu_mi.export.glb import as_trimesh, upward_uvs
 from svu_mi.files import write_text
 from svu_mi.names import materialx_name, obj_name
 from svu_mi.output.textures import FILES, object_node
-from svu_mi.output.upright import DIRECTION, Axis
+from svu_mi.output.views import DIRECTION, Axis
 from svu_mi.parameters import CHANNELS
 
 OBJECT, PREVIEW, MESH = "object.xml", "preview.xml", "mesh.ply"

@@ -1,23 +1,20 @@
 """Results as files, and pages about them.
 
-Where a page is made, and where its look is:
+=================  =====================  ====================================================
+``light.png``      ``light_page.py``      the light (``svu light``), and all its files
+``overview.png``   ``overview.py``        entropy (``svu entropy``)
+``guidance.png``   ``guidance_page.py``   next photographs; all its files: ``guidance.py``
+``recovery.png``   ``recovery_page.py``   recovered textures; all its files: ``recovery.py``
+``relit.png``      ``relit.py``           textures under another light
+``report.html``    ``report/report.py``   one file to send; ``templates/report.html``
+``check.html``     ``check_page.py``      fit of a capture; ``templates/check.html``
+``compare.html``   ``compare_page.py``    differences; ``templates/compare.html``
+a browser          ``viewer/viewer.py``   ``svu view``
+=================  =====================  ====================================================
 
-=================  =======================  ==================================================
-``light.png``      ``light_page.py``        the light (``svu light``); its files: ``light.py``
-``overview.png``   ``overview.py``          what photographs tell (``svu entropy``)
-``guidance.png``   ``guidance_page.py``     which to take next; all its files: ``guidance.py``
-``recovery.png``   ``recovery_page.py``     what was recovered; all its files: ``recovery.py``
-``relit.png``      ``relit.py``             textures under another light
-``report.html``    ``report/report.py``     one file to send; ``templates/report.html``
-``check.html``     ``check_page.py``        whether a capture fits; ``templates/check.html``
-a browser          ``viewer/viewer.py``     ``svu view``
-=================  =======================  ==================================================
-
-Colours, headings, titles and colour bars of all of them are in ``style.py``. PNG pages are lists
-of panels, and what several draw is in ``figures.py``, also for notebooks. HTML pages extend
-``templates/base.html`` and share the macros of ``templates/parts.html`` and ``templates/page.css``;
-``page.py`` writes them. What maps of the object there are, report and viewer take from
-``surface_maps.py``; numbers and words for all are in ``result.py`` and ``knowledge.py``.
+PNG pages are blocks of panels (``style.write_page``), drawn by ``figures.py``, also for notebooks.
+HTML pages extend ``templates/base.html`` and use the macros of ``templates/parts.html``;
+``page.py`` writes them. Report and viewer show the maps of ``surface_maps.py``.
 """
 
 from __future__ import annotations

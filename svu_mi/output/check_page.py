@@ -23,7 +23,7 @@ from svu_mi.light.levels import resolved
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
 from svu_mi.output.style import AFTER, BEFORE
-from svu_mi.output.upright import facing, up_of
+from svu_mi.output.views import facing, up_of
 from svu_mi.results.transaction import writing
 
 AXES = ("poses", "light", "texture")  # what corrections are about

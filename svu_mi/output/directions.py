@@ -11,7 +11,7 @@ from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.guidance.result import Guidance
 from svu_mi.output import style
 from svu_mi.output.style import FAINT, INK, RULE, UNSEEN
-from svu_mi.output.upright import UP, facing
+from svu_mi.output.views import UP, facing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -28,7 +28,7 @@ from svu_mi.output.guidance_page import (
 )
 from svu_mi.output.manifest import RECORD, Run, guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, header, padded
-from svu_mi.output.upright import UP
+from svu_mi.output.views import UP
 from svu_mi.pipeline import Estimate
 from svu_mi.results.transaction import writing
 

@@ -20,7 +20,7 @@ from svu_mi.output.directions import color_range, draw_directions, numbered
 from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors
 from svu_mi.output.page import grouped
 from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE, Block
-from svu_mi.output.upright import UP
+from svu_mi.output.views import UP
 from svu_mi.pipeline import Estimate
 
 if TYPE_CHECKING:

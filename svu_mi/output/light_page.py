@@ -1,7 +1,9 @@
-"""``light.png``: the light that was found, how well, and what of it is known."""
+"""Files of ``svu light``: the light that was found, its uncertainty, and ``light.png``."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,25 +12,62 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.fingerprint import photographs_key
 from svu_mi.capture.shown import srgb
+from svu_mi.illumination.folder import COMMAND, RECORD, light_record, write_arrays_of
 from svu_mi.illumination.light_summary import Likeness
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.light.environment import directions, radiance_from
 from svu_mi.output import style
 from svu_mi.output.knowledge import plain_percent
+from svu_mi.output.manifest import Run, environment_record, inputs_record, write_manifest
 from svu_mi.output.style import LEFT, RIGHT, Block
+from svu_mi.results.transaction import writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from svu_mi.output.style import Panel
 
+PAGE = "light.png"
 HEADING = "The light that was found in the photographs"
 WIDTH, ROW, REST = 16.0, 5.0, 1.4  # inches: a row of panels, and what is above and below all
 GREY = 0.18  # how bright the middle is drawn
 DARK = 1e-3  # part of the mean radiance below which all is black
 UNCERTAIN = 1.5  # standard deviation of the logarithm at the upper end of its scale
 AXIS = ((0.0, "-Z"), (0.25, "+X"), (0.5, "+Z"), (0.75, "-X"), (1.0, "-Z"))
+
+
+def write_light(
+    capture: Capture,
+    estimate: LightEstimate,
+    folder: str | os.PathLike[str],
+    run: Run | None = None,
+    *,
+    used: Mapping[str, Any] | None = None,
+    against: Likeness | None = None,
+    timings: Mapping[str, float] | None = None,
+    pictures: bool = True,
+) -> None:
+    """Write ``light.exr``, ``light.npz``, ``light.png`` and ``light.json``.
+
+    ``used`` are the options of the search, ``against`` the likeness to the capture's own light, and
+    ``timings`` seconds per stage.
+
+    Raises:
+        OutputError: the folder or a file cannot be written.
+    """
+    run = run or Run()
+    with writing(folder, COMMAND, RECORD, capture=photographs_key(capture)) as draft:
+        write_arrays_of(estimate, draft)
+        if pictures:
+            write_light_page(capture, estimate, draft.folder / PAGE, against)
+        write_manifest(draft.folder / RECORD, {
+            "inputs": inputs_record(capture), **light_record(estimate), "against": against,
+            "settings": {"used": used, "given": run.settings}, "timings_s": timings,
+            "kernels_compiled": run.kernels, "warnings": capture.warnings,
+            "environment": environment_record(), **draft.entries(),
+        })  # fmt: skip
 
 
 def write_light_page(

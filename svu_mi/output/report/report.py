@@ -22,7 +22,7 @@ from svu_mi.output.relit import WORST
 from svu_mi.output.report import findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, is_seen, known, open_axes, words
-from svu_mi.output.upright import upright
+from svu_mi.output.views import upright
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
 from svu_mi.recovery.field.field import field_of

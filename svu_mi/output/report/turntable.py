@@ -16,7 +16,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import Look, alone
 from svu_mi.interop import owned
 from svu_mi.output import views
-from svu_mi.output.upright import front_and_right, upright
+from svu_mi.output.views import front_and_right, upright
 from svu_mi.surface import Texels
 from svu_mi.surface.raster import dilate
 

@@ -22,10 +22,10 @@ from svu_mi.output.page import percent
 from svu_mi.output.result import is_seen
 from svu_mi.output.style import MARK
 from svu_mi.output.surface_maps import surface_maps
-from svu_mi.output.upright import DIRECTION, Axis, front_and_right, upright
 from svu_mi.output.viewer.model import GAIN, Frustum, frustum, material_colors, model
 from svu_mi.output.viewer.picking import Pick, Picker, draw_pick, draw_scale, says
 from svu_mi.output.viewer.server import require_viser, serve, stop
+from svu_mi.output.views import DIRECTION, Axis, front_and_right, upright
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import field_of
 from svu_mi.recovery.textures import Textures
