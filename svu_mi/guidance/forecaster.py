@@ -86,8 +86,13 @@ def _angular(
             shell=f"The SH model (preset {switches.name}) knows light only where photographs were "
             "taken; give --method spectrum with --preset paper for Eq. 13, or another preset.",
         )
-    if by_nodes:
-        _require(switches, channels=("grey",))
+    if by_nodes and switches.channels == "joint":
+        raise OptionError(
+            "next_best_view(): an estimate with channels='joint' does not predict what photographs "
+            "would add; use channels='grey'.",
+            shell=f"An estimate with the preset {switches.name} does not predict what "
+            "photographs would add; use another.",
+        )
     channels = posterior.kernel.problem.factors.channels
     # Grey light has one lobe for all channels.
     lobes = 1 if observed.lighting.environment.grey else channels
@@ -156,7 +161,6 @@ def _spectrum(
             "--preset paper with --method spectrum, or leave both out.",
         )
     assert isinstance(switches, Preset)
-    _require(switches, noise=("fixed", "relative"), channels=("grey", "sum"))
     surface = Surface.of(observed.texels, numbers(texels))
     respond = spectral.respond(observed.views.scene, surface, observed.lighting, switches)
     p = np.array(posterior.probabilities_of(texels))
@@ -211,18 +215,6 @@ def _entropy(posterior: Posterior) -> Entropy:
     Known parameters count as a prior that leaves one node: the same views are proposed.
     """
     return Entropy(max(posterior.most, 1e-6), posterior.prior_entropy)
-
-
-def _require(switches: AnyPreset, **allowed: tuple[str, ...]) -> None:
-    """Refuse switches whose entropy cannot be foretold."""
-    for name, values in allowed.items():
-        if getattr(switches, name) not in values:
-            raise OptionError(
-                f"next_best_view(): an estimate with {name}={getattr(switches, name)!r} does not "
-                f"predict what photographs would add; use {name}={' or '.join(map(repr, values))}.",
-                shell=f"An estimate with the preset {switches.name} does not predict what "
-                "photographs would add; use another.",
-            )
 
 
 def _energies(prior: tuple[Any, Any] | None) -> Any | None:

@@ -28,15 +28,7 @@ LEAST = 1e-4  # of a parameter's variance that others are compared with
 
 @dataclass(frozen=True)
 class Prospect:
-    """Candidates, and some texels that they are judged by.
-
-    Attributes:
-        estimate: what the photographs so far say.
-        observed: these photographs.
-        candidates: C views.
-        texels: (t,) int64 indices of texels of the estimate.
-        options: how candidates are judged.
-    """
+    """C candidates, and t texels of an estimate that they are judged by, (t,) int64."""
 
     estimate: Estimate
     observed: Observed

@@ -91,15 +91,8 @@ class LightCells:
 
 @dataclass(frozen=True)
 class _Cluster:
-    """Weighted points; the widest come first.
-
-    Attributes:
-        number: of the cluster.
-        members: which of all points.
-        offset: (M, 3), where they lie around their mean.
-        covariance: (3, 3), not divided by the sum of their weights.
-        variance: its trace; 0 for a single point.
-    """
+    """M weighted points, their offsets (M, 3) from their mean, and their covariance (3, 3), not
+    divided by the sum of weights, with its trace; the widest cluster comes first."""
 
     number: int
     members: np.ndarray

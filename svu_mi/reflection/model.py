@@ -29,13 +29,9 @@ from svu_mi.visibility.reach import Reach
 
 @dataclass(frozen=True)
 class Arriving:
-    """Light, and what of it arrives at texels.
+    """Light in 3 channels, or 1 for their mean, and what of it arrives at texels.
 
-    Attributes:
-        lighting: the light.
-        reach: what the texels see of it; None if nothing hides any, and all lobes look it up.
-        channels: 3, or 1 for the mean of R, G and B.
-        mirrored: light to fit at every texel; None if the switches ask for no fit.
+    ``reach`` is None if nothing hides any; ``mirrored`` is None without a fit at every texel.
     """
 
     lighting: Lighting

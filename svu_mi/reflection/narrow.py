@@ -36,9 +36,7 @@ class NarrowLobes:
     """Light as lobes of a few widths see it.
 
     Attributes:
-        switches: which model.
-        alpha: (K,) float64 lobe widths.
-        levels: light filtered for each.
+        alpha, levels: K lobe widths, and light filtered for each.
         albedo: (K * ALBEDO_NODES * 2,) Float, the split-sum pair.
         dielectric: (K * ALBEDO_NODES,) Float, the albedo with exact dielectric reflectance.
         sun: cells of a sun's disk that is not part of the filtered light, or None.

@@ -23,13 +23,7 @@ FROM_LIGHT, FROM_LOBE = 4, 2  # directions drawn
 
 @dataclass(frozen=True)
 class Side:
-    """The side of a surface that a camera sees, in world space.
-
-    Attributes:
-        normal: shading normal on that side.
-        geometric: true normal on that side.
-        direction: to the camera.
-    """
+    """Shading and true normal on the side that a camera sees, and the direction to it."""
 
     normal: Any
     geometric: Any

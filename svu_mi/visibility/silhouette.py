@@ -52,12 +52,7 @@ class Films:
 
 @dataclass(frozen=True)
 class Outline:
-    """Where an object ends in pictures of it, found by rays where it is asked for.
-
-    Attributes:
-        target: the object.
-        films: the views.
-    """
+    """Where an object ends in pictures of it, found by rays where it is asked for."""
 
     target: Any
     films: Films
