@@ -290,17 +290,6 @@ def test_more_views_say_more() -> None:
     assert np.all(np.diff(entropies) < -0.03)
 
 
-@pytest.mark.parametrize("exposure", [1e-6, 1e6])
-def test_exposure_does_not_matter(exposure: float) -> None:
-    one, other = (
-        calibrated_posterior(statistics(simulate(64, 8, 0.1, exposure=x)[0]), scale=x)
-        for x in (1.0, exposure)
-    )
-    assert np.abs(np.array(one.entropy()) - np.array(other.entropy())).max() < 1e-4
-    means = [np.array(x.mean("base_color")) for x in (one, other)]
-    assert np.abs(means[0] - means[1]).max() < 1e-4
-
-
 def test_what_was_never_seen_is_the_prior() -> None:
     samples, _ = simulate(32, 6, 0.1)
     table, weight, views = samples.sums(), samples.w.sum(axis=1), np.full(32, 6)
