@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import fields
 from numbers import Integral, Real
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -48,8 +49,9 @@ def require_types(options: Any) -> None:
     Raises:
         OptionError: a field of another type.
     """
-    for name, kind in get_type_hints(type(options)).items():
-        value = getattr(options, name)
+    hints = get_type_hints(type(options))
+    for name in (each.name for each in fields(options)):
+        kind, value = hints[name], getattr(options, name)
         if get_origin(kind) is Literal:
             allowed = get_args(kind)
             require(options, value in allowed, name, f"one of {', '.join(allowed)}")
