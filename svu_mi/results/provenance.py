@@ -7,6 +7,7 @@ of their run and the key of their capture as marks.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -106,14 +107,17 @@ def is_inside(name: Any) -> bool:
 def files_in(folder: Path) -> list[str]:
     """Return the files below a folder, with slashes, but for temporary ones of svu.
 
-    A link to a folder counts as a file.
+    A link to a folder counts as a file. An OSError is raised if a folder cannot be read.
     """
     found = []
-    for path in folder.rglob("*"):
-        name = path.relative_to(folder)
-        if (path.is_symlink() or not path.is_dir()) and not any(map(is_temporary, name.parts)):
-            found.append(name.as_posix())
-    return sorted(found)
+    for root, folders, files in os.walk(folder, onerror=_refuse):
+        links = [name for name in folders if os.path.islink(os.path.join(root, name))]
+        found += [Path(root, name).relative_to(folder) for name in (*files, *links)]
+    return sorted(name.as_posix() for name in found if not any(map(is_temporary, name.parts)))
+
+
+def _refuse(error: OSError) -> None:
+    raise error
 
 
 def marks_of(path: Path) -> tuple[str, str]:

@@ -177,7 +177,7 @@ def writing(
 def _put_in_place(claim: Claim) -> None:
     """Exchange the draft with the older folder, which is removed, or kept if it is not ours."""
     draft, target = claim.draft, claim.target
-    other = target.exists() and _stranger_in(target, claim.command)
+    other = _stranger_in(target, claim.command)
     new = draft.rename(unused_name(target)) if other else draft
     with exchanged(new, target):  # from here on, ``new`` names the older folder
         _carry(new, target)
@@ -249,6 +249,8 @@ def _mounts() -> set[str]:
 
 def _stranger_in(folder: Path, command: str) -> str:
     """Return which file of a folder is not of an older result of a command; empty if none is."""
+    if not folder.exists():
+        return ""
     found = entries_in(folder)
     own = {name: entry for name, entry in found.items() if entry.command == command}
     for name in files_in(folder):
