@@ -13,9 +13,10 @@ from helpers import run, sensor_xml, write_scene
 
 import svu_mi as svu
 from svu_mi.capture.scene import find_environment, load_scene
-from svu_mi.errors import CaptureError, OptionError, SceneError, SvuEnvironmentError
+from svu_mi.errors import CaptureError, OptionError, SceneError, SvuEnvironmentError, SvuError
 from svu_mi.exr import write_exr
 from svu_mi.formats.reading import read_source
+from svu_mi.posterior.streaming import log_prior
 
 pytestmark = pytest.mark.usefixtures("variant")
 SENSORS = 8
@@ -222,3 +223,24 @@ def test_a_line_says_what_an_object_is(tmp_path):
     assert all(finding.sentence in repr(check) for finding in check.findings)
     recovery = svu.recover(estimate, method="sh")
     assert repr(recovery).startswith(f"<Recovery sh: textures of 16 x 16, {texels.count} texels, ")
+
+
+@pytest.mark.parametrize(
+    "prior", ["uniform", [[1, 2], [3]], {"roughness": 1}, object(), 1j * np.ones(8), [None] * 8]
+)
+def test_a_prior_that_is_no_numbers_is_a_sentence(prior):
+    kind = type(prior).__name__
+    with pytest.raises(OptionError) as error:
+        log_prior(prior, (8, 8, 8), "estimate()")
+    assert str(error.value) == (
+        f"estimate(): the prior must be numbers, (8, 8, 8) or (8,), got a {kind}."
+    )
+
+
+def test_what_is_no_capture_estimate_or_candidate_is_a_sentence(vase):
+    with pytest.raises(SvuError, match=r"check\(\): a capture is needed, got a str; read one with"):
+        svu.check("cap")
+    with pytest.raises(SvuError, match=r"next_best_view\(\): an estimate is needed, got a str;"):
+        svu.next_best_view("cap")
+    with pytest.raises(SvuError, match="candidates must be Candidates or sensors, got 100; place"):
+        svu.next_best_view(vase.estimate, 100, 5)

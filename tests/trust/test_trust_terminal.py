@@ -20,7 +20,7 @@ from rich.table import Table
 from svu_mi.cli import main as program
 from svu_mi.cli.main import main
 from svu_mi.cli.terminal import Forgiving, LogLines, OneLine, forgiving_streams, say
-from svu_mi.errors import SvuWarning, printable
+from svu_mi.errors import OptionError, SvuError, SvuWarning, printable
 from svu_mi.progress import Progress
 
 SECONDS = 120
@@ -276,3 +276,9 @@ def test_what_the_system_refuses_is_one_sentence(monkeypatch, capsys, error, sen
     assert capsys.readouterr().err == sentence
     with contextlib.suppress(AttributeError), pytest.raises(type(error)):
         main(["doctor", "-v"])
+
+
+def test_an_error_says_the_same_to_both_but_for_the_call():
+    assert SvuError("estimate(): the prior is bad.").shell == "the prior is bad."
+    both = OptionError("Use trust=True.", shell="Use --trust.")
+    assert (str(both), both.shell) == ("Use trust=True.", "Use --trust.")
