@@ -238,12 +238,7 @@ def test_what_is_seen_from_one_side_only_is_not_judged(lit_ball, degrees, judged
 def test_a_few_bright_points_are_not_a_gain():
     assert Excess(0.09, 3.0).sentence is None
     assert Excess(0.4, 1.15).sentence is None  # the whitest paint there can be
-    assert Excess(0.12, 1.6).sentence == (
-        "12 % of the surface reflects more than all the light that reaches it: the photographs are "
-        "too bright for this light, by a factor of 1.6 or more; check their gain (svu import "
-        "--exposures, or divide the photographs) and the light's (--environment-scale, or scale in "
-        "the scene)."
-    )
+    assert TOO_BRIGHT.fullmatch(Excess(0.12, 1.6).sentence)
 
 
 def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():
@@ -270,16 +265,6 @@ def test_reduced_photographs_know_their_unit(vase):
     small = reduced(gained(vase, [7.0] * VIEWS), 16)
     shown = unit_of(vase, small) * small.images[3].mean()
     assert shown == pytest.approx(7 * vase.images[3].mean(), rel=1e-4)
-
-
-def test_of_photographs_that_show_nothing_no_gain_is_known(vase):
-    small = reduced(vase, 64)
-    points, emitter = scatter_points(small.shape), emitter_of(small)
-    seen = look(points, Frames.of(small))
-    seen = replace(seen, seen=np.zeros_like(seen.seen))
-    arriving = Arriving.of(small.scene, points, read_environment(emitter))
-    samples = Reflections.of(small.scene, points, seen, (Sky.of(emitter, np.eye(3)), arriving))
-    assert np.isinf(relative_gains(samples).noise).all()
 
 
 def test_mirrors_look_the_light_up_where_it_is(vase):

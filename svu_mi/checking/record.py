@@ -1,4 +1,4 @@
-"""What a check has found."""
+"""Results of a check."""
 
 from __future__ import annotations
 
@@ -14,12 +14,9 @@ Verdict = Literal["fits", "wrong", "unclear", "unknown", "note"]
 
 @dataclass(frozen=True, kw_only=True)
 class Hypothesis:
-    """One set of corrections, and how well it explains the photographs.
+    """A set of corrections and its score, ``cues`` being the parts of that by name, at most 1 each.
 
-    Attributes:
-        fixes: names of corrections, in the order they are applied; none = as the capture is.
-        score: what hypotheses are ranked by; only comparable within one finding.
-        cues: what the score is made of, by name; each at most 1, which is perfect.
+    Scores are only comparable within one finding; no corrections = as the capture is.
     """
 
     fixes: tuple[str, ...]
@@ -60,16 +57,14 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class ViewCheck:
-    """How one photograph fits.
+    """Fit of one photograph, which has an index into the capture's photographs and a name.
 
     Attributes:
-        view: index into the capture's photographs.
-        name: of its file.
-        overlap: intersection over union of the mesh's silhouette and the mask; None without mask.
-        contrast: mean rank, 0 to 1, of the photograph's gradient along the silhouette's outline:
-            0.5 is chance. None where the mesh is not in the picture.
-        color_error: mean difference to the mesh as a diffuse object under the given light, in
-            parts of the mean radiance; None where no point of it is seen, or without a light.
+        overlap: intersection over union of silhouette and mask; None without a mask.
+        contrast: mean rank, 0 to 1, of the photograph's gradient along the outline: 0.5 is chance.
+            None where the mesh is not in the picture.
+        color_error: mean difference to the mesh as a diffuse object under the given light, relative
+            to the mean radiance; None where it is not seen, or without a light.
     """
 
     view: int

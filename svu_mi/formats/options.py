@@ -1,4 +1,4 @@
-"""What is said about an import: the light, and what a source leaves open or has wrong.
+"""Import options: environment map, overrides of missing or wrong metadata.
 
 The command line reads this before Mitsuba is loaded.
 """
@@ -48,7 +48,7 @@ class Light:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """What a source does not say, or gets wrong."""
+    """Overrides of missing or wrong metadata."""
 
     mesh: str | Path | None = None
     """The object: GLB, glTF, OBJ, PLY or STL; by default the mesh that the source names."""
@@ -78,11 +78,7 @@ class ImportOptions:
     """Correction that svu check proposed; can be repeated."""
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing.
-
-        Raises:
-            OptionError: a number out of range, or one axis without the other.
-        """
+        """Refuse numbers out of range, and one axis without the other (OptionError)."""
         if self.every < 1:
             raise OptionError(f"--every must be 1 (all photographs) or more, got {self.every}.")
         if self.missing not in ("refuse", "leave-out"):

@@ -1,4 +1,4 @@
-"""Any capture of another tool: find out what it is, and read it.
+"""Registry of formats: recognise and read a capture of another tool.
 
 A format is a module of this package with two functions: ``recognises(path, split)`` says
 whether a path is such a capture, and ``read(path, options)`` makes a ``Source`` of it. Modules are
@@ -100,7 +100,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
 
 
 def _others(path: Path, kind: str, split: str) -> list[str]:
-    """Say as which table a folder could have been read that is read as something else."""
+    """Return notes about tables in a folder that is read as something else."""
     if kind in TABLES:
         return []
     found = [name for name in TABLES if _reader(name).recognises(path, split)]

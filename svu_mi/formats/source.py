@@ -1,7 +1,7 @@
-"""What any capture tool says, in one form: readers make it, the importer and writers take it.
+"""Captures of other tools in our conventions.
 
-Conventions end here. A reader turns its tool's axes, angles and pixel grids into those of this
-record, a writer turns them back, and nothing else in the package knows another convention.
+Readers convert the axes, angles and pixel grids of their tool into those of ``Source``, writers
+convert them back; no other module uses another convention.
 """
 
 from __future__ import annotations

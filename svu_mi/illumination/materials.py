@@ -1,4 +1,4 @@
-"""What the texels are made of under a given light: the calibrated posterior of their samples."""
+"""Materials of texels under a given light: the calibrated posterior of their samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the search for the light can be told."""
+"""Options of the estimate of the light."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Background = Literal["none", "distant"]
 
 @dataclass(frozen=True, kw_only=True)
 class LightOptions:
-    """How light is found in photographs."""
+    """Options of ``estimate_light``."""
 
     texels: int = 900
     """Texels that are looked at, at most: more take longer and change little."""

@@ -1,4 +1,4 @@
-"""What a few texels show in all their photographs: the samples that light is found from."""
+"""Samples of a few texels in all photographs, from which light and gains are estimated."""
 
 from __future__ import annotations
 

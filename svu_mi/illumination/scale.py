@@ -1,8 +1,7 @@
-"""The one factor that photographs leave open, of light against base colour, from one fact more.
+"""Scale of estimated light from a known base colour: of a grey card, or the mean.
 
-Twice the light on an object half as bright gives almost the same photographs. Where base colour
-is known of a spot (a grey card) or in the mean, light is as much brighter as the base colours that
-were found under it are too bright.
+Photographs hardly determine a common factor of light and one over base colour, so the light is
+scaled until the known base colour is found.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ from svu_mi.parameters import MIXED
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.surface.neighbors import squares_of
 
-SMALLEST, LARGEST = 0.01, 1.0  # base colours that are taken for one
+SMALLEST, LARGEST = 0.01, 1.0  # base colours
 MOST_ROUNDS, DONE = 6, 0.02  # base colour is not quite proportional: gloss is beside it
-FARTHEST = 3.0  # factor of one round, beyond which base colour is cut off at 1
+FARTHEST = 3.0  # factor of one round: base colour is clipped at 1
 NEAR = 12  # texels around the spot
 SHARPEST = 0.02  # standard deviation that one of them is known to, at best
 

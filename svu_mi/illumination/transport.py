@@ -1,4 +1,4 @@
-"""How light in even cells of the sphere reaches the samples: the reflection model, cell by cell.
+"""Transport matrix from even cells of the light to samples, by the reflection model.
 
 Radiance is linear in the light: r = sum_j K_j L_j over N cells, with the K of the reflection
 model (``reflection/wide.py``, ``reflection/diffuse.py``) and traced visibility. A lobe that is
@@ -68,18 +68,14 @@ class _Reflected(NamedTuple):
 
 @dataclass(frozen=True)
 class Transport:
-    """Samples, and N even cells of light around them.
+    """Samples, and N even cells of light around them, which ``moves`` with the cameras or not.
 
     Attributes:
-        samples: S of them.
-        number: N.
-        moves: whether the cells turn with the cameras instead of standing in the world.
         lanes: texel and view (UInt32), direction (Vector3f) and cosine (Float) of every sample.
         cells: (3 N,) Float, their directions in their own frame.
         frames: (9 V,) Float, rotations of that frame to world space, of every view.
-        free: Bool, of (texel or, if the cells move, sample) x cell: whether it is seen.
+        free: Bool, visibility of (texel or, if the cells move, sample) x cell.
         count: N, opaque.
-        diffuse: which diffuse reflection.
     """
 
     samples: Samples
