@@ -67,43 +67,53 @@ def write_report(
         OutputError: the file cannot be written.
     """
     report = progress or Stage().update
-    today = datetime.date.today()
-    warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     intervals = Intervals(estimate.posterior)
+    shown = _pictures(capture, estimate, textures, table, intervals, report)
+    knowledge = Knowledge.of(estimate, intervals)
+    today = datetime.date.today()
+    page = page_of(
+        TEMPLATE,
+        title=title or _name(capture), date=f"{today.day} {today:%B %Y}",
+        summary=_summary(capture, estimate, result, intervals, knowledge, table),
+        histogram=plots.histogram(result), marginals=list(plots.marginals(estimate, result)),
+        given=[(name, _plain(value)) for name, value in (settings or {}).items()],
+        **shown, **_settings(capture, estimate), **_environment(estimate.timings),
+    )  # fmt: skip
+    write_page(Path(path), page)
+    report(5, 5)
+    return knowledge
+
+
+def _pictures(
+    capture: Capture, estimate: Estimate, textures: Textures | None, table: Turntable,
+    intervals: Intervals, report: Callable[[int, int], None],
+) -> dict[str, Any]:  # fmt: skip
+    """Return what the page shows of photographs, maps, textures and errors."""
     thumbnails, left_out = pictures.thumbnails(capture, estimate)
     frames = list(pictures.turning(table, estimate))
     report(1, 5)
-    maps = pictures.maps(table, estimate, intervals)
+    maps, recovered = pictures.maps(table, estimate, intervals), []
     report(2, 5)
-    recovered = []
     if textures is not None:
         field = field_of(textures, estimate, capture.mesh)
         recovered = pictures.texture_maps(table, estimate, textures, field)
     report(3, 5)
     turned = [frame[0] for frame in frames]
+    result = Result.of(estimate)
     examples = list(plots.examples(table, estimate, result, intervals.level, turned))
     report(4, 5)
-    compared = _errors(capture, estimate, textures)
-    knowledge = Knowledge.of(estimate, intervals)
-    page = page_of(
-        TEMPLATE,
-        title=title or _name(capture), date=f"{today.day} {today:%B %Y}",
-        summary=_summary(capture, estimate, result, intervals, knowledge, table),
-        count=capture.count, used=sum(capture.used), thumbnails=thumbnails, left_out=left_out,
-        light=_light(capture), frames=frames, maps=maps,
-        recovered=recovered, textured=textures is not None,
-        histogram=plots.histogram(result), marginals=list(plots.marginals(estimate, result)),
-        examples=examples, errors=compared, error_end=WORST,
-        error_colormap=style.DIFFERENCE_COLORMAP, colors=style.SETTLED_COLORS, unseen=style.UNSEEN,
-        color=estimate.posterior.groups == 3, skipped=findings.skipped(estimate),
-        warnings=warnings[:WARNINGS], more_warnings=warnings[WARNINGS:],
-        given=[(name, _plain(value)) for name, value in (settings or {}).items()],
-        **_settings(capture, estimate), **_environment(estimate.timings),
-    )  # fmt: skip
-    write_page(Path(path), page)
-    report(5, 5)
-    return knowledge
+    warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
+    return {
+        "count": capture.count, "used": sum(capture.used), "thumbnails": thumbnails,
+        "left_out": left_out, "light": _light(capture), "frames": frames, "maps": maps,
+        "recovered": recovered, "textured": textures is not None, "examples": examples,
+        "errors": _errors(capture, estimate, textures), "error_end": WORST,
+        "error_colormap": style.DIFFERENCE_COLORMAP, "colors": style.SETTLED_COLORS,
+        "unseen": style.UNSEEN, "color": estimate.posterior.groups == 3,
+        "skipped": findings.skipped(estimate), "warnings": warnings[:WARNINGS],
+        "more_warnings": warnings[WARNINGS:],
+    }  # fmt: skip
 
 
 def _light(capture: Capture) -> dict[str, Any] | None:
