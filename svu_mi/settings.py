@@ -50,7 +50,7 @@ def require_types(options: Any) -> None:
         OptionError: a field of another type.
     """
     hints = get_type_hints(type(options))
-    for name in (each.name for each in fields(options)):
+    for name in (each.name for each in fields(options) if each.init):
         kind, value = hints[name], getattr(options, name)
         if get_origin(kind) is Literal:
             allowed = get_args(kind)
