@@ -23,14 +23,7 @@ GIGA = 1e9
 
 
 def require_memory(size: float, what: str, fix: str, error: type[SvuError] = OptionError) -> None:
-    """Refuse what takes more memory than there is.
-
-    Args:
-        size: bytes that it takes at least.
-        what: begins the sentence, in the plural, such as ``"scene.xml: 8 photographs"``.
-        fix: ends it.
-        error: what is raised.
-    """
+    """Refuse what takes more than the free memory: "WHAT take at least 3 GB ...; FIX."."""
     known = [free_memory(), _unreserved()]
     free = min((room for room in known if room is not None), default=None)
     if free is not None and size > free:
@@ -86,13 +79,7 @@ def require_texels(resolution: Size, option: str) -> None:
 
 
 def require_views(count: int, what: str, error: type[SvuError] = OptionError) -> None:
-    """Refuse more sensors than can be worked with.
-
-    Args:
-        count: of them.
-        what: begins the sentence, such as ``"--views"`` or ``"scene.xml: sensors"``.
-        error: what is raised.
-    """
+    """Refuse more sensors than can be worked with."""
     if count > MAX_VIEWS:
         raise error(f"{what}: at most {MAX_VIEWS} are supported, got {count}; leave some out.")
 
@@ -104,13 +91,7 @@ def require_spp(spp: int, option: str = "spp") -> None:
 
 
 def require_render(sizes: Sequence[Size], spp: int, label: str) -> None:
-    """Refuse films that cannot be rendered, or not be kept.
-
-    Args:
-        sizes: (width, height) of each film.
-        spp: samples per pixel.
-        label: the scene, for the message.
-    """
+    """Refuse films that cannot be rendered, or not be kept."""
     width, height = max(sizes, key=lambda size: size[0] * size[1], default=(1, 1))
     pixels = width * height
     if pixels * MASK_LANES > MAX_LANES:
@@ -127,13 +108,7 @@ def require_render(sizes: Sequence[Size], spp: int, label: str) -> None:
 
 
 def require_photographs(sizes: Sequence[Size], label: str, rendering: int = 0) -> None:
-    """Refuse photographs that do not fit into memory.
-
-    Args:
-        sizes: (width, height) of each.
-        label: where they are, for the message.
-        rendering: bytes that it takes to render one of them; 0 if they are read.
-    """
+    """Refuse photographs that do not fit into memory."""
     width, height = max(sizes, default=(0, 0))
     fix = "make the films smaller" if rendering else "shrink them (svu import --shrink)"
     require_memory(
