@@ -88,7 +88,7 @@ def mutants(node: ast.AST) -> Iterator[tuple[str, ast.AST, str]]:
             if isinstance(limit := node.comparators[0], ast.Name) and limit.id.isupper():
                 more = "*" if isinstance(sign, ast.Gt | ast.GtE) else "/"
                 yield OPERATORS[5], limit, f"({limit.id} {more} 10)"
-            elif re.search(r"len\(|\b\d+$|count|size", ast.unparse(node)):  # of whole numbers
+            elif re.search(r"len\(|[^.\d]\d+$|count|size", ast.unparse(node)):  # of whole numbers
                 moved = ast.Compare(node.left, [other[type(sign).__name__]()], node.comparators)
                 yield OPERATORS[4], node, ast.unparse(moved)
 
@@ -120,14 +120,14 @@ def _inside(node: ast.AST) -> Iterator[ast.AST]:
 
 def drawn(count: int, seed: int, tree: Path) -> tuple[list[Fault], list[str]]:
     """Draw faults in lines that tests execute; return them, and tests that fail without any."""
-    chance, chosen = random.Random(seed), []
+    chosen = []
     places = [sorted((ROOT / "svu_mi" / package).rglob("*.py")) for package in PACKAGES]
     for number in range(count):
         operator = OPERATORS[number % 6]
         found = [fault for file in places[number % 4] for fault in sites(file, operator)]
         if len(found) < SPARE:  # there are few: those of all packages
             found = [fault for files in places for file in files for fault in sites(file, operator)]
-        chosen.append(chance.sample(found, min(SPARE, len(found))))
+        chosen.append(random.Random(f"{seed} {number}").sample(found, min(SPARE, len(found))))
     watched = [f"{fault.file}:{fault.line}" for some in chosen for fault in some]
     (tree / "watched.json").write_text(json.dumps(watched))
     broken = failures(tree, [], "-p", "support.faults", "--maxfail", "1000")
