@@ -85,7 +85,7 @@ class ByParameter(Mapping[str, Any]):
         return len(self._values)
 
     def __getattr__(self, name: str) -> Any:
-        if name in PARAMETERS and "_values" in self.__dict__:
+        if name in PARAMETERS:
             return self._values[name]
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}.")
 

@@ -249,26 +249,29 @@ def estimate(
     require_variant()
     switches: Any = find_preset(preset, method=method)
     progress, skip = progress or Progress(), skip or Skip()
-    angular = isinstance(switches, AngularPreset)
-    chosen = angular_grid(grid, switches) if angular else spectrum_grid(grid, switches)
+    grid_of = angular_grid if isinstance(switches, AngularPreset) else spectrum_grid
+    chosen = grid_of(grid, switches)
     capture, layout = subject_of(source, texels)
     chosen = with_known(chosen, known, capture.shape)
     tables = log_prior(prior, chosen.shape, "estimate()")  # refused before any work
-    require_light(capture)
     seen = _seen(source, layout, skip, progress)
-    with progress.stage("Reading the light"):
-        _ = seen.lighting
     plan = make_plan(skip, switches, seen, chosen, tables)
-    run = Run(seen, chosen, prior, plan, progress, whole)
-    certain: Any = widened(switches, capture)
-    posterior = (from_angles if angular else from_spectra)(run, certain)
-    with progress.stage("Computing entropy"):
+    return _made(Run(seen, chosen, prior, plan, progress, whole), method, switches)
+
+
+def _made(run: Run, method: Method, switches: Any) -> Estimate:
+    """Make the posterior of a run."""
+    seen, certain = run.observed, widened(switches, run.observed.capture)
+    if isinstance(certain, AngularPreset):
+        posterior = from_angles(run, certain)
+    else:
+        posterior = from_spectra(run, certain)
+    with run.progress.stage("Computing entropy"):
         result = Estimate(
             method=method, preset=switches, texels=seen.texels, posterior=posterior,
             coverage=owned(mi.UInt32, counted(seen, switches)),
-            seen_per_view=seen.found.per_view,
-            skipped=plan.skipped, timings=progress.timings,
-            observed=seen, prior=prior,
+            seen_per_view=seen.found.per_view, skipped=run.plan.skipped,
+            timings=run.progress.timings, observed=seen, prior=run.prior,
         )  # fmt: skip
         dr.eval(result.entropy)
     return result
@@ -277,10 +280,15 @@ def estimate(
 def _seen(
     source: Capture | Observed | Estimate, texels: Texels, skip: Skip, progress: Progress
 ) -> Observed:
-    """Trace what photographs show of texels, or go on from what was traced."""
-    if not isinstance(source, Capture):
-        return _observed_by(source, texels)
-    return observe(
-        source, texels, progress,
-        skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,
-    )  # fmt: skip
+    """Trace which photographs show which texels, unless that is known, and read the light."""
+    if isinstance(source, Capture):
+        require_light(source)
+        seen = observe(
+            source, texels, progress,
+            skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,
+        )  # fmt: skip
+    else:
+        seen = _observed_by(source, texels)
+    with progress.stage("Reading the light"):
+        _ = seen.lighting
+    return seen

@@ -66,7 +66,7 @@ def test_a_value_of_every_parameter_is_frozen_and_can_be_shown():
 NAMED = {
     "parameters.py", "reflection/principled.py", "posterior/grid.py", "reference/deviations.py",
     "recovery/options.py", "formats/textures.py", "export/images.py", "export/scene_files.py",
-    "inpaint/diffusion/families.py",
+    "inpaint/diffusion/model_interface.py",
 }  # fmt: skip
 
 

@@ -176,23 +176,11 @@ def angular_posterior(
             "preset='fixed', or another noise."
         )
     grid = angular_grid(grid, switches)
-    levels = np.ones(grid.shape[0], bool) if levels is None else np.asarray(levels)
-    if levels.dtype != bool or levels.shape != grid.shape[:1]:
-        raise ShapeError(
-            f"angular_posterior(): levels must be ({grid.shape[0]},) booleans, got "
-            f"{levels.dtype} of shape {levels.shape}."
-        )
     factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
-    if not np.array_equal(grid.roughness_nodes[levels], factors.roughness):
-        raise ShapeError(
-            "angular_posterior(): the grid's roughness is "
-            f"{_listed(grid.roughness_nodes[levels])}, that of the statistics "
-            f"{_listed(factors.roughness)}; gather them at the nodes of the grid."
-        )
+    levels = np.ones(grid.shape[0], bool) if levels is None else np.asarray(levels)
+    _require_levels(levels, grid, factors.roughness)
     require_scale("angular_posterior()", scale)
-    sigma = switches.sigma * (1.0 if switches.noise == "fixed" else scale)
     observed = observed_by("angular_posterior()", factors, copies, texels)
-    *_, cells = grid.axes.values()
     tables = streaming.log_prior(prior, grid.shape, "angular_posterior()")
     problem = Problem(
         factors=factors,
@@ -200,16 +188,36 @@ def angular_posterior(
         slots=owned(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
         rows=streaming.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
-        sigma=dr.opaque(mi.Float, sigma),
+        sigma=dr.opaque(mi.Float, switches.sigma * (1 if switches.noise == "fixed" else scale)),
         averaged=switches.errors == "mean",
         mixed=grid.mixed_nodes if isinstance(grid, PrincipledGrid) else None,
-        cells=cells,
-        prior=None if tables is None else (
-            owned(mi.Float64, tables[0]), owned(mi.Float, np.minimum(tables[1], UNLIKELY))
-        ),
+        cells=list(grid.axes.values())[-1],
+        prior=_prior(tables),
     )
-    kernel = AngularKernel(grid, len(observed), problem)
-    return Posterior(kernel=kernel, observed=observed)
+    return Posterior(kernel=AngularKernel(grid, len(observed), problem), observed=observed)
+
+
+def _prior(tables: tuple[np.ndarray, np.ndarray] | None) -> tuple[Any, Any] | None:
+    if tables is None:
+        return None
+    return owned(mi.Float64, tables[0]), owned(mi.Float, np.minimum(tables[1], UNLIKELY))
+
+
+def _require_levels(
+    levels: np.ndarray, grid: ParameterGrid | PrincipledGrid, roughness: np.ndarray
+) -> None:
+    """Refuse statistics whose roughness is not that of the grid's ``levels``."""
+    if levels.dtype != bool or levels.shape != grid.shape[:1]:
+        raise ShapeError(
+            f"angular_posterior(): levels must be ({grid.shape[0]},) booleans, got "
+            f"{levels.dtype} of shape {levels.shape}."
+        )
+    if not np.array_equal(grid.roughness_nodes[levels], roughness):
+        raise ShapeError(
+            "angular_posterior(): the grid's roughness is "
+            f"{_listed(grid.roughness_nodes[levels])}, that of the statistics "
+            f"{_listed(roughness)}; gather them at the nodes of the grid."
+        )
 
 
 def _listed(values: np.ndarray) -> str:

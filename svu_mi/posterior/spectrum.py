@@ -114,13 +114,26 @@ def spectrum_posterior(
     if sigma is not None:
         switches = replace(switches, sigma=float(sigma))
     grid = spectrum_grid(grid, switches, irradiance=irradiance is not None)
-    S_L, S_B = _spectra(incoming, outgoing)
-    count, degrees, channels = S_L.shape
-    seen = _seen(observed, count)
+    spectra = _spectra(incoming, outgoing)
+    seen = _seen(observed, spectra[0].shape[0])
     tables = streaming.log_prior(prior, grid.shape, "spectrum_posterior()")
-    unit = _unit(switches, S_L, S_B, seen, scale)
+    unit = _unit(switches, *spectra, seen, scale)
+    constant = _constant(switches, grid, irradiance, spectra[0].shape[::2], unit)
+    falloff = decay(switches, grid, prefilter)
+    problem = _problem(spectra, grid, switches, copies, falloff, unit, tables)
+    problem = replace(problem, constant=constant)
+    return Posterior(kernel=SpectrumKernel(grid, len(seen), problem), observed=seen)
+
+
+def _problem(
+    spectra: tuple[Any, Any], grid: ParameterGrid | PrincipledGrid, switches: Preset, copies: int,
+    falloff: np.ndarray, unit: float, tables: tuple[np.ndarray, np.ndarray] | None,
+) -> kernel.Problem:  # fmt: skip
+    """Everything but degree 0."""
+    S_L, S_B = spectra
+    _, degrees, channels = S_L.shape
     *_, cells = grid.axes.values()
-    problem = kernel.Problem(
+    return kernel.Problem(
         incoming=S_L.array,
         outgoing=S_B.array,
         sigma=dr.opaque(mi.Float64, switches.sigma * unit),
@@ -129,13 +142,11 @@ def spectrum_posterior(
         groups=_groups(switches, channels, copies),
         rows=streaming.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
-        decay=owned(mi.Float64, decay(switches, grid, prefilter)),
+        decay=owned(mi.Float64, falloff),
         albedo=owned(mi.Float64, np.square(_albedo(switches, grid))),
         cells=cells,
         prior=None if tables is None else tuple(owned(mi.Float64, t) for t in tables),
-        constant=_constant(switches, grid, irradiance, (count, channels), unit),
     )
-    return Posterior(kernel=SpectrumKernel(grid, count, problem), observed=seen)
 
 
 def _seen(observed: Any | None, count: int) -> np.ndarray:
