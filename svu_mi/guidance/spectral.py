@@ -6,7 +6,7 @@ mirrors, S_L', times Ks_0^2 e_l, so that Eq. 11 becomes
     d(psi_0, psi) = sum_{l=1}^{l*} (Ks_0^2 e_l(alpha_0) - Ks^2 e_l(alpha))^2 S_L'(l)^2.
 
 Only S_L' depends on the views, and a candidate's is a rank-1 change of the fit of the light
-(``frequency/extend.py``): no candidate needs a factorisation, a photograph, or a fit of its own.
+(``frequency/primal.py``): no candidate needs a factorisation, a photograph, or a fit of its own.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Transport matrix from even cells of the light to samples, by the reflection model.
 
 Radiance is linear in the light: r = sum_j K_j L_j over N cells, with the K of the reflection
-model (``reflection/wide.py``, ``reflection/diffuse.py``) and traced visibility. A lobe that is
+model (``reflection/wide.py``, ``reflection/shading.py``) and traced visibility. A lobe that is
 narrower than the cells is widened to their size, so that it gathers all of its light.
 """
 

@@ -44,7 +44,7 @@ def noise_variance(
         channels: samples that each view gives.
         degrees: nu.
         assumed: s_0, where too few views tell.
-        rounding: (S,) variance by rounding alone (``statistics.rounding``), which photographs that
+        rounding: (S,) variance by rounding alone (``gather.rounding_sums``), which photographs that
             round alike do not show; None of floats.
 
     Returns:
