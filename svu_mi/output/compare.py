@@ -53,17 +53,10 @@ LEAST = 1e-3  # lower bound of standard deviations, and of the weight of a resam
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """One side of a comparison.
+    """One side of a comparison: maps (H, W, C), each of its own size; NaN where unknown.
 
-    Attributes:
-        name: such as the path of a folder.
-        about: its kind, in words.
-        maps: (H, W, C) by parameter, and ``entropy``, each of its own size; NaN where unknown.
-        sd: standard deviations of these, as far as they are known.
-        seen: (H, W) bool, texels that a photograph shows; None if not known.
-        mesh: the ``mi.Mesh`` that the maps belong to, None if not known.
-        key: digest of the mesh, empty if not known.
-        notes: sentences on how it was read.
+    ``maps`` by parameter, and ``entropy``; ``seen`` (H, W) are the texels that a photograph shows,
+    and ``key`` is the digest of the mesh, empty if not known.
     """
 
     name: str
@@ -202,26 +195,24 @@ def compare(
         MeshError: a mesh cannot carry texels.
     """
     presets, size = _options(preset, resolution, tolerance)
-    names = _names(a, b, presets)
-    results = [_read(source, name) for source, name in zip((a, b), names, strict=True)]
-    size = size or _size([side for side in results if side is not None])
-    stages = progress or Progress()
-    first, second = (
-        side or _estimated(
-            _loaded(source, size, stages, trust, memory, preflight), name, chosen, size, stages
-        )
-        for side, source, name, chosen in zip(results, (a, b), names, presets, strict=True)
-    )  # fmt: skip
-    return _compared((first, second), size, tolerance)
-
-
-def _names(a: Any, b: Any, presets: tuple[str, ...]) -> list[str]:
-    """Return what sides are called: their paths, and presets where these are the same."""
     names = [str(source) if isinstance(source, str | Path) else word
              for source, word in ((a, "the first"), (b, "the second"))]  # fmt: skip
     if names[0] == names[1]:
-        return [f"{name} ({chosen})" for name, chosen in zip(names, presets, strict=True)]
-    return names
+        names = [f"{name} ({chosen})" for name, chosen in zip(names, presets, strict=True)]
+    results = [_read(source, name) for source, name in zip((a, b), names, strict=True)]
+    size = size or _size([side for side in results if side is not None])
+    stages = progress or Progress()
+
+    def estimated(source: Any, name: str, preset: str) -> Side:
+        capture = _loaded(source, size, stages, trust, memory, preflight)
+        found = estimate(capture, texels(capture.mesh, size), preset=preset, progress=stages)
+        return _of_estimate(found, name, f"a capture, estimated with the preset {preset}")
+
+    first, second = (
+        side or estimated(source, name, chosen)
+        for side, source, name, chosen in zip(results, (a, b), names, presets, strict=True)
+    )
+    return _compared((first, second), size, tolerance)
 
 
 def _loaded(
@@ -266,13 +257,6 @@ def _size(sides: list[Side]) -> tuple[int, int]:
     """Return the (W, H) of the side with the coarser maps."""
     shapes = [max(image.shape[:2] for image in side.maps.values()) for side in sides]
     return min(((w, h) for h, w in shapes), default=(RESOLUTION, RESOLUTION))
-
-
-def _estimated(
-    capture: Capture, name: str, preset: str, size: tuple[int, int], stages: Progress
-) -> Side:
-    found = estimate(capture, texels(capture.mesh, size), preset=preset, progress=stages)
-    return _of_estimate(found, name, f"a capture, estimated with the preset {preset}")
 
 
 def _read(source: Source, name: str) -> Side | None:
