@@ -4,7 +4,7 @@
                                                          -> SH fit -> power spectra   -> posterior
 
 Memory at its peak is told by ``memory.py``: bytes per pixel of all photographs, as far as they do
-not lie in a file (``capture/pixel_buffer.py``), and per texel, of which statistics and factors take most;
+not lie in a file (``capture/pixel_buffer.py``), and per texel, mostly statistics and factors;
 many texels are therefore worked on tile by tile (``posterior/tiled.py``), and where all of them are
 asked for, only factors are kept (``estimators.py``).
 """
