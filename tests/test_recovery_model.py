@@ -252,7 +252,7 @@ def test_the_spectral_losses_and_their_slopes_are_those_of_float64(observed, nam
 
 
 def test_coefficients_have_the_power_of_the_spectra(observed):
-    texels, switches = observed.texels, preset("default", channels="joint")
+    texels, switches = observed.texels, preset("default", channels="sum")
     spectra, fitted = fit_spectra(observed, switches), fit_coefficients(observed, switches)
     table = np.array(fitted.values).reshape(49, 6, texels.count) ** 2
     for l in range(7):
