@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,11 +11,21 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli.common import Common
-from svu_mi.cli.loading import announce_sizes, with_search
-from svu_mi.cli.options import Memory, Output, Overwrite, Size, bytes_of, given, pair
+from svu_mi.cli.loading import read_capture, with_search
+from svu_mi.cli.options import (
+    Memory,
+    Output,
+    Overwrite,
+    PhotographOptions,
+    SceneOptions,
+    Size,
+    bytes_of,
+    given,
+    pair,
+)
 from svu_mi.cli.terminal import say
 from svu_mi.limits import require_texels
-from svu_mi.memory import MODELS, Need, Sizes
+from svu_mi.memory import MODELS, Need
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import claimed
 
@@ -52,7 +61,8 @@ class Compare(Common):
 
     def run(self, console: Console) -> int:
         """Compare, write the page, and say what was found."""
-        from svu_mi.output.compare import compare
+        from svu_mi.capture.window import Detail
+        from svu_mi.output.compare import plan_comparison
         from svu_mi.output.compare_page import write_comparison
 
         size = pair(self.resolution, "--resolution") if self.resolution else None
@@ -60,20 +70,22 @@ class Compare(Common):
             require_texels(size, "--resolution")
         preset = self.preset[0] if len(self.preset) == 1 else self.preset
         with claimed(self.output, "compare", overwrite=self.overwrite) as place:
+            bytes_of(self.memory, "--memory")  # refused before any work
             self.start()
             progress = Progress(console)
-
-            def preflight(path: str, texels: tuple[int, int]) -> Callable[[Sizes], float]:
-                # Of the one of the two estimates that takes more.
-                model = max(self.preset, key=MODELS.__getitem__)
-                need = partial(Need, "compare", resolution=texels, model=model)
-                return partial(announce_sizes, progress, path, with_search(need))
-
-            found = compare(
-                self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance,
-                trust=self.trust, progress=progress, preflight=preflight,
-                memory=bytes_of(self.memory, "--memory"),
-            )  # fmt: skip
+            plan = plan_comparison(
+                self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance
+            )
+            # Of the one of the two estimates that takes more.
+            model = max(self.preset, key=MODELS.__getitem__)
+            need = with_search(partial(Need, "compare", resolution=plan.size, model=model))
+            for index, path in plan.captures:
+                capture = read_capture(
+                    progress, SceneOptions(scene=path), PhotographOptions(memory=self.memory),
+                    need, Detail(texels=plan.size), trust=self.trust,
+                )  # fmt: skip
+                plan.estimate(index, capture, progress)
+            found = plan.compared()
             with progress.stage("Writing the page"):
                 write_comparison(found, place, settings=given(self))
         say(console, f"Wrote {self.output / 'compare.html'}")

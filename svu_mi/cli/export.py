@@ -13,7 +13,7 @@ from svu_mi.cli.common import Common
 from svu_mi.cli.loading import announce
 from svu_mi.cli.options import Output, Overwrite
 from svu_mi.cli.terminal import say
-from svu_mi.memory import Need, Size, Sizes
+from svu_mi.memory import Need, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import claimed
 
@@ -55,7 +55,7 @@ class Export(Common):
     def run(self, console: Console) -> int:
         """Read the result, and write the asset."""
         from svu_mi.export.export import ExportOptions, export_asset
-        from svu_mi.export.reading import load_asset
+        from svu_mi.export.reading import plan_asset
 
         options = ExportOptions(
             formats=self.formats, bits=self.bits, half=self.half, gutter=self.gutter, up=self.up
@@ -63,12 +63,10 @@ class Export(Common):
         with claimed(self.output, "export", overwrite=self.overwrite) as place:
             self.start()
             progress = Progress(console)
-
-            def preflight(size: Size) -> None:
-                announce(progress, str(self.result), Need("export", Sizes(()), size))
-
             with progress.stage("Reading the result"):
-                asset = load_asset(self.result, self.entropy, preflight=preflight)
+                plan = plan_asset(self.result, self.entropy)
+                announce(progress, str(self.result), Need("export", Sizes(()), plan.size))
+                asset = plan.read()
             with progress.stage("Writing the asset"):
                 export_asset(asset, place, options)
         say(console, f"Wrote {self.output}")

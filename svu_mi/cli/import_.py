@@ -8,7 +8,6 @@ import shlex
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,7 +16,7 @@ from rich.console import Console
 
 from svu_mi.cli.common import Common
 from svu_mi.cli.help import REGISTRY
-from svu_mi.cli.loading import announce_sizes
+from svu_mi.cli.loading import announce
 from svu_mi.cli.options import Output, Overwrite
 from svu_mi.cli.terminal import say
 from svu_mi.formats.options import ENVIRONMENT_AXES, ImportOptions, Light
@@ -111,7 +110,7 @@ class Import(Common):
 
     def _import(self, progress: Progress, place: Claim) -> list[str]:
         from svu_mi.formats.colmap.undistortion import undistort
-        from svu_mi.formats.importing import import_capture
+        from svu_mi.formats.importing import plan_import
 
         path, reading = self.source, self.reading
         with tempfile.TemporaryDirectory(prefix="svu-undistorted-") as scratch:
@@ -126,12 +125,9 @@ class Import(Common):
                 if self.undistort:
                     source = replace(source, root=self.source)
             with progress.stage("Converting photographs") as stage:
-                return import_capture(
-                    source, place, self.conversion, words=self.words, progress=stage.update,
-                    preflight=partial(
-                        announce_sizes, progress, str(self.source), partial(Need, "import")
-                    ),
-                )  # fmt: skip
+                plan = plan_import(source, self.conversion)
+                announce(progress, str(self.source), Need("import", plan.sizes))
+                return plan.write(place, self.words, stage.update)
 
 
 def import_again(capture: Capture, fixes: Sequence[str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -33,12 +33,7 @@ from svu_mi.results.provenance import (
 HEADER = 4096  # bytes that hold the header of a PLY file
 
 
-def load_asset(
-    folder: str | Path,
-    entropy: str | Path | None = None,
-    *,
-    preflight: Callable[[Size], None] | None = None,
-) -> Asset:
+def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
     """Read what ``svu recover`` has written.
 
     Args:
@@ -47,44 +42,62 @@ def load_asset(
             ``uncertainty.exr`` are taken if there.
         entropy: folder that ``svu entropy`` wrote about the same capture, for its two maps; its
             resolution may be another.
-        preflight: called before any texel is read with the (width, height) of the largest texture
-            or map; it may refuse.
 
     Raises:
         CaptureError: something is missing, damaged, does not fit, or is of another run or capture
             than the textures.
         MeshError: the mesh cannot be read, or has no UVs.
     """
-    folder = Path(folder)
+    return plan_asset(Path(folder), None if entropy is None else Path(entropy)).read()
+
+
+@dataclass(frozen=True)
+class AssetPlan:
+    """A recovery of which no texel was read yet, and the folder of its maps."""
+
+    folder: Path
+    maps: Path
+
+    @property
+    def size(self) -> Size:
+        """(Width, height) of the largest texture or map."""
+        files = [self.folder / FILES["base_color"], self.maps / ENTROPY, self.maps / COVERAGE]
+        sizes = [read_header(path).size for path in files if path.is_file()]
+        return max(sizes, key=lambda size: size[0] * size[1])
+
+    def read(self) -> Asset:
+        """Read all files (see ``load_asset``)."""
+        folder, maps = self.folder, self.maps
+        scene = _parsed(folder / SCENE)
+        shape = _shape(scene, folder / SCENE)
+        smooth = shape.find("boolean[@name='face_normals']") is None
+        textured = folder / FILES["base_color"]
+        return Asset(
+            name=shape.get("id") or "object",
+            mesh=_mesh(folder / MESH, smooth),
+            textures=read_textures(folder),
+            entropy=_map(maps / ENTROPY, 1),
+            coverage=_map(maps / COVERAGE, np.inf),
+            deviations=_deviations(folder / UNCERTAINTY, textured),
+            two_sided=shape.find("bsdf[@type='twosided']") is not None,
+            up=nearest_axis(up_of(_poses(scene))),
+            source=str(folder),
+            capture=marks_of(textured)[1],
+        )
+
+
+def plan_asset(folder: Path, entropy: Path | None) -> AssetPlan:
+    """Find all files of an asset, which must be of one run and capture (see ``load_asset``)."""
     restore(folder)
     require_recovery(folder, [*FILES.values(), SCENE, MESH], RECORD, ENTROPY)
     require_one_run(folder, [*FILES.values(), SCENE, MESH], RECORD, "recover")
-    maps = Path(folder if entropy is None else entropy)
+    maps = entropy or folder
     if entropy is not None:
         restore(maps)
         if not (maps / ENTROPY).is_file():
             raise CaptureError(f"{maps}: has no {ENTROPY}; give the folder that svu entropy wrote.")
-    textured = folder / FILES["base_color"]
-    _require_same_capture(maps, textured, asked=entropy is not None)
-    if preflight is not None:
-        files = [textured, *(path for path in (maps / ENTROPY, maps / COVERAGE) if path.is_file())]
-        sizes = [read_header(path).size for path in files]
-        preflight(max(sizes, key=lambda size: size[0] * size[1]))
-    scene = _parsed(folder / SCENE)
-    shape = _shape(scene, folder / SCENE)
-    smooth = shape.find("boolean[@name='face_normals']") is None
-    return Asset(
-        name=shape.get("id") or "object",
-        mesh=_mesh(folder / MESH, smooth),
-        textures=read_textures(folder),
-        entropy=_map(maps / ENTROPY, 1),
-        coverage=_map(maps / COVERAGE, np.inf),
-        deviations=_deviations(folder / UNCERTAINTY, textured),
-        two_sided=shape.find("bsdf[@type='twosided']") is not None,
-        up=nearest_axis(up_of(_poses(scene))),
-        source=str(folder),
-        capture=marks_of(textured)[1],
-    )
+    _require_same_capture(maps, folder / FILES["base_color"], asked=entropy is not None)
+    return AssetPlan(folder, maps)
 
 
 def _require_same_capture(folder: Path, textured: Path, *, asked: bool) -> None:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import Context, copy_context
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,6 @@ def import_capture(
     *,
     words: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
-    preflight: Callable[[Sizes], float | None] | None = None,
 ) -> list[str]:
     """Write a capture folder: ``scene.xml`` with all it refers to, photographs, ``capture.json``.
 
@@ -68,8 +67,6 @@ def import_capture(
         options: see there.
         words: of the command, without ``svu import`` and the folder; kept in ``capture.json``.
         progress: called with (photographs done, total).
-        preflight: called before any pixel is read with the sizes of photographs in memory at a
-            time and of the light; it may refuse.
 
     Returns:
         Sentences about what was found, decided and changed.
@@ -80,33 +77,62 @@ def import_capture(
         OptionError: an option is out of range, or the mesh is missing.
         OutputError: the folder cannot be written, or holds something else.
     """
+    return plan_import(source, options or ImportOptions()).write(folder, words, progress)
+
+
+@dataclass(frozen=True)
+class ImportPlan:
+    """An import of which no pixel was read yet, with frames of the size of their photographs."""
+
+    source: Source
+    options: ImportOptions
+    fixes: Sequence[Fix]
+    frames: Sequence[Frame]
+    mesh: str
+    light: Light | None
+    notes: Sequence[str]
+
+    @property
+    def sizes(self) -> Sizes:
+        """Sizes of the photographs that are in memory at a time, and of the light."""
+        largest = sorted((frame.size for frame in self.frames), key=lambda size: size[0] * size[1])
+        light = (0, 0) if self.light is None else open_picture(self.light.path).size
+        return Sizes(largest[-_at_a_time(self.frames) :], light)
+
+    def write(
+        self, folder: str | os.PathLike[str], words: Sequence[str] = (),
+        progress: Callable[[int, int], None] | None = None,
+    ) -> list[str]:  # fmt: skip
+        """Write the capture folder (see ``import_capture``)."""
+        source, options, frames, light = self.source, self.options, self.frames, self.light
+        with writing(folder, "import", capture_folder.FILE) as draft:
+            geometry = _geometry(self.mesh, frames, options, self.fixes)
+            squares, found = _write_photographs(frames, draft.folder, options.shrink, progress)
+            notes = [*source.notes, *self.notes, *geometry.notes, *about(frames, found)]
+            if light is not None:
+                light = replace(light, to_world=light.to_world @ turn_of(self.fixes, "light"))
+            sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame in squares]
+            notes += _write_scene(draft.folder, geometry, light, sensors)
+            imported = {
+                "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
+                "photographs": [name_in(source.root, frame.image) for frame in squares],
+                "notes": notes, **({"options": list(words)} if words else {}),
+            }  # fmt: skip
+            description = Description(
+                scene=draft.folder / SCENE, shape=OBJECT, imported=imported,
+                exposures=[frame.exposure for frame in squares],
+            )  # fmt: skip
+            capture_folder.write(draft, description, sensors)
+        return notes
+
+
+def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
+    """Find all files of an import, and read their headers (see ``import_capture``)."""
     require_variant()
-    options = options or ImportOptions()
     fixes = _fixes(options)
     there, left_out = _there(source, options)
     frames = _frames(there, source, options, fixes)
-    mesh, light = _mesh_and_light(source, options)
-    if preflight is not None:
-        preflight(_sizes(frames, light))
-    with writing(folder, "import", capture_folder.FILE) as draft:
-        geometry = _geometry(mesh, frames, options, fixes)
-        found = _write_photographs(frames, draft.folder, options.shrink, progress)
-        squares = [frame for frame, _ in found]
-        notes = [*source.notes, *left_out, *geometry.notes, *about(frames, [c for _, c in found])]
-        if light is not None:
-            light = replace(light, to_world=light.to_world @ turn_of(fixes, "light"))
-        sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame in squares]
-        notes += _write_scene(draft.folder, geometry, light, sensors)
-        imported = {
-            "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
-            "photographs": [name_in(source.root, frame.image) for frame in squares],
-            "notes": notes, **({"options": list(words)} if words else {}),
-        }  # fmt: skip
-        exposures = [frame.exposure for frame in squares]
-        scene = draft.folder / SCENE
-        description = Description(scene=scene, shape=OBJECT, exposures=exposures, imported=imported)
-        capture_folder.write(draft, description, sensors)
-    return notes
+    return ImportPlan(source, options, fixes, frames, *_mesh_and_light(source, options), left_out)
 
 
 def _mesh_and_light(source: Source, options: ImportOptions) -> tuple[str, Light | None]:
@@ -120,13 +146,6 @@ def _mesh_and_light(source: Source, options: ImportOptions) -> tuple[str, Light 
     if mesh is None:
         raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
     return str(mesh), light
-
-
-def _sizes(frames: Sequence[Frame], light: Light | None) -> Sizes:
-    """Return the sizes of photographs that are in memory at a time, and of the light."""
-    largest = sorted((frame.size for frame in frames), key=lambda size: size[0] * size[1])
-    at_a_time = largest[-_at_a_time(frames) :]
-    return Sizes(at_a_time, (0, 0) if light is None else open_picture(light.path).size)
 
 
 def _at_a_time(frames: Sequence[Frame]) -> int:
@@ -164,6 +183,8 @@ def _frames(
     there: Sequence[Frame], source: Source, options: ImportOptions, fixes: Sequence[Fix]
 ) -> list[Frame]:
     """Return frames of the size of their photographs, with corrected cameras."""
+    if not there:
+        raise CaptureError(f"{source.root}: has no photographs.")
     frames = []
     for frame in with_response(exposed(there, options.exposures), options.response):
         poses = frame.to_world[None]
@@ -177,8 +198,6 @@ def _frames(
                 "are not the camera's; save it again without crop or overscan."
             )
         frames.append(fitted(replace(frame, to_world=poses[0]), picture.size))
-    if not frames:
-        raise CaptureError(f"{source.root}: has no photographs.")
     return frames
 
 
@@ -234,18 +253,15 @@ def _facing(
 def _write_photographs(
     frames: Sequence[Frame], folder: Path, shrink: float,
     progress: Callable[[int, int], None] | None,
-) -> list[tuple[Frame, Converted]]:  # fmt: skip
+) -> tuple[Sequence[Frame], list[Converted]]:  # fmt: skip
     """Write ``view_0000.exr``, ...; return the frames with square pixels, and remarks on them."""
-    squares = [squared(frame, shrink) for frame in frames]
-
-    def write(index: int, context: Context) -> Converted:
-        view = folder / f"view_{index:04d}.exr"
-        return context.run(convert, frames[index], view, squares[index][1])
-
-    found = []
+    squares, scales = zip(*(squared(frame, shrink) for frame in frames), strict=True)
+    views = [folder / f"view_{index:04d}.exr" for index in range(len(frames))]
+    contexts = [copy_context() for _ in frames]  # threads know nothing of the run's marks
+    found: list[Converted] = []
     with ThreadPoolExecutor(_at_a_time(frames)) as threads:
-        contexts = [copy_context() for _ in frames]  # threads know nothing of the run's marks
-        for converted in threads.map(write, range(len(frames)), contexts):
+        work = contexts, [convert] * len(frames), frames, views, scales
+        for converted in threads.map(Context.run, *work):
             found.append(converted)
             if progress is not None:
                 progress(len(found), len(frames))
@@ -254,7 +270,7 @@ def _write_photographs(
             f"{frames[0].mask or frames[0].image}: this mask and all others are empty; "
             "in a mask, white is the object."
         )
-    return [(square, converted) for (square, _), converted in zip(squares, found, strict=True)]
+    return squares, found
 
 
 def _write_scene(

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -25,7 +25,6 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.files import read_json
 from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.limits import require_texels
-from svu_mi.memory import Sizes
 from svu_mi.metrics import psnr
 from svu_mi.options import preset as find_preset
 from svu_mi.output.knowledge import median, part, plain_percent
@@ -163,7 +162,6 @@ def compare(
     tolerance: float = TOLERANCE,
     trust: bool = False,
     progress: Progress | None = None,
-    preflight: Callable[[str, tuple[int, int]], Callable[[Sizes], float]] | None = None,
     memory: float | None = None,
 ) -> Comparison:
     """Compare two results about one object.
@@ -184,8 +182,6 @@ def compare(
         tolerance: relevant difference where no standard deviation is known.
         trust: as of ``load_capture``, like ``memory``.
         progress: shows the stages.
-        preflight: by the path of a capture and the (width, height) of its maps, a
-            function of its ``Sizes`` that returns bytes for its photographs.
         memory: bytes that photographs may take.
 
     Raises:
@@ -194,6 +190,55 @@ def compare(
         OptionError: an option out of range, or an unknown preset.
         MeshError: a mesh cannot carry texels.
     """
+    plan = plan_comparison(a, b, preset=preset, resolution=resolution, tolerance=tolerance)
+    stages = progress or Progress()
+    for index, source in plan.captures:
+        if not isinstance(source, Capture):
+            with stages.stage("Loading the capture"):
+                detail = Detail(texels=plan.size)
+                source = plan_capture(source, trust=trust, light="optional", detail=detail).read(
+                    memory
+                )
+        plan.estimate(index, source, stages)
+    return plan.compared()
+
+
+@dataclass(frozen=True)
+class ComparisonPlan:
+    """A comparison of two sides, which are None for captures that must be estimated first."""
+
+    sources: tuple[Source, Source]
+    names: list[str]
+    presets: tuple[str, ...]
+    sides: list[Side | None]
+    size: tuple[int, int]
+    tolerance: float
+
+    @property
+    def captures(self) -> list[tuple[int, Any]]:
+        """Numbers and sources of the sides to estimate."""
+        return [(k, self.sources[k]) for k, side in enumerate(self.sides) if side is None]
+
+    def estimate(self, index: int, capture: Capture, progress: Progress) -> None:
+        """Estimate a side; a light is found for a capture on disk that has none."""
+        if not isinstance(self.sources[index], Capture):
+            capture = illuminated(capture, progress=progress)
+        preset, grid = self.presets[index], texels(capture.mesh, self.size)
+        found = estimate(capture, grid, preset=preset, progress=progress)
+        about = f"a capture, estimated with the preset {preset}"
+        self.sides[index] = _of_estimate(found, self.names[index], about)
+
+    def compared(self) -> Comparison:
+        """Compare both sides."""
+        first, second = self.sides
+        assert first is not None and second is not None
+        return _compared((first, second), self.size, self.tolerance)
+
+
+def plan_comparison(
+    a: Source, b: Source, *, preset: Any, resolution: Any, tolerance: Any
+) -> ComparisonPlan:
+    """Read results, but no capture (see ``compare``)."""
     presets, size = _options(preset, resolution, tolerance)
     names = [str(source) if isinstance(source, str | Path) else word
              for source, word in ((a, "the first"), (b, "the second"))]  # fmt: skip
@@ -201,33 +246,7 @@ def compare(
         names = [f"{name} ({chosen})" for name, chosen in zip(names, presets, strict=True)]
     results = [_read(source, name) for source, name in zip((a, b), names, strict=True)]
     size = size or _size([side for side in results if side is not None])
-    stages = progress or Progress()
-
-    def estimated(source: Any, name: str, preset: str) -> Side:
-        capture = _loaded(source, size, stages, trust, memory, preflight)
-        found = estimate(capture, texels(capture.mesh, size), preset=preset, progress=stages)
-        return _of_estimate(found, name, f"a capture, estimated with the preset {preset}")
-
-    first, second = (
-        side or estimated(source, name, chosen)
-        for side, source, name, chosen in zip(results, (a, b), names, presets, strict=True)
-    )
-    return _compared((first, second), size, tolerance)
-
-
-def _loaded(
-    source: Any, size: tuple[int, int], stages: Progress, trust: bool, memory: float | None,
-    preflight: Callable[[str, tuple[int, int]], Callable[[Sizes], float]] | None,
-) -> Capture:  # fmt: skip
-    """Return a capture with its light, which is found if one on disk has none."""
-    if isinstance(source, Capture):
-        return source
-    with stages.stage("Loading the capture"):
-        plan = plan_capture(source, trust=trust, light="optional", detail=Detail(texels=size))
-        if preflight is not None:
-            memory = preflight(str(source), size)(plan.sizes(memory))
-        found = plan.read(memory)
-    return illuminated(found, progress=stages)
+    return ComparisonPlan((a, b), names, presets, results, size, tolerance)
 
 
 def _options(

@@ -75,13 +75,13 @@ def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(
     machine(monkeypatch, 4e9)
 
     need = partial(Need, "recover", resolution=(1024, 1024), model="default")
-    preflight = partial(announce_sizes, Progress(), "capture", need)
+    plan_memory = partial(announce_sizes, Progress(), "capture", need)
     many = Sizes([(1000, 1000)] * 90, memory=2e9, asked=False)
-    assert preflight(many) == 0
+    assert plan_memory(many) == 0
     with pytest.raises(CaptureError, match=r"^capture: needs [\d.]+ GB of memory, 4 are there"):
-        preflight(replace(many, asked=True))
+        plan_memory(replace(many, asked=True))
     few = replace(many, photographs=many.photographs[:10])
-    assert preflight(few) == few.memory
+    assert plan_memory(few) == few.memory
     assert plan_capture(shot).read(0.0).buffer.file is not None
     assert svu.load_capture(shot).buffer.file is None
 
