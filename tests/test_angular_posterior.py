@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import ball_scene
 from oracle import angular as oracle
 from oracle import posterior as oracle_posterior
 from unseen import assert_unseen_have_the_prior
-from walled import GLOSSY, STUDIO, Samples, angular, noise_capture, seen_in, walled_ball
+from walled import Samples, angular, noise_capture, seen_in, walled_ball
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
 from svu_mi.statistics import Statistics
-from svu_mi.statistics.gather import Weighting
 
 
 @pytest.fixture(scope="module")
@@ -134,32 +131,6 @@ def test_every_rule_agrees_with_brute_force(switches, with_prior):
             np.testing.assert_allclose(value, found, atol=1e-6)
 
 
-@pytest.mark.parametrize("switches", RULES, ids=rule)
-def test_entropy_is_that_of_the_probabilities(switches):
-    samples = random_samples(
-        np.random.default_rng(223606), 40, 3 if switches.channels == "joint" else 1
-    )
-    posterior = angular_posterior(of(samples), grid_of(switches), SCALE, switches)
-    p = np.array(posterior.probabilities, np.float64)
-    p = p.reshape(40, *posterior.grid.shape, posterior.groups)
-    truth = [oracle_posterior.mean_entropy(x) for x in p]
-    np.testing.assert_allclose(np.array(posterior.entropy()), truth, atol=3e-6)
-
-
-@pytest.mark.parametrize("switches", RULES, ids=rule)
-def test_a_texel_nobody_saw_has_entropy_exactly_1(switches):
-    samples = random_samples(
-        np.random.default_rng(244948), 9, 3 if switches.channels == "joint" else 1
-    )
-    counts = np.array([0, 4, 1] * 3)
-    statistics = statistics_of(some_views(samples, counts))
-    posterior = angular_posterior(statistics, grid_of(switches), SCALE, switches)
-    H, p = np.array(posterior.entropy()), np.array(posterior.probabilities)
-    assert (H[counts == 0] == 1).all()
-    np.testing.assert_allclose(p[counts == 0], 1 / np.prod(posterior.grid.shape), rtol=1e-6)
-    assert (H[counts > 0] < 1).all()
-
-
 @pytest.mark.few(4)
 @pytest.mark.parametrize("rows", [True, False], ids=["one roughness", "cells"])
 @pytest.mark.parametrize("switches", RULES, ids=rule)
@@ -264,39 +235,3 @@ def test_statistics_and_posterior_together_are_brute_force(scene, channels):
         ]  # fmt: skip
         truth = oracle_posterior.of_channels(oracle_posterior.joint(energies), grid.shape)
         assert abs(H[t] - oracle_posterior.mean_entropy(truth)) < 5e-6
-
-
-def kernels_of(capture, resolution, switches):
-    """Hashes of the kernels from occlusion to entropy, and those that had to be compiled."""
-    observed = seen_in(capture, resolution)
-    _ = observed.lighting  # which is else read when asked for
-    kappa = 1.0 / capture.count if switches.noise == "heteroscedastic" else np.inf
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        statistics = observed.statistics(
-            np.linspace(0, 1, 8), switches, switches.colors, weighting=Weighting(kappa)
-        )
-        total = observed.texels.count
-        dr.eval(angular_posterior(statistics, None, 0.3, switches, texels=total).entropy())
-        history = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
-    return {k["hash"] for k in history}, [k for k in history if not k["cache_hit"]]
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
-@pytest.mark.parametrize("channels", ["grey", "joint"])
-def test_other_captures_run_the_same_kernels(tmp_path, scene, channels, noise):
-    """Other objects, photographs, number of views, film size and number of texels."""
-    switches = angular(channels=channels, noise=noise)
-    first, _ = kernels_of(noise_capture(scene), 20, switches)
-    other = noise_capture(ball_scene(tmp_path, {**STUDIO, "scale": 3.0}, GLOSSY), range(5), size=20)
-    second, compiled = kernels_of(other, 29, switches)
-    assert second == first
-    assert not compiled
-
-
-def test_a_map_of_another_size_runs_the_same_kernels(tmp_path, scene):
-    first, _ = kernels_of(noise_capture(scene), 20, angular())
-    sky = ball_scene(tmp_path, {"type": "constant", "radiance": 0.7}, GLOSSY)
-    second, _ = kernels_of(noise_capture(sky), 20, angular())
-    assert second == first

@@ -169,18 +169,6 @@ def test_a_record_counts_only_under_its_key(tmp_path):
 # --- what is run --------------------------------------------------------------------------
 
 
-def test_the_cells_of_svu_mi():
-    assert len(own_cells()) == 12
-    assert [cell.name for cell in own_cells(quick=True)] == [
-        "vase__window", "vase__overcast", "knot__window", "knot__overcast"
-    ]  # fmt: skip
-    assert own_cells(["planes"], ["clear"])[0].defines == {"light": "clear", "max_depth": "2"}
-    with pytest.raises(OptionError, match="no object 'teapot'; use one of planes"):
-        own_cells(["teapot"])
-    with pytest.raises(OptionError, match="no light 'moon'"):
-        own_cells(lights=["moon"])
-
-
 def test_an_unknown_benchmark_is_one_line(tmp_path, capsys, variant):
     assert main(["bench", "power", "-o", str(tmp_path)]) == 2
     assert f"use one of {', '.join(BENCHMARKS)}, all" in capsys.readouterr().err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -282,14 +281,6 @@ def test_draws_are_of_the_posterior(setting: tuple[svu.Posterior, oracle.Truth])
     assert np.corrcoef(cov, own)[0, 1] > 0.95
 
 
-def test_more_views_say_more() -> None:
-    entropies = []
-    for views in (1, 4, 16, 64):
-        samples, _ = simulate(400, views, 0.02, seed=2)
-        entropies.append(np.array(calibrated_posterior(statistics(samples)).entropy()).mean())
-    assert np.all(np.diff(entropies) < -0.03)
-
-
 def test_what_was_never_seen_is_the_prior() -> None:
     samples, _ = simulate(32, 6, 0.1)
     table, weight, views = samples.sums(), samples.w.sum(axis=1), np.full(32, 6)
@@ -375,28 +366,6 @@ def test_nothing_in_common_changes_little() -> None:
         assert error[1] < 1.2 * error[0], name
 
 
-@pytest.mark.slow
-def test_two_ways_to_weigh_colours_agree() -> None:
-    """In closed form per border, and per cell in double precision."""
-    rng = np.random.default_rng(2)
-    A, mu = 10 ** rng.uniform(-4, 4, 2000), rng.uniform(-0.5, 1.5, 2000)
-    u, v = (mi.Float(x.astype(np.float32)) for x in (np.sqrt(A), -mu * np.sqrt(A)))
-    edges = np.concatenate([[0], (np.arange(7) + 0.5) / 7, [1]]).tolist()
-    prior = [mi.Float((10 ** rng.uniform(-3, 1, 2000)).astype(np.float32)) for _ in range(8)]
-    one = Channel.of([u], [v], mi.Float(0))
-    (log_mass, fast), (exact, slow) = one.weighed(edges, prior), one.under(edges, prior)
-    assert np.abs(np.array(log_mass) - np.array(exact)).max() < 1e-3
-    off = np.abs(np.array(fast.mean) - np.array(slow.mean))
-    assert off[A > 0.1].max() < 1e-4
-    assert off.max() < 1e-3  # where hardly anything is lit
-    sd = [np.sqrt(np.array(x.variance, np.float64)) for x in (fast, slow)]
-    off = np.abs(sd[0] - sd[1])
-    assert off[A > 0.1].max() < 1e-3
-    assert off.max() < 3e-3
-    cells = [np.array([np.array(part) for part in x.cells]) for x in (fast, slow)]
-    assert np.abs(cells[0] - cells[1]).max() < 1e-4
-
-
 def test_the_colour_of_a_row_is_one_that_its_prior_allows() -> None:
     """In a prior with gaps, a mean may lie where no colour is allowed."""
     samples, _ = simulate(7, 5, 0.1, seed=619)
@@ -456,23 +425,6 @@ def test_texels_do_not_depend_on_each_other_but_by_the_median() -> None:
     half = oracle.Samples(*(x[:32] for x in vars(samples).values()))
     alone = calibrated_posterior(statistics(half), preset=switches(degrees=1e-6))
     assert np.abs(np.array(found.entropy())[:32] - np.array(alone.entropy())).max() < 1e-4
-
-
-def test_other_data_needs_no_other_kernel() -> None:
-    def run(count: int, seed: int, tau: float) -> None:
-        samples, _ = simulate(count, 8, 0.1, seed=seed)
-        found = calibrated_posterior(statistics(samples), preset=switches(overdispersion=tau))
-        dr.eval(found.entropy())
-
-    run(64, 0, 3.0)
-    run(64, 0, 3.0)
-    dr.sync_thread()
-    dr.kernel_history_clear()
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        run(80, 1, 5.0)
-    missed = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT
-              and not k["cache_hit"]]  # fmt: skip
-    assert not missed
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 import shutil
-import subprocess
-import sys
-import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import mitsuba as mi
@@ -245,16 +240,6 @@ def test_an_interrupted_render_is_continued(tmp_path, capsys, stopping, variant)
         np.testing.assert_allclose(one, other, rtol=1e-5)
 
 
-@pytest.mark.usefixtures("variant")
-def test_an_interrupted_render_can_be_begun_again(tmp_path, stopping):
-    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
-    assert run("render", path, "--spp", 2, "-o", out) == 130
-    assert names(draft_of(out)) == ["view_0000.exr", "view_0001.exr"]
-    assert run("render", path, "--spp", 1, "-o", out) == 0
-    assert stopping == [0, 1, 2, 0, 1, 2, 3]
-    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
-
-
 INTEGRATOR = '<integrator type="path">'
 CHANGES = {
     "max_depth": (INTEGRATOR, INTEGRATOR + '<integer name="max_depth" value="2"/>'),
@@ -328,26 +313,6 @@ def test_a_render_that_keeps_nothing_clears_what_was_kept(tmp_path):
     render_capture(path, spp=1, folder=out)
     assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
     assert not draft_of(out).exists()
-
-
-@pytest.mark.slow
-def test_a_killed_render_is_continued(tmp_path):
-    """No view that is there is rendered again: its file stays as it was."""
-    path, out = write_scene(tmp_path, sensors=sensor_xml(6, 128, 128)), tmp_path / "shot"
-    words = [sys.executable, "-m", "svu_mi", "render", path, "--spp", "64", "-o", out]
-    rendering = subprocess.Popen(words, stdout=subprocess.DEVNULL)
-    end = time.monotonic() + 60
-    while len(kept := sorted(draft_of(out).glob("view_*.exr"))) < 2:
-        assert rendering.poll() is None and time.monotonic() < end
-        time.sleep(0.01)
-    rendering.kill()
-    rendering.wait()
-    before = {each.name: each.stat().st_mtime_ns for each in kept}
-    done = subprocess.run([*words, "--resume"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(6)]
-    assert {name: (out / name).stat().st_mtime_ns for name in before} == before
-    assert load_capture(out).count == 6
 
 
 def test_a_luminance_film_gives_grey_photographs(tmp_path):
@@ -474,14 +439,6 @@ def test_an_error_comes_back_from_another_process(tmp_path):
     assert (str(again), again.sensors) == (str(caught.value), 3)
 
 
-def test_one_photograph_as_two_files_is_refused(scene):
-    folder = scene.parent / "images"
-    renamed(folder, "DSC{}".format)
-    shutil.copy(folder / "DSC1.exr", folder / "DSC1.hdr")
-    with pytest.raises(CaptureError, match=r"DSC1.exr and DSC1.hdr are the same view; keep one"):
-        load_capture(scene, folder)
-
-
 @pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
 def test_imported_photographs_keep_the_names_that_they_had(scene):
     """In messages; their files are called by their number."""
@@ -556,27 +513,6 @@ def test_a_photograph_that_is_exchanged_while_it_is_read_is_refused(scene):
     write_exr(path, {"RGB": np.ones((24, 24, 3))}, {"svu:run": "12ab"})
     with pytest.raises(CaptureError, match="view_0000.exr: changed while it was being read"):
         picture.planes()
-
-
-def test_threads_that_read_leave_stdout_and_stderr_as_they_were(scene, capfd):
-    path = scene.parent / "images" / "view_0000.exr"
-    whole = path.read_bytes()
-    broken = path.with_name("broken.exr")
-    broken.write_bytes(whole[: len(whole) // 2])
-
-    def read(index):
-        try:
-            return read_exr(broken if index % 3 else path)
-        except CaptureError as error:
-            return str(error)
-
-    with ThreadPoolExecutor(4) as threads:
-        found = list(threads.map(read, range(60)))
-    assert sum(isinstance(one, str) for one in found) == 40
-    assert all("damaged" in one for one in found if isinstance(one, str))
-    sys.stdout.write("still here\n")
-    os.write(2, b"and here")
-    assert capfd.readouterr() == ("still here\n", "and here")
 
 
 def test_pixels_that_are_no_radiance_are_masked_and_counted(scene):

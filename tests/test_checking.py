@@ -380,16 +380,6 @@ def test_turned_cameras_see_what_a_turned_mesh_shows(capture):
             assert (one != mask).mean() < 0.01
 
 
-def test_photographs_from_elsewhere_are_those_of_sensors_there(capture):
-    small = reduced(capture, 24)
-    fix = FIXES["camera-y180"]
-    there, frames = Frames.of(apply_fixes(small, [fix])), Frames.of(small)
-    moved = frames.posed(there.poses)
-    np.testing.assert_allclose(moved.views.rays.numpy(), there.views.rays.numpy(), atol=1e-5)
-    wanted = there.views.cameras.numpy()
-    np.testing.assert_allclose(moved.views.cameras.numpy(), wanted, atol=1e-4 * abs(wanted).max())
-
-
 def test_every_way_to_lay_axes_is_tried_once():
     found = light_hypotheses()
     turns = [turn_of(one.fixes, "light") for one in found]
@@ -448,34 +438,6 @@ def test_poses_and_texture_are_checked_without_a_light(capture):
     assert found.fits and all(view.color_error is None for view in found.views)
     case = Case(("camera-x180", "texture-flip-v"))
     assert same(svu.check(case.made(dark)).fixes, case.fixes)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
-def test_the_command_checks_a_scene_without_a_light(knot, tmp_path, capsys, browser):
-    folder, out = tmp_path / "capture", tmp_path / "out"
-    shutil.copytree(knot.source, folder)
-    mesh, sensors = scenes.path("knot").parent / "mesh.ply", "capture.json has them"
-    (tmp_path / "nolight.xml").write_text(
-        f'<scene version="3.0.0"><!-- {sensors} --><shape type="ply" id="knot">'
-        f'<string name="filename" value="{mesh}"/><bsdf type="principled"/></shape></scene>'
-    )
-    path = folder / "capture.json"
-    record = json.loads(path.read_text())
-    path.write_text(json.dumps(record | {"scene": "../nolight.xml", "define": {}}))
-    assert main(["check", str(folder), "-o", str(out), "--strict"]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert "poses (fits): Cameras and mesh fit the photographs (silhouettes overlap by" in printed
-    assert "cannot be determined: the capture has none." in printed
-    shown = browser.open(out / "check.html", 1280)
-    text = shown.evaluate("document.body.innerText")
-    assert "Colours differ by" not in text and "The light around the object" not in text
-    assert len(shown.evaluate("[...document.images].map(i => i.naturalWidth)")) == 10
-    shown.close()
-    small = ["--resolution", "32", "--no-pictures"]
-    assert main(["entropy", str(folder), "-o", str(tmp_path / "entropy"), *small]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert "The capture has no light: it is found in the photographs first." in printed
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import io
 import json
 import re
@@ -99,24 +98,6 @@ def test_sensors_of_the_scene_that_have_no_photograph_are_candidates(partial, tm
     for proposal in found["proposals"]:
         sensor = capture.sensors[MISSING[proposal["candidate"]]]
         np.testing.assert_allclose(proposal["pose"]["to_world"], to_world(sensor), atol=1e-6)
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("garbage", [np.nan, 1e30])
-def test_what_is_not_photographed_has_no_say(shot, partial, garbage):
-    """Guidance does not look at the images of its candidates: any other would be cheating."""
-    whole, partly = svu.load_capture(shot), svu.load_capture(partial, missing="leave-out")
-    images = [np.full_like(image, garbage) if view in MISSING else image
-              for view, image in enumerate(whole.images)]  # fmt: skip
-    guessed = dataclasses.replace(whole, images=tuple(images), used=partly.used)
-    texels = svu.texels(whole.mesh, 24)
-    found = [
-        svu.next_best_view(svu.estimate(c, texels), svu.Candidates.without_photograph(c), 2)
-        for c in (partly, guessed)
-    ]
-    np.testing.assert_array_equal(found[0].gains, found[1].gains)
-    assert found[0].entropy == found[1].entropy
-    assert [p.candidate for p in found[0].proposals] == [p.candidate for p in found[1].proposals]
 
 
 @pytest.mark.slow

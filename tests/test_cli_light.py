@@ -20,7 +20,6 @@ from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.illumination import resolve_light
-from svu_mi.recovery import descent
 
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
 
@@ -238,27 +237,6 @@ def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
     assert len({json.dumps(one["inputs"]["light"]) for one in runs}) == 1
     scene = svu.load_capture(out / "recovered.xml", dark)
     assert scene.environment.class_name() == "EnvironmentMapEmitter"
-
-
-@pytest.mark.slow
-def test_an_interrupted_recovery_goes_on_under_the_same_light(dark, tmp_path, made_up):
-    words = ("recover", dark, "--resolution", 24, "--steps", 20, "--no-pictures")
-    assert run(*words, "-o", tmp_path / "whole") == 0
-    with pytest.MonkeyPatch.context() as patch:
-        advance = descent._Run.advance
-
-        def interrupted(self):
-            advance(self)
-            if self._options.steps == 20 and self.step >= 11:  # the last descent, made short
-                raise KeyboardInterrupt
-
-        patch.setattr(descent._Run, "advance", interrupted)
-        often = ("--checkpoint-seconds", 0, "-o", tmp_path / "broken")
-        assert run(*words, *often) == 130
-    assert run(*words, *often, "--resume") == 0
-    assert len(made_up) == 1
-    whole, broken = (read_exr(tmp_path / n / "roughness.exr")["Y"] for n in ("whole", "broken"))
-    assert whole.tobytes() == broken.tobytes()
 
 
 @pytest.mark.slow

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
-import time
 from unittest.mock import MagicMock
 
 import mitsuba as mi
@@ -16,7 +13,6 @@ from helpers import fails, last_line, names, run, sensor_xml, write_scene
 
 from svu_mi import scenes
 from svu_mi.cli.common import was_interrupted
-from svu_mi.errors import OutputError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.interrupts import between_steps
 from svu_mi.output.relit_page import files_of
@@ -34,23 +30,7 @@ NUMBERS = [
 ]  # fmt: skip
 FILES = sorted([*NUMBERS, *PICTURES])
 SIZE = 32
-STEPS = 150  # enough to be interrupted in
-
-
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
-
-
-@pytest.mark.slow
-def test_a_page_that_cannot_be_drawn_is_an_error_and_leaves_no_result(
-    shot, tmp_path, monkeypatch, capsys
-):
-    def refuse(*_):
-        raise OutputError("relit.png: the disk is full.")
-
-    monkeypatch.setattr("svu_mi.output.recovery.write_relit", refuse)
-    assert recover(shot, tmp_path) == 2
-    assert last_line(capsys) == "svu: relit.png: the disk is full."
-    assert not set(FILES) & set(names(tmp_path))
 
 
 @pytest.fixture
@@ -189,24 +169,6 @@ def test_an_interrupted_run_goes_on_to_the_same_textures_and_is_no_other_run(
     assert losses[0] == losses[1]
 
 
-@pytest.mark.slow
-def test_ctrl_c_at_a_process_is_one_line_that_says_how_to_go_on(shot, tmp_path, no_pictures):
-    """That textures are the same then, and after a kill, test_checkpoint.py says."""
-    words = ["recover", shot, "-o", tmp_path / "out", "--resolution", SIZE, "--steps", STEPS]
-    words = [str(word) for word in (*words, "--checkpoint-seconds", 0)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "svu_mi", *words], stderr=subprocess.PIPE, text=True,
-        # Elsewhere than at a terminal, Ctrl-C may be off.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
-    )  # fmt: skip
-    wait_for(beside(tmp_path / "out", DRAFT) / CHECKPOINT, process)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=120)
-    assert process.returncode == 130, said
-    assert said.count("\n") == 1 and "--resume" in said
-    assert run(*words, "--resume") == 0
-
-
 def test_an_interrupt_that_was_wrapped_is_one():
     try:
         try:
@@ -240,15 +202,6 @@ def test_ctrl_c_waits_for_the_end_of_a_step(ctrl_c):
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
         raise AssertionError("the second one was held back, too")
-
-
-def wait_for(path, process):
-    for _ in range(6000):
-        if path.exists():
-            return
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.02)
-    raise AssertionError(f"{path} never came")
 
 
 BAD = {

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import render_ball, run, sensor_xml, write_scene
+from helpers import render_ball, sensor_xml, write_scene
 from PIL import Image
 from scipy.stats import norm
 from support.photographs import in_integers
 
 import svu_mi as svu
-from svu_mi import scenes
 from svu_mi.capture.fingerprint import capture_key, photographs_key
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import decoded
 from svu_mi.capture.quantization import Clipped
 from svu_mi.errors import CaptureError
-from svu_mi.exr import read_exr
 from svu_mi.illumination.exposure import equalized
 from svu_mi.illumination.record import FoundGains
 from svu_mi.observed import observe
@@ -30,8 +26,7 @@ from svu_mi.reflection.principled import mixture
 from svu_mi.statistics import Statistics
 from svu_mi.statistics.censored import Models, best_models, parabola
 from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.gather import Weighting, gather
-from svu_mi.statistics.sums import Gathered
+from svu_mi.statistics.gather import Weighting
 
 SWITCHES = preset("default", method="angular")
 LIMIT = float(decoded(np.array(SATURATED[8], np.float32)))
@@ -178,22 +173,6 @@ def statistics_of(capture, texels, **options):
     )
 
 
-def test_views_are_gone_through_once(vase):
-    """What counts in part, and what is summed, come from one kernel."""
-    stored, _ = in_integers(vase.capture, vase.estimate.observed, 0.3)
-    observed = observe(stored, vase.texels)
-    weighting = Weighting(SWITCHES.kappa(observed.unit), SWITCHES.edges)
-    model = observed.model(np.linspace(0, 1, 5), SWITCHES, 3)
-    for result in (Gathered.statistics, Gathered.factor):
-        ask = partial(gather, observed.views, observed.found, model, observed.mirrors, 3, weighting)
-        result(ask())  # rays and lobes are kept
-        dr.kernel_history_clear()
-        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-            result(ask())
-            sizes = [one["size"] for one in dr.kernel_history([dr.KernelType.JIT])]
-        assert sizes.count(len(observed.seen)) == 1
-
-
 def test_a_clipped_highlight_still_says_that_it_is_one(shiny):
     """Roughness without the highlight's pixels is open; that they are bright settles it."""
     texels = svu.texels(shiny.mesh, 48)
@@ -245,45 +224,4 @@ def test_mirror_directions_of_clipped_views_are_traced_too(shiny):
     np.testing.assert_array_equal(free[seen.seen], asked[seen.seen])
 
 
-def test_a_photograph_that_is_nowhere_clipped_costs_no_pass(shiny, monkeypatch):
-    from svu_mi import observed as module
-
-    calls = []
-    plain = module.gather
-    monkeypatch.setattr(module, "gather", lambda *args: calls.append(1) or plain(*args))
-    texels = svu.texels(shiny.mesh, 32)
-    statistics_of(shiny, texels)
-    assert len(calls) == 1
-
-
 # --- import -----------------------------------------------------------------------------------
-
-
-def test_an_import_keeps_what_is_clipped(tmp_path):
-    folder, out = tmp_path / "shots", tmp_path / "mine"
-    words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 3)
-    assert run(*words, "--resolution", 32, "--spp", 8, "-o", tmp_path / "hdr") == 0
-    from svu_mi.formats.source import frame_of
-    from svu_mi.formats.transforms import write_transforms
-
-    folder.mkdir()
-    capture = svu.load_capture(tmp_path / "hdr")
-    frames, pixels = [], []
-    for view, sensor in enumerate(capture.sensors):
-        path = folder / f"shot_{view}.png"
-        shown = np.clip(np.nan_to_num(capture.images[view]) * 255, 0, 255).astype(np.uint8)
-        shown[10:14, 10:16] = 255
-        shown[20, 20] = (255, 10, 10)
-        Image.fromarray(shown).save(path)
-        frames.append(frame_of(sensor, path))
-        pixels.append(shown)
-    write_transforms(folder / "transforms.json", frames)
-    mesh = scenes.path("vase").parent / "mesh.ply"
-    assert run("import", folder, "--mesh", mesh, "-o", out) == 0
-    imported = svu.load_capture(out, light="optional")
-    for view, shown in enumerate(pixels):
-        over = shown > SATURATED[8] * 255
-        np.testing.assert_array_equal(imported.clipped[view].flags, over)
-        np.testing.assert_allclose(imported.clipped[view].least, LIMIT, rtol=1e-5)
-    layers = read_exr(out / "view_0000.exr")
-    assert set(layers) >= {"R", "G", "B"} and (layers["R"][11, 11], layers["G"][20, 20]) != (-2, -2)

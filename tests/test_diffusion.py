@@ -114,23 +114,6 @@ def test_elsewhere_the_model_has_its_way() -> None:
     np.testing.assert_allclose(run.found[outside], latent[outside], atol=1e-12)
 
 
-@pytest.mark.parametrize("free", [10, 20])
-def test_a_model_that_agrees_leaves_what_is_certain(free: int) -> None:
-    """It predicts the noise of what it is given wherever it is told x, and invents elsewhere."""
-    shared: dict[str, np.ndarray] = {}
-
-    def model(latent: np.ndarray, time: float) -> np.ndarray:
-        a, s = Ddim.parts(time)
-        if not shared:
-            random = np.random.default_rng(743051821)
-            shared["known"] = random.standard_normal((2, *SHAPE))[0]
-            return shared["known"]
-        return (latent - a * shared["known"]) / s
-
-    run = blended(free, model)
-    assert np.abs(run.found - run.known)[run.certain].max() < 1e-3
-
-
 class Truth:
     """Stands in for a model: it knows what a scene is made of, or says the same of everything."""
 

@@ -24,7 +24,6 @@ from svu_mi.checking.exposure import (
     excess,
     relative_gains,
     too_bright,
-    unit_of,
 )
 from svu_mi.checking.record import Finding
 from svu_mi.checking.run import find_gains
@@ -258,13 +257,6 @@ def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():
     )
     nothing = relative_gains(Reflections(np.zeros_like(seen), shown, diffuse, lobes, side))
     assert not nothing.known.any() and not nothing.odd.any()
-
-
-def test_reduced_photographs_know_their_unit(vase):
-    """Blocks of 6 x 6 pixels have the mean of their radiance."""
-    small = reduced(gained(vase, [7.0] * VIEWS), 16)
-    shown = unit_of(vase, small) * small.images[3].mean()
-    assert shown == pytest.approx(7 * vase.images[3].mean(), rel=1e-4)
 
 
 def test_mirrors_look_the_light_up_where_it_is(vase):

@@ -16,8 +16,6 @@ from scipy import stats
 import svu_mi as svu
 from svu_mi.capture.poses import directions_of, sphere_sensors
 from svu_mi.capture.scene import to_world
-from svu_mi.frequency.harmonics import System
-from svu_mi.frequency.primal import extend_lanes
 from svu_mi.guidance import prospect as prospects
 from svu_mi.guidance import result as results
 from svu_mi.guidance import strategies as baselines
@@ -217,60 +215,6 @@ class TestRankOne:
     """Must show 1: a fit with one more sample is the fit from scratch."""
 
     @pytest.mark.few(1)
-    @pytest.mark.parametrize("penalize", [True, False])
-    @pytest.mark.parametrize("known", [0, 1, 3, 20, 60])
-    def test_equals_refitting(self, known, penalize):
-        rng, lmax, added = np.random.default_rng(known), 6, 5
-        count = known + added
-        directions = rng.normal(size=(count, 3))
-        directions[:, 2] = np.abs(directions[:, 2])
-        directions = (directions / np.linalg.norm(directions, axis=1)[:, None]).astype(np.float32)
-        weights = np.abs(directions[:, 2]).astype(np.float32)
-        values = rng.gamma(1.0, 1.0, (count, 2)).astype(np.float32)
-        table = np.concatenate([weights[:, None], directions, values], axis=1)
-        flat, columns = owned(mi.Float, table.ravel()), table.shape[1]
-
-        def sample(first):
-            first = dr.opaque(mi.UInt32, first)  # one kernel, whatever is known
-
-            def read(index):
-                w, x, y, z, *f = (
-                    dr.gather(mi.Float, flat, (index + first) * columns + k)
-                    for k in range(columns)
-                )
-                return mi.Vector3f(x, y, z), w, f
-
-            return read
-
-        out = dr.zeros(mi.Float64, added * 14)
-        dr.eval(out)
-
-        def take(j, power):
-            for l in range(7):
-                for c in range(2):
-                    dr.scatter(out, power[l][c], j * 14 + (l * 2 + c))
-
-        alone = extend_lanes(
-            (sample(0), dr.opaque(mi.UInt32, known)),
-            (sample(known), dr.opaque(mi.UInt32, added)),
-            System.of(lmax, 2, 1e-3, penalize), take,
-        )  # fmt: skip
-        dr.eval(out, alone)
-        for j in range(added):
-            rows = [*range(known), known + j]
-            exact = oracle.refitted_power(
-                directions[rows], weights[rows], values[rows], lmax, 1e-3, penalize
-            )
-            found = out.numpy()[j * 14 : (j + 1) * 14].reshape(7, 2)
-            np.testing.assert_allclose(found, exact, atol=1e-6 * exact.max(), rtol=1e-6)
-        if known:
-            exact = oracle.refitted_power(
-                directions[:known], weights[:known], values[:known], lmax, 1e-3, penalize
-            )
-            found = np.array([[c.numpy()[0] for c in row] for row in alone])
-            np.testing.assert_allclose(found, exact, atol=1e-6 * exact.max(), rtol=1e-6)
-
-    @pytest.mark.few(1)
     @pytest.mark.parametrize("switches", [
         preset("paper", degree=LOW, sigma=0.02, regularizer=1e-2),
         preset("default", degree=LOW, parameters="specular", sigma=0.05),
@@ -422,18 +366,6 @@ class TestGrowing:
         np.testing.assert_allclose(lit.now(np.arange(4)), exact, atol=1e-4)
         assert np.abs(forecast.now(np.arange(4)) - exact).max() > 1e-3
 
-    @pytest.mark.slow
-    def test_steps_in_growing_light_compile_nothing(self, sunny, estimated):
-        capture, _ = sunny
-        estimate = estimated(0, 3, method="spectrum", preset=SHARP)
-        around = svu.Candidates.at(capture, range(5, 20))
-        greedy = prospect(estimate, around, band_limit="growing").greedy
-        greedy.choose(int(np.argmax(greedy.gains())))
-        compiled = dr.detail.launch_stats()[1:]  # looked for on disk, or compiled
-        for _ in range(3):
-            greedy.choose(int(np.argmax(greedy.gains())))
-        assert dr.detail.launch_stats()[1:] == compiled
-
     def test_refused(self, estimated):
         estimate = estimated(0, 1)
         for strategy in ("entropy", "coverage"):
@@ -447,17 +379,6 @@ class TestGrowing:
 
 
 class TestHypotheses:
-    def test_all_cells_of_a_small_grid(self):
-        p = posteriors(np.random.default_rng(0), 5, 12)
-        drawn = Hypotheses.draw(p, 12, np.zeros(5))
-        assert (np.diff(drawn.weights.numpy().reshape(-1, 5), axis=0) <= 0).all()
-        rebuilt = np.zeros_like(p)
-        for k in range(12):
-            cell, weight = drawn.at(mi.UInt32(k), dr.arange(mi.UInt32, 5))
-            active = k < drawn.counts.numpy()
-            rebuilt[np.arange(5)[active], cell.numpy()[active]] = weight.numpy()[active]
-        np.testing.assert_allclose(rebuilt, p, rtol=1e-6)
-
     def test_draws_are_within_one_of_their_share_and_unbiased(self):
         p = posteriors(np.random.default_rng(1), 4, 100)
         total = np.zeros_like(p)
@@ -473,12 +394,6 @@ class TestHypotheses:
                 assert (np.abs(10 * shares - exact) < 1 + 1e-5).all()
                 total[t, cells[: counts[t], t]] += shares / 400
         assert np.abs(total - p).max() < 0.02
-
-    def test_a_certain_texel_costs_one(self):
-        p = np.zeros((2, 50))
-        p[:, 7] = 1
-        assert Hypotheses.draw(p, 16, np.array([0.1, 0.9])).counts.numpy().tolist() == [1, 1]
-
 
 class GrowingGains:
     """A forecast of one texel, that one photograph and four candidates see, some of which are worth
@@ -904,20 +819,6 @@ class TestNextBestView:
         H = estimate.posterior.prior_entropy
         assert 0.3 < H < 0.9
         np.testing.assert_allclose(forecast.now(np.arange(2))[unseen], H, rtol=1e-6)
-
-    @pytest.mark.slow
-    def test_the_calibrated_measure_is_that_of_the_estimate(self, sunny):
-        """A part of the prior's entropy, which unseen texels have all of."""
-        capture, texels = sunny
-        prior = np.ones((8, 8, 8))
-        prior[:5] = 0
-        estimate = svu.estimate(some(capture, (0, 5)), texels, prior=prior)
-        forecast = prospect(estimate, svu.Candidates.around(capture, 4)).forecast
-        p = prior / prior.sum()
-        assert forecast.measure.most == pytest.approx(-(p[5:] * np.log(p[5:])).sum())
-        unseen = np.array(estimate.coverage) == 0
-        assert (np.array(estimate.entropy)[unseen] == 1).all()
-        assert (forecast.now(np.arange(2))[unseen] == 1).all()
 
     def test_bad_input(self, sunny, estimated):
         capture, texels = sunny

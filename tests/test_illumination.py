@@ -61,15 +61,6 @@ def test_transport_is_that_of_the_equations(number):
     np.testing.assert_allclose(np.einsum("csn,nc->sc", K, light), truth, rtol=1e-4)
 
 
-def test_roughness_may_be_that_of_all_texels_or_of_each():
-    samples, _ = made_up(6, 4)
-    transport, light = Transport.of(samples, 64), np.exp(smooth_light(64))
-    levels = np.linspace(0, 1, 3)
-    same, each = (transport.columns(light, r) for r in (levels, np.tile(levels, (6, 1))))
-    for first, second in zip(same, each, strict=True):
-        np.testing.assert_array_equal(first, second)
-
-
 def test_light_that_moves_is_that_of_turned_cameras():
     samples, materials = made_up(6, 4)
     cells = fibonacci(64)

@@ -250,12 +250,6 @@ def test_parts_are_weighed_to_be_as_far_from_what_is_known() -> None:
     assert importance(np.array([1.0]), np.array([0.1, 0.2])).tolist() == [0, 1]
 
 
-def test_texels_that_are_neighbours_are_of_one_piece() -> None:
-    around = [np.array([1, 0, 3, 2, 4]), np.array([0, 1, 2, 3, 4])]
-    found = connected(around)
-    assert found[0] == found[1] and found[2] == found[3] and len(set(found.tolist())) == 3
-
-
 def test_nothing_is_alike_where_nothing_is_near() -> None:
     far = 3 * RULES["mirrored"].farthest
     points = np.array([[0.5, 0, 0], [0.51, 0, 0], [-0.5, far, 0]], float)

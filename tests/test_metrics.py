@@ -121,14 +121,6 @@ def test_a_perfect_order_has_no_area_and_no_order_is_chance(rng):
     assert np.mean(noise) == pytest.approx(1, abs=0.15)
 
 
-def test_sparsification_does_not_depend_on_units_or_order(rng):
-    error, said = rng.exponential(size=200), rng.integers(0, 20, 200)
-    order = rng.permutation(200)
-    first = metrics.sparsification(error, said)
-    other = metrics.sparsification(7 * error[order], np.exp(said[order] / 3))
-    assert other.ause == pytest.approx(first.ause)
-
-
 def test_curves_for_a_plot():
     found = metrics.sparsification([1, 2, 3], [1, 2, 3]).sampled(3)
     curve = [1, 0.75, 0.5]

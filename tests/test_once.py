@@ -19,7 +19,6 @@ from svu_mi.recovery.options import DescentOptions, ShOptions
 from svu_mi.statistics.gather import Weighting
 
 TRACERS = ("pack_views", "survey", "trace_reach", "trace_mirrors", "light")
-RAYS = ("pack_views", "survey", "trace_reach", "trace_mirrors")
 BRIEF = ShOptions(descent=DescentOptions(steps=2))
 GRID = PrincipledGrid(3, 3, 3)
 
@@ -112,28 +111,6 @@ def test_what_was_observed_serves_as_well_as_an_estimate(capture, layout, calls)
     svu.reference_posterior(observed, subset=10, spp=2, grid=GRID)
     assert calls == dict.fromkeys(TRACERS, 1)
     assert first.observed is observed
-
-
-@pytest.mark.slow
-def test_it_is_the_same_from_a_capture(capture, layout):
-    """And a capture still works: the results are equal to the last bit."""
-    estimate = svu.estimate(capture, layout)
-    for method in ("angular", "spectrum"):
-        a, b = svu.estimate(capture, layout, method), svu.estimate(estimate, method=method)
-        np.testing.assert_array_equal(np.array(a.entropy), np.array(b.entropy))
-    a, b = svu.recover(capture, layout, sh=BRIEF), svu.recover(estimate, sh=BRIEF)
-    for name, tensor in a.textures.items():
-        np.testing.assert_array_equal(np.array(tensor), np.array(getattr(b.textures, name)))
-    a, b = (
-        svu.reference_posterior(*source, subset=10, spp=2, grid=GRID)
-        for source in ((capture, layout), (estimate,))
-    )
-    np.testing.assert_array_equal(a.entropy, b.entropy)
-    a, b = (
-        svu.next_best_view(e, svu.Candidates.around(capture, 5))
-        for e in (svu.estimate(capture, layout), svu.estimate(estimate))
-    )
-    np.testing.assert_array_equal(a.gains, b.gains)
 
 
 def test_what_is_hidden_from_nothing_traces_no_cell(capture, layout, calls):

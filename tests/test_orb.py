@@ -29,13 +29,11 @@ from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import read_planes
-from svu_mi.capture.scene import find_environment, load_scene
 from svu_mi.errors import CaptureError, MeshError, OptionError, ShapeError, SvuWarning
 from svu_mi.formats.fixes import turned
 from svu_mi.formats.light import read_environment_map
 from svu_mi.formats.reading import read_source
 from svu_mi.formats.stanford_orb import read_orb, read_views, recognises
-from svu_mi.light.environment import radiance_from
 from svu_mi.recovery.textures import Textures
 
 pytestmark = pytest.mark.slow  # test_import.py reads a small set of this layout
@@ -328,36 +326,6 @@ def true_textures():
         name: mi.TensorXf(np.stack(read_planes(place / f"{name}.exr")[0][:count], axis=-1))
         for name, count in channels.items()
     })  # fmt: skip
-
-
-@pytest.mark.slow
-def test_the_light_is_where_it_was(data):
-    """Every map, whatever its camera, says of each direction what the scene's own light does."""
-    rng = np.random.default_rng(71255093)
-    towards = rng.normal(size=(2000, 3))
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    for name, light in zip((FIRST, SECOND), LIGHTS, strict=True):
-        scene = load_scene(scenes.path("vase"), {"light": light})
-        true = radiance_from(find_environment(scene, ""), towards)
-        for view in read_views(data / "blender_HDR" / name, "test"):
-            pixels, matrix, _ = read_environment_map(view.light)
-            emitter = mi.load_dict({
-                "type": "envmap", "bitmap": mi.Bitmap(pixels),
-                "to_world": mi.ScalarTransform4f(matrix),
-            })  # fmt: skip
-            found = radiance_from(emitter, towards @ rotation_of(data, name).T)
-            assert np.corrcoef(found.ravel(), true.ravel())[0, 1] > 0.995
-
-
-def rotation_of(data, name):
-    """From the vase's own frame to the world of a capture: a mesh is the same in both."""
-    file = data / "ground_truth" / name / "mesh_blender/mesh.obj"
-    lines = [line.split()[1:] for line in file.read_text().splitlines() if line.startswith("v ")]
-    placed, own = np.array(lines, float), arrays(load_scene(scenes.path("vase")).shapes()[0])
-    turn, _ = Rotation.align_vectors(
-        placed - placed.mean(axis=0), own.positions - own.positions.mean(axis=0)
-    )
-    return turn.as_matrix()
 
 
 def test_normals_of_the_scan_are_computed_anew(setting):

@@ -104,21 +104,6 @@ def test_the_order_of_the_views_does_not_matter(glossy, method):
     np.testing.assert_allclose(a, b, atol=1e-4)
 
 
-@pytest.mark.slow
-def test_a_diffuse_ball_has_no_power_above_degree_zero(tmp_path):
-    """Method: with R_00 = 0 a constant signal stays constant; as printed it leaks."""
-    capture = render_ball(tmp_path, STUDIO, DIFFUSE, views=24, resolution=(48, 48), spp=128)
-    texels = svu.texels(capture.mesh, 32)
-    seen = observe(capture, texels)
-    many = seen.coverage >= 6
-    leak = {}
-    for name in ("default", "paper"):
-        power = np.array(spectra_of(seen, preset(name)).outgoing)[many]
-        leak[name] = np.median(power[:, 1:].sum(axis=1) / power[:, 0])
-    assert leak["default"] < 1e-3  # noise of the render, texel against pixel
-    assert leak["paper"] > 10 * leak["default"]
-
-
 @pytest.mark.few(1)
 @METHODS
 def test_an_unseen_texel_knows_nothing(tmp_path, method):
@@ -262,17 +247,3 @@ def test_a_grid_of_ks_without_a_spacing_resolves_dielectrics(glossy):
     switches = preset("fixed", method="angular", parameters="specular")
     result = estimate(capture, texels, "angular", switches, grid=svu.ParameterGrid())
     assert result.posterior.axes["specular"][0] == pytest.approx(0.04)
-
-
-@pytest.mark.parametrize(
-    "method, switches",
-    [
-        ("angular", {"cells": 512.5}), ("angular", {"cells": True}), ("angular", {"sigma": "0.1"}),
-        ("angular", {"occluded": "no"}), ("spectrum", {"degree": 4.5}),
-    ],
-)  # fmt: skip
-def test_switches_of_the_wrong_kind_are_refused(method, switches):
-    (name,) = switches
-    wanted = "a whole number|a number|True or False"
-    with pytest.raises(OptionError, match=f"Preset: {name} must be ({wanted})"):
-        preset("default", method=method, **switches)

@@ -7,7 +7,6 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from helpers import write_ball
-from oracle import angular as oracle
 from walled import noise_capture, walled_ball
 
 import svu_mi as svu
@@ -16,7 +15,6 @@ from svu_mi.light import light_cells
 from svu_mi.light.environment import Environment, directions, quadrature
 from svu_mi.light.lighting import band_limit
 from svu_mi.observed import observe
-from svu_mi.reflection.shading import diffuse_shading
 from svu_mi.visibility import Surface
 from svu_mi.visibility.reach import trace_reach
 
@@ -111,28 +109,6 @@ def test_moments_are_those_of_every_node():
             np.testing.assert_allclose(ours, truth, atol=0.012 * truth[:, 0].max())
 
 
-@pytest.mark.slow
-def test_disneys_diffuse_is_that_of_every_node():
-    light = environment(scenery, rotation(5))
-    rng = np.random.default_rng(41)
-    normals = unit_vectors(rng, 5)
-    views = unit_vectors(rng, 5) + 1.5 * normals
-    views /= np.linalg.norm(views, axis=1, keepdims=True)
-    cosine = (normals * views).sum(axis=1)
-    result = arriving(scene_of(), light, points(np.zeros((5, 3)), normals), cells=512)
-    d, flux = every_node(light)
-    for channel in range(3):
-        a, b = diffuse_shading(
-            "disney", result[channel], owned(mi.Vector3f, views.T.astype(np.float32)),
-            owned(mi.Float, cosine.astype(np.float32)),
-        )  # fmt: skip
-        for roughness in (0.1, 0.5, 1.0):
-            ours = (a + roughness * b).numpy()
-            truth = [oracle.diffuse_radiance(d, flux[:, channel], o, n, roughness)
-                     for o, n in zip(views, normals, strict=True)]  # fmt: skip
-            np.testing.assert_allclose(ours, truth, rtol=0.02)
-
-
 def test_a_convex_object_hides_nothing_from_itself(tmp_path):
     """All of the light above both horizons, the shading normal's and the facet's."""
     ball = {"type": "ply", "filename": str(write_ball(tmp_path))}
@@ -155,15 +131,6 @@ def wall(height=1e3):
     return scene_of(wall=rectangle(turn))
 
 
-def turns():
-    """A white sky whose cells lie differently every time."""
-    return [environment(white, rotation(seed)) for seed in range(16)]
-
-
-def root_mean_square(errors):
-    return np.sqrt(np.mean(np.square(errors)))
-
-
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_wall_takes_the_light_that_comes_from_behind_it(turned):
     light = environment(scenery, rotation(13) if turned else None)
@@ -174,23 +141,6 @@ def test_a_wall_takes_the_light_that_comes_from_behind_it(turned):
     truth = np.maximum(normals @ d.T, 0) @ flux
     # The wall cuts through cells: a hundredth of the light at most.
     np.testing.assert_allclose(irradiance(result), truth, atol=0.01 * truth.max())
-
-
-@pytest.mark.slow
-def test_a_plate_overhead_takes_its_form_factor():
-    heights, surface = (0.5, 1.0, 3.0), points(np.zeros(3), UP)
-    plates = [rectangle(mi.ScalarTransform4f().translate([0, 0, h])) for h in heights]
-    found = []
-    for sky in turns():
-        cells, lighting = tree(sky, 2048), band_limit(sky, 16)
-        reached = (trace_reach(scene_of(plate=plate), surface, cells) for plate in plates)
-        found.append([irradiance(reach.diffuse(surface, lighting, 3)) for reach in reached])
-    for height, ours in zip(heights, np.moveaxis(found, 1, 0), strict=True):
-        # A parallel square over one of its corners, four times [Howell, B-4].
-        x = 1 / height
-        root = np.sqrt(1 + x * x)
-        lost = 4 / (2 * np.pi) * 2 * x / root * np.arctan(x / root)
-        assert root_mean_square(ours / np.pi - (1 - lost)) < 0.01
 
 
 def test_no_light_reaches_the_inside_of_a_box():
@@ -371,23 +321,6 @@ def test_diffuse_moments_are_sums_over_visible_cells(turned, channels):
             truth = np.concatenate([weight.sum(axis=0)[None], toward.T @ weight])
             size = np.abs(truth[0]).max()
             np.testing.assert_allclose(ours[c, first : first + 4], truth, atol=1e-5 * size)
-
-
-def test_no_kernel_for_other_texels_or_another_light():
-    scene, surface = surroundings()
-    for run, count in enumerate((40, 17)):
-        light = environment(scenery if run else white, rotation(run))
-        few = Surface(*(dr.gather(type(x), x, dr.arange(mi.UInt32, count)) for x in
-                        (surface.position, surface.normal, surface.geometric_normal)),
-                      surface.offset)  # fmt: skip
-        dr.eval(few)
-        cells, lighting = tree(light, 512), band_limit(light, 16)
-        lighting.irradiance(few.normal).numpy()
-        dr.sync_thread()
-        compiled = sum(dr.detail.launch_stats()[1:])  # looked for on disk, or compiled
-        trace_reach(scene, few, cells).diffuse(few, lighting, 3)
-        if run:
-            assert sum(dr.detail.launch_stats()[1:]) == compiled
 
 
 # --- mirrors --------------------------------------------------------------------------------

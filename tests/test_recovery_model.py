@@ -14,7 +14,6 @@ from oracle import continuous as oracle
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency import fit as fits
 from svu_mi.frequency.gather import fit_coefficients, fit_spectra
 from svu_mi.interop import owned
 from svu_mi.light import environment as env
@@ -207,17 +206,6 @@ def test_nothing_is_compiled_between_steps(observed, kind):
             kernels = dr.kernel_history([dr.KernelType.JIT])
         if step > 1:
             assert kernels and all(kernel["cache_hit"] for kernel in kernels)
-
-
-@pytest.mark.slow
-def test_many_views_are_fitted_by_the_other_solver(observed, monkeypatch):
-    """More than the dual holds: the normal equations give the same loss and slopes."""
-    textures = random_textures()
-    loss, slopes = backward(angular_objective(observed, angular("paper")), textures)
-    monkeypatch.setattr(fits, "AUTO_CAPACITY", 0)
-    other, others = backward(angular_objective(observed, angular("paper")), textures)
-    assert other == pytest.approx(loss, rel=1e-5)
-    np.testing.assert_allclose(others, slopes, atol=1e-4 * np.abs(slopes).max())
 
 
 # --- losses on spherical harmonics ----------------------------------------------------------

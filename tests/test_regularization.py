@@ -21,7 +21,7 @@ from svu_mi.options import preset
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import ParameterGrid, Posterior, tabulated_posterior
 from svu_mi.posterior.tabulated import TabulatedKernel
-from svu_mi.regularization.seeds import find_seeds, least_minima, minima, smoothed
+from svu_mi.regularization.seeds import find_seeds, least_minima, smoothed
 from svu_mi.regularization.sharing import divergences
 from svu_mi.surface import Texels, neighbors, texels
 
@@ -99,15 +99,6 @@ def test_texels_outside_the_charts_do_not_matter():
     one, two = (differentiated(TotalVariation(where, mesh), x) for x in (values, other))
     assert one[0] == two[0]
     np.testing.assert_array_equal(one[1], two[1])
-
-
-@pytest.mark.parametrize("epsilon", [1e-2, 0.0])
-def test_constant_textures_have_no_variation(epsilon):
-    where, mesh = sphere()
-    loss, gradient = differentiated(
-        TotalVariation(where, mesh, epsilon=epsilon), np.full((16, 24, 3), 0.37, "f4")
-    )
-    assert loss == 0 and not gradient.any()
 
 
 @cache
@@ -444,42 +435,6 @@ def test_least_minima_are_those_of_a_walk_over_all_texels(scene, surface, steps,
         found = least_minima(values, observed, around, count)
         assert found.dtype == np.int64
         np.testing.assert_array_equal(found, wanted[:count])
-
-
-def test_a_plateau_is_one_minimum():
-    where, mesh = sphere()
-    around = neighbors(where, mesh)
-    cell = np.divmod(where.index.numpy().astype(int), RESOLUTION[0])[::-1]
-    values = np.full(where.count, 0.9)
-    values[(np.abs(cell[0] - 5) < 3) & (np.abs(cell[1] - 8) < 3)] = 0.1
-    values[(np.abs(cell[0] - 17) < 2) & (np.abs(cell[1] - 8) < 2)] = 0.5
-    found = minima(values, np.ones(where.count, bool), around)
-    assert sorted(values[found]) == [0.1, 0.5]
-    only = minima(values, values > 0.2, around)
-    assert sorted(values[only]) == [0.5]
-
-
-def test_a_minimum_on_a_seam_is_one():
-    where, mesh = sphere()
-    around = neighbors(where, mesh)
-    position = where.position.numpy().T
-    seam = where.index.numpy()  # the texel of the middle row that is nearest to the left border
-    row = np.flatnonzero(seam // RESOLUTION[0] == RESOLUTION[1] // 2)
-    center = position[row[(seam[row] % RESOLUTION[0]).argmin()]]
-    values = np.linalg.norm(position - center, axis=1) / 2
-    assert len(minima(values, np.ones(where.count, bool), around)) == 1
-    apart = minima(values, np.ones(where.count, bool), neighbors(where))
-    assert len(apart) == 2  # without the mesh, each side has its own
-
-
-def test_the_least_minimum_on_a_seam_is_one():
-    where, mesh = sphere()
-    cell = np.divmod(where.index.numpy().astype(int), RESOLUTION[0])
-    away = np.minimum(cell[1], RESOLUTION[0] - 1 - cell[1]) + np.abs(cell[0] - 8)
-    values = away / 100  # least on both sides of the border of the map
-    seen = np.ones(where.count, bool)
-    assert len(least_minima(values, seen, neighbors(where, mesh))) == 1
-    assert len(least_minima(values, seen, neighbors(where))) == 2
 
 
 def test_smoothing_is_a_mean_over_neighbours():

@@ -233,17 +233,6 @@ def test_a_known_value_need_not_be_a_node(grey):
     assert 0 < np.abs(a - b).max() < 1e-2
 
 
-def test_another_known_value_needs_no_other_kernel(grey):
-    from drjit import detail
-
-    capture, texels = grey
-    for run, value in enumerate((0.1, 0.7, 0.45)):
-        compiled = sum(detail.launch_stats()[1:])
-        estimate(capture, texels, known={"metallic": value})
-        if run:
-            assert sum(detail.launch_stats()[1:]) == compiled
-
-
 @pytest.mark.few(1)
 @RULES
 def test_another_prior_needs_no_other_kernel(grey, method, rule):

@@ -16,8 +16,6 @@ import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.observed import observe
-from svu_mi.posterior import PrincipledGrid, angular_posterior
-from svu_mi.recovery.sh.energy import energy
 from svu_mi.statistics import Factors, Statistics
 from svu_mi.statistics.factors import FLOOR, PAIRS
 from svu_mi.statistics.gather import Weighting
@@ -239,12 +237,6 @@ def assert_samples(statistics, samples, rtol=1e-6):
         np.testing.assert_allclose(np.moveaxis(errors[..., i, j], 0, -1), exact, rtol=rtol)
 
 
-@pytest.mark.parametrize("views", [1, 3, 500])
-def test_errors_are_those_of_the_samples(views):
-    samples = random_columns(np.random.default_rng(7714), views)
-    assert_samples(summed(samples, np.arange(views)), samples)
-
-
 def test_errors_of_what_fits_are_not_negative():
     """Where nothing is left, rounding must not take the square below zero."""
     rng = np.random.default_rng(88)
@@ -254,33 +246,6 @@ def test_errors_of_what_fits_are_not_negative():
     found = summed((w, columns, b), np.arange(30)).errors(m, c)
     assert (found >= 0).all()
     assert (found[..., 5, 3] < 1e-13 * (b**2).mean()).all()
-
-
-def test_a_texel_without_views_has_no_error_and_adds_nothing():
-    samples = random_columns(np.random.default_rng(5), 6)
-    samples[0][:, 2] = 0
-    whole, none = summed(samples, np.arange(6)), summed(samples, np.arange(0))
-    assert (whole.errors(*points())[2] == 0).all()
-    assert (none.errors(*points()) == 0).all()
-    assert_same(whole + none, whole)
-    assert_same(none + whole, whole)
-
-
-def test_energies_and_posteriors_of_sums_are_those_of_all_views():
-    """What goes on from sums: the energy of recovery, between levels too, and the posterior."""
-    rng = np.random.default_rng(260417)
-    w, columns, b = random_columns(rng, 60, texels=9, levels=5, channels=3)
-    order = rng.permutation(60)
-    whole = summed((w, columns, b), np.arange(60))
-    total = summed((w, columns, b), order[:17]) + summed((w, columns, b), order[17:])
-    for _ in range(ENERGIES):
-        values = as_values(rng.random((5, 9)))
-        ours, theirs = (energy(x.factor(), values)[0].numpy() for x in (total, whole))
-        np.testing.assert_allclose(ours, theirs, rtol=1e-6)
-    grid = PrincipledGrid(5, 4, 4)
-    switches = angular(channels="joint", sigma=0.3)
-    a, b = (angular_posterior(x, grid, 1.0, switches) for x in (total, whole))
-    np.testing.assert_allclose(a.entropy().numpy(), b.entropy().numpy(), atol=1e-6)
 
 
 def parts_of(scene, groups, texels, switches, kappa, places, **options):
@@ -392,25 +357,6 @@ def test_dependent_columns_leave_no_nan_and_no_error():
         np.testing.assert_allclose(products(factors), exact, rtol=1e-5, atol=1e-6)
 
 
-def test_samples_of_hardly_any_weight_leave_factors_as_good():
-    """A lamp that counts 1e-8 makes columns nearly dependent: the worst that rounding can meet."""
-    rng = np.random.default_rng(140207)
-    w, columns, b = random_columns(rng, 3, texels=200)
-    lamp = 10 ** rng.uniform(1, 5, 200)
-    w[:] = rng.uniform(0.3, 1, w.shape)
-    w[2], b[2] = 1 / (1 + lamp**2), lamp
-    statistics = summed((w, columns, b), np.arange(3))
-    U, (m, c) = statistics.factor().table(), rng.random((2, 5))
-    errors, worst = statistics.errors(m, c), 0.0
-    size = np.sqrt((w[:, None] * b**2).sum(axis=0) / w.sum(axis=0))  # (C, S)
-    for level, channel, texel in np.ndindex(3, 2, 200):
-        for k in range(5):
-            theirs = factor_error(U[level, channel, :, texel], c[k], m[k])
-            ours = errors[texel, level, channel, k, k]
-            worst = max(worst, abs(np.sqrt(theirs) - np.sqrt(ours)) / size[channel, texel])
-    assert worst < 5e-6
-
-
 def test_rounding_that_breaks_cauchy_and_schwarz_stays_rounding():
     """Two lamps that count next to nothing, and columns that hardly change from view to view."""
     rng, texels = np.random.default_rng(140219), 3000
@@ -451,16 +397,6 @@ def test_products_and_some_of_the_texels():
     np.testing.assert_array_equal(
         factors.at(owned(mi.UInt32, chosen)).weight.numpy(), some.at().weight.numpy()
     )
-
-
-def test_statistics_of_a_table_are_that_table():
-    table = np.random.default_rng(17).normal(size=(3, 2, 10, 21))
-    weight = np.random.default_rng(18).random(21)
-    statistics = Statistics.of(table, weight, np.arange(21), np.linspace(0, 1, 3), 0.7)
-    np.testing.assert_array_equal(statistics.table(), table)
-    np.testing.assert_array_equal(statistics.weight, weight)
-    np.testing.assert_array_equal(statistics.views.numpy(), np.arange(21))
-    assert (statistics.levels, statistics.channels, statistics.count) == (3, 2, 21)
 
 
 @pytest.mark.parametrize("count", [1, 16, 37])

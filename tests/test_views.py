@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import ball, ball_scene, memory_capture, write_scene
+from helpers import ball_scene, memory_capture, write_scene
 
 from svu_mi import scenes
 from svu_mi.capture import load_capture, render_capture
@@ -230,20 +230,6 @@ def test_one_photograph_for_two_cameras_is_judged_twice(tmp_path):
     left_out = np.zeros((32, 32), bool)
     capture = memory_capture(scene, [image, image], sensors, masks=(left_out, None), buffer=buffer)
     np.testing.assert_array_equal(pack_views(capture).usable.numpy(), expected_usable(capture))
-
-
-def test_no_kernel_for_another_scene_film_or_number_of_views(tmp_path):
-    for run, (number, size) in enumerate(((3, (24, 24)), (7, (40, 31)), (2, (100, 8)))):
-        path = tmp_path / str(run)
-        path.mkdir()
-        flat = ball()
-        scene = load_scene(write_scene(path, positions=flat.positions * (run + 1)))
-        capture = capture_of(scene, sphere_sensors(scene.shapes()[0], number, size))
-        dr.sync_thread()
-        compiled = sum(dr.detail.launch_stats()[1:])  # looked for on disk, or compiled
-        pack_views(capture)
-        if run:
-            assert sum(dr.detail.launch_stats()[1:]) == compiled
 
 
 @pytest.mark.parametrize("wrong", ["larger", "turned", "alpha", "mask"])

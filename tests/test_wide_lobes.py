@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -125,24 +123,6 @@ def test_what_is_not_refined_is_the_sum_over_visible_cells(
     np.testing.assert_allclose(ours[1:], exact[1:], rtol=1e-4, atol=1e-5 * float(size[1:].max()))
     assert np.quantile(np.abs(ours - exact)[1:] / exact[1:].clip(1e-9), 0.95) < 5e-5
     np.testing.assert_allclose(ours[0], exact[0], rtol=5e-3, atol=1e-5 * float(size[0].max()))
-
-
-def test_light_without_an_extent_is_the_plain_sum() -> None:
-    """Points of light are never too large: nothing is refined, and nothing blurred."""
-    scene, grid = surroundings()
-    surface = Surface.of(grid)
-    reach = trace_reach(scene, surface, light_cells(environment(spotted()), 64, 256))
-    toward = reach.cells.coarse.toward.numpy().reshape(-1, 4).copy()
-    toward[:, 3] = 0
-    points = replace(reach.cells.coarse, toward=owned(mi.Float, toward.ravel()))
-    reach = replace(reach, cells=replace(reach.cells, coarse=points))
-    normal, view = views_of(grid)
-    exact = direct(points, seen_by(reach.coarse, 64, grid.count), normal, view, disks=False)
-    ours = found_by(reach, surface, view)
-    np.testing.assert_allclose(
-        ours[1:], exact[1:], rtol=1e-4, atol=1e-5 * float(exact[1:].max())
-    )
-    np.testing.assert_allclose(ours[0], exact[0], rtol=5e-3, atol=1e-5 * float(exact[0].max()))
 
 
 def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.MonkeyPatch) -> None:

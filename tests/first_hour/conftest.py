@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hour import done
-from PIL import Image
 
-from svu_mi.capture.picture import quantized, srgb
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 
@@ -31,29 +27,16 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def shots(desk: Path) -> Path:
-    """The same desk, with what another program has written: poses, 8-bit pictures, a mesh, a light.
-
-    ``blender`` has EXR photographs, ``phone`` PNG, and ``lens`` says that they are distorted.
-    """
+    """The same desk, with what another program has written: poses, photographs, a mesh, a light."""
     import svu_mi as svu
 
-    capture = svu.load_capture(desk / "capture")
-    for name in ("blender", "phone"):
-        frames = []
-        (desk / name / "images").mkdir(parents=True)
-        for number, (sensor, image) in enumerate(zip(capture.sensors, capture.images, strict=True)):
-            path = desk / name / "images" / f"IMG_{number + 1}.exr"
-            if name == "blender":
-                shutil.copy(desk / "capture" / f"view_{number:04d}.exr", path)
-            else:
-                path = path.with_suffix(".png")
-                pixels = srgb(np.clip(np.nan_to_num(image), 0, 1))
-                Image.fromarray(quantized(pixels)).save(path)
-            frames.append(frame_of(sensor, path))
-        write_transforms(desk / name / "transforms.json", frames)
-    poses = json.loads((desk / "blender" / "transforms.json").read_text())
-    lens = poses | {"k1": 0.02, "k2": -0.01, "p1": 0.0, "p2": 0.0}
-    (desk / "blender" / "lens.json").write_text(json.dumps(lens))
+    frames = []
+    (desk / "blender" / "images").mkdir(parents=True)
+    for number, sensor in enumerate(svu.load_capture(desk / "capture").sensors):
+        path = desk / "blender" / "images" / f"IMG_{number + 1}.exr"
+        shutil.copy(desk / "capture" / f"view_{number:04d}.exr", path)
+        frames.append(frame_of(sensor, path))
+    write_transforms(desk / "blender" / "transforms.json", frames)
     shutil.copy(desk / "scenes" / "vase" / "mesh.ply", desk / "scan.ply")
     shutil.copy(desk / "scenes" / "lights" / "window.exr", desk / "probe.exr")
     return desk

@@ -13,11 +13,9 @@ from numerics.samples import (
     ESTIMATED,
     FIXED,
     GRID,
-    SCALE,
     TEXELS,
     bounds_of,
     entropy_of,
-    exposed,
     fit_samples,
     noise_of,
     pick,
@@ -131,24 +129,6 @@ def test_texels_do_not_see_each_other(seed):
     S_L, S_B = spectra(seed, 3)
     again = spectral(S_L[order], S_B[order], "paper")
     np.testing.assert_array_equal(again, spectral(S_L, S_B, "paper")[order])
-
-
-@few(12)
-@given(SEEDS, st.floats(-6, 6))
-def test_exposure_does_not_matter(seed, power):
-    """Any gain, not only one that rounds nothing."""
-    switches, gain = preset(FIXED, method="angular", noise="relative"), 10.0**power
-    data = samples(seed, 1)
-    after = entropy_of(exposed(data, gain), switches, scale=gain * SCALE)
-    assert (np.abs(after - entropy_of(data, switches)) <= 2 * bounds_of(data, switches)).all()
-
-
-@few(12)
-@given(SEEDS, st.floats(-6, 6))
-def test_exposure_does_not_matter_where_noise_is_estimated(seed, power):
-    data, gain = samples(seed, 3), 10.0**power
-    after = entropy_of(exposed(data, gain), ESTIMATED, scale=gain * SCALE)
-    np.testing.assert_allclose(after, entropy_of(data, ESTIMATED), atol=64 * U)  # measured: 21
 
 
 @few(8)
