@@ -224,3 +224,16 @@ def test_the_dual_says_when_there_are_too_many_views():
     with pytest.raises(OptionError, match='sees 300 views.*method="auto"'):
         fit_sh(d, w, f, method="dual")
     assert spectrum_error(fit_sh(d, w, f), oracle.fit(d, w, f, 6, LAMBDA, False)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "shape, message",
+    [
+        ((3, 5, 1), "got 5.* 4 and 9"),
+        ((3, 49), r"shape \(T, \(lmax\+1\)\^2, C\)"),
+        ((3, 0, 1), "got 0"),
+    ],
+)
+def test_a_wrong_number_of_coefficients_is_named(shape, message):
+    with pytest.raises(ShapeError, match=message):
+        power_spectrum(np.zeros(shape))

@@ -27,10 +27,10 @@ from svu_mi.errors import CaptureError, MeshError
 from svu_mi.formats.geometry import read_geometry
 
 SEED = 60318
-FEW, MANY = 500, 10_000  # damaged files; the many take half a minute
+FEW, MANY = 500, 4000  # damaged files
 ENOUGH = 40  # variants of a format of which some must be read, and some refused
 LIMIT = 1.5 * 2**30  # bytes that the whole process may have had in use
-MEMORY = Path("/dev/shm")  # a file system in memory, where there is one: 10 000 files are written
+MEMORY = Path("/dev/shm")  # a file system in memory, where there is one: 4000 files are written
 
 
 @pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])

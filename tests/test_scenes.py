@@ -79,21 +79,6 @@ def test_charts_do_not_overlap_and_keep_a_gutter(name):
     assert uvs.max() <= 1 - 2 / 256
 
 
-@pytest.mark.parametrize(("name", "charts"), [("planes", 2), ("spheres", 8), ("knot", 3)])
-def test_charts_keep_away_from_each_other(name, charts):
-    """Their boxes in the map are at least two texels of 256 apart, in u or in v."""
-    mesh = arrays(load_scene(scenes.path(name), SMALL).shapes()[0])
-    label = trimesh.graph.connected_component_labels(
-        trimesh.geometry.faces_to_edges(mesh.faces), node_count=len(mesh.positions)
-    )
-    used = [k for k in np.unique(label) if (label[mesh.faces[:, 0]] == k).any()]
-    low = np.array([mesh.uvs[label == k].min(axis=0) for k in used])
-    high = np.array([mesh.uvs[label == k].max(axis=0) for k in used])
-    assert len(used) == charts
-    apart = np.maximum(low[:, None] - high[None], low[None] - high[:, None]).max(axis=-1)
-    assert apart[~np.eye(charts, dtype=bool)].min() >= 2 / 256
-
-
 @pytest.mark.parametrize("name", scenes.NAMES)
 def test_winding_agrees_with_the_normals_and_points_outwards(name):
     mesh = arrays(load_scene(scenes.path(name), SMALL).shapes()[0])

@@ -11,10 +11,7 @@ import svu_mi as svu
 from svu_mi.capture.poses import scaled_sensor
 from svu_mi.capture.rays import Pictures
 from svu_mi.capture.shown import shrunk
-from svu_mi.cli.options import recovered_textures
-from svu_mi.cli.report import SIDE
 from svu_mi.guidance.forecast import Forecast
-from svu_mi.output.report import pictures
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import uniform
 
@@ -50,12 +47,6 @@ def test_half_a_width_is_that_of_the_least_known_channel(vase):
         assert (np.abs(found - expected) < 1e-6).mean() > 0.98
         assert (half.max(axis=1) - found)[seen].mean() < 0.002
     assert half.shape[1] == 3 and np.ptp(half[seen]) > 0.05
-
-
-def test_a_report_takes_as_many_texels_as_its_maps_have_pixels():
-    assert SIDE == pictures.MAP_SIDE
-    assert recovered_textures(None, (), SIDE) == ((SIDE, SIDE), None)
-    assert recovered_textures(None, (64,), SIDE) == ((64, 64), None)
 
 
 def test_pixels_that_are_asked_for_are_those_of_the_picture(vase):

@@ -48,16 +48,6 @@ def test_a_quad_is_covered_once_although_its_diagonal_crosses_texel_centres():
     assert set(owner) == {0, 1}
 
 
-def test_mirrored_triangles_are_rasterised_alike():
-    corners = np.array([[[0.1, 0.1], [0.9, 0.2], [0.3, 0.8]]])
-    owner, count = rasterize(corners, (40, 30))
-    mirrored, mirrored_count = rasterize(corners[:, ::-1], (40, 30))
-    np.testing.assert_array_equal(owner, mirrored)
-    area = 0.5 * (0.8 * 0.7 - 0.1 * 0.2)
-    assert abs(count.sum() / 1200 - area) < 0.02
-    np.testing.assert_array_equal(count, mirrored_count)
-
-
 def test_footprints_add_up_to_the_area_of_the_surface():
     found = texels(make("ball", ball(192, 96)), 256)
     area = float(dr.sum(dr.square(found.footprint))[0])
@@ -163,14 +153,6 @@ def test_unwrapping_gives_texels_and_is_kept(tmp_path):
     assert a.overlapping <= 0.01 * a.count
     np.testing.assert_allclose(a.position.numpy(), b.position.numpy(), atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(a.position.numpy(), axis=0), 1, atol=0.02)
-
-
-def test_a_kept_unwrapping_of_another_mesh_is_not_used(tmp_path):
-    flat = ball()
-    unwrapped(make("a", MeshArrays(flat.positions, flat.faces, None, None)), tmp_path)
-    bigger = make("b", MeshArrays(3 * flat.positions, flat.faces, None, None))
-    found = texels(unwrapped(bigger, tmp_path), 32)
-    np.testing.assert_allclose(np.linalg.norm(found.position.numpy(), axis=0), 3, atol=0.06)
 
 
 def test_an_empty_mesh_cannot_be_unwrapped():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -156,17 +155,6 @@ def test_copies_of_all_views_are_no_new_evidence(seed, copies):
     data = samples(seed, 1, views=6)
     again = entropy_of(pick(data, list(range(6)) * copies))
     assert (np.abs(again - entropy_of(data)) <= 2 * bounds_of(data)).all()
-
-
-@pytest.mark.slow
-@few(8)
-@given(SEEDS, st.integers(2, 8))
-def test_copies_of_views_make_the_fit_less_regular(seed, copies):
-    """k copies at lambda are one at lambda / k: Y^T W^2 Y grows, lambda R does not."""
-    d, w, f = fit_samples(seed, 12)
-    many = [np.concatenate([x] * copies, axis=1) for x in (d, w, f)]
-    before = powers(d, w, f, 1e-2 / copies)
-    np.testing.assert_allclose(powers(*many, 1e-2), before, atol=2 * SPECTRUM)
 
 
 @few(25)
