@@ -449,16 +449,16 @@ def maps(out: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow
 def test_workers_killed_and_interrupted_runs_end_with_the_same_maps(shelf_of, tmp_path):
-    folder = shelf_of("a", "b", "c", "d")
+    folder = shelf_of("a", "b")
     words = ["batch", folder, *SMALL, "--steps", "entropy", "recover"]
     assert run(*words, "-o", tmp_path / "one") == 0
     assert run(*words, "--workers", 2, "-o", tmp_path / "two") == 0
     expected = maps(tmp_path / "one")
-    assert len(expected) >= 12 and maps(tmp_path / "two") == expected
+    assert len(expected) >= 6 and maps(tmp_path / "two") == expected
 
     out = tmp_path / "killed"
     line = [sys.executable, "-m", "svu_mi", *map(str, words), "--workers", "2", "-o", str(out)]
-    for number, pause in enumerate((0.5, 1.7, 3.1, 4.3)):
+    for number, pause in enumerate((1.7, 4.3)):
         process = subprocess.Popen(line, stderr=subprocess.PIPE)
         time.sleep(pause)
         process.send_signal(signal.SIGKILL if number % 2 else signal.SIGINT)
@@ -467,7 +467,7 @@ def test_workers_killed_and_interrupted_runs_end_with_the_same_maps(shelf_of, tm
     over = threading.Event()
 
     def kill_workers():
-        for pause in (0.7, 1.9):
+        for pause in (1.9,):
             if not over.wait(pause):
                 found = subprocess.run(
                     ["pgrep", "-P", str(process.pid)], capture_output=True, text=True

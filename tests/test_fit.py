@@ -52,7 +52,7 @@ def spectrum_error(got: np.ndarray, truth: np.ndarray) -> float:
 @pytest.mark.few(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", ["hemisphere", "grazing", "duplicated", "crowded", "collinear"])
-@pytest.mark.parametrize("views, lmax", [(7, 6), (256, 6), (1, 9), (100, 4), (32, 6)])
+@pytest.mark.parametrize("views, lmax", [(7, 6), (256, 6), (1, 9), (32, 6)])
 def test_spectra_agree_with_a_double_precision_solve(views, lmax, kind, method):
     """The method needs 1e-3 of the largest degree; rounding of the output alone is 2e-7.
 

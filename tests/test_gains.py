@@ -119,7 +119,7 @@ def test_gains_wait_for_axes(vase):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "light"), [("vase", "studio"), ("knot", "clear"), ("spheres", "clear")]
+    ("name", "light"), [("vase", "studio"), ("knot", "clear")]
 )
 def test_gains_of_our_own_scenes(name, light):
     """Of 24 photographs, twice as bright and single gains are found; never one that is not."""
@@ -146,7 +146,7 @@ MATERIALS = {"gold": ((0.9, 0.7, 0.3), 0.3, 1.0), "mirror": ((0.95,) * 3, 0.1, 1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [24, 12, 8])
+@pytest.mark.parametrize("count", [24, 8])
 @pytest.mark.parametrize("material", MATERIALS)
 def test_no_material_is_taken_for_a_gain(vase, material, count):
     color, roughness, metallic = MATERIALS[material]

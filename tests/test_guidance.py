@@ -750,7 +750,7 @@ class TestNextBestView:
     @pytest.mark.slow
     @pytest.mark.parametrize(
         "switches",
-        [preset("default", method="angular"), preset("fast", method="angular"),
+        [preset("fast", method="angular"),
          preset("fixed", method="angular", noise="heteroscedastic", sigma=0.02)],
         ids=lambda switches: f"{switches.name}-{switches.noise}",
     )  # fmt: skip

@@ -201,11 +201,10 @@ def test_a_start_is_that_of_the_preset(seen, told):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
-    ("method", "name"),
-    [("sh", "paper"), ("sh", "coefficients"), ("sh", "spectrum"), ("path", "paper"),
-     ("path", "paper_polish"), ("sh+path", "paper"), ("sh+path", "spectrum")],
+    ("method", "name", "source"),
+    [("sh", "paper", "observed"), ("sh", "spectrum", "estimate"), ("path", "paper", "estimate"),
+     ("sh+path", "paper", "observed")],
 )  # fmt: skip
-@pytest.mark.parametrize("source", ["observed", "estimate"])
 def test_the_paper_s_presets_share_as_printed(seen, grid, told, method, name, source):
     """By power spectra over 8 x 8 cells, also where a recovery goes on from another estimate."""
     given = seen if source == "estimate" else seen.observed

@@ -93,8 +93,10 @@ def found(grey):
 
 
 @pytest.mark.few(2)
-@RULES
-@pytest.mark.parametrize("name", [None, *vars(NOTHING)])
+@pytest.mark.parametrize(("method", "rule", "name"), [
+    ("angular", "fixed", None), ("spectrum", "default", None),
+    *(("angular", "default", name) for name in (None, *vars(NOTHING))),
+])  # fmt: skip
 def test_every_switch_leaves_the_result(found, method, rule, name):
     ours = found(method, rule, Skip())
     other = found(method, rule, replace(NOTHING, **{name: True}) if name else NOTHING)

@@ -61,7 +61,7 @@ def exposed(capture, gain, folder):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("power", [-33, -20, 20, 33])
+@pytest.mark.parametrize("power", [-33, 33])
 @BOTH
 def test_exposure_does_not_matter_within_range(method, rule, power, capture, tmp_path):
     """1e-10 to 1e10; powers of two round nothing, so nothing may change."""
@@ -88,7 +88,7 @@ LIGHTS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("roughness", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("roughness", [0.0, 1.0])
 @pytest.mark.parametrize("name", LIGHTS)
 def test_any_light(name, roughness, tmp_path):
     light = {"type": "constant", "radiance": 1.0}
@@ -190,7 +190,7 @@ def similarity(scale=1.0, shift=0.0):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("power", [-20, -10, 10, 20])
+@pytest.mark.parametrize("power", [-20, 20])
 @BOTH
 def test_the_unit_of_length_does_not_matter(method, rule, power, capture, tmp_path):
     there = ball(to_world=similarity(2.0**power)).capture(tmp_path, capture.images)
