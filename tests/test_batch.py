@@ -417,23 +417,6 @@ def test_a_worker_of_a_cluster_works_on_one_capture_at_a_time(tmp_path, monkeypa
 # --- whole runs -------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_a_corrupt_capture_is_a_row(shelf_of, tmp_path, capsys):
-    folder = shelf_of("bad", "good")
-    (folder / "bad" / "view_0003.exr").write_bytes(b"no picture")
-    out = tmp_path / "out"
-    assert run("batch", folder, *SMALL, "--steps", "entropy", "--workers", 2, "-o", out) == 1
-    assert "1 of 2 captures done, 1 steps made" in capsys.readouterr().out
-    page, lines = (out / "index.html").read_text(), (out / "index.csv").read_text().splitlines()
-    assert "view_0003.exr: not an EXR" in page or "view_0003.exr" in page
-    assert lines[0].startswith("capture,seen,entropy") and "view_0003.exr" in lines[1]
-    assert lines[2].startswith("good,0.") and lines[2].endswith(",")
-    assert 'href="good/entropy/"' in page and "data:image/png" in page
-    shutil.copy(folder / "good" / "view_0003.exr", folder / "bad")
-    assert run("batch", folder, *SMALL, "--steps", "entropy", "-o", out) == 0
-    assert "2 of 2 captures done, 1 steps made" in capsys.readouterr().out
-
-
 def test_an_index_without_any_result_is_written(tmp_path):
     write_index(tmp_path, [], waiting=3)
     assert "0 of 3 captures are done, 3 are to come" in (tmp_path / "index.html").read_text()

@@ -419,14 +419,6 @@ def test_metals_are_a_switch() -> None:
     assert np.allclose(found.prior.sum(axis=(0, 2)), [1 / 14, *[1 / 7] * 6, 1 / 14])
 
 
-def test_texels_do_not_depend_on_each_other_but_by_the_median() -> None:
-    samples, _ = simulate(64, 8, 0.1)
-    found = calibrated_posterior(statistics(samples), preset=switches(degrees=1e-6))
-    half = oracle.Samples(*(x[:32] for x in vars(samples).values()))
-    alone = calibrated_posterior(statistics(half), preset=switches(degrees=1e-6))
-    assert np.abs(np.array(found.entropy())[:32] - np.array(alone.entropy())).max() < 1e-4
-
-
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
@@ -510,20 +502,6 @@ def test_a_prior_may_contradict_the_photographs(small: float) -> None:
     assert np.isfinite(drawn).all()
     if small == 0:
         assert drawn.min() >= 13 / 14 - 1e-6
-
-
-@pytest.mark.slow
-def test_draws_obey_a_prior_of_colours() -> None:
-    samples, _ = simulate(32, 1, 0.5)
-    weights = np.zeros((8, 8, 8))
-    weights[..., 4:6] = [1, 3]
-    found = calibrated_posterior(statistics(samples), prior=weights)
-    drawn = np.array(found.draw(300, seed=1)["base_color"])
-    assert drawn.min() >= 3.5 / 7 - 1e-6
-    assert drawn.max() <= 5.5 / 7 + 1e-6
-    p = np.array(found.probabilities, np.float64).sum(axis=(1, 2))
-    assert np.abs((drawn > 4.5 / 7).mean(axis=0) - p[:, 5]).max() < 0.12
-    assert np.abs(drawn.mean(axis=0) - np.array(found.mean("base_color"))).max() < 0.03
 
 
 def test_draws_of_grey_light_have_three_channels() -> None:

@@ -57,15 +57,6 @@ def scene(tmp_path):
 # --- what goes in comes out -----------------------------------------------------------------
 
 
-def test_photographs_are_read_in_order(scene):
-    for index in range(3):
-        image = np.full((24, 24, 3), 0.1 * (index + 1))
-        write_exr(scene.parent / "images" / f"view_{index:04d}.exr", {"RGB": image})
-    capture = load_capture(scene)
-    assert [round(float(image.mean()), 3) for image in capture.images] == [0.1, 0.2, 0.3]
-    assert capture.shape.id() == "ball" and capture.mesh is capture.shape
-
-
 def test_a_rendered_folder_is_read_again_as_it_was(tmp_path):
     path = write_scene(tmp_path)
     first = render_capture(path, spp=4, seed=831, folder=tmp_path / "shot", views=4,
@@ -177,22 +168,6 @@ def test_a_capture_folder_and_other_images_are_a_capture(tmp_path):
     write_images(tmp_path / "other", 3, value=0.25)
     capture = load_capture(tmp_path / "shot", tmp_path / "other")
     assert float(capture.images[0].mean()) == 0.25
-
-
-def test_an_interrupted_render_can_be_repeated(tmp_path):
-    path = write_scene(tmp_path)
-
-    def interrupt(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        render_capture(path, spp=1, folder=tmp_path / "shot", progress=interrupt)
-    assert not (tmp_path / "shot").exists()
-    assert render_capture(path, spp=1, folder=tmp_path / "shot").count == 3
-    before = {file.name: file.read_bytes() for file in (tmp_path / "shot").iterdir()}
-    with pytest.raises(KeyboardInterrupt):
-        render_capture(path, spp=2, folder=tmp_path / "shot", progress=interrupt)
-    assert {file.name: file.read_bytes() for file in (tmp_path / "shot").iterdir()} == before
 
 
 @pytest.fixture
@@ -576,18 +551,6 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
     )
 
 
-def test_eight_bit_photographs_are_linearised_and_warned_of(scene):
-    folder = scene.parent / "images"
-    (folder / "view_0001.exr").unlink()
-    pixels = np.full((24, 24, 3), 188, np.uint8)
-    pixels[:2] = 255
-    Image.fromarray(pixels).save(folder / "view_0001.png")
-    with pytest.warns(SvuWarning, match="view_0001.png: an 8-bit image, not HDR.*48 saturated"):
-        capture = load_capture(scene)
-    assert np.isnan(capture.images[1][:2]).all()
-    assert float(capture.images[1][5, 5, 0]) == pytest.approx(0.5029, abs=1e-3)  # sRGB 188
-
-
 # --- bad scenes -----------------------------------------------------------------------------
 
 
@@ -867,13 +830,6 @@ def test_somebody_elses_photographs_are_not_overwritten(scene):
     with pytest.raises(OutputError, match="view_0000.exr was not written by svu render"):
         render_capture(scene, spp=1, folder=folder)
     assert read_exr(folder / "view_0000.exr")["R"].mean() == 0.5
-
-
-def test_a_folder_that_cannot_be_made(scene):
-    blocker = scene.parent / "file"
-    blocker.write_text("")
-    with pytest.raises(OutputError, match="is a file, not a folder"):
-        render_capture(scene, spp=1, folder=blocker / "below")
 
 
 def test_tiny_meshes_are_unwrapped_like_large_ones():

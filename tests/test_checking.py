@@ -293,15 +293,6 @@ def test_a_light_is_wrong_if_another_way_explains_enough_more(part, verdict):
     assert finding.verdict == verdict, finding.sentence
 
 
-def test_photographs_that_are_not_used_stay_as_they_are(capture):
-    used = tuple(view > 0 for view in range(capture.count))
-    small = reduced(replace(capture, used=used), 24)
-    assert small.images[0] is capture.images[0]
-    again = reduced(small, 24)
-    np.testing.assert_allclose(again.images[1], small.images[1], rtol=1e-5)
-    assert again.masks[1] is small.masks[1]
-
-
 @pytest.mark.slow
 def test_of_one_plane_the_light_is_not_told():
     """Highlights alone would speak for a turn of the map; they are not believed."""

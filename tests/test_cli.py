@@ -6,14 +6,13 @@ import json
 import re
 from typing import get_args
 
-import numpy as np
 import pytest
 from helpers import fails, names, overlapping_balls, run, sensor_xml, write_older, write_scene
 
 from svu_mi import scenes
 from svu_mi.cli import main
 from svu_mi.errors import SvuError
-from svu_mi.exr import read_exr, write_exr
+from svu_mi.exr import read_exr
 
 FILES = ["coverage.exr", "entropy.exr", "overview.png", "run.json"]
 
@@ -135,27 +134,6 @@ def test_60_photographs_of_100_sensors(tmp_path, capsys):
 
 
 @pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
-def test_photographs_under_their_own_names(tmp_path, capsys):
-    path = write_scene(tmp_path, sensors=sensor_xml(12, 32, 32))
-    assert run("render", path, "--spp", 2, "-o", tmp_path / "shot") == 0
-    own = tmp_path / "own"
-    own.mkdir()
-    for number in range(12):
-        made = (tmp_path / "shot" / f"view_{number:04d}.exr").read_bytes()
-        (own / f"IMG_{number + 1}.exr").write_bytes(made)
-    (own / "notes.txt").write_text("any other file is no photograph")
-    capsys.readouterr()
-    words = ("entropy", path, "--images", own, "-o", tmp_path / "out", "--resolution", 24)
-    assert run(*words) == 0
-    assert capsys.readouterr().err.strip() == (
-        f"svu: warning: {own}: 12 photographs are taken in the order of their names: IMG_1.exr is "
-        "sensor 0 ('cam0'), ..., IMG_12.exr is sensor 11 ('cam11')."
-    )
-    record = json.loads((tmp_path / "out" / "run.json").read_text())["inputs"]
-    assert record["photographs"] == [f"IMG_{number + 1}.exr" for number in range(12)]
-
-
-@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
 def test_overlapping_uvs_are_unwrapped_when_asked_rendered_scenes_too(tmp_path, capsys):
     path = write_scene(tmp_path, sensors=sensor_xml(3, 32, 32), **overlapping_balls())
     words = ["entropy", path, "-o", tmp_path / "out", "--resolution", 32, "--render", "--spp", 1]
@@ -246,17 +224,6 @@ def test_an_output_folder_that_cannot_be_written(shot, tmp_path, capsys):
     blocker.write_text("")
     assert "is a file" in fails(capsys, "entropy", shot, "-o", blocker)
     assert str(blocker) in fails(capsys, "entropy", shot, "-o", blocker / "below")
-
-
-def test_a_failed_run_leaves_no_half_written_result(shot, tmp_path, capsys):
-    bad = tmp_path / "images"
-    bad.mkdir()
-    for path in shot.iterdir():
-        (bad / path.name).write_bytes(path.read_bytes())
-    write_exr(bad / "view_0005.exr", {"RGB": np.ones((3, 3, 3))})
-    line = fails(capsys, "entropy", scenes.path("vase"), "--images", bad, "-o", tmp_path / "out")
-    assert "view_0005.exr" in line
-    assert names(tmp_path) == ["images"]
 
 
 def test_verbose_shows_the_traceback(tmp_path):

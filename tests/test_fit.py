@@ -9,8 +9,7 @@ import pytest
 from oracle import frequency as oracle
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.frequency import fit_lanes, fit_sh, power_spectrum, solver_groups
-from svu_mi.frequency.harmonics import System
+from svu_mi.frequency import fit_sh, power_spectrum, solver_groups
 
 LAMBDA = 1e-3
 METHODS = ["primal", "dual"]
@@ -154,28 +153,6 @@ def test_empty_and_single_inputs_work(texels, views):
     c = fit_sh(d, np.ones((texels, views)), np.ones((texels, views, 2)), 3)
     assert c.shape == (texels, 16, 2)
     assert power_spectrum(c).shape == (texels, 4, 2)
-
-
-def lanes(d: np.ndarray, w: np.ndarray, f: np.ndarray, capacity: int) -> np.ndarray:
-    """Fit by ``fit_lanes``, degree 2, as (T, 9, C)."""
-    (texels, count, channels), flat = f.shape, [mi.Float(x.ravel()) for x in (d, w, f)]
-    views, texel = dr.opaque(mi.UInt32, count), dr.arange(mi.UInt32, texels)
-
-    def sample(view):
-        i = texel * views + view
-        xyz = [dr.gather(mi.Float, flat[0], i * 3 + k) for k in range(3)]
-        values = [dr.gather(mi.Float, flat[2], i * channels + k) for k in range(channels)]
-        return mi.Vector3f(*xyz), dr.gather(mi.Float, flat[1], i), values
-
-    c = fit_lanes(sample, views, System.of(2, channels, LAMBDA, False), capacity)
-    return np.stack([np.stack([x.numpy() for x in row], axis=-1) for row in c], axis=1)
-
-
-def test_more_views_than_the_capacity_are_dropped_not_written_elsewhere():
-    d, w, f = samples(np.random.default_rng(16180), 40, 30, 1)
-    truth = oracle.fit(d[:, :8], w[:, :8], f[:, :8], 2, LAMBDA, False)
-    got = lanes(d, w, f, capacity=8)
-    np.testing.assert_allclose(got, truth, atol=1e-6 * np.abs(truth).max())
 
 
 def good() -> dict[str, np.ndarray]:

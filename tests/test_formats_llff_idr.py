@@ -10,22 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import fails, projected, run
+from helpers import projected
 from PIL import Image
 from support.colmap import write_colmap
 
-from svu_mi import scenes
-from svu_mi.capture.loading import load_capture
 from svu_mi.capture.picture import open_picture
-from svu_mi.capture.poses import principal_point
-from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, OptionError, SvuError
-from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats import idr
 from svu_mi.formats.idr import decomposed
 from svu_mi.formats.reading import ReadOptions, read_source
 from svu_mi.formats.resampling import fitted
-from svu_mi.formats.source import Source, frame_of
+from svu_mi.formats.source import Source
 from svu_mi.formats.transforms import write_transforms
 
 
@@ -468,66 +463,3 @@ def test_archives_that_hold_more_than_they_should(tmp_path):
 
 
 # --- the command ----------------------------------------------------------------------
-
-
-def photographed(shot: Path, folder: Path, image: str, mask: str) -> list[Camera]:
-    """Copy the vase's photographs without their alpha, and the masks; return the cameras."""
-    capture = load_capture(shot)
-    (folder / image).mkdir(parents=True)
-    (folder / mask).mkdir()
-    cameras = []
-    shots = zip(capture.sensors, capture.names, capture.masks, strict=True)
-    for sensor, name, seen in shots:
-        planes = read_exr(shot / name)
-        write_exr(folder / image / name, {c: planes[c] for c in "RGB"})
-        Image.fromarray(np.uint8(255 * seen)).save(folder / mask / f"{Path(name).stem}.png")
-        frame = frame_of(sensor, folder / image / name)
-        x, y, z, eye = np.array(frame.to_world[:3], np.float64).T
-        cameras.append(Camera(eye, -x, -y, z, frame.focal, frame.center))
-    return cameras
-
-
-def imported(shot: Path, source: Path, folder: Path, *words: object) -> None:
-    """Import a vase that another program has posed, and compare it with ours."""
-    mesh = scenes.path("vase").parent / "mesh.ply"
-    assert run("import", source, "--mesh", mesh, *words, "-o", folder) == 0
-    ours, theirs = load_capture(shot), load_capture(folder, light="optional")
-    pairs = zip(ours.sensors, theirs.sensors, ours.masks, theirs.masks, strict=True)
-    for a, b, seen, kept in pairs:
-        np.testing.assert_allclose(to_world(b), to_world(a), atol=1e-5)
-        np.testing.assert_allclose(principal_point(b), principal_point(a), atol=1e-3)
-        np.testing.assert_array_equal(kept, seen)
-        assert seen.any() and not seen.all()
-
-
-@pytest.mark.usefixtures("variant")
-def test_the_whole_import_of_llff(shot, tmp_path, capsys):
-    folder = tmp_path / "fern"
-    cameras = photographed(shot, folder, "images", "masks")
-    rows = np.array([camera.row for camera in cameras])
-    rows[:, [4, 9]] = 32, 40
-    np.save(folder / "poses_bounds.npy", rows)
-    imported(shot, folder, tmp_path / "capture")
-    assert "poses_bounds.npy: the world has its own unit" in capsys.readouterr().out
-    (folder / "images" / "view_0003.exr").unlink()
-    assert fails(capsys, "import", folder, "-o", tmp_path / "other") == (
-        f"svu: {folder / 'images'}: has 7 photographs, but {folder / 'poses_bounds.npy'} has 8 "
-        "poses; give the folder of the photographs that were posed, and no others, with --images."
-    )
-
-
-@pytest.mark.usefixtures("variant")
-def test_the_whole_import_of_idr(shot, tmp_path, capsys):
-    folder = tmp_path / "scan"
-    cameras = photographed(shot, folder, "image", "mask")
-    np.savez(folder / "cameras_sphere.npz", **matrices(cameras))
-    imported(shot, folder, tmp_path / "capture")
-    assert "needs --normalized." in capsys.readouterr().out
-    # In a world that is half as large, a mesh that was normalized is the vase again.
-    halved = {
-        name: array @ np.diag([0.5, 0.5, 0.5, 1]) if name.startswith("world_mat_") else array
-        for name, array in matrices(cameras, np.diag([2.0, 2, 2, 1])).items()
-    }
-    np.savez(folder / "cameras_sphere.npz", **halved)
-    imported(shot, folder, tmp_path / "normalized", "--normalized")
-    assert "--normalized" in (tmp_path / "normalized" / "capture.json").read_text()

@@ -368,12 +368,3 @@ def test_a_bump_map_of_an_obj_is_said_too(tmp_path):
 def test_a_plain_gltf_leaves_nothing_to_say(tmp_path):
     plain = painted(tmp_path, alphaMode="OPAQUE", doubleSided=True, emissiveFactor=[0, 0, 0])
     assert not read_geometry(plain).notes
-
-
-def test_the_import_says_what_it_has_ignored(tmp_path):
-    given = source_of(tmp_path / "given", open_vase(), [affine(np.diag([-1, 1, -1]), [0, 0, 4])])
-    mesh = painted(tmp_path / "given", normalTexture={"index": 0})
-    notes = import_capture(given, tmp_path / "capture", ImportOptions(mesh=mesh))
-    assert any("scan.gltf: has a normal map, left out" in note for note in notes)
-    record = json.loads((tmp_path / "capture" / "capture.json").read_text())
-    assert notes == record["import"]["notes"]

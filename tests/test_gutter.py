@@ -38,16 +38,6 @@ def test_gutter_texels_take_the_value_of_a_nearest_valid_one(shape, texels):
             assert filled[i, j] in values[ties]
 
 
-def test_every_channel_comes_from_the_same_texel():
-    rng = np.random.default_rng(82214775)
-    valid = rng.random((12, 9)) < 0.2
-    image = np.repeat(rng.random((12, 9, 1)), 3, axis=2) * [1, 2, 4]
-    filled = dilate(image, valid, 2)
-    np.testing.assert_array_equal(filled[..., 1], 2 * filled[..., 0])
-    np.testing.assert_array_equal(filled[..., 2], 4 * filled[..., 0])
-    np.testing.assert_array_equal(filled[..., 0], dilate(image[..., 0], valid, 2))
-
-
 @pytest.mark.parametrize("inside", [True, False])
 def test_nothing_happens_without_an_inside_or_an_outside(inside):
     image = np.arange(12, dtype=np.float32).reshape(3, 4)

@@ -21,10 +21,6 @@ from svu_mi.illumination.refine import ALIKE, FREEDOM, LARGEST, STEP, Fit, Known
 from svu_mi.illumination.samples import FACING, FEWEST, Samples
 from svu_mi.illumination.transport import WIDENED, Columns, Materials, Transport
 from svu_mi.illumination.uncertainty import (
-    COLORS,
-    FURTHEST,
-    _common,
-    _tint,
     level_of,
     sample_lights,
     widening_of,
@@ -296,20 +292,6 @@ def test_light_of_another_colour_is_found_out():
     assert (abs(tint) < 1.645 * right.tint).all() and (right.tint < 0.3).all()
     np.testing.assert_allclose(wrong - tint, [-0.25, 0.05, 0.2], atol=0.08)
     assert (right.sd >= right.common).all()
-
-
-def test_dark_and_bright_objects_are_as_likely_in_dim_and_bright_light():
-    """What nothing but base colour tells apart: noise is the same from 0 to its limit."""
-    def worse(logarithm):
-        return 0.0 if logarithm.mean() > -0.5 else 1e3
-
-    level, sd = _common(worse)
-    x = np.linspace(-0.25, FURTHEST, 10_001)
-    below = np.cumsum(np.exp(-COLORS * x)) / np.exp(-COLORS * x).sum()
-    low, middle, high = np.interp((0.05, 0.5, 0.95), below, x)
-    assert level == pytest.approx(middle, abs=0.05)
-    assert sd == pytest.approx((high - low) / 2 / 1.645, abs=0.05)
-    assert np.abs(_tint(lambda _: 1.0, 0.0)[0]).max() < 1e-9
 
 
 def test_other_lights_are_as_bright_and_textures_less_certain():

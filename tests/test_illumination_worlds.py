@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -11,14 +9,12 @@ from helpers import render_ball, turning
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.record import Doubt
 from svu_mi.errors import SceneError
 from svu_mi.illumination.light_summary import likeness
 from svu_mi.illumination.prior import SD, prior_of
 from svu_mi.illumination.record import NINETY
 from svu_mi.interop import fibonacci
 from svu_mi.light.environment import basis_at
-from svu_mi.parameters import NAMES
 
 TOLD = 6  # degree of harmonics beyond which matte shading tells nothing
 
@@ -148,19 +144,3 @@ def test_metal_alone_does_not_tell_how_bright_the_light_is(metal):
     low, high = metal[1].scale_interval
     wide = bool((high > 2 * low).all())
     assert wide and any("level of the light is not known" in each for each in metal[1].remarks)
-
-
-def test_a_light_that_was_given_is_not_doubted(vase):
-    capture, found = vase
-    texels = svu.texels(capture.mesh, 48)
-    given, sure = (
-        svu.estimate(replace(capture, doubt=doubt), texels) for doubt in (None, Doubt())
-    )
-    assert np.array(given.entropy).tobytes() == np.array(sure.entropy).tobytes()
-    for name in NAMES:
-        first, second = (one.posterior.sd(name) for one in (given, sure))
-        assert np.array(first).tobytes() == np.array(second).tobytes()
-    doubted = svu.estimate(
-        replace(capture, doubt=Doubt(found.widening, tuple(found.scale_sd))), texels
-    )
-    assert np.nanmean(np.array(doubted.entropy)) > np.nanmean(np.array(given.entropy))

@@ -17,7 +17,7 @@ from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.exr import read_exr
 from svu_mi.inpaint import texel_hierarchy
 from svu_mi.inpaint.combine_predictors import FARTHER, TITLES, spreads
-from svu_mi.inpaint.cross_validation import UNSEEN, Judged, Trial, hidden_parts, importance
+from svu_mi.inpaint.cross_validation import UNSEEN, Judged, Trial, hidden_parts
 from svu_mi.inpaint.fill import fill
 from svu_mi.inpaint.symmetry_predictors import FEWEST, RULES, Examples, Likeness
 from svu_mi.inpaint.texel_hierarchy import Ground, Pieces, centred, connected
@@ -103,18 +103,6 @@ def test_a_piece_of_which_too_little_is_known_is_like_nothing() -> None:
     for kind in ("piece", "near", "turned piece"):
         _, alike = Likeness(kind).guess(pieces, some, np.array([200, 700]))
         assert alike.tolist() == [True, False], kind
-
-
-def test_what_is_like_a_piece_is_of_that_piece_alone() -> None:
-    """Of one of two rings 12 texels are known, fewer than are averaged: none of the other's."""
-    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
-    ring = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
-    points = np.concatenate([ring - [1.05, 0, 0], ring + [1.05, 0, 0]])
-    piece = np.repeat([0, 1], 60)
-    pieces, values = Pieces(centred(points), np.tile(ring, (2, 1)), piece), piece[None] * 0.7 + 0.2
-    known = known_of(values, np.concatenate([np.arange(FEWEST), 60 + np.arange(60)]))
-    found, alike = Likeness("turned piece", Y).guess(pieces, known, np.array([30]))
-    assert alike.all() and found[0, 0] == pytest.approx(0.2)
 
 
 def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[Ground, np.ndarray]:
@@ -235,19 +223,6 @@ def test_the_better_a_guess_the_more_it_counts() -> None:
     assert judged_of(errors).share < 0.01
     errors[1] = 0.0  # all are
     assert judged_of(errors).share == 1.0
-
-
-def test_parts_are_weighed_to_be_as_far_from_what_is_known() -> None:
-    random = np.random.default_rng(1)
-    meant, given = random.exponential(0.02, 4000), random.uniform(0, 0.3, 3000)
-    weights = importance(meant, given)
-    assert weights.sum() == pytest.approx(1)
-    assert (weights * given).sum() < 0.06 < given.mean()
-    even = importance(meant, meant)
-    assert (even * meant).sum() == pytest.approx(meant.mean(), rel=0.02)
-    deeper = importance(meant + 1, given)  # than anything that was tried
-    assert (deeper * given).sum() > 0.25
-    assert importance(np.array([1.0]), np.array([0.1, 0.2])).tolist() == [0, 1]
 
 
 def test_nothing_is_alike_where_nothing_is_near() -> None:

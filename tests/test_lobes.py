@@ -116,14 +116,6 @@ def test_moments_hold_disneys_diffuse_model(roughness):
             assert ours == pytest.approx(whole, rel=0.02)
 
 
-def test_lambert_is_the_irradiance_over_pi():
-    rng = np.random.default_rng(40)
-    lights, flux = unit_vectors(rng, 40), rng.exponential(size=40)
-    n, o = np.array([0, 0, 1.0]), np.array([0.6, 0, 0.8])
-    irradiance = (flux * np.maximum(lights[:, 2], 0)).sum()
-    assert shading(lights, flux, n, o, 0.7, "lambert") == pytest.approx(irradiance / np.pi)
-
-
 @pytest.mark.parametrize("roughness", [0.2, 0.9])
 def test_the_diffuse_model_is_that_of_mitsuba(roughness):
     """A dielectric's specular lobe does not know the base colour: white minus black is diffuse."""

@@ -121,12 +121,6 @@ def test_a_perfect_order_has_no_area_and_no_order_is_chance(rng):
     assert np.mean(noise) == pytest.approx(1, abs=0.15)
 
 
-def test_curves_for_a_plot():
-    found = metrics.sparsification([1, 2, 3], [1, 2, 3]).sampled(3)
-    curve = [1, 0.75, 0.5]
-    assert found == {"removed": [0, 0.33333, 0.66667], "by_uncertainty": curve, "oracle": curve}
-
-
 def test_sparsification_without_errors():
     for error in ([0.0, 0.0, 0.0], [0.5, 0.5, 0.5], [2.0]):
         found = metrics.sparsification(error, np.arange(len(error)))

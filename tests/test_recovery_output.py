@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import subprocess
@@ -20,13 +19,11 @@ import svu_mi as svu
 from svu_mi import metrics
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture import scene_xml
-from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.repaint import scene_of
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
 from svu_mi.exr import read_exr, read_header, write_exr
 from svu_mi.light.environment import read_environment
-from svu_mi.output import Run
 from svu_mi.output.recovery import write_recovery
 from svu_mi.output.relit import Comparison, compare, write_relit
 from svu_mi.output.textures import read_textures, write_textures
@@ -423,27 +420,6 @@ FILES = [
     "assets", "base_color.exr", "coverage.exr", "entropy.exr", "losses.csv", "metallic.exr",
     "recovered.xml", "recovery.png", "relit.png", "roughness.exr", "run.json", "uncertainty.exr",
 ]  # fmt: skip
-
-
-@pytest.mark.slow
-def test_all_of_a_recovery_is_written(vase, fine, tmp_path):
-    estimate = svu.estimate(vase.capture, fine.texels)
-    recovery = fake_recovery(fine.texels, fine.truth)
-    run = Run(settings={"seed": 3}, kernels={"a": 1})
-    write_recovery(vase.capture, recovery, tmp_path, run, estimate=estimate)
-    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
-    record = json.loads((tmp_path / "run.json").read_text())
-    assert record["settings"]["used"] == {"tv": 0.01, "seed": 3}
-    assert record["result"]["steps"] == 60
-    assert record["environment"]["versions"]["mitsuba"] == mi.__version__
-    header = read_header(tmp_path / "roughness.exr").attributes
-    assert json.loads(header["svu:settings"]) == {"tv": 0.01, "seed": 3}
-    assert header["svu:capture"] == capture_key(vase.capture)
-    assert list(mi.Bitmap(str(tmp_path / "recovery.png")).size()) == [1800, 1020]
-    with (tmp_path / "losses.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    np.testing.assert_allclose([float(row["loss"]) for row in rows], recovery.losses, rtol=1e-8)
-    assert [row["step"] for row in rows[:2]] == ["0", "1"]
 
 
 @pytest.mark.slow

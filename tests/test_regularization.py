@@ -21,7 +21,7 @@ from svu_mi.options import preset
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import ParameterGrid, Posterior, tabulated_posterior
 from svu_mi.posterior.tabulated import TabulatedKernel
-from svu_mi.regularization.seeds import find_seeds, least_minima, smoothed
+from svu_mi.regularization.seeds import find_seeds, least_minima
 from svu_mi.regularization.sharing import divergences
 from svu_mi.surface import Texels, neighbors, texels
 
@@ -435,15 +435,6 @@ def test_least_minima_are_those_of_a_walk_over_all_texels(scene, surface, steps,
         found = least_minima(values, observed, around, count)
         assert found.dtype == np.int64
         np.testing.assert_array_equal(found, wanted[:count])
-
-
-def test_smoothing_is_a_mean_over_neighbours():
-    where, mesh = sphere()
-    around = neighbors(where, mesh)
-    values = np.random.default_rng(512).random(where.count)
-    table = around.table()
-    expected = [values[np.unique([t, *table[:, t]])].mean() for t in range(where.count)]
-    np.testing.assert_allclose(smoothed(values, around), expected, rtol=1e-12)
 
 
 def test_seeds_are_seen_certain_and_few():

@@ -224,15 +224,6 @@ def test_all_that_is_skipped_is_said_in_sentences(estimate):
     assert findings.skipped(every) == ["new reason: 3."]
 
 
-def test_what_faces_down_is_said_to(estimate):
-    normals = np.array(estimate.texels.normal)
-    up = np.array([0.0, 1.0, 0.0])
-    assert findings.facing(estimate, normals[1] < -0.3, up) == "downwards"
-    assert findings.facing(estimate, normals[1] > 0.3, up) == "upwards"
-    assert findings.facing(estimate, normals[0] > 0, up) is None
-    assert findings.facing(estimate, np.zeros(estimate.texels.count, bool), up) is None
-
-
 # --- The turntable ------------------------------------------------------------------------
 
 

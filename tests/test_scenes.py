@@ -79,20 +79,6 @@ def test_charts_do_not_overlap_and_keep_a_gutter(name):
     assert uvs.max() <= 1 - 2 / 256
 
 
-@pytest.mark.parametrize("name", scenes.NAMES)
-def test_winding_agrees_with_the_normals_and_points_outwards(name):
-    mesh = arrays(load_scene(scenes.path(name), SMALL).shapes()[0])
-    corners = mesh.positions[mesh.faces]
-    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert ((face * mesh.normals[mesh.faces].sum(axis=1)).sum(axis=1) > 0).mean() > 0.999
-    assert name == "planes" or _volume(corners) > 0.05
-
-
-def _volume(corners):
-    """Signed volume inside (F, 3, 3) triangles; positive if they face outwards."""
-    return (corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6
-
-
 def test_the_script_makes_the_committed_assets(tmp_path):
     make_assets.make(tmp_path)
     made = sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*") if p.is_file())

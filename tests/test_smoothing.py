@@ -12,7 +12,6 @@ import pytest
 
 import svu_mi as svu
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.options import DescentOptions
 from svu_mi.recovery.sh.objective import Pull, Smoothing
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface.neighbors import neighbors
@@ -71,11 +70,3 @@ def test_only_what_is_recovered_is_smoothed(vase: SimpleNamespace):
         np.testing.assert_array_equal(before[outside], after[outside])
         if name != "roughness":
             np.testing.assert_array_equal(before, after)
-
-
-def test_rates_of_parameters_are_those_of_their_channels(vase: SimpleNamespace):
-    smoothing = smoothing_of(vase, NAMES, 1e-2)
-    options = smoothing.options(DescentOptions(scales={"base_color": 0.5}))
-    assert len(options.scales) == len(smoothing.keys)
-    for (name, _), scale in zip(smoothing.keys, options.scales.values(), strict=True):
-        assert scale == (0.5 if name == "base_color" else 1.0)

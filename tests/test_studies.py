@@ -30,13 +30,14 @@ SIZES = Sizes(
 )  # fmt: skip
 CELLS = own_cells(["vase"], ["window"])
 BASE = Variant("spectrum default", "spectrum", "default")
+WAYS = table3._ways()[:3]
 TINY = {
     light: {"QUICK": {"views": 16, "film": 48, "spp": 4}, "QUICK_TEXELS": 32},
     calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 4},
     scaling: {"QUICK": scaling.Range(resolutions=(16, 32, 48), views=(3, 6, 12), resolution=24,
                                      photographs=(6, 32), repeats=1)},
     table2: {"QUICK_FILM": 32, "QUICK_TEXELS": 24, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
-    table3: {"QUICK": (12, 4), "_ways": lambda ways=table3._ways()[:3]: ways},
+    table3: {"QUICK": (12, 4), "_ways": lambda: WAYS},
     figure9: {"QUICK_VIEWS": 12, "ADDED": (1,), "QUICK_TEXELS": 16},
 }  # fmt: skip
 

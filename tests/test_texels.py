@@ -54,14 +54,6 @@ def test_footprints_add_up_to_the_area_of_the_surface():
     assert area == pytest.approx(4 * np.pi, rel=5e-3)  # the polyhedron is a little smaller
 
 
-def test_neighbours_in_the_order_are_neighbours_on_the_surface():
-    """Coherence pays when a packet of 16 texels sees the same views."""
-    found = texels(make("ball", ball()), 128)
-    p = found.position.numpy().T
-    step = np.linalg.norm(np.diff(p, axis=0), axis=1)
-    assert np.median(step) < 2.5 * np.median(found.footprint.numpy())
-
-
 def test_overlapping_charts_are_refused_with_the_fix():
     flat = ball()
     doubled = MeshArrays(
