@@ -1,13 +1,13 @@
 """Differences between two results about one object, as maps and numbers.
 
-    svu.compare("before", "after")                      # captures: both are estimated
-    svu.compare("out/textures", "painted")              # a recovery, and other textures
+svu.compare("before", "after")                      # captures: both are estimated
+svu.compare("out/textures", "painted")              # a recovery, and other textures
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ from svu_mi.recovery.recover import Recovery
 from svu_mi.results.exchange import restore
 from svu_mi.results.provenance import text_in
 from svu_mi.surface import texels
-from svu_mi.surface.layout import Places, size_of
+from svu_mi.surface.layout import size_of
 
 Source = str | Path | Capture | Estimate | Recovery
 
@@ -52,35 +52,34 @@ LEAST = 1e-3  # lower bound of standard deviations, and of the weight of a resam
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """One side of a comparison: maps (H, W, C), each of its own size; NaN where unknown.
+    """Maps (H, W, C) of one side by parameter, and ``entropy``, each of its own size.
 
-    ``maps`` by parameter, and ``entropy``; ``seen`` (H, W) are the texels that a photograph shows,
-    and ``key`` is the digest of the mesh, empty if not known.
+    ``seen`` (H, W) are the texels in photographs, ``key`` is the digest of the mesh.
     """
 
     name: str
     about: str
     maps: Mapping[str, np.ndarray]
-    sd: Mapping[str, np.ndarray]
-    seen: np.ndarray | None
-    mesh: Any | None
-    key: str
+    sd: Mapping[str, np.ndarray] = field(default_factory=dict)
+    seen: np.ndarray | None = None
+    mesh: Any | None = None
+    key: str = ""
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """Difference of two maps, and its figures by area of the surface.
+    """Difference of two maps; all are NaN where one side has no value.
 
     Attributes:
-        both: (T, C) float32, the first and the second; NaN where one of them has no value.
-        values: (T, C) float32, the second minus the first; NaN likewise.
-        deviations: (T,) float32, the same in standard deviations, averaged over the texels around,
-            of the channel where it is largest; None where no standard deviation is known.
-        figures: ``mean`` over channels; ``median`` of the size in the channel that differs most;
-            ``rms``; ``psnr`` in dB; ``beyond``, the part that differs by more than the tolerance;
-            ``certain``, the part that certainly differs, and ``certain_mean``, the mean there;
-            None where not known.
+        both: (H, W, C) float32, the first and the second.
+        values: (H, W, C) float32, the second minus the first.
+        deviations: (H, W, 1) float32, the same in standard deviations, averaged over the texels
+            around, of the channel where it is largest; None where no deviation is known.
+        figures: by area of the surface: ``mean`` over channels; ``median`` of the size in the
+            channel that differs most; ``rms``; ``psnr`` in dB; ``beyond``, the part that differs
+            by more than the tolerance; ``certain``, the part that certainly differs, and
+            ``certain_mean``, the mean there; None where not known.
     """
 
     both: tuple[np.ndarray, np.ndarray]
@@ -95,8 +94,8 @@ class Comparison:
 
     Attributes:
         sides: both, each with its maps.
-        surface: resolution and index of the T texels that they have in common.
-        seen: (T,) bool, those that both show.
+        area: (H, W) of the surface in each texel; 0 outside the charts.
+        seen: (H, W) bool, the texels that both show.
         maps: differences by parameter, and of ``entropy``, as far as both have them.
         tolerance: relevant difference where no standard deviation is known.
         seen_part: part of the surface that both show.
@@ -104,7 +103,7 @@ class Comparison:
     """
 
     sides: tuple[Side, Side]
-    surface: Places
+    area: np.ndarray
     seen: np.ndarray
     maps: Mapping[str, Difference]
     tolerance: float
@@ -132,20 +131,18 @@ class Comparison:
             OptionError: there is no such map.
         """
         found = self.maps.get(name.removesuffix("_deviations"))
-        values = None if found is None else found.values if name in self.maps else found.deviations
-        if values is None:
+        image = None if found is None else found.values if name in self.maps else found.deviations
+        if image is None:
             raise OptionError(f"Comparison.image(): there is no map {name!r}.")
-        image = self.surface.to_image(values.reshape(self.surface.count, -1), np.nan)
         return image if image.shape[2] > 1 else image[..., 0]
 
     def sentence(self) -> str:
         """Return "Of the surface that both show, roughness differs certainly on 12 %, ..."."""
         told = []
         for name, one in self.differences.items():
-            share, how = one.figures["certain"], "certainly"
+            share, how, by = one.figures["certain"], "certainly", one.figures["certain_mean"]
             if share is None:
                 share, how = one.figures["beyond"] or 0.0, f"by more than {self.tolerance:g}"
-            by = one.figures["certain_mean"]
             by_mean = "" if by is None else f" (by {by:+.3f})"
             told.append(f"{words(name)} differs {how} on {plain_percent(share)}{by_mean}")
         if self.entropy is not None:
@@ -196,9 +193,8 @@ def compare(
         if not isinstance(source, Capture):
             with stages.stage("Loading the capture"):
                 detail = Detail(texels=plan.size)
-                source = plan_capture(source, trust=trust, light="optional", detail=detail).read(
-                    memory
-                )
+                planned = plan_capture(source, trust=trust, light="optional", detail=detail)
+                source = planned.read(memory)
         plan.estimate(index, source, stages)
     return plan.compared()
 
@@ -232,27 +228,13 @@ class ComparisonPlan:
         """Compare both sides."""
         first, second = self.sides
         assert first is not None and second is not None
-        return _compared((first, second), self.size, self.tolerance)
+        return _compared(first, second, self.size, self.tolerance)
 
 
 def plan_comparison(
     a: Source, b: Source, *, preset: Any, resolution: Any, tolerance: Any
 ) -> ComparisonPlan:
-    """Read results, but no capture (see ``compare``)."""
-    presets, size = _options(preset, resolution, tolerance)
-    names = [str(source) if isinstance(source, str | Path) else word
-             for source, word in ((a, "the first"), (b, "the second"))]  # fmt: skip
-    if names[0] == names[1]:
-        names = [f"{name} ({chosen})" for name, chosen in zip(names, presets, strict=True)]
-    results = [_read(source, name) for source, name in zip((a, b), names, strict=True)]
-    size = size or _size([side for side in results if side is not None])
-    return ComparisonPlan((a, b), names, presets, results, size, tolerance)
-
-
-def _options(
-    preset: Any, resolution: Any, tolerance: Any
-) -> tuple[tuple[str, ...], tuple[int, int] | None]:
-    """Return a preset for each side and the size that is asked for; refuse what is invalid."""
+    """Check the options and read results, but no capture (see ``compare``)."""
     both = (preset, preset) if isinstance(preset, str) else preset
     pair = isinstance(both, tuple | list) and len(both) == 2
     if not (pair and all(isinstance(name, str) for name in both)):
@@ -269,30 +251,30 @@ def _options(
     size = None if resolution is None else size_of(resolution)
     if size is not None:
         require_texels(size, "compare(): resolution")
-    return tuple(find_preset(name, method="angular").name for name in both), size
-
-
-def _size(sides: list[Side]) -> tuple[int, int]:
-    """Return the (W, H) of the side with the coarser maps."""
-    shapes = [max(image.shape[:2] for image in side.maps.values()) for side in sides]
-    return min(((w, h) for h, w in shapes), default=(RESOLUTION, RESOLUTION))
+    presets = tuple(find_preset(name, method="angular").name for name in both)
+    named = ((a, "the first"), (b, "the second"))
+    names = [str(source) if isinstance(source, str | Path) else word for source, word in named]
+    if names[0] == names[1]:
+        names = [f"{name} ({chosen})" for name, chosen in zip(names, presets, strict=True)]
+    sides = [_read(source, name) for source, name in zip((a, b), names, strict=True)]
+    shapes = [max(image.shape[:2] for image in side.maps.values()) for side in sides if side]
+    size = size or min(((w, h) for h, w in shapes), default=(RESOLUTION, RESOLUTION))
+    return ComparisonPlan((a, b), names, presets, sides, size, tolerance)
 
 
 def _read(source: Source, name: str) -> Side | None:
     """Return a side that is a result; None for a capture, which must be estimated."""
+    if isinstance(source, Capture):
+        return None
     if isinstance(source, Estimate):
         return _of_estimate(source, name, "an estimate")
     if isinstance(source, Recovery):
-        textures = {key: np.array(tensor) for key, tensor in source.textures.items()}
-        known = None if source.estimate is None else _of_estimate(source.estimate, name, "")
-        return Side(
-            name=name, about="recovered textures", seen=source.image("coverage") > 0,
-            maps={**(known.maps if known else {}), **textures},
-            sd=known.sd if known else {}, mesh=known and known.mesh,
-            key=known.key if known else "",
-        )  # fmt: skip
-    if isinstance(source, Capture):
-        return None
+        known = Side(name=name, about="", maps={})
+        if source.estimate is not None:
+            known = _of_estimate(source.estimate, name, "")
+        maps = {**known.maps, **{key: np.array(x) for key, x in source.textures.items()}}
+        seen = source.image("coverage") > 0
+        return replace(known, about="recovered textures", maps=maps, seen=seen)
     if not isinstance(source, str | Path):
         raise OptionError(
             "compare() takes captures, estimates, recoveries and folders, got a "
@@ -309,17 +291,12 @@ def _of_estimate(found: Estimate, name: str, about: str) -> Side:
     """Return means and standard deviations of an estimate's posterior."""
     if found.observed is None:
         raise OptionError(f"{name} does not know its capture; compare what estimate() returns.")
-
-    def laid_out(values: Any) -> np.ndarray:
-        flat = np.array(values, np.float32).reshape(found.texels.count, -1)
-        return found.texels.to_image(flat, np.nan)
-
-    posterior, mesh = found.posterior, found.observed.capture.mesh
-    means = {parameter: laid_out(posterior.mean(parameter)) for parameter in posterior.axes}
+    means, sd = ({parameter: np.atleast_3d(found.image(f"{parameter}_{kind}"))
+                  for parameter in found.posterior.axes} for kind in ("mean", "sd"))  # fmt: skip
+    mesh = found.observed.capture.mesh
     return Side(
-        name=name, about=about, maps=means | {"entropy": laid_out(found.entropy)},
-        sd={parameter: laid_out(posterior.sd(parameter)) for parameter in posterior.axes},
-        seen=found.image("coverage") > 0, mesh=mesh, key=mesh_key(mesh),
+        name=name, about=about, maps=means | {"entropy": np.atleast_3d(found.image("entropy"))},
+        sd=sd, seen=found.image("coverage") > 0, mesh=mesh, key=mesh_key(mesh),
     )  # fmt: skip
 
 
@@ -347,52 +324,8 @@ def _of_folder(path: Path, name: str) -> Side:
     )  # fmt: skip
 
 
-def _compared(sides: tuple[Side, Side], size: tuple[int, int], tolerance: float) -> Comparison:
-    shared = _shared(sides)
-    mesh = next((side.mesh for side in sides if side.mesh is not None), None)
-    surface, area = Places(size, np.arange(size[0] * size[1])), np.ones(size[0] * size[1])
-    if mesh is not None:
-        laid_out = texels(mesh, size)
-        surface, area = laid_out.places, np.array(laid_out.footprint, np.float64) ** 2
-
-    def read(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Return a map at the texels (T, C), NaN where nothing of any weight is near."""
-        if weight.shape != size[::-1] and mesh is not None:
-            weight = weight & texels(mesh, weight.shape[::-1]).inside()
-        found = _resized(image, weight, size)
-        return found.reshape(-1, found.shape[2])[surface.index]
-
-    def values(side: Side, image: np.ndarray) -> np.ndarray:
-        weight = np.isfinite(image).all(axis=2)
-        if side.seen is not None and side.seen.shape == weight.shape:
-            weight &= side.seen
-        return np.where(seen[:, None], read(image, weight), np.float32(np.nan))
-
-    seen = np.ones(surface.count, bool)
-    for side in sides:
-        if side.seen is not None:
-            seen &= read(side.seen[..., None], np.ones_like(side.seen))[:, 0] > 0.5
-    if not seen.any():
-        raise CaptureError(f"{sides[0].name} and {sides[1].name} show no part in common.")
-    maps = {}
-    for name in shared:
-        known = [values(side, side.sd[name]) for side in sides if name in side.sd]
-        maps[name] = difference(
-            surface, area, *(values(side, side.maps[name]) for side in sides),
-            sd=np.sqrt(sum(each**2 for each in known)) if known else None, tolerance=tolerance,
-        )  # fmt: skip
-    notes = [note for side in sides for note in side.notes]
-    notes += [f"{side.name}: taken to be laid out over the same UVs." for side in sides
-              if mesh is not None and not side.key]  # fmt: skip
-    return Comparison(
-        sides=sides, surface=surface, seen=seen, maps=maps, tolerance=tolerance,
-        seen_part=part(area, seen), notes=tuple(notes),
-    )  # fmt: skip
-
-
-def _shared(sides: tuple[Side, Side]) -> list[str]:
-    """Return the maps that both have; refuse sides of different meshes, or without any."""
-    first, second = sides
+def _compared(first: Side, second: Side, size: tuple[int, int], tolerance: float) -> Comparison:
+    """Compare the maps that both sides have; refuse sides of different meshes."""
     if first.key and second.key and first.key != second.key:
         raise CaptureError(
             f"{first.name} and {second.name} are about different meshes; compare results of one "
@@ -401,33 +334,66 @@ def _shared(sides: tuple[Side, Side]) -> list[str]:
     shared = [name for name in dict.fromkeys((*NAMES, *first.maps))
               if name in first.maps and name in second.maps]  # fmt: skip
     if not shared:
-        has = [" and ".join(map(words, side.maps)) for side in sides]
+        has = [" and ".join(map(words, side.maps)) for side in (first, second)]
         raise CaptureError(
             f"{first.name} has {has[0]}, and {second.name} {has[1]}: nothing to compare; give the "
             "capture itself, or a result of svu recover."
         )
-    return shared
+    mesh, area = second.mesh if first.mesh is None else first.mesh, np.ones(size[::-1])
+    if mesh is not None:
+        laid_out = texels(mesh, size)
+        area = laid_out.to_image(np.array(laid_out.footprint, np.float64) ** 2, 0)
+    seen = area > 0
+
+    def read(image: np.ndarray, side: Side | None = None) -> np.ndarray:
+        """Return a map in the common size, NaN where nothing of any weight is near."""
+        weight = np.isfinite(image).all(axis=2)
+        if side is not None and side.seen is not None and side.seen.shape == weight.shape:
+            weight &= side.seen
+        if weight.shape != seen.shape and mesh is not None:
+            weight &= texels(mesh, weight.shape[::-1]).inside()
+        return np.where(seen[..., None], _resized(image, weight, size), np.float32(np.nan))
+
+    sides = (first, second)
+    for side in sides:
+        if side.seen is not None:
+            seen = seen & (read(side.seen[..., None])[..., 0] > 0.5)
+    if not seen.any():
+        raise CaptureError(f"{first.name} and {second.name} show no part in common.")
+    maps = {}
+    for name in shared:
+        known = [read(side.sd[name], side) ** 2 for side in sides if name in side.sd]
+        a, b = (read(side.maps[name], side) for side in sides)
+        sd = np.sqrt(sum(known)) if known else None
+        maps[name] = difference(a, b, area, sd=sd, tolerance=tolerance)
+    notes = [note for side in sides for note in side.notes]
+    notes += [f"{side.name}: taken to be laid out over the same UVs." for side in sides
+              if mesh is not None and not side.key]  # fmt: skip
+    return Comparison(
+        sides=sides, area=area, seen=seen, maps=maps, tolerance=tolerance,
+        seen_part=part(area, seen), notes=tuple(notes),
+    )  # fmt: skip
 
 
 def difference(
-    surface: Places, area: np.ndarray, first: np.ndarray, second: np.ndarray, *,
-    sd: np.ndarray | None = None, tolerance: float = 0.0,
+    first: np.ndarray, second: np.ndarray, area: np.ndarray, *, sd: np.ndarray | None = None,
+    tolerance: float = 0.0,
 ) -> Difference:  # fmt: skip
-    """Compare two maps (T, C); one with a single channel is compared with the other's mean.
+    """Compare two maps (H, W, C); one with a single channel is compared with the other's mean.
 
-    ``area`` (T,) is that of the texels, and ``sd`` the standard deviation of the difference.
+    ``area`` (H, W) is that of the texels, and ``sd`` the standard deviation of the difference.
     """
     both = first, second
-    if first.shape[1] != second.shape[1]:
-        first, second = (x.mean(axis=1, keepdims=True) for x in both)
-        sd = None if sd is None else sd.mean(axis=1, keepdims=True)
+    if first.shape[2] != second.shape[2]:
+        first, second = (x.mean(axis=2, keepdims=True) for x in both)
+        sd = None if sd is None else sd.mean(axis=2, keepdims=True)
     values = (second - first).astype(np.float32)
-    compared = np.isfinite(values).all(axis=1)
+    compared = np.isfinite(values).all(axis=2)
     values[~compared] = np.nan
-    deviations = None if sd is None else _deviations(surface, values, sd)
+    deviations = None if sd is None else _deviations(values, sd)
     found, weights = values[compared], area[compared]
     size, mean = np.abs(found).max(axis=1), found.mean(axis=1)
-    sure = None if deviations is None else np.abs(deviations[compared]) > CERTAIN
+    sure = None if deviations is None else np.abs(deviations[compared, 0]) > CERTAIN
     return Difference(both=both, values=values, deviations=deviations, figures={
         "mean": float(np.average(mean, weights=weights)), "median": median(size, weights),
         "rms": float(np.sqrt(np.average((found**2).mean(axis=1), weights=weights))),
@@ -438,19 +404,23 @@ def difference(
     })  # fmt: skip
 
 
-def _deviations(surface: Places, values: np.ndarray, sd: np.ndarray) -> np.ndarray:
-    """Return differences (T,) in standard deviations, averaged over a square by 1 / sd^2.
+def _deviations(values: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Return differences (H, W, 1) in standard deviations, averaged over a square by 1 / sd^2.
 
     Neighbours have errors in common, so the mean's variance is that of one texel.
     """
     known = np.isfinite(values) & np.isfinite(sd)
     weight = np.where(known, 1 / np.maximum(sd, LEAST) ** 2, 0)
-    planes = np.stack([weight, weight * np.where(known, values, 0), known], axis=-1)
-    around = scipy.ndimage.uniform_filter(surface.to_image(planes), (AROUND, AROUND, 1, 1))
-    weights, sums, count = np.moveaxis(around.reshape(-1, *planes.shape[1:])[surface.index], -1, 0)
+    planes = np.stack([weight, weight * np.where(known, values, 0), known])
+    weights, sums, count = scipy.ndimage.uniform_filter(planes, (1, AROUND, AROUND, 1))
     table = np.divide(sums, np.sqrt(weights * count), out=np.full(sums.shape, np.nan), where=known)
-    largest = np.abs(np.nan_to_num(table)).argmax(axis=1)
-    return np.take_along_axis(table, largest[:, None], axis=1)[:, 0].astype(np.float32)
+    return largest(table).astype(np.float32)
+
+
+def largest(image: np.ndarray) -> np.ndarray:
+    """Return the value of the largest magnitude among channels, (H, W, 1)."""
+    channel = np.abs(np.nan_to_num(image)).argmax(axis=2, keepdims=True)
+    return np.take_along_axis(image, channel, axis=2)
 
 
 def _resized(image: np.ndarray, weight: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 import svu_mi
+from svu_mi.capture.shown import srgb
 from svu_mi.exr import write_exr
 from svu_mi.output import style
-from svu_mi.output.compare import AROUND, CERTAIN, Comparison
-from svu_mi.output.figures import albedo_colors, map_colors
+from svu_mi.output.compare import AROUND, CERTAIN, Comparison, largest
 from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.output.page import Picture, drawing, percent, write_page
+from svu_mi.output.page import Picture, drawing, write_page
 from svu_mi.output.result import words
 from svu_mi.output.surface_maps import ENDS, ENTROPY
 from svu_mi.results.transaction import writing
@@ -40,42 +38,35 @@ def write_comparison(
         OutputError: a file cannot be written.
     """
     with writing(folder, "compare", RECORD) as draft:
-        for name in found.maps:
-            _write_map(found, name, draft.folder / f"difference_{name}.exr")
+        for name, one in found.maps.items():
+            planes = {"RGB" if one.values.shape[2] == 3 else "Y": one.values,
+                      "compared": np.isfinite(one.values).all(axis=2)}  # fmt: skip
+            planes |= {} if one.deviations is None else {"deviations": one.deviations}
+            write_exr(
+                draft.folder / f"difference_{name}.exr",
+                {key: np.nan_to_num(np.float32(plane)) for key, plane in planes.items()},
+                {"svu:version": svu_mi.__version__},
+            )
         write_page(
             draft.folder / TEMPLATE, TEMPLATE, found=found, certain=CERTAIN, around=AROUND,
             signed=SIGNED, maps=[_pictures(found, name) for name in found.maps],
-            rows=[_row(found, name) for name in found.maps],
         )  # fmt: skip
         write_manifest(draft.folder / RECORD, {
             "sentence": found.sentence(),
             "sides": [{"name": one.name, "about": one.about, "mesh": one.key}
                       for one in found.sides],
-            "resolution": found.surface.resolution, "seen_part": found.seen_part,
+            "resolution": found.area.shape[::-1], "seen_part": found.seen_part,
             "tolerance": found.tolerance, "certain": CERTAIN, "notes": found.notes,
             "differences": {name: {"all": one.figures} for name, one in found.maps.items()},
             "settings": settings, "environment": environment_record(), **draft.entries(),
         })  # fmt: skip
 
 
-def _write_map(found: Comparison, name: str, path: Path) -> None:
-    one, image = found.maps[name], found.image(name)
-    channels = {
-        "RGB" if image.ndim == 3 else "Y": image,
-        "compared": found.surface.to_image(np.isfinite(one.values).all(axis=1), 0).astype("f4"),
-    }
-    if one.deviations is not None:
-        channels["deviations"] = found.image(f"{name}_deviations")
-    planes = {key: np.nan_to_num(plane) for key, plane in channels.items()}
-    write_exr(path, planes, {"svu:version": svu_mi.__version__})
-
-
 def _pictures(found: Comparison, name: str) -> dict[str, Any]:
-    """Return the pictures of a map: both sides, their difference, and where it is certain."""
+    """Return figures and pictures of a map: both sides, their difference, and where certain."""
     one, sure = found.maps[name], None
     colormap = ENTROPY.colormap if name == "entropy" else style.VALUES_COLORMAP
-    worst = np.abs(np.nan_to_num(one.values)).argmax(axis=1)[:, None]
-    size = np.take_along_axis(one.values, worst, axis=1)
+    size = largest(one.values)
     high = float(np.nanquantile(np.abs(size), SHOWN))
     limit = next((end for end in LARGEST if high <= end), LARGEST[-1])
     if one.deviations is not None:
@@ -85,30 +76,18 @@ def _pictures(found: Comparison, name: str) -> dict[str, Any]:
         "name": words(name), "colormap": None if name == "base_color" else colormap,
         "ends": ENDS.get(name, ENTROPY.ends), "limit": limit, "sure": sure,
         "sides": [_picture(found, values, (0, 1), colormap) for values in one.both],
-        "difference": _picture(found, size, (-limit, limit), SIGNED),
+        "difference": _picture(found, size, (-limit, limit), SIGNED), "figures": one.figures,
     }  # fmt: skip
 
 
 def _picture(
-    found: Comparison, values: np.ndarray, limits: tuple[float, float], colormap: str
+    found: Comparison, image: np.ndarray, limits: tuple[float, float], colormap: str
 ) -> Picture:
-    """Return values (T,) or (T, C) as a map, grey where not both have one."""
-    table = values.reshape(len(values), -1)
-    compared = np.isfinite(table).all(axis=1)
-    table = np.where(compared[:, None], table, 0)
-    shown: Any = SimpleNamespace(texels=found.surface, coverage=compared)
-    if table.shape[1] == 3:
-        image = albedo_colors(shown, table)
+    """Draw a map (H, W, C), grey where not both have a value, transparent outside the charts."""
+    known, values = np.isfinite(image).all(axis=2, keepdims=True), np.nan_to_num(image)
+    if values.shape[2] == 3:
+        colors = srgb(np.clip(values, 0, 1))
     else:
-        image = map_colors(shown, table[:, 0], limits=limits, colormap=colormap)
-    return drawing(np.dstack([image, found.surface.inside()]), SIDE)
-
-
-def _row(found: Comparison, name: str) -> list[str]:
-    """Return the row of a map in the table of figures."""
-    one = found.maps[name].figures
-    shares = ["–" if (share := one[key]) is None else percent(share)
-              for key in ("beyond", "certain")]  # fmt: skip
-    lengths = [f"{one[key]:.4f}" for key in ("median", "rms")]
-    mean, decibels = f"{one['mean']:+.4f}", f"{one['psnr']:.1f} dB"
-    return [words(name).capitalize(), mean, *lengths, decibels, *shares]
+        colors = style.colors(values[..., 0], limits, colormap)
+    colors = np.where(known, colors, style.UNSEEN)
+    return drawing(np.dstack([colors, found.area > 0]), SIDE)
