@@ -49,11 +49,11 @@ def test_a_constant_correlates_with_nothing(rho, constant):
 @pytest.mark.parametrize("function", [metrics.pearson, metrics.spearman, metrics.sparsification,
                                       metrics.error_summary])  # fmt: skip
 def test_shapes_and_numbers_are_checked(function):
-    with pytest.raises(ShapeError, match="3 values like the others, got 2"):
+    with pytest.raises(ShapeError, match=r"\(3,\) array, got \(2,\)"):
         function([1, 2, 3], [1, 2])
     with pytest.raises(ShapeError, match="non-empty"):
         function([], [])
-    with pytest.raises(ShapeError, match=r"got shape \(1, 2\)"):
+    with pytest.raises(ShapeError, match=r"got \(1, 2\)"):
         function([[1, 2]], [1, 2])
     with pytest.raises(OptionError, match="1 values that are NaN"):
         function([1, 2], [np.nan, 1])
@@ -91,10 +91,8 @@ def test_one_or_two_objects_have_a_mean_and_no_interval():
     for objects, count in ((["a", "a"], 1), (["a", "b"], 2)):
         found = metrics.mean_over_objects([0.5, 0.7], objects)
         assert found == metrics.Interval(pytest.approx(0.6), None, None, count)
-    with pytest.raises(ShapeError, match="2 values but 1"):
+    with pytest.raises(ShapeError, match=r"\(1,\) array"):
         metrics.mean_over_objects([0.5, 0.7], ["a"])
-    with pytest.raises(OptionError, match=r"\(0, 1\)"):
-        metrics.mean_over_objects([0.5], ["a"], confidence=1)
 
 
 # --- sparsification -----------------------------------------------------------------------
@@ -137,8 +135,6 @@ def test_the_truth_falls_into_the_nearest_cell():
     axes = {"roughness": [0, 0.5, 1], "specular": [0, 1]}
     truth = {"roughness": [0.1, 0.26, 0.9], "specular": [0.2, 0.9, 0.5], "other": [1, 2, 3]}
     np.testing.assert_array_equal(metrics.nearest_cells(axes, truth), [0, 3, 4])
-    with pytest.raises(ShapeError, match="specular"):
-        metrics.nearest_cells(axes, {"roughness": [0.1]})
 
 
 def test_credible_sets_by_hand():
@@ -255,24 +251,22 @@ def test_psnr_is_that_of_the_definition():
     rng = np.random.default_rng(771204316)
     truth = rng.uniform(size=(50, 3))
     assert psnr(truth + 0.1, truth) == pytest.approx(20)  # MSE 1e-2
-    assert psnr(2 * truth, 2 * truth + 0.2, peak=2) == pytest.approx(20)
     noisy = truth + rng.normal(scale=0.05, size=truth.shape)
     by_hand = 10 * np.log10(truth.size / ((noisy - truth) ** 2).sum())
     assert psnr(noisy, truth) == pytest.approx(by_hand)
 
 
 @pytest.mark.parametrize(
-    ("found", "truth", "peak", "error"),
+    ("found", "truth", "error"),
     [
-        ([1.0], [1.0, 2.0], 1, ShapeError),
-        ([], [], 1, ShapeError),
-        ([np.nan], [1.0], 1, OptionError),
-        ([1.0], [1.0], 0, OptionError),
+        ([1.0], [1.0, 2.0], ShapeError),
+        ([], [], ShapeError),
+        ([np.nan], [1.0], OptionError),
     ],
 )
-def test_psnr_refuses_what_it_cannot_compare(found, truth, peak, error):
+def test_psnr_refuses_what_it_cannot_compare(found, truth, error):
     with pytest.raises(error):
-        psnr(found, truth, peak)
+        psnr(found, truth)
 
 
 def test_the_average_counts_every_parameter_the_same():

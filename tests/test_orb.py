@@ -245,12 +245,12 @@ def test_no_picture_is_worse_than_grey():
 
 def test_what_cannot_be_compared_is_refused():
     found, truth, mask, _ = pictures()
-    with pytest.raises(ShapeError, match="two .H, W, 3. pictures"):
+    with pytest.raises(ShapeError, match="Two .H, W, 3. pictures"):
         orb_error(found[:5], truth, mask, scaled=True)
-    with pytest.raises(ShapeError, match="nothing is left"):
+    with pytest.raises(ShapeError, match="mask is empty"):
         orb_error(found, truth, np.zeros_like(mask), scaled=True)
     truth[7, 7] = np.nan
-    with pytest.raises(OptionError, match="the photograph has 3 values"):
+    with pytest.raises(OptionError, match="the true picture has 3 values"):
         orb_error(found, truth, mask, scaled=True)
     truth[7, 7], truth[0, 0] = 1, np.nan  # outside, nobody looks
     black = orb_error(found * [1, 0, 1], truth, mask, scaled=True)

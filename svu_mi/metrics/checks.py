@@ -22,34 +22,36 @@ def vector(values: Any, name: str, count: int | None = None) -> np.ndarray:
         OptionError: NaN or infinite values.
     """
     flat = np.array(values, np.float64)
-    if flat.ndim != 1 or flat.size == 0:
-        raise ShapeError(f"{name} must be a non-empty (n,) array, got shape {flat.shape}.")
-    if count is not None and len(flat) != count:
-        raise ShapeError(f"{name} must have {count} values like the others, got {len(flat)}.")
+    if flat.ndim != 1 or not flat.size or count not in (None, len(flat)):
+        raise ShapeError(f"{name} must be a non-empty ({count or 'n'},) array, got {flat.shape}.")
     require_finite(flat, name)
     return flat
 
 
-def pair(x: Any, y: Any, names: tuple[str, str]) -> tuple[np.ndarray, np.ndarray]:
+def pair(**given: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return two (n,) float64 arrays of one length (errors as ``vector``)."""
-    first = vector(x, names[0])
-    return first, vector(y, names[1], len(first))
+    (first, x), (second, y) = given.items()
+    found = vector(x, first)
+    return found, vector(y, second, len(found))
 
 
-def pictures(
-    found: Any, truth: Any, mask: np.ndarray, caller: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return two (H, W, 3) float64 pictures of a mask's size.
+def pictures(found: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two (H, W, 3) float64 pictures that are finite in a mask.
 
     Raises:
-        ShapeError: the shapes differ.
+        ShapeError: the shapes differ, or the mask is empty.
+        OptionError: NaN or infinite values in the mask.
     """
     a, b = np.array(found, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.shape != (*mask.shape, 3):
         raise ShapeError(
-            f"{caller} needs two (H, W, 3) pictures and an (H, W) mask, got {a.shape}, {b.shape} "
-            f"and {mask.shape}."
+            f"Two (H, W, 3) pictures and an (H, W) mask are needed, got {a.shape}, {b.shape} and "
+            f"{mask.shape}."
         )
+    if not mask.any():
+        raise ShapeError("The mask is empty; use a picture in which the object is larger.")
+    require_finite(a[mask], "the picture")
+    require_finite(b[mask], "the true picture")
     return a, b
 
 
@@ -59,7 +61,7 @@ def require_finite(values: np.ndarray, name: str) -> None:
     Raises:
         OptionError: there is one; the message counts them.
     """
-    bad = int((~np.isfinite(values)).sum())
+    bad = np.count_nonzero(~np.isfinite(values))
     if bad:
         raise OptionError(
             f"{name} has {bad} values that are NaN or infinite; leave those texels out."

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy
 
-from svu_mi.errors import OptionError, ShapeError
+from svu_mi.errors import OptionError
 from svu_mi.metrics.checks import pair, vector
 
 MIN_OBJECTS = 3
+CONFIDENCE = 0.95  # part of the resampled means inside an interval
 ROUNDING = 1e-12  # relative spread below which a map counts as constant
 
 
@@ -25,22 +26,18 @@ def pearson(x: Any, y: Any) -> float:
         ShapeError: the arrays are empty or their lengths differ.
         OptionError: NaN or infinite values.
     """
-    a, b = pair(x, y, ("x", "y"))
-    if _constant(a) or _constant(b):
-        return 0.0
-    return float(scipy.stats.pearsonr(a, b).statistic)
+    return _correlation(scipy.stats.pearsonr, x, y)
 
 
 def spearman(x: Any, y: Any) -> float:
     """Return Spearman's rank correlation, ties sharing their mean rank (as ``pearson``)."""
-    a, b = pair(x, y, ("x", "y"))
-    if _constant(a) or _constant(b):
-        return 0.0
-    return float(scipy.stats.spearmanr(a, b).statistic)
+    return _correlation(scipy.stats.spearmanr, x, y)
 
 
-def _constant(values: np.ndarray) -> bool:
-    return float(np.ptp(values)) <= ROUNDING * float(np.abs(values).max())
+def _correlation(of: Callable[..., Any], x: Any, y: Any) -> float:
+    both = pair(x=x, y=y)
+    constant = any(np.ptp(values) <= ROUNDING * np.abs(values).max() for values in both)
+    return 0.0 if constant else float(of(*both).statistic)
 
 
 @dataclass(frozen=True)
@@ -60,9 +57,7 @@ class Interval:
     objects: int
 
 
-def mean_over_objects(
-    values: Any, objects: Sequence[str], *, confidence: float = 0.95, seed: int = 0
-) -> Interval:
+def mean_over_objects(values: Any, objects: Sequence[str], *, seed: int = 0) -> Interval:
     """Return the mean over benchmark cells, with a bootstrap interval over objects.
 
     Cells of one object under several lights are not independent, so whole objects are drawn
@@ -73,18 +68,13 @@ def mean_over_objects(
     Args:
         values: (n,) one figure per cell.
         objects: n names; cells of one name are drawn together.
-        confidence: part of the resampled means inside the interval.
         seed: of the resampling.
 
     Raises:
         ShapeError: the lengths differ or are 0.
-        OptionError: a value is not finite, or the confidence not in (0, 1).
+        OptionError: a value is not finite.
     """
-    cells = vector(values, "values")
-    if len(objects) != len(cells):
-        raise ShapeError(f"There are {len(cells)} values but {len(objects)} objects' names.")
-    if not 0 < confidence < 1:
-        raise OptionError(f"The confidence must be in (0, 1), got {confidence}.")
+    cells = vector(values, "values", len(objects))
     names, owner = np.unique(np.array(objects, str), return_inverse=True)
     mean = float(cells.mean())
     if len(names) < MIN_OBJECTS:
@@ -96,11 +86,11 @@ def mean_over_objects(
         paired=True,
         vectorized=True,
         n_resamples=2000,
-        confidence_level=confidence,
+        confidence_level=CONFIDENCE,
         method="percentile",
         random_state=np.random.default_rng(seed),
     ).confidence_interval
-    n, tail = len(names), (1 - confidence) / 2
+    n, tail = len(names), (1 - CONFIDENCE) / 2
     wider = np.sqrt(n / (n - 1)) * scipy.stats.t.ppf(tail, n - 1) / scipy.stats.norm.ppf(tail)
     low, high = (mean + float(wider) * (float(end) - mean) for end in (found.low, found.high))
     return Interval(mean, low, high, n)
@@ -149,7 +139,7 @@ def sparsification(error: Any, uncertainty: Any) -> Sparsification:
         ShapeError: the arrays are empty or their lengths differ.
         OptionError: negative errors, or values that are not finite.
     """
-    errors, said = pair(error, uncertainty, ("error", "uncertainty"))
+    errors, said = pair(error=error, uncertainty=uncertainty)
     if (errors < 0).any():
         raise OptionError("sparsification(): an error is negative; give absolute errors.")
     count = len(errors)
@@ -165,8 +155,7 @@ def sparsification(error: Any, uncertainty: Any) -> Sparsification:
 def _tied(errors: np.ndarray, said: np.ndarray) -> np.ndarray:
     """Return the errors from the most certain on; equally certain ones share their mean."""
     _, group, counts = np.unique(said, return_inverse=True, return_counts=True)
-    means = np.bincount(group, errors) / counts
-    return np.repeat(means, counts)
+    return np.repeat(np.bincount(group, errors) / counts, counts)
 
 
 def _remaining(ascending: np.ndarray) -> np.ndarray:

@@ -44,19 +44,14 @@ def nearest_cells(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarr
             lower one of two equally near.
 
     Raises:
-        ShapeError: an axis has no truth, or the lengths differ.
+        ShapeError: the lengths differ.
         OptionError: a value is not finite.
     """
-    missing = [name for name in axes if name not in truth]
-    if missing or not axes:
-        raise ShapeError(f"nearest_cells(): no true value for {missing or 'any axis'}.")
-    count = len(vector(truth[next(iter(axes))], next(iter(axes))))
-    flat = np.zeros(count, np.int64)
+    cells = []
     for name, nodes in axes.items():
-        grid = vector(nodes, f"the nodes of {name}")
-        values = vector(truth[name], name, count)
-        flat = flat * len(grid) + np.abs(values[:, None] - grid).argmin(axis=1)
-    return flat
+        values = vector(truth[name], name, len(cells[0]) if cells else None)
+        cells.append(np.abs(values[:, None] - np.asarray(nodes)).argmin(axis=1))
+    return np.ravel_multi_index(cells, [len(nodes) for nodes in axes.values()])
 
 
 def credible_coverage(probabilities: Any, cells: Any, level: float) -> Coverage:
@@ -85,15 +80,11 @@ def credible_coverage(probabilities: Any, cells: Any, level: float) -> Coverage:
     own = p[np.arange(len(p)), true][:, None]
     above = np.where(p > own * (1 + TIE), p, 0).sum(axis=1)
     tied = np.where(np.abs(p - own) <= TIE * own, p, 0).sum(axis=1)
-    held = above < level - TIE
-    part = np.clip((level - above) / np.where(tied > 0, tied, 1), 0, 1)
+    part = np.where(tied > 0, np.clip((level - above) / np.maximum(tied, 1e-300), 0, 1), 0)
     return Coverage(
-        level=level,
-        plain=float(held.mean()),
-        fractional=float(np.where(tied > 0, part, 0).mean()),
-        size=float(_sizes(p, level).mean()),
-        count=len(p),
-    )
+        level=level, plain=float((above < level - TIE).mean()), fractional=float(part.mean()),
+        size=float(_sizes(p, level).mean()), count=len(p),
+    )  # fmt: skip
 
 
 def _distributions(probabilities: Any) -> np.ndarray:

@@ -15,26 +15,23 @@ import numpy as np
 import scipy
 
 from svu_mi.capture.picture import srgb
-from svu_mi.errors import OptionError, ShapeError
+from svu_mi.errors import ShapeError
 from svu_mi.metrics.checks import pictures, require_finite
 
 CEILING_DB = 100.0  # of a PSNR: that of an RMS error of 1e-5, and of none at all
 
 
-def psnr(found: Any, truth: Any, peak: float = 1.0) -> float:
-    """Return the peak signal-to-noise ratio 10 log10(peak^2 / MSE), in dB, at most 100.
+def psnr(found: Any, truth: Any) -> float:
+    """Return the peak signal-to-noise ratio 10 log10(1 / MSE), in dB, at most 100.
 
     Args:
         found: estimate, any shape.
         truth: of the same shape.
-        peak: largest possible value; 1 for parameters in [0, 1].
 
     Raises:
         ShapeError: the shapes differ, or there is no value.
-        OptionError: NaN or infinite values, or a peak that is not positive.
+        OptionError: NaN or infinite values.
     """
-    if not peak > 0:
-        raise OptionError(f"psnr(): the peak must be positive, got {peak}.")
     a, b = np.array(found, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.size == 0:
         raise ShapeError(
@@ -42,7 +39,7 @@ def psnr(found: Any, truth: Any, peak: float = 1.0) -> float:
         )
     require_finite(a, "the estimate")
     require_finite(b, "the truth")
-    mean_square = float(np.mean((a - b) ** 2)) / peak**2
+    mean_square = float(np.mean((a - b) ** 2))
     return min(CEILING_DB, -10 * float(np.log10(max(mean_square, 1e-30))))
 
 
@@ -60,8 +57,7 @@ def texture_psnr(found: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str
         ShapeError: other parameters or shapes, or none.
         OptionError: NaN or infinite values.
     """
-    if not truth or set(found) != set(truth):
-        raise ShapeError(f"Parameters differ: found {sorted(found)}, true {sorted(truth)}.")
+    _require_same(found, truth)
     by_name = {name: psnr(found[name], truth[name]) for name in truth}
     return {**by_name, "average": float(np.mean(list(by_name.values())))}
 
@@ -76,13 +72,14 @@ def texel_error(found: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarra
     Raises:
         ShapeError: other parameters or numbers of texels, or none.
     """
+    _require_same(found, truth)
+    off = (np.abs(np.subtract(found[name], true, dtype=float)) for name, true in truth.items())
+    return np.mean([each.reshape(len(each), -1).mean(axis=1) for each in off], axis=0)
+
+
+def _require_same(found: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
     if not truth or set(found) != set(truth):
         raise ShapeError(f"Parameters differ: found {sorted(found)}, true {sorted(truth)}.")
-    errors = []
-    for name, true in truth.items():
-        error = np.abs(np.array(found[name], np.float64) - np.array(true, np.float64))
-        errors.append(error.reshape(len(error), -1).mean(axis=1))
-    return np.mean(errors, axis=0)
 
 
 HDR_LIMIT = 4.0  # brighter pixels, such as a sun's highlight, would be all that counts
@@ -121,11 +118,7 @@ def image_error(found: Any, truth: Any, mask: Any) -> ImageError:
         OptionError: NaN or infinite values on the object.
     """
     inside = np.array(mask, bool)
-    a, b = pictures(found, truth, inside, "image_error()")
-    if not inside.any():
-        raise ShapeError("image_error(): the mask is empty; use a picture that shows the object.")
-    require_finite(a[inside], "the picture")
-    require_finite(b[inside], "the true picture")
+    a, b = pictures(found, truth, inside)
     white = float(np.quantile(b[inside].max(axis=-1), WHITE)) or 1.0
     a, b = (np.where(inside[..., None], np.clip(x / white, 0, HDR_LIMIT), 0) for x in (a, b))
     low_a, low_b = srgb(np.clip(a, 0, 1)), srgb(np.clip(b, 0, 1))

@@ -74,7 +74,7 @@ def error_summary(estimate: Any, truth: Any) -> ErrorSummary:
         ShapeError: the arrays are empty or their lengths differ.
         OptionError: NaN or infinite values.
     """
-    found, true = pair(estimate, truth, ("estimate", "truth"))
+    found, true = pair(estimate=estimate, truth=truth)
     error = found - true
     return ErrorSummary(
         bias=float(error.mean()),
