@@ -193,15 +193,12 @@ def _split(path: Path, name: str, image: np.ndarray) -> dict[str, np.ndarray]:
     if image.dtype.kind not in "fiub":
         raise OutputError(f"{path}: channel {name} has type {image.dtype}; expected real numbers.")
     layer, dot, last = name.rpartition(".")
-    letters = last if last in GROUPS else ""
-    if letters and image.ndim == 3 and image.shape[2] == len(letters):
-        return {layer + dot + c: image[..., k] for k, c in enumerate(letters)}
-    if not letters and image.ndim == 3 and image.shape[2] == 1:
-        return {name: image[..., 0]}
-    if letters or image.ndim != 2:
-        expected = f"(H, W, {len(letters)})" if letters else "(H, W) or (H, W, 1)"
+    names = [layer + dot + letter for letter in last] if last in GROUPS else [name]
+    planes = image[..., None] if image.ndim == 2 else image
+    if planes.ndim != 3 or planes.shape[2] != len(names) or (last in GROUPS and image.ndim == 2):
+        expected = f"(H, W, {len(names)})" if last in GROUPS else "(H, W) or (H, W, 1)"
         raise ShapeError(f"{path}: channel {name} must be {expected}, got {image.shape}.")
-    return {name: image}
+    return dict(zip(names, np.moveaxis(planes, 2, 0), strict=True))
 
 
 def _attributes(path: Path, given: Mapping[str, Any]) -> dict[str, str | int | float]:

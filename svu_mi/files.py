@@ -91,7 +91,11 @@ def clear_temporaries(folder: Path) -> None:
     """Remove the temporary files that killed processes have left in a folder."""
     for path in folder.glob(f".*{OURS}tmp*"):
         with contextlib.suppress(OSError):
-            _remove_if_unlocked(path)
+            # A stranger's link is not followed, and a pipe not waited for.
+            descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            with os.fdopen(descriptor):
+                if _lock(descriptor):
+                    path.unlink(missing_ok=True)
 
 
 def is_temporary(name: str) -> bool:
@@ -106,16 +110,6 @@ def _lock(descriptor: int) -> bool:
     except (OSError, AttributeError):  # or there are no locks
         return False
     return True
-
-
-def _remove_if_unlocked(path: Path) -> None:
-    # A stranger's link is not followed, and a pipe not waited for.
-    descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
-    try:
-        if _lock(descriptor):
-            path.unlink(missing_ok=True)
-    finally:
-        os.close(descriptor)
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ lie, and whatever the photographs are called.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -45,7 +45,7 @@ def photographs_key(capture: Capture) -> str:
 
     Light, materials and the integrator count for nothing, nor do views that are not used.
     """
-    used = [view for view in range(capture.count) if capture.used[view]]
+    used = np.flatnonzero(capture.used).tolist()
     key = _shapes(capture.scene, capture.shape, materials=False)
     key.add([describe(capture.sensors[view]) for view in used])
     key.add(_digests(capture.images[view] for view in used))
@@ -69,12 +69,14 @@ def scene_key(scene: Any, target: Any) -> str:
 
 def integrator_key(scene: Any) -> str:
     """Return a digest of how a scene is rendered: 32 hexadecimal letters."""
-    return _integrator(scene).digest()
+    integrator = scene.integrator()
+    hidden = getattr(integrator, "hide_emitters", None)  # which it does not print
+    return Key(ADDRESS.sub("", str(integrator)), hidden).digest()
 
 
 def capture_parts(capture: Capture) -> dict[str, str]:
     """Return digests of what a capture consists of."""
-    used = [view for view in range(capture.count) if capture.used[view]]
+    used = np.flatnonzero(capture.used).tolist()
     pixels = _digests(capture.images[view] for view in used)
     masks = _digests(capture.masks[view] for view in used)
     shapes = _shapes(capture.scene, capture.shape)
@@ -84,7 +86,6 @@ def capture_parts(capture: Capture) -> dict[str, str]:
     keys = {
         "shapes": shapes,
         "light": _light(capture.scene, capture.doubt),
-        "integrator": _integrator(capture.scene),
         "sensors": Key([describe(sensor) for sensor in capture.sensors]),
         "photographs": Key(list(map(bool, capture.used)), pixels),
         "masks": Key(masks),
@@ -94,7 +95,8 @@ def capture_parts(capture: Capture) -> dict[str, str]:
     for view in used if capture.rounding else ():
         steps = capture.rounding[view]
         keys["photographs"].add(*(() if steps is None else (view, steps.first, steps.slope)))
-    return {name: key.digest() for name, key in keys.items()}
+    digests = {name: key.digest() for name, key in keys.items()}
+    return digests | {"integrator": integrator_key(capture.scene)}
 
 
 def _add_clipped(key: Key, capture: Capture, used: Sequence[int]) -> None:
@@ -112,46 +114,41 @@ def _digests(arrays: Iterable[np.ndarray | None]) -> list[str]:
 
 
 def _shapes(scene: Any, target: Any, materials: bool = True) -> Key:
-    key = Key()
-    for shape in scene.shapes():
-        key.add(shape.id(), is_same(shape, target))
-        _add_shape(key, shape, materials)
-    return key
-
-
-def _add_shape(key: Key, shape: Any, material: bool = True) -> None:
-    """Add a shape; vertex normals only where they are not those of the faces around.
+    """Add shapes; vertex normals only where they are not those of the faces around.
 
     Mitsuba computes missing ones by a sum whose order, and so its last bits, are left to chance.
     """
-    bsdf = shape.bsdf()
-    key.add(shape.class_name(), shape.has_flipped_normals())
-    if material:
-        key.add(_settings(shape), None if bsdf is None else bsdf.class_name())
-    for name, value in mi.traverse(shape):
-        if not material and "." in name:  # of its material, or of light that it emits
-            continue
-        array = np.asarray(getattr(value, "matrix", value))
-        computed = name.endswith("vertex_normals") and array.size and _are_computed(shape, array)
-        key.add(ADDRESS.sub("", name), "of faces" if computed else array)
+    key = Key()
+    for shape in scene.shapes():
+        key.add(shape.id(), is_same(shape, target))
+        key.add(shape.class_name(), shape.has_flipped_normals())
+        if materials:
+            bsdf = shape.bsdf()
+            key.add(_settings(shape), None if bsdf is None else bsdf.class_name())
+        for name, array in _arrays(shape):
+            if not materials and "." in name:  # of its material, or of light that it emits
+                continue
+            normals = name.endswith("vertex_normals") and array.size
+            computed = normals and _are_computed(shape, array)
+            key.add(name, "of faces" if computed else array)
+    return key
+
+
+def _arrays(node: Any) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the parameters of a Mitsuba object; those without an id are named by an address."""
+    for name, value in mi.traverse(node):
+        yield ADDRESS.sub("", name), np.asarray(getattr(value, "matrix", value))
 
 
 def _light(scene: Any, doubt: Doubt | None = None) -> Key:
     key = Key()
     for emitter in scene.emitters():
         key.add("node", emitter.class_name(), _settings(emitter))
-        for name, value in mi.traverse(emitter):
-            # Objects without an id are named by their address.
-            key.add(ADDRESS.sub("", name), np.asarray(getattr(value, "matrix", value)))
+        for name, array in _arrays(emitter):
+            key.add(name, array)
     if doubt is not None:  # posteriors are others
         key.add(doubt)
     return key
-
-
-def _integrator(scene: Any) -> Key:
-    integrator = scene.integrator()
-    hidden = getattr(integrator, "hide_emitters", None)  # which it does not print
-    return Key(ADDRESS.sub("", str(integrator)), hidden)
 
 
 def _settings(node: Any) -> list[Any]:

@@ -75,16 +75,11 @@ def write_arrays_of(estimate: LightEstimate, draft: Draft) -> None:
     channels = {"RGB": estimate.radiance, "sd.Y": estimate.sd, "known.Y": estimate.known}
     header = {"svu:version": svu_mi.__version__, ROWS: POLES}
     write_exr(draft.folder / MAP, channels, header)
-    gains = {} if estimate.gains is None else {
-        "gains": estimate.gains.logarithm, "gains_noise": estimate.gains.noise,
-        "gains_odd": estimate.gains.odd,
-    }  # fmt: skip
-    write_arrays(draft.folder / ARRAYS, {
-        **gains, "run": draft.run, "logarithm": estimate.logarithm, "cell_sd": estimate.cell_sd,
-        "draws": estimate.draws, "scale_sd": estimate.scale_sd, "moves": estimate.moves,
-        "misfit": estimate.misfit, "widening": estimate.widening, "texels": estimate.texels,
-        "remarks": np.array(estimate.remarks, dtype=np.str_),
-    })  # fmt: skip
+    arrays = {name: getattr(estimate, name) for name in LIGHT_ARRAYS if name != "run"}
+    if (gains := estimate.gains) is not None:
+        arrays |= dict(zip(GAINS, (gains.logarithm, gains.noise, gains.odd), strict=True))
+    remarks = np.array(estimate.remarks, dtype=np.str_)
+    write_arrays(draft.folder / ARRAYS, {**arrays, "remarks": remarks, "run": draft.run})
 
 
 def light_record(estimate: LightEstimate) -> dict[str, Any]:
@@ -165,12 +160,12 @@ def _estimate(arrays: dict[str, np.ndarray]) -> LightEstimate:
     if not (FEWEST_CELLS <= cells <= MOST_CELLS and 1 <= draws <= MOST_DRAWS):
         raise ValueError(f"it has {cells} cells and {draws} draws")
     real = {name: arrays[name].astype(np.float64) for name in
-            ("logarithm", "cell_sd", "draws", "scale_sd")}  # fmt: skip
+            (*GAINS, "logarithm", "cell_sd", "draws", "scale_sd") if name in arrays}  # fmt: skip
     still, moving = arrays["misfit"].tolist()
     gains = None
     if has_gains:
-        logarithm, noise, odd = (arrays[name] for name in GAINS)
-        gains = FoundGains(logarithm.astype(np.float64), noise.astype(np.float64), odd.astype(bool))
+        logarithm, noise, odd = (real.pop(name) for name in GAINS)
+        gains = FoundGains(logarithm, noise, odd.astype(bool))
     return LightEstimate(
         **real, moves=bool(arrays["moves"]), misfit=(still, moving),
         widening=float(arrays["widening"]), texels=int(arrays["texels"]),

@@ -41,7 +41,12 @@ def fill(
         ShapeError: flags of other texels.
         OptionError: ``above`` is not positive.
     """
-    shown = require_seen(field, seen)
+    shown = np.asarray(seen).astype(bool)
+    if shown.shape != (field.texels.count,):
+        raise ShapeError(
+            f"fill(): seen must have one flag for each of {field.texels.count} texels, got shape "
+            f"{shown.shape}."
+        )
     if not above > 0:
         raise OptionError(f"fill(): above must be positive, got {above}.")
     seen = shown & (field.sds <= above).all(axis=0)
@@ -53,9 +58,8 @@ def fill(
         if not parts:
             raise _too_few(shown, above)
         judged = _judged(field, ground, parts, stage)
-        alike = judged[DECIDES].share if DECIDES in judged else 1.0
-        weights: dict[str, dict[str, float]] = {name: {} for name in NAMES}
-        weights |= {name: each.weights(alike) for name, each in judged.items()}
+        most = judged[DECIDES].share if DECIDES in judged else 1.0
+        weights = {n: judged[n].weights(most) if n in judged else {} for n in NAMES}
         return _filled(Filling(field, shown), ground, judged, weights)
 
 
@@ -102,17 +106,6 @@ def variance(field: TextureField, known: np.ndarray) -> np.ndarray:
     """Return how unlike each other known texels (T,) are, (N, 1): nothing says that what nobody saw
     is any more like what it is filled with."""
     return np.asarray(field.values[:, known].var(axis=1, keepdims=True))
-
-
-def require_seen(field: TextureField, seen: np.ndarray) -> np.ndarray:
-    """Return flags of all texels, (T,) bool."""
-    flags = np.asarray(seen)
-    if flags.shape != (field.texels.count,):
-        raise ShapeError(
-            f"fill(): seen must have one flag for each of {field.texels.count} texels, got shape "
-            f"{flags.shape}."
-        )
-    return flags.astype(bool)
 
 
 def by_likeness(ground: Ground, weights: Weights) -> np.ndarray:

@@ -8,10 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from svu_mi.parameters import NAMES
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.recovery.textures import Textures
 
 Source = Literal["photographs", "renders"]
 Weights = Mapping[str, Mapping[str, float]]
@@ -129,7 +128,7 @@ class Filling:
     def done(self, filled: np.ndarray) -> TextureField:
         """Return the field of which some texels, (T,) bool, were filled."""
         field = self.field
-        laid = lay_out(field.texels, {name: self.values[field.rows(name)].T for name in NAMES})
+        laid = field.laid(self.values)
         textures = field.textures.but(**{name: laid[name] for name in field.names})
         own = np.where(filled, self.values, field.own)
         return replace(field, textures=textures, own=own, least=self.least)

@@ -8,7 +8,7 @@ known tell what another one is; how well they do is found out by hiding parts th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -56,6 +56,13 @@ RULES: dict[Kind, Rule] = {
 }
 
 
+WORDS: dict[Kind, str] = {
+    "all": "mean of all", "piece": "mean of its piece", "near": "near", "level": "level along {}",
+    "turned": "turned about {}", "turned piece": "turned as a piece about {}",
+    "mirrored": "mirrored about {}", "repeated": "repeated {1} times about {0}",
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Examples:
     """Texels that others are guessed by.
@@ -98,57 +105,27 @@ class Likeness:
     @property
     def title(self) -> str:
         """For people: ``turned about y``, ``repeated 6 times about y``."""
-        if self.kind in ("all", "piece", "near"):
-            return {"all": "mean of all", "piece": "mean of its piece", "near": "near"}[self.kind]
-        words = {"level": "level along", "turned piece": "turned as a piece about"}
-        first = words.get(self.kind, f"{self.kind} about")
-        if self.kind == "repeated":
-            first = f"repeated {self.count} times about"
-        return f"{first} {'xyz'[int(np.argmax(np.abs(self.axis)))]}"
+        return WORDS[self.kind].format("xyz"[int(np.argmax(self.axis))], self.count)
 
     def guess(
         self, pieces: Pieces, known: Examples, wanted: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Guess values of texels from those that are like them."""
-        if self.kind == "all":
-            return np.repeat(known.mean, len(wanted), axis=1), np.ones(len(wanted), bool)
+        """Return values of texels by those that are like them, (N, w), and where there are any."""
         if self.kind == "piece":
             return _means_of_pieces(pieces.piece, known, wanted)
-        found = np.zeros((len(known.values), len(wanted)))
-        alike = np.zeros(len(wanted), bool)
-        rule, places = RULES[self.kind], self._places(pieces)
-        if not np.ptp(places[known.texels], axis=0).any():  # all as high: no tree tells them apart
-            return np.repeat(known.mean, len(wanted), axis=1), np.ones(len(wanted), bool)
+        places, alike = self._places(pieces), np.ones(len(wanted), bool)
+        # All as high: no tree tells them apart.
+        if self.kind == "all" or not np.ptp(places[known.texels], axis=0).any():
+            return np.repeat(known.mean, len(wanted), axis=1), alike
+        found, rule = np.empty((len(known.values), len(wanted))), RULES[self.kind]
         tree = scipy.spatial.cKDTree(places[known.texels])
         for first in range(0, len(wanted), CHUNK):
             span = slice(first, first + CHUNK)
-            found[:, span], alike[span] = self._nearest(
-                rule, tree, known, self._copies(pieces, places, wanted[span])
-            )
+            copies = self._copies(pieces, places, wanted[span])
+            found[:, span], alike[span] = _weighted(rule, tree, known, copies)
         if rule.inside:
             alike &= _sizes(pieces.piece, known.texels)[pieces.piece[wanted]] >= FEWEST
         return found, alike
-
-    def _nearest(
-        self, rule: Rule, tree: scipy.spatial.cKDTree, known: Examples, copies: Iterator[np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return weighted means of what is nearest to copies of points, and where any is."""
-        count = min(rule.nearest, len(known.texels))
-        total: np.ndarray | float = 0.0
-        weight: np.ndarray | float = 0.0
-        alike: np.ndarray | bool = False
-        for points in copies:
-            distance, found = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
-            there = distance[:, 0] < rule.farthest
-            mine = distance < (APART / 2 if rule.inside else np.inf)
-            reach = np.where(mine, distance, 0).max(axis=1, keepdims=True)
-            scale = np.maximum(rule.close * reach, 1e-9)
-            near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None] * mine
-            how = known.weights[:, found] * near
-            total = total + (how * known.values[:, found]).sum(axis=2)
-            weight = weight + how.sum(axis=2)
-            alike = alike | there
-        return np.asarray(total / np.maximum(weight, 1e-30)), np.asarray(alike)
 
     def _places(self, pieces: Pieces) -> np.ndarray:
         """Return where every texel is, (T, d), as this likeness looks at it."""
@@ -177,6 +154,24 @@ class Likeness:
                 yield turn.apply(points)
         else:
             yield places[wanted]
+
+
+def _weighted(
+    rule: Rule, tree: scipy.spatial.cKDTree, known: Examples, copies: Iterable[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return weighted means of what is nearest to copies of points, and where any is."""
+    count, parts = min(rule.nearest, len(known.texels)), []
+    for points in copies:
+        distance, found = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
+        there = distance[:, 0] < rule.farthest
+        mine = distance < (APART / 2 if rule.inside else np.inf)
+        reach = np.where(mine, distance, 0).max(axis=1, keepdims=True)
+        scale = np.maximum(rule.close * reach, 1e-9)
+        near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None] * mine
+        how = known.weights[:, found] * near
+        parts.append(((how * known.values[:, found]).sum(axis=2), how.sum(axis=2), there))
+    total, weight, alike = (sum(part) for part in zip(*parts, strict=True))
+    return total / np.maximum(weight, 1e-30), alike > 0
 
 
 def _around(points: np.ndarray, axis: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:

@@ -47,7 +47,7 @@ def nearest_cells(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarr
         ShapeError: the lengths differ.
         OptionError: a value is not finite.
     """
-    cells = []
+    cells: list[np.ndarray] = []
     for name, nodes in axes.items():
         values = vector(truth[name], name, len(cells[0]) if cells else None)
         cells.append(np.abs(values[:, None] - np.asarray(nodes)).argmin(axis=1))

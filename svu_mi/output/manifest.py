@@ -11,6 +11,7 @@ import platform
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,7 +60,6 @@ def environment_record() -> dict[str, Any]:
     Without Mitsuba's variant set, or before Dr.Jit is loaded, those entries are None.
     """
     mitsuba, drjit = sys.modules.get("mitsuba"), sys.modules.get("drjit")
-    llvm = _llvm.status()
     return {
         "versions": {
             "svu_mi": svu_mi.__version__,
@@ -72,7 +72,7 @@ def environment_record() -> dict[str, Any]:
         "threads": drjit.thread_count() if drjit else None,
         "llvm": {
             "version": ".".join(map(str, drjit.detail.llvm_version())) if drjit else None,
-            "source": llvm.source,
+            "source": _llvm.status().source,
         },
     }
 
@@ -139,9 +139,10 @@ def _record(
     **more: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """Return what the records of all runs have, in their order; ``seen`` says of which texels."""
+    light = {} if capture.found_light is None else light_record(capture.found_light)
     texels = {"texels": seen.texels.count, "texels_seen": int(is_seen(seen).sum())}
     return {
-        "inputs": {**inputs_record(capture), **_light(capture)}, "settings": settings,
+        "inputs": {**inputs_record(capture), **light}, "settings": settings,
         "result": {**texels, **result}, **more, "warnings": capture.warnings,
     }  # fmt: skip
 
@@ -154,13 +155,8 @@ def inputs_record(capture: Capture) -> dict[str, Any]:
         "views": capture.count,
         "photographs": capture.names,
         "exposures": capture.exposures,
-        "left_out": [n for n, u in zip(capture.names, capture.used, strict=True) if not u],
+        "left_out": list(compress(capture.names, np.logical_not(capture.used))),
     }
-
-
-def _light(capture: Capture) -> dict[str, Any]:
-    """Return what records say of the light, if it was found in the photographs."""
-    return {} if capture.found_light is None else light_record(capture.found_light)
 
 
 def write_run(draft: Draft, record: Mapping[str, Any], run: Run) -> None:
@@ -189,8 +185,8 @@ def _plain(value: Any, where: str) -> Any:
     """Return the JSON equivalent of a value; ``where`` names it in the error."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-    if isinstance(value, np.generic):
-        value = value.item()
+    if hasattr(value, "__array__"):
+        value = np.asarray(value).tolist()
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, float):
@@ -201,9 +197,6 @@ def _plain(value: Any, where: str) -> Any:
         return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
     if isinstance(value, set | frozenset):
         value = sorted(value, key=str)
-    if hasattr(value, "__array__"):
-        value = np.asarray(value).tolist()
-        return _plain(value, where)
     if isinstance(value, list | tuple):
         return [_plain(item, f"{where}[{index}]") for index, item in enumerate(value)]
     raise OutputError(f"{where}: a {type(value).__name__} cannot be written as JSON.")

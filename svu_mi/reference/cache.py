@@ -18,7 +18,7 @@ from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.files import clear_temporaries, prepare_folder
 from svu_mi.hashing import Key
 from svu_mi.npz import Field, read_arrays, require_schema, write_arrays
-from svu_mi.reference.options import Options
+from svu_mi.reference.options import ReferenceOptions
 from svu_mi.reference.record import Reference, Traced
 from svu_mi.statistics.factors import PAIRS
 from svu_mi.surface import Texels
@@ -33,7 +33,7 @@ def locate(
     capture: Capture,
     texels: Texels,
     subset: int | np.ndarray,
-    options: Options,
+    options: ReferenceOptions,
 ) -> Path:
     """Return the file of one reference; its folder exists afterwards."""
     key = Key(FORMAT, svu_mi.__version__, mi.__version__, mi.variant(), options, subset)
@@ -45,7 +45,7 @@ def locate(
     return folder / f"reference-{key.digest()}.npz"
 
 
-def load(path: Path, options: Options) -> Reference | None:
+def load(path: Path, options: ReferenceOptions) -> Reference | None:
     """Read a reference back; None, with a warning, when the file is damaged or another one's."""
     if not path.exists():
         return None
@@ -73,7 +73,7 @@ def store(path: Path, traced: Traced) -> None:
     log.debug("%s: reference stored", path)
 
 
-def _require_shapes(stored: dict[str, np.ndarray], options: Options) -> None:
+def _require_shapes(stored: dict[str, np.ndarray], options: ReferenceOptions) -> None:
     """Refuse arrays that no reference with these options has, by a ValueError."""
     schema = {
         "subset": Field("i", ("n",)), "brightness": Field("f", ("n",)), "unit": Field("f"),

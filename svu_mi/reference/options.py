@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Integral
-from typing import Any, Literal, get_args
+from math import inf
+from typing import Any, Literal
 
 import numpy as np
 
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, excerpt
 from svu_mi.options import AngularPreset, Errors
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.reference.deviations import CORNERS
+from svu_mi.settings import require, require_ranges, require_types
 
 Method = Literal["linear", "brute"]
 Noise = Literal["relative", "heteroscedastic", "estimated"]
 
 
 @dataclass(frozen=True)
-class Options:
+class ReferenceOptions:
     """The numbers of ``reference_posterior``, checked.
 
     Raises:
@@ -35,37 +36,19 @@ class Options:
     errors: Errors = "mean"
 
     def __post_init__(self) -> None:
+        require_types(self)
+        require_ranges(self, spp=(2, inf), max_depth=(2, inf), seed=(0, inf))
+        require(self, self.spp % 2 == 0, "spp", "even: its noise is measured from two halves")
+        require(self, 0 < self.sigma < inf, "sigma", "positive")
         estimated, linear = self.noise == "estimated", self.method == "linear"
-        for name in ("method", "noise", "errors"):
-            words = get_args({"method": Method, "noise": Noise, "errors": Errors}[name])
-            given = getattr(self, name)
-            _require(given in words, f"{name} must be {' or '.join(words)}, got {given!r}.")
-        _require(
-            _is_whole(self.spp, 2) and self.spp % 2 == 0,
-            f"spp must be even and at least 2, got {self.spp!r}: its noise is measured from two "
-            "halves.",
-        )
-        positive = bool(np.isfinite(self.sigma) and self.sigma > 0)
-        _require(positive, f"sigma must be above 0, got {self.sigma!r}.")
-        _require(
-            _is_whole(self.max_depth, 2),
-            f"max_depth must be at least 2 (direct light), got {self.max_depth!r}.",
-        )
-        _require(_is_whole(self.seed, 0), f"seed must be a whole number >= 0, got {self.seed!r}.")
-        _require(
-            not (estimated and self.errors == "sum"),
-            "estimated noise counts every view already; use errors='mean', or noise='relative'.",
-        )
-        _require(
-            linear or not estimated,
-            "estimated noise needs method='linear', whose sums it is computed from; got "
-            f"{self.method!r}.",
-        )
-        _require(
-            not linear or self.max_depth == 2,
-            "radiance is linear in the material only for direct light; use method='brute' for "
-            f"max_depth {self.max_depth}, or max_depth=2.",
-        )
+        fits = not estimated or self.errors == "mean"
+        require(self, fits, "errors", "mean with estimated noise, which counts every view already")
+        fits = not estimated or linear
+        require(self, fits, "method", "linear with estimated noise, which is that of its sums")
+        require(
+            self, not linear or self.max_depth == 2, "max_depth",
+            "2, for which radiance is linear in the material, or the method brute",
+        )  # fmt: skip
 
     @property
     def levels(self) -> np.ndarray:
@@ -85,29 +68,19 @@ class Options:
 
 def check_subset(subset: Any, count: int) -> int | np.ndarray:
     """Return a number of texels, or (n,) int64 indices of texels that exist."""
-    label = "reference_posterior(): subset"
-    if np.ndim(subset) == 0:
-        if not _is_whole(subset, 1):
-            raise OptionError(f"{label} must be a number of texels >= 1, got {subset!r}.")
-        return int(subset)
-    indices = np.asarray(subset)
-    if indices.ndim != 1 or not indices.size or not np.issubdtype(indices.dtype, np.integer):
+    given = np.asarray(subset)
+    whole = given.size > 0 and np.issubdtype(given.dtype, np.integer)
+    if not whole or given.ndim > 1 or (given.ndim == 0 and given < 1):
         raise OptionError(
-            f"{label} must be a list of texel indices, got {indices.dtype} of shape "
-            f"{indices.shape}."
+            "reference_posterior(): subset must be a number of texels >= 1, or a list of texel "
+            f"indices, got {excerpt(repr(subset))}."
         )
-    wrong = (indices < 0) | (indices >= count)
-    if wrong.any():
+    if given.ndim == 0:
+        return int(given)
+    wrong = given[(given < 0) | (given >= count)]
+    if wrong.size:
         raise OptionError(
-            f"{label} must hold texel indices 0 to {count - 1}, got {indices[wrong][0]}."
+            f"reference_posterior(): subset must hold texel indices 0 to {count - 1}, got "
+            f"{wrong[0]}."
         )
-    return indices.astype(np.int64)
-
-
-def _require(fine: bool, sentence: str) -> None:
-    if not fine:
-        raise OptionError(f"reference_posterior(): {sentence}")
-
-
-def _is_whole(value: object, least: int) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
+    return given.astype(np.int64)

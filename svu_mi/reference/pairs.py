@@ -56,23 +56,13 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
     surface = Surface.of(texels, dr.gather(mi.UInt32, batch, place))
     known = observed.found.bits.test(view, surface.index)
     sample = look(views, surface, view, known)
-    radiance, contrast = sample.radiance, sample.contrast
-    dr.eval(place, view, radiance, contrast, known)
-    visible = dr.compress(known)
-    if not dr.width(visible):
-        return Pairs(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), None, 0)
-    place, view, radiance, contrast = (
-        dr.gather(type(values), values, visible) for values in (place, view, radiance, contrast)
-    )
-    rays, hit = _aim(views, Surface.of(texels, dr.gather(mi.UInt32, batch, place)), view, target)
-    dr.eval(place, radiance, contrast, rays, hit)
-    kept = dr.compress(hit)
+    rays, hit = _aim(views, surface, view, target, known)
+    found = place, sample.radiance, sample.contrast, rays
+    dr.eval(found, known, hit)
+    visible, kept = dr.count(known)[0], dr.compress(hit)
     if not dr.width(kept):
-        empty = np.zeros((0, 3))
-        return Pairs(np.zeros(0, np.int64), empty, np.zeros(0), None, dr.width(visible))
-    place, radiance, contrast, rays = (
-        dr.gather(type(x), x, kept) for x in (place, radiance, contrast, rays)
-    )
+        return Pairs(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), None, visible)
+    place, radiance, contrast, rays = (dr.gather(type(x), x, kept) for x in found)
     dr.eval(place, radiance, contrast, rays)
     return Pairs(
         texel=place.numpy().astype(np.int64),
@@ -80,12 +70,14 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
         radiance=np.stack([x.numpy() for x in radiance], axis=-1).astype(np.float64),
         contrast=contrast.numpy().astype(np.float64),
         rays=rays,
-        dropped=dr.width(visible) - dr.width(kept),
+        dropped=visible - dr.width(kept),
     )
 
 
-def _aim(views: Views, surface: Surface, view: Any, target: UniformScene) -> tuple[Any, Any]:
-    """Return rays from the cameras to the texels, and whether they land there.
+def _aim(
+    views: Views, surface: Surface, view: Any, target: UniformScene, active: Any
+) -> tuple[Any, Any]:
+    """Return rays from the cameras to the texels, and whether they are active and land there.
 
     Landing is within a distance of the texel's tangent plane: rays leak, and sheets are thin.
     """
@@ -93,9 +85,9 @@ def _aim(views: Views, surface: Surface, view: Any, target: UniformScene) -> tup
         *(dr.gather(mi.Float, views.cameras, view * CAMERA_FLOATS + 12 + k) for k in range(3))
     )
     ray = mi.Ray3f(camera, dr.normalize(surface.position - camera))
-    hit = target.scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
+    hit = target.scene.ray_intersect(ray, mi.RayFlags.Minimal, True, active=active)
     miss = dr.abs(dr.dot(ray(hit.t) - surface.position, surface.geometric_normal))
     # Opaque: as a literal, every scene of a process would get a kernel of its own.
-    on_object = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target.shape))
+    on_object = active & hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target.shape))
     # surface.offset is a fraction of the extent, and already opaque.
     return ray, on_object & (miss < (TOLERANCE / RAY_OFFSET) * surface.offset)

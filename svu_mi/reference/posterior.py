@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import drjit as dr
@@ -20,11 +22,11 @@ from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
 from svu_mi.reference import cache as cached
-from svu_mi.reference.deviations import PerTexel, brute, linear, sums
-from svu_mi.reference.options import Method, Noise, Options, check_subset
+from svu_mi.reference.deviations import PerTexel, Render, brute, linear, sums
+from svu_mi.reference.options import Method, Noise, ReferenceOptions, check_subset
 from svu_mi.reference.pairs import Pairs, visible_pairs
 from svu_mi.reference.record import Reference, Traced
-from svu_mi.reference.trace import UniformScene, path_integrator, trace
+from svu_mi.reference.trace import UniformScene, trace
 from svu_mi.statistics.sums import noise_weight
 from svu_mi.surface import Texels
 from svu_mi.visibility import Survey
@@ -77,7 +79,7 @@ def reference_posterior(
         OutputError: the cache cannot be written.
     """
     grid = grid or PrincipledGrid()
-    options = Options(spp, grid, sigma, max_depth, method, seed, noise, errors)
+    options = ReferenceOptions(spp, grid, sigma, max_depth, method, seed, noise, errors)
     capture, layout = subject_of(source, texels)
     wanted = check_subset(subset, layout.count)
     progress = progress or Progress()
@@ -94,7 +96,7 @@ def reference_posterior(
 
 
 def _trace(
-    observed: Observed, chosen: np.ndarray, options: Options, update: Callable[[int, int], None]
+    observed: Observed, chosen: np.ndarray, options: ReferenceOptions, update: Callable[..., None]
 ) -> Traced:
     """Work through the texels in batches of bounded memory."""
     dr.sync_thread()
@@ -102,11 +104,11 @@ def _trace(
     target, estimated = UniformScene.of(observed.capture), options.noise == "estimated"
     size = max(LANES // observed.views.number, 1)
     batches = [chosen[first : first + size] for first in range(0, len(chosen), size)]
-    rays = dropped = 0
+    total, rays, dropped = len(batches) * options.renders, 0, 0
     tables, weights, brightness, coverage = [], [], [], []
     for number, batch in enumerate(batches):
         pairs = visible_pairs(observed, owned(mi.UInt32, batch.astype(np.uint32)), target)
-        renderer = _Renderer(target, pairs, options, number, len(batches), update)
+        renderer = _renderer(target, pairs, options, number, partial(update, total=total))
         mean = PerTexel(pairs.texel, len(batch))
         weight = _weights(pairs, observed, options.noise)
         weighted = replace(mean, weight=weight)
@@ -137,40 +139,28 @@ def _weights(pairs: Pairs, observed: Observed, noise: Noise) -> np.ndarray | Non
     if noise == "heteroscedastic":
         return noise_weight(pairs.observed, observed.found.scale)
     default = AngularPreset()
-    return noise_weight(
-        pairs.observed, default.knee * observed.unit, pairs.contrast, default.edges
-    )
+    return noise_weight(pairs.observed, default.knee * observed.unit, pairs.contrast, default.edges)
 
 
-class _Renderer:
-    """Renders one psi after the other for a batch of pairs."""
+def _renderer(
+    target: UniformScene, pairs: Pairs, options: ReferenceOptions, batch: int,
+    update: Callable[[int], None],
+) -> Render:  # fmt: skip
+    """Return what renders one psi after the other for a batch of pairs."""
+    integrator = mi.load_dict({"type": "path", "max_depth": options.max_depth})
+    # Own random numbers for each batch, the same for all psi.
+    seed = int(np.random.default_rng((options.seed, batch)).integers(2**63))
+    done = itertools.count(batch * options.renders + 1)
 
-    def __init__(
-        self,
-        target: UniformScene,
-        pairs: Pairs,
-        options: Options,
-        batch: int,
-        batches: int,
-        update: Callable[[int, int], None],
-    ) -> None:
-        self._target, self._pairs, self._spp = target, pairs, options.spp
-        self._integrator = path_integrator(options.max_depth)
-        # Own random numbers for each batch, the same for all psi.
-        self._seed = int(np.random.default_rng((options.seed, batch)).integers(2**63))
-        self._done, self._total = batch * options.renders, batches * options.renders
-        self._update = update
-
-    def __call__(self, psi: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        if not self._pairs.count:
+    def render(psi: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        if not pairs.count:
             return np.zeros((0, 3)), np.zeros((0, 3))
-        self._target.paint(psi)
-        halves = trace(
-            self._target.scene, self._integrator, self._pairs.rays, self._spp, self._seed
-        )
-        self._done += 1
-        self._update(self._done, self._total)
+        target.paint(psi)
+        halves = trace(target.scene, integrator, pairs.rays, options.spp, seed)
+        update(next(done))
         return halves
+
+    return render
 
 
 def _choose(wanted: int | np.ndarray, seen: Survey, capture: Capture, seed: int) -> np.ndarray:

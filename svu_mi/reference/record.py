@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import numpy as np
 
 from svu_mi.options import AngularPreset
 from svu_mi.posterior import Posterior, calibrated_posterior, tabulated_posterior
-from svu_mi.reference.options import Options
+from svu_mi.reference.options import ReferenceOptions
 from svu_mi.statistics import Statistics
 
 
@@ -24,31 +24,29 @@ class Traced:
         subset, coverage, brightness, scale, unit, seconds, rays, dropped: see ``Reference``.
     """
 
-    subset: np.ndarray
-    tables: np.ndarray
-    weight: np.ndarray | None = None
-    coverage: np.ndarray
-    brightness: np.ndarray
+    subset: np.ndarray = field(repr=False)
+    tables: np.ndarray = field(repr=False)
+    weight: np.ndarray | None = field(default=None, repr=False)
+    coverage: np.ndarray = field(repr=False)
+    brightness: np.ndarray = field(repr=False)
     scale: float
     unit: float
     seconds: float
     rays: int
     dropped: int
 
-    def posteriors(self, options: Options) -> list[Posterior]:
+    def posteriors(self, options: ReferenceOptions) -> list[Posterior]:
         """Return the posterior of the mean and of each half."""
         grid, seen = options.grid, self.coverage > 0
         if self.weight is None:
             over = self.coverage.reshape(-1, *(1 for _ in grid.shape))
             views = over if options.errors == "sum" else 1
-            return [
-                tabulated_posterior(views * table, grid, seen)
-                for table in self.tables
-            ]
+            return [tabulated_posterior(views * table, grid, seen) for table in self.tables]
         kappa = AngularPreset().knee * self.unit
         return [
             calibrated_posterior(
-                Statistics.of(table, self.weight, self.coverage, options.levels, kappa), grid,
+                Statistics.of(table, self.weight, self.coverage, options.levels, kappa),
+                grid,
                 self.unit,
             )  # fmt: skip
             for table in self.tables
@@ -71,7 +69,7 @@ class SplitHalf:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reference:
+class Reference(Traced):
     """Path-traced posterior of n texels.
 
     Attributes:
@@ -79,7 +77,7 @@ class Reference:
         posterior: p(psi | B, L) on the axes of a ``PrincipledGrid``. Not observed, with
             entropy 1, is a texel that no view sees or that no ray met.
         halves: the same from the first and from the second half of the samples.
-        traced: what they were made from.
+        tables, weight: what they were made from (``Traced``).
         brightness: (n,) float64, mean observed grey radiance over the views used; 0 without any.
         coverage: (n,) int64, number of views used.
         scale: mean grey radiance over all visible (texel, view) samples of the capture.
@@ -94,32 +92,21 @@ class Reference:
         method: ``linear`` or ``brute``.
     """
 
-    subset: np.ndarray = field(repr=False)
     posterior: Posterior = field(repr=False)
     halves: tuple[Posterior, Posterior] = field(repr=False)
-    traced: Traced = field(repr=False)
-    brightness: np.ndarray = field(repr=False)
-    coverage: np.ndarray = field(repr=False)
-    scale: float
-    unit: float
-    seconds: float
     cached: bool
-    rays: int
-    dropped: int
     spp: int
     max_depth: int
     method: str
 
     @staticmethod
-    def of(traced: Traced, options: Options, *, cached: bool) -> Reference:
+    def of(traced: Traced, options: ReferenceOptions, *, cached: bool) -> Reference:
         """Compute the posteriors of what was traced."""
         whole, first, second = traced.posteriors(options)
         return Reference(
-            posterior=whole, halves=(first, second), traced=traced, cached=cached,
-            subset=traced.subset, coverage=traced.coverage, brightness=traced.brightness,
-            scale=traced.scale, unit=traced.unit, seconds=traced.seconds, rays=traced.rays,
-            dropped=traced.dropped, spp=options.spp, max_depth=options.max_depth,
-            method=options.method,
+            **{field.name: getattr(traced, field.name) for field in fields(traced)},
+            posterior=whole, halves=(first, second), cached=cached, spp=options.spp,
+            max_depth=options.max_depth, method=options.method,
         )  # fmt: skip
 
     @property
@@ -130,7 +117,7 @@ class Reference:
     @cached_property
     def entropy(self) -> np.ndarray:
         """Normalised entropy (n,) float64 in [0, 1]; 1 where not observed (Eq. 5)."""
-        return _entropy(self.posterior)
+        return np.array(self.posterior.entropy(), np.float64)
 
     def split_half(self) -> SplitHalf:
         """Compare the entropies of the two independent halves of the samples.
@@ -138,12 +125,7 @@ class Reference:
         The correlation bounds what any estimator can reach against one half; the full
         reference has twice the samples and is better than that.
         """
-        first, second = (_entropy(half) for half in self.halves)
-        kept = self.posterior.observed
-        a, b = first[kept], second[kept]
-        varied = len(a) > 1 and np.ptp(a) > 0 and np.ptp(b) > 0
-        return SplitHalf(float(np.corrcoef(a, b)[0, 1]) if varied else np.nan, first, second)
-
-
-def _entropy(posterior: Posterior) -> np.ndarray:
-    return np.array(posterior.entropy(), np.float64)
+        both: np.ndarray = np.array([half.entropy() for half in self.halves], np.float64)
+        kept = both[:, self.posterior.observed]
+        varied = kept.shape[1] > 1 and np.ptp(kept, axis=1).all()
+        return SplitHalf(float(np.corrcoef(kept)[0, 1]) if varied else np.nan, *both)

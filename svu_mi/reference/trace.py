@@ -17,11 +17,6 @@ from svu_mi.parameters import PARAMETERS
 LANES = 1 << 20  # paths in memory at a time
 
 
-def path_integrator(max_depth: int) -> Any:
-    """Mitsuba's path tracer, which samples both the light and the material."""
-    return mi.load_dict({"type": "path", "max_depth": max_depth})
-
-
 def trace(
     scene: Any, integrator: Any, rays: Any, samples: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal
 
@@ -16,7 +15,7 @@ from svu_mi.pipeline import Estimate
 from svu_mi.posterior import Posterior
 from svu_mi.regularization.gradients import Regularizer
 from svu_mi.regularization.seeds import find_seeds, least_minima
-from svu_mi.settings import require_types
+from svu_mi.settings import require, require_types
 from svu_mi.surface import Texels
 
 Divergence = Literal["forward", "reverse"]
@@ -76,8 +75,7 @@ class GlobalSharing(Regularizer):
 
     def __post_init__(self) -> None:
         require_types(self)
-        if not (np.isfinite(self.tau) and self.tau > 0):
-            raise OptionError(f"GlobalSharing: tau must be positive, got {self.tau!r}.")
+        require(self, 0 < self.tau < np.inf, "tau", "positive")
         posterior = self.estimate.posterior
         chosen = self._choose()
         weights = _weights(divergences(posterior, chosen, self.divergence), self.tau)
@@ -199,24 +197,21 @@ def divergences(posterior: Posterior, chosen: np.ndarray, kind: Divergence) -> n
     q = _rows(posterior, chosen)
     log_q = np.log(np.maximum(q, LEAST))
     result = np.empty((len(chosen), posterior.count))
-    for span in _spans(posterior.count, max(CHUNK // max(q.shape[1], 1), 1)):
-        p = _rows(posterior, np.arange(span.start, span.stop))
+    every, size = np.arange(posterior.count), max(CHUNK // max(q.shape[1], 1), 1)
+    for texels in np.split(every, range(size, len(every), size)):
+        p = _rows(posterior, texels)
         log_p = np.log(np.maximum(p, LEAST))
         if kind == "forward":
-            result[:, span] = np.einsum("tk,tk->t", p, log_p) - log_q @ p.T
+            result[:, texels] = np.einsum("tk,tk->t", p, log_p) - log_q @ p.T
         else:
-            result[:, span] = np.einsum("sk,sk->s", q, log_q)[:, None] - q @ log_p.T
+            result[:, texels] = np.einsum("sk,sk->s", q, log_q)[:, None] - q @ log_p.T
     return np.maximum(result, 0) / posterior.groups
 
 
 def _rows(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
     """Return (t, cells) float32 probabilities of some texels, all channels in a row."""
-    p = np.array(posterior.probabilities_of(chosen), np.float32)
-    return p.reshape(len(chosen), int(np.prod(posterior.grid.shape)) * posterior.groups)
-
-
-def _spans(count: int, size: int) -> Iterator[slice]:
-    return (slice(first, min(first + size, count)) for first in range(0, count, size))
+    cells = int(np.prod(posterior.grid.shape)) * posterior.groups
+    return np.array(posterior.probabilities_of(chosen), np.float32).reshape(len(chosen), cells)
 
 
 def _weights(divergence: np.ndarray, tau: float) -> np.ndarray:

@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.regularization.gradients import Regularizer, sign
+from svu_mi.settings import require
 from svu_mi.surface import Texels
 from svu_mi.surface.neighbors import Neighbors, lanes_of, over_neighbors
 
@@ -56,8 +56,7 @@ class TotalVariation(Regularizer):
     _epsilon: Any = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.epsilon) and self.epsilon >= 0):
-            raise OptionError(f"TotalVariation: epsilon must be at least 0, got {self.epsilon}.")
+        require(self, 0 <= self.epsilon < np.inf, "epsilon", "at least 0")
         around, pairs = _table(self.texels, self._neighbors(self.mesh))
         columns = tuple(owned(mi.UInt32, column) for column in around)
         object.__setattr__(self, "_around", {1: columns})

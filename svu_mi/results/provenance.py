@@ -30,7 +30,7 @@ MAX_BYTES = 2**26  # of a record
 HEAD = 4096  # bytes in which a scene file or a mesh has its marks
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Entry:
     """One result.
 
@@ -50,13 +50,12 @@ class Entry:
     def parse(cls, value: Any) -> Entry | None:
         """Return the entry that a record holds; None for anything that is not a valid one."""
         try:
-            files = {name: digest for name, digest in value["files"].items() if is_inside(name)}
-            words = value["run"], value["command"], value["capture"], *files.values()
-        except (TypeError, KeyError, AttributeError):
+            found = cls(value["run"], value["command"], value["capture"], dict(value["files"]))
+        except (TypeError, KeyError, ValueError):
             return None
-        if len(files) < len(value["files"]) or not all(isinstance(word, str) for word in words):
-            return None
-        return cls(run=words[0], command=words[1], capture=words[2], files=files)
+        words = found.run, found.command, found.capture, *found.files.values()
+        valid = all(isinstance(word, str) for word in words) and all(map(is_inside, found.files))
+        return found if valid else None
 
     def owns(self, folder: Path, name: str) -> bool:
         """Return whether a file is still the one that the run wrote."""
@@ -111,8 +110,8 @@ def files_in(folder: Path) -> list[str]:
     """
     found = []
     for root, folders, files in os.walk(folder, onerror=_refuse):
-        links = [name for name in folders if os.path.islink(os.path.join(root, name))]
-        found += [Path(root, name).relative_to(folder) for name in (*files, *links)]
+        paths = *(Path(root, name) for name in files), *(Path(root, name) for name in folders)
+        found += [p.relative_to(folder) for p in paths if p.is_symlink() or not p.is_dir()]
     return sorted(name.as_posix() for name in found if not any(map(is_temporary, name.parts)))
 
 
@@ -133,9 +132,8 @@ def marks_of(path: Path) -> tuple[str, str]:
             head = stream.read(HEAD).decode("ascii", "replace")
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read ({error.strerror}).") from error
-    words = (re.search(rf"{mark}=([0-9a-f]+)", head) for mark in (RUN, CAPTURE))
-    run, capture = (word.group(1) if word else "" for word in words)
-    return run, capture
+    run, capture = (re.search(rf"{mark}=([0-9a-f]+)", head) for mark in (RUN, CAPTURE))
+    return run[1] if run else "", capture[1] if capture else ""
 
 
 def require_one_run(folder: Path, names: Sequence[str], record: str, command: str) -> None:
@@ -174,13 +172,13 @@ def text_in(record: Any, *names: str) -> str:
 
 def require_no_result(folder: Path) -> None:
     """Refuse a folder that was given as a capture, if it is a result of another command."""
-    found = next((e.command for e in entries_in(folder).values() if e.command not in CAPTURES), "")
-    if found:
-        known = entry_of(folder / RUN_RECORD) is not None
-        source = text_in(read_json(folder / RUN_RECORD), "inputs", "source") if known else ""
+    found = entries_in(folder)
+    if others := [entry.command for entry in found.values() if entry.command not in CAPTURES]:
+        record = read_json(folder / RUN_RECORD) if RUN_RECORD in found else None
+        source = text_in(record, "inputs", "source")
         raise CaptureError(
-            f"{folder}: is a result of svu {excerpt(found, 40)}; give the capture it was made of"
-            + (f" ({excerpt(source, 300)})." if source else ".")
+            f"{folder}: is a result of svu {excerpt(others[0], 40)}; give the capture it was made "
+            + (f"of ({excerpt(source, 300)})." if source else "of.")
         )
 
 
@@ -191,13 +189,16 @@ def require_recovery(folder: Path, names: Sequence[str], record: str, other: str
     missing = [name for name in names if not (folder / name).is_file()]
     if not missing:
         return
-    words = f"{folder}: has no {', '.join(missing)}"
     if entry_of(folder / record, "recover") is not None:
-        raise CaptureError(f"{words}, which svu recover wrote; run it again.")
-    words += ", so it is not a result of svu recover"
-    if (folder / other).is_file():
-        raise CaptureError(
-            f"{words} but of svu entropy; run svu recover on the same capture, and give what it "
-            "writes."
+        what = "which svu recover wrote; run it again."
+    elif (folder / other).is_file():
+        what = (
+            "so it is not a result of svu recover but of svu entropy; run svu recover on the same "
+            "capture, and give what it writes."
         )
-    raise CaptureError(f"{words}; run that first, or give the folder that it wrote.")
+    else:
+        what = (
+            "so it is not a result of svu recover; run that first, or give the folder that it "
+            "wrote."
+        )
+    raise CaptureError(f"{folder}: has no {', '.join(missing)}, {what}")

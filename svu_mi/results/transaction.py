@@ -22,7 +22,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatch
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +40,7 @@ IGNORED = {".DS_Store", "Thumbs.db"}
 MARK = re.compile(rb"<!-- svu:page=([0-9a-f]{32}) -->\n\Z")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Claim(os.PathLike[str]):
     """A folder that one command writes to, from before its work until its result is there.
 
@@ -67,7 +66,7 @@ class Claim(os.PathLike[str]):
                 _remove(path)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Draft:
     """A result that is being written.
 
@@ -88,8 +87,7 @@ class Draft:
     def entries(self) -> dict[str, Any]:
         """Return what the record says of the files; called when all others are written."""
         files = {name: digest_of_file(self.folder / name) for name in files_in(self.folder)}
-        mine = Entry(run=self.run, command=self.command, capture=self.capture, files=files)
-        return {RESULT: asdict(mine)}
+        return {RESULT: asdict(Entry(self.run, self.command, self.capture, files))}
 
 
 @contextlib.contextmanager
@@ -113,6 +111,10 @@ def claimed(
         return
     shown, target = Path(folder), Path(os.path.realpath(folder))
     _require_exchangeable(shown, target)
+
+    def is_needed(path: Path) -> bool:
+        return fnmatch(path.name, keep)
+
     absent = [parent for parent in target.parents if not parent.exists()]
     try:
         _prepare_parent(shown, target)
@@ -121,15 +123,15 @@ def claimed(
                 prepare_folder(target)  # only to see that it is a folder, and may be changed
             if not overwrite and (reason := _stranger_in(target, command)):
                 raise _occupied(shown, f"holds other files: {reason}")
-            claim = Claim(folder=shown, target=target, draft=draft, command=command)
+            claim = Claim(shown, target, draft, command)
             _carry(draft, target)
-            claim.clear(partial(_matches, keep))
+            claim.clear(is_needed)
             own = draft.lstat()
             try:
                 yield claim
             finally:
                 if is_at(own, draft):  # no result was written
-                    claim.clear(partial(_matches, keep))
+                    claim.clear(is_needed)
     finally:
         for parent in absent:  # those that nothing was put into
             with contextlib.suppress(OSError):
@@ -154,12 +156,10 @@ def writing(
     """
     run = run or secrets.token_hex(8)
     with claimed(folder, command) as claim:
-        draft = Draft(
-            folder=claim.draft, target=claim.folder, run=run, command=command, capture=capture
-        )
+        marks = {RUN: run, CAPTURE: capture} if capture else {RUN: run}
         try:
-            with stamped({RUN: run, CAPTURE: capture} if capture else {RUN: run}):
-                yield draft
+            with stamped(marks):
+                yield Draft(claim.draft, claim.folder, run, command, capture)
             if not (claim.draft / record).is_file():
                 raise OutputError(f"{claim.folder / record}: was not written.")
             _put_in_place(claim)
@@ -201,10 +201,6 @@ def is_kept(name: str) -> bool:
     return name.partition(".before")[0] in KEPT
 
 
-def _matches(pattern: str, path: Path) -> bool:
-    return fnmatch(path.name, pattern)
-
-
 def _remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
@@ -226,17 +222,15 @@ def _prepare_parent(folder: Path, target: Path) -> None:
 
 def _require_exchangeable(folder: Path, target: Path) -> None:
     """Refuse a folder that cannot be renamed."""
-    here = Path.cwd()
-    if target == here or target in here.parents:
-        raise OutputError(
-            f"{folder}: holds the working directory, which cannot be exchanged with a result; "
-            "choose a folder in it."
-        )
-    if target.is_mount() or str(target) in _mounts():
-        raise OutputError(
-            f"{folder}: is the top of a disk or of a mounted folder, which cannot be exchanged "
-            "with a result; choose a folder in it."
-        )
+    if Path.cwd().is_relative_to(target):
+        what = "holds the working directory"
+    elif target.is_mount() or str(target) in _mounts():
+        what = "is the top of a disk or of a mounted folder"
+    else:
+        return
+    raise OutputError(
+        f"{folder}: {what}, which cannot be exchanged with a result; choose a folder in it."
+    )
 
 
 def _mounts() -> set[str]:
@@ -259,12 +253,13 @@ def _stranger_in(folder: Path, command: str) -> str:
             continue
         if any(entry.owns(folder, name) for entry in own.values()):
             continue
-        if any(name in entry.files for entry in own.values()):
-            return f"{excerpt(name)} was changed since svu {command} wrote it"
         writer = next((e.command for r, e in found.items() if name == r or name in e.files), "")
-        if writer and writer != command:
-            return f"{excerpt(name)} was written by svu {excerpt(writer, 40)}"
-        return f"{excerpt(name)} was not written by svu {command}, or by an older version of it"
+        what = f"written by svu {excerpt(writer, 40)}"
+        if any(name in entry.files for entry in own.values()):
+            what = f"changed since svu {command} wrote it"
+        elif not writer:
+            what = f"not written by svu {command}, or by an older version of it"
+        return f"{excerpt(name)} was {what}"
     return ""
 
 
@@ -311,9 +306,7 @@ def _is_own_page(path: Path) -> bool:
     """Return whether a page is missing, or as ``write_page`` has written it."""
     if not os.path.lexists(path):
         return True
-    if path.is_symlink() or not path.is_file():
-        return False
-    content = path.read_bytes()
+    content = path.read_bytes() if path.is_file() and not path.is_symlink() else b""
     found = MARK.search(content)
     return found is not None and digest_of(content[: found.start()]) == found[1].decode()
 

@@ -28,49 +28,11 @@ from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.relight import relight
-from svu_mi.recovery.textures import lay_out
+from svu_mi.recovery.textures import Textures
 from svu_mi.surface.raster import dilate
 from svu_mi.visibility import Surface, Views, observe, pack_sensors
 from svu_mi.visibility.observe import look
 from svu_mi.visibility.views import LARGEST_FILM
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A part of a photograph, in pixels of another size.
-
-    Attributes:
-        sensor: whose film it is.
-        corner: (x, y) of the part, in pixels of the photograph.
-        part: (width, height) of it, in these.
-    """
-
-    sensor: Any
-    corner: tuple[int, int]
-    part: tuple[int, int]
-
-    @staticmethod
-    def around(
-        sensor: Any, middle: np.ndarray, length: float, side: int, *, rendered: bool
-    ) -> Frame:
-        """Cut a square out of what a sensor sees."""
-        low = np.floor(middle - length / 2).astype(int)
-        high = low + int(np.ceil(length))
-        if not rendered:
-            low, high = np.maximum(low, 0), np.minimum(high, film_size(sensor))
-        part = high - low
-        scale = side / float(part.max())
-        scale = scale if rendered else min(scale, 1.0)
-        width, height = (max(int(round(scale * size)), 1) for size in part)
-        corner = int(low[0]), int(low[1])
-        sensor = windowed_sensor(sensor, corner, (width, height), scale)
-        return Frame(sensor, corner, (int(part[0]), int(part[1])))
-
-    def cut(self, photograph: np.ndarray) -> np.ndarray:
-        """Return this part of a photograph (H, W, 3), in pixels of its sensor."""
-        (x, y), (width, height) = self.corner, self.part
-        return resized(photograph[y : y + height, x : x + width], film_size(self.sensor))
-
 
 AROUND = 100  # views on a sphere, of which some are rendered
 STEEPEST = 0.3  # cosine to the camera, below which a view does not show a texel well
@@ -126,20 +88,19 @@ class Shots:
 
     def picture(self, place: int, values: np.ndarray, known: np.ndarray, seed: int) -> Picture:
         """Return what a model is given of a place."""
-        frame = self._frame(place)
-        maps = self._maps(frame.sensor, values, known)
-        usable = self._packed(frame.sensor).usable
-        usable = np.array(usable).reshape(maps["known"].shape)
+        sensor, part = self._framed(place)
+        textures = self.field.laid(values)
+        maps, usable = self._maps(sensor, textures, known), self._usable(sensor)
         if self.photographs is None:
-            textures = lay_out(self.field.texels, self._by_name(values))
-            shown = relight(self.capture, textures, None, [frame.sensor], SPP, seed=seed)[0]
+            shown = relight(self.capture, textures, None, [sensor], SPP, seed=seed)[0]
         else:
-            shown = frame.cut(self.capture.images[self.photographs[place]])
+            photograph = self.capture.images[self.photographs[place]]
+            shown = resized(photograph[part], film_size(sensor))
         white = exposure(shown, usable)
         return Picture(
             # What holds no radiance is mostly what was too bright.
             photograph=np.clip(np.nan_to_num(shown / white, nan=1.0), 0, 1).astype(np.float32),
-            certain=usable & (maps.pop("known") > WHOLE), maps=maps, sensor=frame.sensor,
+            certain=usable & (maps.pop("known") > WHOLE), maps=maps, sensor=sensor,
         )  # fmt: skip
 
     def carried(
@@ -156,20 +117,32 @@ class Shots:
             found[name] = np.array(mean)[: CHANNELS[name]]
         return found, seen
 
-    def _frame(self, place: int) -> Frame:
-        """Return how a place's picture is cut to the object, of which a model sees more then."""
-        sensor = self.places.sensors[place]
+    def _framed(self, place: int) -> tuple[Any, tuple[slice, slice]]:
+        """Return a sensor that sees a square around the object, of which a model sees more then,
+        and the rows and columns of these pixels in a photograph."""
+        sensor, rendered = self.places.sensors[place], self.photographs is None
         small = scaled_sensor(sensor, LARGEST_FILM)  # as ``cover`` has looked at it
-        (width, height), (across, down) = film_size(sensor), film_size(small)
-        usable = np.array(self._packed(small).usable).reshape(down, across)
-        rows, columns = (np.flatnonzero(usable.any(axis=axis)) for axis in (1, 0))
+        shown = self._usable(small)
+        columns, rows = (np.flatnonzero(shown.any(axis=axis)) for axis in (0, 1))
         middle = np.array([columns[0] + columns[-1] + 1, rows[0] + rows[-1] + 1]) / 2
+        scale = np.divide(film_size(sensor), film_size(small))
         longest = max(np.ptp(columns), np.ptp(rows)) + 1
-        scale = np.array([width / across, height / down])
-        return Frame.around(
-            sensor, middle * scale, (1 + 2 * MARGIN) * longest * float(scale.max()), self.side,
-            rendered=self.photographs is None,
-        )  # fmt: skip
+        length = (1 + 2 * MARGIN) * longest * float(scale.max())
+        low = np.floor(middle * scale - length / 2).astype(int)
+        high = low + int(np.ceil(length))
+        if not rendered:
+            low, high = np.maximum(low, 0), np.minimum(high, film_size(sensor))
+        factor = self.side / float((high - low).max())
+        factor = factor if rendered else min(factor, 1.0)
+        width, height = (max(int(round(factor * size)), 1) for size in high - low)
+        (x, y), (right, bottom) = low.tolist(), high.tolist()
+        window = windowed_sensor(sensor, (x, y), (width, height), factor)
+        return window, (slice(y, bottom), slice(x, right))
+
+    def _usable(self, sensor: Any) -> np.ndarray:
+        """Return which pixels (h, w) of a sensor texels can use."""
+        width, height = film_size(sensor)
+        return np.array(self._packed(sensor).usable).reshape(height, width)
 
     def _packed(self, sensor: Any) -> Views:
         size = max(film_size(sensor))
@@ -179,10 +152,9 @@ class Shots:
     def _alone(self) -> Any:
         return alone(self.capture)
 
-    def _maps(self, sensor: Any, values: np.ndarray, known: np.ndarray) -> dict[str, np.ndarray]:
+    def _maps(self, sensor: Any, textures: Textures, known: np.ndarray) -> dict[str, np.ndarray]:
         """Return maps of all parameters as the sensor sees them, and of what is ``known``."""
         seen = Look.of(self._alone, sensor)
-        textures = lay_out(self.field.texels, self._by_name(values))
         maps = {}
         for name in NAMES:
             image = np.array(textures[name])
@@ -193,10 +165,6 @@ class Shots:
         flags = dilate(texels.to_image(known), texels.inside(), float(np.hypot(*image.shape[:2])))
         maps["known"] = seen.values(np.repeat(flags[..., None], 3, axis=-1))[..., 0]
         return maps
-
-    @staticmethod
-    def _by_name(values: np.ndarray) -> dict[str, np.ndarray]:
-        return {name: values[TextureField.rows(name)].T for name in NAMES}
 
 
 def _shown(views: Views, surface: Surface, number: int) -> np.ndarray:

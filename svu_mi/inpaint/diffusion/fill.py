@@ -14,7 +14,8 @@ the pictures that the model is shown where it has not been yet.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
@@ -31,7 +32,7 @@ from svu_mi.inpaint.fill import by_likeness, fill, variance
 from svu_mi.inpaint.fill_result import Answer, Filled, Filling, Invented, Source
 from svu_mi.inpaint.texel_hierarchy import Ground
 from svu_mi.parameters import NAMES
-from svu_mi.progress import Progress, Stage
+from svu_mi.progress import Progress
 from svu_mi.recovery.field.field import TextureField
 
 
@@ -43,69 +44,11 @@ class Task:
         values: (N, T), the textures so far.
         known: (T,) bool, texels that stay as they are.
         wanted: (T,) bool, texels that the model is asked about.
-        chosen: numbers of the places of the pictures (``Shots.cover``).
     """
 
     values: np.ndarray
     known: np.ndarray
     wanted: np.ndarray
-    chosen: Sequence[int]
-
-
-@dataclass(frozen=True)
-class Guess:
-    """What a model makes of texels.
-
-    Attributes:
-        values: (N, T), of all texels; its guesses where it has reached them.
-        reached: (T,) bool.
-    """
-
-    values: np.ndarray
-    reached: np.ndarray
-
-
-class Asking:
-    """A model that is asked about views of one kind.
-
-    Args:
-        shots: where pictures come from.
-        model: who is asked.
-        options: how.
-        stage: shows the steps.
-    """
-
-    def __init__(
-        self, shots: Shots, model: Inventor, options: DiffusionOptions, stage: Stage
-    ) -> None:
-        self._shots, self._model, self._options, self._stage = shots, model, options, stage
-        self._done = self._total = 0
-
-    def expect(self, tasks: Sequence[Task]) -> None:
-        """Say what is to come, for the bar."""
-        pictures = sum(len(task.chosen) for task in tasks)
-        self._total += pictures * self._model.runs * self._options.steps
-
-    def guess(self, task: Task, seed: Sequence[int]) -> Guess:
-        """Return what the model makes of a task."""
-        field = self._shots.field
-        values, known, reached = task.values.copy(), task.known.copy(), np.zeros_like(task.known)
-        for number, place in enumerate(task.chosen):
-            seeds = np.random.SeedSequence([*seed, number]).generate_state(2)
-            paths, noise = (int(one) for one in seeds)
-            picture = self._shots.picture(place, values, known, paths)
-            options = self._options
-            maps = self._model.invent(picture, options.steps, options.free, noise, self._step)
-            found, seen = self._shots.carried(picture.sensor, maps)
-            new = task.wanted & seen & ~reached
-            for name, of_texels in found.items():
-                values[field.rows(name), new] = of_texels[:, new]
-            known, reached = known | new, reached | new
-        return Guess(values, reached)
-
-    def _step(self) -> None:
-        self._done += 1
-        self._stage.update(self._done, self._total)
 
 
 TRIALS = 2  # parts that are hidden, of each kind of picture
@@ -148,19 +91,6 @@ def fill_by_diffusion(
 
 
 @dataclass(frozen=True)
-class _Trial:
-    """A part of what is known that is hidden.
-
-    Attributes:
-        hidden: (T,) bool.
-        without: (N, T), all values, filled by likeness where nothing is known of it.
-    """
-
-    hidden: np.ndarray
-    without: np.ndarray
-
-
-@dataclass(frozen=True)
 class _Object:
     """An object that a model is asked about; attributes as ``fill_by_diffusion`` has them."""
 
@@ -173,75 +103,83 @@ class _Object:
 
     def filled(self, start: Filled) -> Filled:
         """Return what likeness has filled, filled by the model as far as it reaches."""
-        trials = self._trials(start)
+        ground = Ground.of(self.field, ~start.filled)
+        parts = hidden_parts(ground)
+        parts = parts[:: max(len(parts) // TRIALS, 1)][:TRIALS]
+        trials = [
+            Task(by_likeness(ground.without(part), start.weights), ground.known & ~part, part)
+            for part in parts
+        ]
         filling, answers = Filling(self.field, self.shown, start.field), []
-        unlike = variance(self.field, ~start.filled)
-        rest = Task(start.field.values, ~start.filled, start.filled, ())
-        for source, shots in self._sources().items():
-            task = replace(rest, wanted=start.filled & (self.shown == (source == "photographs")))
-            answer, guess = self._answer(source, shots, task, trials)
-            if answer is None:
+        unlike = variance(self.field, ground.known)
+        rest = Task(start.field.values, ground.known, start.filled)
+        used = tuple(np.flatnonzero(self.capture.used).tolist())
+        for source in get_args(Source):
+            photographed = source == "photographs"
+            shots = Shots(
+                self.capture, self.field, self.options.side, used if photographed else None
+            )
+            task = replace(rest, wanted=start.filled & (self.shown == photographed))
+            found = self._answer(source, shots, task, trials) if task.wanted.any() else None
+            if found is None:
                 continue
-            rest = replace(rest, values=guess.values, known=rest.known | guess.reached)
+            answer, values = found
+            rest = replace(rest, values=values, known=rest.known | answer.reached)
             answers.append(answer)
             for name, error in answer.errors.items():
                 rows = self.field.rows(name)
-                least = unlike[rows] if source == "renders" else np.zeros((1, 1))
-                off = np.sqrt(np.maximum(error**2, least))
-                filling.put(name, guess.reached, guess.values[rows], off)
+                off = np.sqrt(np.maximum(error**2, 0 if photographed else unlike[rows]))
+                filling.put(name, answer.reached, values[rows], off)
         reached = start.filled & rest.known
         invented = Invented(self.model.title, self.model.licence, tuple(answers), reached)
         return replace(start, field=filling.done(start.filled), invented=invented)
 
-    def _sources(self) -> dict[Source, Shots]:
-        used = tuple(int(view) for view in np.flatnonzero(self.capture.used))
-        shots = Shots(self.capture, self.field, self.options.side)
-        return {"photographs": replace(shots, photographs=used), "renders": shots}
-
-    def _trials(self, start: Filled) -> list[_Trial]:
-        ground = Ground.of(self.field, ~start.filled)
-        parts = hidden_parts(ground)
-        some = parts[:: max(len(parts) // TRIALS, 1)][:TRIALS]
-        return [_Trial(part, by_likeness(ground.without(part), start.weights)) for part in some]
-
     def _answer(
-        self, source: Source, shots: Shots, task: Task, trials: Sequence[_Trial]
-    ) -> tuple[Answer | None, Guess]:
-        """Return what the model makes of a task, and how far off it is with pictures of a kind;
-        None if there is nothing to ask, or nobody could say how far off it is."""
-        nothing = Guess(task.values, np.zeros_like(task.known))
-        if not task.wanted.any():
-            return None, nothing
-        number = get_args(Source).index(source)
+        self, source: Source, shots: Shots, task: Task, trials: Sequence[Task]
+    ) -> tuple[Answer, np.ndarray] | None:
+        """Return how far the model gets with pictures of a kind, and all values (N, T); None if it
+        reaches nothing that is hidden, so that its error is unknown."""
         with self.progress.stage(f"Asking the model about {source}") as stage:
-            tasks = [Task(t.without, task.known & ~t.hidden, t.hidden,
-                          shots.cover(t.hidden, TRIAL_VIEWS)) for t in trials]  # fmt: skip
-            task = replace(task, chosen=shots.cover(task.wanted, self.options.views))
-            asking = Asking(shots, self.model, self.options, stage)
-            asking.expect([*tasks, task])
-            guesses = [asking.guess(one, (self.options.seed, number, k))
-                       for k, one in enumerate(tasks)]  # fmt: skip
-            errors = self._errors(tasks, guesses)
-            if not errors:
-                return None, nothing
-            guess = asking.guess(task, (self.options.seed, number, len(tasks)))
-        pictures = tuple(shots.places.names[place] for place in task.chosen)
-        return Answer(source, pictures, guess.reached, *errors), guess
+            places = [shots.cover(trial.wanted, TRIAL_VIEWS) for trial in trials]
+            chosen = shots.cover(task.wanted, self.options.views)
+            pictures = sum(map(len, places)) + len(chosen)
+            done, total = itertools.count(1), pictures * self.model.runs * self.options.steps
 
-    def _errors(
-        self, tasks: Sequence[Task], guesses: Sequence[Guess]
-    ) -> tuple[dict[str, float], ...]:
-        """Return how far off the model was where it was tried, and likeness at the same texels:
-        root mean squares by parameter; nothing if it was nowhere."""
-        squares = [
-            (values[:, guess.reached] - self.field.values[:, guess.reached]) ** 2
-            for task, guess in zip(tasks, guesses, strict=True)
-            for values in (guess.values, task.values)
-        ]
-        if not any(part.size for part in squares):
-            return ()
-        means = (np.concatenate(squares[k::2], axis=1).mean(axis=1) for k in range(2))
-        return tuple(
-            {name: float(np.sqrt(mean[self.field.rows(name)].mean())) for name in NAMES}
-            for mean in means
-        )
+            def ask(one: Task, some: Sequence[int], number: int) -> tuple[np.ndarray, np.ndarray]:
+                seed = (self.options.seed, get_args(Source).index(source), number)
+                return self._guess(shots, one, some, seed, lambda: stage.update(next(done), total))
+
+            guesses = [ask(*each) for each in zip(trials, places, range(len(trials)), strict=True)]
+            if not any(reached.any() for _, reached in guesses):
+                return None
+            likeness = [(t.values, at) for t, (_, at) in zip(trials, guesses, strict=True)]
+            values, reached = ask(task, chosen, len(trials))
+        return Answer(
+            source, tuple(shots.places.names[place] for place in chosen), reached,
+            self._errors(guesses), self._errors(likeness),
+        ), values  # fmt: skip
+
+    def _guess(
+        self, shots: Shots, task: Task, places: Sequence[int], seed: Sequence[int],
+        after_step: Callable[[], None],
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """Return all values (N, T), and which texels (T,) the model has reached."""
+        values, known, reached = task.values.copy(), task.known.copy(), np.zeros_like(task.known)
+        for number, place in enumerate(places):
+            seeds = np.random.SeedSequence([*seed, number]).generate_state(2)
+            paths, noise = (int(one) for one in seeds)
+            picture = shots.picture(place, values, known, paths)
+            options = self.options
+            maps = self.model.invent(picture, options.steps, options.free, noise, after_step)
+            found, seen = shots.carried(picture.sensor, maps)
+            new = task.wanted & seen & ~reached
+            for name, of_texels in found.items():
+                values[self.field.rows(name), new] = of_texels[:, new]
+            known, reached = known | new, reached | new
+        return values, reached
+
+    def _errors(self, guesses: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, float]:
+        """Return root mean square errors of values (N, T) in some texels (T,), by parameter."""
+        off = [(values - self.field.values)[:, at] for values, at in guesses]
+        means = (np.concatenate(off, axis=1) ** 2).mean(axis=1)
+        return {name: float(np.sqrt(means[self.field.rows(name)].mean())) for name in NAMES}

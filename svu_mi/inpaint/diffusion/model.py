@@ -18,9 +18,9 @@ what is certain as it is does so in the last steps, too, because the noise is th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -29,27 +29,15 @@ from svu_mi.inpaint.diffusion.model_interface import Family, Picture, Run
 from svu_mi.parameters import CHANNELS
 
 
-class Schedule(Protocol):
-    """The times of a diffusion, and what happens between them."""
-
-    @property
-    def times(self) -> Sequence[Any]:
-        """The times, from noise to none."""
-
-    def step(self, latent: Any, predicted: Any, time: Any) -> Any:
-        """Return a latent at the time after one, given what the model predicts at it."""
-
-    def noised(self, clean: Any, noise: Any, time: Any) -> Any:
-        """Return a clean latent as it is at a time, n(x, t)."""
-
-
 def blend(
-    predict: Callable[[Any, Any], Any], schedule: Schedule, known: Any, certain: Any, noise: Any,
+    predict: Callable[[Any, Any], Any], schedule: Any, known: Any, certain: Any, noise: Any,
     free: int,
 ) -> Any:  # fmt: skip
     """Return the latent that a model makes of noise, between what is certain.
 
-    Arrays and tensors of any library will do.
+    Arrays and tensors of any library will do. The schedule has ``times``, from noise to none;
+    ``step(latent, predicted, time)``, the latent at the next time; and
+    ``noised(clean, noise, time)``, n(x, t).
     """
     latent, times = noise, list(schedule.times)
     for number, time in enumerate(times, 1):
@@ -198,7 +186,7 @@ class Model:
 
 
 class _Schedule:
-    """That of diffusers (``Schedule``)."""
+    """The schedule of diffusers (see ``blend``)."""
 
     def __init__(self, scheduler: Any, steps: int, device: str) -> None:
         scheduler.set_timesteps(steps, device=device)

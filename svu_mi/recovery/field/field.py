@@ -108,6 +108,10 @@ class TextureField:
         low, high = clipped.interval(*self._rows_of(name), level)
         return self._laid_out(name, low), self._laid_out(name, high)
 
+    def laid(self, values: np.ndarray) -> Textures:
+        """Lay (N, T) values of all parameters out as textures."""
+        return lay_out(self.texels, {name: values[self.rows(name)].T for name in NAMES})
+
     def draw(self, count: int, seed: int = 0) -> Iterator[Textures]:
         """Yield textures drawn from the field, clipped to [0, 1].
 
@@ -135,7 +139,7 @@ class TextureField:
         values = self.values + away
         values[:3] += values[:3] * self.scale[:, None] * random.standard_normal((3, 1))
         values = np.clip(values, 0, 1)
-        drawn = lay_out(self.texels, {name: values[self.rows(name)].T for name in NAMES})
+        drawn = self.laid(values)
         return self.textures.but(**{name: drawn[name] for name in self.names})
 
     @cached_property
