@@ -28,6 +28,7 @@ from svu_mi.errors import excerpt
 from svu_mi.files import replacing
 
 DIGEST = "digest"
+ANY = re.compile("(?s).*")
 LARGEST = 3.4e38  # of single precision
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; others unpack more than is asked
@@ -46,9 +47,9 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     Every size is compared with that of the file before anything is read.
     """
     with _opened(path) as file, zipfile.ZipFile(file) as archive:
-        members = archive.infolist()
-        _require_plain(members, path.stat().st_size)
-        found = {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
+        # What is packed, or overlaps, may take more memory than disk.
+        members = _members(archive, ANY, (zipfile.ZIP_STORED,), path.stat().st_size)
+        found = {name: _array(archive.read(member)) for name, member in members.items()}
     digest = found.pop(DIGEST, None)
     if digest is None or digest.shape or str(digest) != _digest(found):
         raise ValueError("its checksum does not match")
@@ -116,15 +117,8 @@ def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> di
         ValueError: as ``read_foreign_array``.
     """
     with _opened(path, largest) as file, zipfile.ZipFile(file) as archive:
-        named = [(m.filename.removesuffix(".npy"), m) for m in archive.infolist()]
-        members = [(name, member) for name, member in named if wanted.fullmatch(name)]
-        if any(member.compress_type not in PACKINGS for _, member in members):
-            raise ValueError("one of its arrays is packed in an unknown way")
-        if sum(member.file_size for _, member in members) > largest:
-            raise ValueError(f"its arrays have more than {largest} bytes")
-        if len({name for name, _ in members}) < len(members):
-            raise ValueError("two of its arrays have the same name")
-        return {name: _numbers(archive.read(member)) for name, member in members}
+        members = _members(archive, wanted, PACKINGS, largest)
+        return {name: _numbers(archive.read(member)) for name, member in members.items()}
 
 
 @contextlib.contextmanager
@@ -151,14 +145,20 @@ def _numbers(data: bytes) -> np.ndarray:
         return array.astype(np.float64)
 
 
-def _require_plain(members: list[zipfile.ZipInfo], size: int) -> None:
-    """Refuse what may take more memory than disk: packed members, and those that overlap."""
-    if any(member.compress_type != zipfile.ZIP_STORED for member in members):
-        raise ValueError("one of its arrays is compressed")
-    if sum(member.file_size for member in members) > size:
-        raise ValueError("its arrays are larger than the file")
-    if len({member.filename for member in members}) < len(members):
+def _members(
+    archive: zipfile.ZipFile, wanted: re.Pattern[str], packings: Sequence[int], largest: int
+) -> dict[str, zipfile.ZipInfo]:
+    """Return the arrays whose whole names match, by name; refuse other packings and sizes."""
+    named = [(m.filename.removesuffix(".npy"), m) for m in archive.infolist()]
+    named = [(name, member) for name, member in named if wanted.fullmatch(name)]
+    members = dict(named)
+    if any(member.compress_type not in packings for _, member in named):
+        raise ValueError("one of its arrays is packed in an unknown way")
+    if sum(member.file_size for _, member in named) > largest:
+        raise ValueError(f"its arrays have more than {largest} bytes")
+    if len(members) < len(named):
         raise ValueError("two of its arrays have the same name")
+    return members
 
 
 def _array(data: bytes) -> np.ndarray:

@@ -380,7 +380,7 @@ def test_errors_may_be_summed_over_views(capture, layout, tmp_path, noise):
     """Eq. 3 as printed: so many views say so much more. From a cache, too."""
     asked = {"subset": 30, "spp": 8, "grid": GRID, "seed": SEED, "noise": noise}
     mean = reference_posterior(capture, layout, sigma=0.5, **asked)
-    energies = mean.traced.tables[0] * mean.coverage[:, None, None, None]
+    energies = mean.tables[0] * mean.coverage[:, None, None, None]
     p = np.exp(-(energies - energies.min(axis=(1, 2, 3), keepdims=True)))
     p /= p.sum(axis=(1, 2, 3), keepdims=True)
     for again in (False, True):
@@ -481,12 +481,12 @@ def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, trace
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
     for name in ("scale", "unit", "seconds", "rays", "dropped", "spp", "max_depth", "method"):
         assert getattr(first, name) == getattr(second, name), name
-    assert np.array_equal(first.traced.tables, second.traced.tables)
+    assert np.array_equal(first.tables, second.tables)
     for name in ("observed", "probabilities"):
         a, b = (np.array(getattr(x.posterior, name)) for x in (first, second))
         assert np.array_equal(a, b), name
     if noise == "estimated":
-        assert np.array_equal(first.traced.weight, second.traced.weight)
+        assert np.array_equal(first.weight, second.weight)
         assert np.array_equal(first.posterior.kernel.noise, second.posterior.kernel.noise)
     else:
         assert np.array_equal(energies(first), energies(second))

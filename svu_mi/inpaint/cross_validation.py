@@ -47,13 +47,11 @@ def hidden_parts(ground: Ground) -> list[np.ndarray]:
 def _divided(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
     """Return parts of what was seen of which the unit vectors (T, 3) are alike."""
     number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST, MOST))
-    numbers = np.flatnonzero(seen)
     found: list[np.ndarray] = []
-    ways = DIVISIONS if number == FEWEST else 1
-    for owner in (_clusters(normal[seen], number, seed) for seed in range(ways)):
-        for k in range(number):
-            hidden = np.zeros(len(normal), bool)
-            hidden[numbers[owner == k]] = True
+    for seed in range(DIVISIONS if number == FEWEST else 1):
+        owner = np.full(len(normal), -1)
+        owner[seen] = _clusters(normal[seen], number, seed)
+        for hidden in (owner == k for k in range(number)):
             new = not any(np.array_equal(hidden, other) for other in found)
             if new and hidden.any() and (seen & ~hidden).any():
                 found.append(hidden)
@@ -110,10 +108,9 @@ class Trial:
 
 def distances(ground: Ground, texels: np.ndarray) -> np.ndarray:
     """Return how far texels are from what is known, (w,), of many of them those of some."""
-    texels = intervals.spread(texels, MEASURED)
     point = ground.pieces.point
     tree = scipy.spatial.cKDTree(point[ground.known])
-    return np.asarray(tree.query(point[texels], workers=-1)[0])
+    return np.asarray(tree.query(point[intervals.spread(texels, MEASURED)], workers=-1)[0])
 
 
 def importance(meant: np.ndarray, given: np.ndarray) -> np.ndarray:

@@ -28,9 +28,6 @@ log = logging.getLogger(__name__)
 DRAFT, OLDER = ".svu-draft", ".svu-older"  # ends of hidden names beside a result's folder
 PATIENCE = 10.0  # seconds that a reader waits for a folder that is between two renames
 PAUSE = 0.05  # seconds between two tries to lock
-NO_LOCKS = (
-    errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EBADF
-)  # fmt: skip
 NO_EXCHANGE = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
 RENAME_EXCHANGE, AT_FDCWD = 2, -100  # of Linux
 
@@ -82,12 +79,14 @@ def _acquire(draft: Path, target: Path, wait: float) -> int:
             with contextlib.suppress(FileExistsError):
                 draft.mkdir()
             descriptor = _open(draft)
-        except FileNotFoundError as error:
-            if draft.parent.is_dir():
-                continue  # another writer has just removed it
-            raise _unwritable(target, error) from error
         except OSError as error:
-            raise _unwritable(target, error) from error
+            if isinstance(error, FileNotFoundError) and draft.parent.is_dir():
+                continue  # another writer has just removed it
+            raise OutputError(
+                f"{target}: no folder can be made beside it ({error.strerror or error}), where svu "
+                "puts a result together; choose a folder further down, or change the permissions "
+                f"of {target.parent}."
+            ) from error
         taken = not _lock(descriptor, target)
         if not taken and (fcntl is None or is_at(os.fstat(descriptor), draft)):
             return descriptor
@@ -114,9 +113,7 @@ def _lock(descriptor: int, target: Path, *, wait: bool = False) -> bool:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         return False
-    except OSError as error:
-        if error.errno not in NO_LOCKS:
-            raise
+    except OSError:
         log.warning("%s: locks do not work there; let only one run write to it.", target)
     return True
 
@@ -127,14 +124,6 @@ def is_at(status: os.stat_result, path: Path) -> bool:
         return os.path.samestat(status, path.lstat())
     except OSError:
         return False
-
-
-def _unwritable(target: Path, error: OSError) -> OutputError:
-    return OutputError(
-        f"{target}: no folder can be made beside it ({error.strerror or error}), where svu puts a "
-        "result together; choose a folder further down, or change the permissions of "
-        f"{target.parent}."
-    )
 
 
 @contextlib.contextmanager

@@ -66,7 +66,9 @@ def peak_of(work):
 
 def test_a_packed_file_is_refused_before_it_is_unpacked(path):
     def refused():
-        with pytest.raises(OutputError, match="damaged .one of its arrays is compressed.; remove"):
+        with pytest.raises(
+            OutputError, match="damaged .one of its arrays is packed in an unknown way.; remove"
+        ):
             load(path)
 
     bomb(path)

@@ -21,7 +21,7 @@ from svu_mi.posterior import PrincipledGrid
 from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import DescentOptions, sh_preset
 from svu_mi.reference import cache
-from svu_mi.reference.options import Options
+from svu_mi.reference.options import ReferenceOptions
 
 # The scene has what is not accounted for, which is said.
 IGNORED = "ignore:.* which svu does not account for:svu_mi.errors.SvuWarning"
@@ -195,7 +195,7 @@ def test_lists_and_numbers_do_not_run_together():
 
 def test_computed_normals_are_no_other_capture_to_references_and_checkpoints(scene, tmp_path):
     """The mesh of the object has no normals in its file; Mitsuba computes them at every start."""
-    options = Options(2, PrincipledGrid(2, 2, 2), 0.5, 2, "linear", 0)
+    options = ReferenceOptions(2, PrincipledGrid(2, 2, 2), 0.5, 2, "linear", 0)
     text = scene.read_text().replace('<string name="filename" value="ball.ply"/>', (
         '<string name="filename" value="other.ply"/>'
     ))  # fmt: skip

@@ -124,7 +124,7 @@ class Table3(OnCell):
                     tabulated_posterior(table * factor, found.posterior.grid, self.seen).entropy(),
                     np.float64,
                 )[self.seen]
-                for table in found.traced.tables
+                for table in found.tables
             ]  # fmt: skip
         return result
 
