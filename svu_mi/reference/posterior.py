@@ -6,7 +6,6 @@ import itertools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import drjit as dr
@@ -96,7 +95,10 @@ def reference_posterior(
 
 
 def _trace(
-    observed: Observed, chosen: np.ndarray, options: ReferenceOptions, update: Callable[..., None]
+    observed: Observed,
+    chosen: np.ndarray,
+    options: ReferenceOptions,
+    update: Callable[[int, int], None],
 ) -> Traced:
     """Work through the texels in batches of bounded memory."""
     dr.sync_thread()
@@ -108,7 +110,7 @@ def _trace(
     tables, weights, brightness, coverage = [], [], [], []
     for number, batch in enumerate(batches):
         pairs = visible_pairs(observed, owned(mi.UInt32, batch.astype(np.uint32)), target)
-        renderer = _renderer(target, pairs, options, number, partial(update, total=total))
+        renderer = _renderer(target, pairs, options, number, lambda done: update(done, total))
         mean = PerTexel(pairs.texel, len(batch))
         weight = _weights(pairs, observed, options.noise)
         weighted = replace(mean, weight=weight)
