@@ -1,9 +1,7 @@
-"""The posterior from angular statistics (Eq. 3 to 6, without a frequency domain).
+"""Posterior from angular statistics (Eq. 3 to 6, without a frequency domain).
 
-A row is one cell of all but base colour; its cells are base colours, along which errors are
-linear. On the smaller grid a row is one roughness, its cells are values of Ks = R0, and Kd
-takes the best value in [0, 1] for each ("profiled out"): the first component of the error is 0
-then, unless that value lies outside.
+A row is a cell of all parameters but base colour. On the (roughness, Ks) grid it is a roughness;
+Kd then takes its best value in [0, 1] for each Ks.
 """
 
 from __future__ import annotations
@@ -35,18 +33,14 @@ HOPELESS = 1e30  # an energy beyond single precision would be infinite, its diff
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything an energy depends on.
+    """Inputs of the energy.
 
     Attributes:
-        factors: of S texels, their levels, and C channels; every channel is a group.
-        copies: how many equal channels each stands for.
-        slots: (R,) UInt32, which level of the factors a roughness of the grid is.
+        slots: (R,) UInt32, level of the factors for each roughness of the grid.
         rows: UInt32, rows of the grid that the prior does not exclude.
-        total: number of cells of the grid.
         sigma: Float, opaque: standard deviation of a texel's error, in radiance.
-        averaged: whether d is the mean over views of their squared errors, or the sum.
+        averaged: whether d is the mean of squared errors over views, or the sum.
         mixed: (M,) nodes of every parameter that mixes the columns, or None for a grid of Ks.
-        cells: nodes of base colour, or of Ks.
         prior: (-log prior of a row, of a cell given its row) as Float64 and Float, or None.
     """
 
@@ -69,13 +63,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class AngularKernel(CellKernel):
-    """p over the axes of a ``PrincipledGrid``, or over (roughness, specular).
-
-    Attributes:
-        grid: of the parameters.
-        count: number of texels T.
-        problem: factors of S texels, noise and grid.
-    """
+    """p over the axes of a ``PrincipledGrid``, or over (roughness, specular)."""
 
     grid: ParameterGrid | PrincipledGrid
     count: int
@@ -114,16 +102,7 @@ class AngularKernel(CellKernel):
 
 
 def angular_grid(grid: Any | None, switches: AngularPreset) -> ParameterGrid | PrincipledGrid:
-    """Return the grid that a preset's parameters call for.
-
-    Args:
-        grid: of those parameters, or None for 8 nodes each. Without a spacing of its own, Ks
-            is spaced for dielectrics.
-        switches: the preset.
-
-    Raises:
-        OptionError: a grid of other parameters.
-    """
+    """Return the grid of a preset's parameters; default: 8 nodes each, dielectric Ks."""
     wanted = PrincipledGrid if switches.parameters == "principled" else ParameterGrid
     grid = wanted() if grid is None else grid
     if not isinstance(grid, wanted):

@@ -1,10 +1,9 @@
-"""The posterior that is calibrated: noise from the photographs, parameters without a grid.
+"""Calibrated posterior: noise estimated from the photographs, continuous parameters.
 
     log p(psi | B, L) = -sum_i w_i |r_i(psi) - b_i|^2 / (2 s^2 tau) + log p(psi)
 
-over all views and channels, with the noise s of ``noise``; base colour is integrated in closed
-form (``truncated``), all others on fine nodes (``nodes``). Probabilities and entropy
-(Eq. 5) are those of the *masses* of a grid's cells, integrated, not evaluated at nodes.
+Base colour is integrated in closed form (``truncated``), all others on fine nodes (``nodes``).
+Probabilities and entropy (Eq. 5) are those of the integrated masses of a grid's cells.
 """
 
 from __future__ import annotations
@@ -49,11 +48,7 @@ FEWEST = 4  # levels of roughness that a spline goes through
 
 @dataclass(frozen=True)
 class CalibratedPrior(Prior):
-    """The prior within cells, too.
-
-    Attributes:
-        problem: nodes and prior.
-    """
+    """Prior with a density within cells."""
 
     problem: Problem
 
@@ -117,14 +112,9 @@ class CalibratedKernel(Kernel):
     """p over the axes of a ``PrincipledGrid``; base colour has a distribution per channel.
 
     Attributes:
-        grid: of the parameters; only for probabilities and entropy.
-        problem: factors of S texels, noise, nodes and prior (see ``calibrated_kernel``).
-        noise: (S,) float64, s of every texel: standard deviation of a sample of weight 1, in
-            radiance.
-        learned: whether the prior was learned from the texels (``object_prior``).
-        common: standard deviation of the logarithm of a factor of base colour that all texels have
-            in common, per channel: that of light of unknown scale. It is a part of ``sd`` and
-            ``interval``, but of no entropy: what is unknown once is not unknown of every texel.
+        noise: (S,) float64, s: standard deviation of a sample of weight 1, in radiance.
+        common: standard deviation of the log of the base colour scale shared by all texels, by
+            channel (unknown scale of the light). Part of ``sd`` and ``interval``, not of entropy.
     """
 
     grid: PrincipledGrid

@@ -21,12 +21,7 @@ from svu_mi.statistics.blocks import BLOCK, size, start
 
 
 def least(problem: Problem, *, excess: bool = False) -> Any:
-    """Return the energy of the best node, (S,) Float.
-
-    Args:
-        problem: of S texels.
-        excess: what it has, prior included, above ``problem.least``, which else is not used.
-    """
+    """Return the energy of the best node, (S,) Float; or its ``excess`` over ``problem.least``."""
     walker, columns = Walker(problem), dr.opaque(mi.UInt32, problem.mixed.count)
     nodes = dr.opaque(mi.UInt32, problem.roughness.count)
 
@@ -52,13 +47,11 @@ class Summary:
     """Results of one walk over all nodes of S texels.
 
     Attributes:
-        entropy: (S,) Float, nats, of the masses of the cells; the mean over channels.
-        total: (S,) Float, integral of the posterior before it is normalised.
-        mean, sd: Floats (S,) of roughness, the parameters that mix, and the base colour of every
-            channel.
-        best: (S,) UInt32, which of the R M cells of all but base colour has most mass, the first
-            of several.
-        best_colors: UInt32s (S,), which of K is that of every channel's base colour, given that.
+        entropy: (S,) Float, nats, of the masses of the cells; mean over channels.
+        total: (S,) Float, integral of the posterior before normalisation.
+        mean, sd: Floats (S,) of roughness, the mixing parameters, and base colour by channel.
+        best: (S,) UInt32, the first of the R M cells of largest mass.
+        best_colors: UInt32s (S,), the best of the K cells of base colour, given that.
     """
 
     entropy: Any
@@ -99,8 +92,7 @@ class Moments:
 
 @dataclass
 class BestCell:
-    """The cell of the largest mass so far: first of all parameters but base colour, then of each
-    channel's base colour."""
+    """Cell of the largest mass so far: of all parameters but base colour, then of base colours."""
 
     mass: Any
     row: Any
@@ -126,8 +118,7 @@ class CellMasses:
     """Masses of (column, channel, base colour) of one cell of roughness, in local memory.
 
     Attributes:
-        memory: local.
-        logs: Float, sum of a log a over the masses a of all cells that are finished.
+        logs: Float, sum of a log a over the masses a of all finished cells.
     """
 
     memory: Any
@@ -187,16 +178,7 @@ class CellMasses:
 
 @dataclass
 class Sums:
-    """Everything that the walk of ``summarize`` adds up.
-
-    Attributes:
-        cells: of the present cell of roughness.
-        of_row: Float, mass of the present node of roughness.
-        total: Float64, mass of those that are finished.
-        roughness: its moments, of those that are finished.
-        others: moments of all other parameters, base colours last.
-        best: the cell of the largest mass.
-    """
+    """Sums of ``summarize``: of the present node and cell of roughness, and of all finished."""
 
     cells: CellMasses
     of_row: Any
@@ -256,15 +238,7 @@ def summarize(problem: Problem) -> Summary:
 
 
 def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
-    """Return the masses of all cells of a few texels, for everything that is not the hot path.
-
-    Args:
-        problem: of S texels.
-        chosen: (t,) int64, which of them.
-
-    Returns:
-        (t, R, M, K, C) float32, of sum 1 for every texel and channel, the others marginalised.
-    """
+    """Return cell masses of t texels, (t, R, M, K, C) float32, of sum 1 per texel and channel."""
     rows, of_column, of_color = problem.shape
     shape = (len(chosen), rows, of_column, problem.factors.channels, of_color)
     found = _cell_masses(problem, chosen).numpy().reshape(shape)
@@ -284,12 +258,7 @@ def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
 
 
 def _walked(problem: Problem, chosen: np.ndarray) -> tuple[Any, Any]:
-    """Walk over the nodes of some texels, a lane for every cell of roughness.
-
-    Returns:
-        Masses of (column, channel, base colour) in local memory, and the number of every lane's
-        cell among those of all texels, UInt32.
-    """
+    """Return masses in local memory and cell numbers of some texels; a lane per roughness cell."""
     rows, nodes = problem.shape[0], problem.nodes
     launch = dr.arange(mi.UInt32, len(chosen) * rows)
     # A packet is about one cell of roughness of many texels, which leave out the same nodes.
@@ -309,16 +278,7 @@ def _walked(problem: Problem, chosen: np.ndarray) -> tuple[Any, Any]:
 
 
 def node_masses(problem: Problem, name: str, chosen: np.ndarray) -> Any:
-    """Return the masses of the N nodes of a parameter but base colour, not normalised.
-
-    Args:
-        problem: of S texels.
-        name: of the parameter.
-        chosen: (t,) int64, which of the texels.
-
-    Returns:
-        A Float in blocks (``statistics.blocks``) of N rows and t texels.
-    """
+    """Return unnormalised masses of a parameter's N nodes: a Float in blocks, N rows, t texels."""
     number, place = problem.axis(name).count, None
     if name in MIXED:
         nodes = np.unravel_index(np.arange(problem.mixed.count), problem.mixed.shape)
@@ -354,18 +314,9 @@ def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]
 def draw(
     problem: Problem, lanes: np.ndarray, total: Any, random: list[Any]
 ) -> tuple[list[Any], list[Any]]:
-    """Draw parameters of some texels.
+    """Draw roughness, the mixing parameters, and base colour by channel of t texels: Floats (t,).
 
-    Args:
-        problem: of S texels.
-        lanes: (t,) int64, which of them.
-        total: (t,) Float, of their ``Summary``.
-        random: Floats (t,) in [0, 1): one, one for every parameter but base colour, and two for
-            each of its channels, copies included.
-
-    Returns:
-        Roughness and the parameters that mix; and base colour by channel, copies included: Floats
-        (t,).
+    ``random`` are Floats (t,) in [0, 1): one, one for each mixing parameter, two per channel.
     """
     walker = Walker(problem, owned(mi.UInt32, lanes.astype(np.uint32)))
     nodes, count = problem.nodes, len(lanes)
@@ -390,10 +341,9 @@ def draw(
 
 
 def cleared(number: int) -> Any:
-    """Return local memory of zeros, written in a loop (Dr.Jit 1.5 unrolls a literal start).
+    """Return zeroed local memory, written in a loop (Dr.Jit 1.5 unrolls a literal start).
 
-    The loop's end is a literal, which makes the size part of the kernel: Dr.Jit 1.5 otherwise
-    takes the kernel of another size for this one, and writes beyond its memory.
+    The loop's end is a literal: otherwise Dr.Jit 1.5 reuses a kernel of another size.
     """
 
     def clear(k: Any, memory: Any) -> tuple[Any, Any]:

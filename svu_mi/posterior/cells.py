@@ -21,11 +21,7 @@ def pick(weights: np.ndarray, random: np.ndarray) -> np.ndarray:
 
 
 def normalized(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Turn energies (t, *grid) into p = exp(-energy) / Z and the index of the best node.
-
-    Returns:
-        (t, *grid, 1) float32 and (t, axes, 1) int64, as ``Posterior._tables`` has them.
-    """
+    """Return p = exp(-energy) / Z, (t, *grid, 1) float32, and the best node, (t, axes, 1) int64."""
     flat = energies.reshape(len(energies), -1)
     best = flat.argmin(axis=1)
     p = np.exp(-(flat - np.take_along_axis(flat, best[:, None], axis=1)))
@@ -35,13 +31,7 @@ def normalized(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def color_of_rows(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return the colour that stands for all of a row: their mean, or the middle of the most
-    probable cell where the prior excludes what is there, (t, rows, C) float64.
-
-    Args:
-        p: (t, rows, K, C) probabilities of cells.
-        edges: (K + 1,) of the cells of base colour.
-    """
+    """Return mean colours (t, rows, C); the best cell's middle where the mean is excluded."""
     middle = (edges[1:] + edges[:-1]) / 2
     mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(p.sum(axis=2), 1e-30)
     cell = np.clip(np.searchsorted(edges, mean, "right") - 1, 0, len(middle) - 1)
@@ -52,15 +42,9 @@ def color_of_rows(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
 def draw_cells(
     p: np.ndarray, axes: Mapping[str, np.ndarray], random: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Draw nodes; channels are independent given all but the last parameter.
+    """Draw nodes by parameter: (count, t, 1) float32, (count, t, G) of the last one.
 
-    Args:
-        p: (t, *grid, G) probabilities of t texels.
-        axes: nodes by parameter.
-        random: (1 + G, count, t) random numbers in [0, 1).
-
-    Returns:
-        By parameter (count, t, 1) float32; (count, t, G) of the last one.
+    Channels are independent given all other parameters. ``random`` is (1 + G, count, t) in [0, 1).
     """
     *shape, cells, groups = p.shape[1:]
     table = p.reshape(len(p), -1, cells, groups).astype(np.float64)

@@ -23,16 +23,9 @@ def spread(texels: np.ndarray, most: int = ENOUGH) -> np.ndarray:
 
 
 def shortest(masses: Any, parts: Axis, count: int, level: float) -> tuple[Any, Any]:
-    """Return the ends of the shortest run of parts that holds a part of the probability.
+    """Return low and high, Floats (S,), of the shortest run of parts with probability ``level``.
 
-    Args:
-        masses: Float in blocks, of every part (rows) and S texels; of any sum.
-        parts: N of them.
-        count: S.
-        level: in (0, 1).
-
-    Returns:
-        low and high, Floats (S,).
+    ``masses`` is a Float in blocks: a row for each part, any sum.
     """
     number = dr.opaque(mi.UInt32, parts.count)
     place = start(dr.arange(mi.UInt32, count), number)

@@ -27,11 +27,10 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Prior:
-    """The prior of all texels, which is the posterior of those that no photograph shows.
+    """Prior of all texels: the posterior of texels that no photograph shows.
 
     Attributes:
-        cells: float64 of the grid's shape, probability of every cell, of sum 1.
-        axes: nodes by parameter.
+        cells: float64 of the grid's shape, of sum 1.
     """
 
     cells: np.ndarray
@@ -65,14 +64,9 @@ class Prior:
 
 
 class Kernel(ABC):
-    """Computes the posterior of given texels, each as if photographs show it.
+    """Computes the posterior of given texels, (t,) int64 numbers, as if photographs show them.
 
-    Texels are given as (t,) int64 numbers. Values have a last axis of g channels: G for the last
-    parameter of the grid, 1 for those that all channels share.
-
-    Attributes:
-        grid: of the parameters.
-        continuous: whether intervals are made of finer parts than the cells of the grid.
+    Values have a last axis of g channels: G for the last parameter of the grid, else 1.
     """
 
     grid: Grid
@@ -142,11 +136,7 @@ class Kernel(ABC):
 
 
 class CellKernel(Kernel):
-    """A kernel that evaluates the cells of a grid, of which all else is made.
-
-    Attributes:
-        count: number of texels T.
-    """
+    """Kernel that evaluates the cells of a grid."""
 
     count: int
     continuous = False
@@ -205,21 +195,13 @@ class CellKernel(Kernel):
 
 
 def require_scale(caller: str, scale: float) -> None:
-    """Refuse a radiance that cannot be a unit.
-
-    Raises:
-        OptionError: it is not positive, or not finite.
-    """
+    """Refuse a radiance unit that is not positive and finite."""
     if not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"{caller}: scale must be positive, got {scale!r}.")
 
 
 def observed_by(caller: str, factors: Factors, copies: int, texels: int | None) -> np.ndarray:
-    """Return which texels are seen, (T,) bool: T are asked for, or up to the last with factors.
-
-    Raises:
-        OptionError: fewer than the factors' texels need, or copies below 1.
-    """
+    """Return which texels are seen, (T,) bool; T defaults to the last texel with factors."""
     texel = factors.texel.numpy()
     last = int(texel.max()) if len(texel) else -1
     total = last + 1 if texels is None else texels

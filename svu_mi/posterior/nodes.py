@@ -21,10 +21,9 @@ class Axis:
     """Parts of one parameter's range, ascending.
 
     Attributes:
-        low, high: (N,) float64, their ends; equal where a single value has a probability.
-        cell: (N,) int64, which cell of the grid each belongs to.
-        mass: (N,) float64, prior probability, of sum 1 over all parts of all cells.
-        cells: number of cells.
+        low, high: (N,) float64 ends; equal for a single value with a probability.
+        cell: (N,) int64, cell of the grid.
+        mass: (N,) float64, prior probability, of sum 1.
     """
 
     low: np.ndarray
@@ -40,8 +39,7 @@ class Axis:
 
     @property
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """What intervals are made of, (N,) float64 both: ``low`` and ``high``, and around single
-        values that are not all there is what can be taken for them."""
+        """Ends of the intervals' parts, (N,) float64; single values get a width of rounding."""
         if self.count == 1:
             return self.low, self.high
         slack = np.where(self.low == self.high, NEAR_ENOUGH, 0)
@@ -76,11 +74,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Product:
-    """All combinations of the parts of several parameters, those of the last one fastest.
-
-    Attributes:
-        axes: of each.
-    """
+    """All combinations of the parts of several parameters; the last one varies fastest."""
 
     axes: tuple[Axis, ...]
 
@@ -121,10 +115,7 @@ class Product:
 
 
 def cell_edges(nodes: np.ndarray) -> np.ndarray:
-    """Return the (N + 1,) borders of what lies nearest to each of N nodes on [0, 1].
-
-    What is known has no width: one node is both of its borders.
-    """
+    """Return the (N + 1,) borders of the cells of N nodes on [0, 1]; of one node twice itself."""
     if len(nodes) == 1:
         return np.repeat(nodes, 2)
     return np.concatenate([[0.0], (nodes[1:] + nodes[:-1]) / 2, [1.0]])
@@ -142,12 +133,7 @@ def cells_of(nodes: np.ndarray) -> Axis:
 
 
 def uniform_axis(nodes: np.ndarray, parts: int) -> Axis:
-    """Cut the cells of a parameter that may have any value alike.
-
-    Args:
-        nodes: (N,) of the grid, uniform on [0, 1]; or one, what is known.
-        parts: how many there are at least.
-    """
+    """Divide the cells of (N,) nodes evenly into ``parts`` or more; a single node has one part."""
     if len(nodes) == 1:
         return Axis(nodes, nodes, np.zeros(1, np.int64), np.ones(1), 1)
     per_half = max(1, -(-parts // (2 * (len(nodes) - 1))))
@@ -158,14 +144,7 @@ def uniform_axis(nodes: np.ndarray, parts: int) -> Axis:
 
 
 def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> Axis:
-    """Cut the cells of a parameter of which 0 and 1 may have a probability of their own.
-
-    Args:
-        nodes: (N,) of the grid, uniform on [0, 1]; or one, what is known.
-        parts: how many there are at least in between.
-        extremes: prior probability that it is 0 or 1, shared alike: of metallic, that a surface
-            is a metal or is none.
-    """
+    """Divide cells into ``parts`` or more; 0 and 1 share the prior probability ``extremes``."""
     between = uniform_axis(nodes, parts)
     if len(nodes) == 1 or extremes == 0:
         return between

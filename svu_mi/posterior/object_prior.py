@@ -1,15 +1,12 @@
-"""What the texels of an object have in common: a prior learned from all of them.
+"""Prior shared by the texels of an object, learned from all of them.
 
-An object is made of few materials, so what most of its texels are is what an uncertain one may
-be. The prior under which all of them together are most likely is found by expectation
-maximisation [Dempster, Laird and Rubin 1977]: it is the mean of the posteriors that it leads to
-(empirical Bayes [Robbins 1956]),
+Expectation maximisation [Dempster, Laird and Rubin 1977] finds the prior of largest likelihood. It
+is the mean of the posteriors that it leads to (empirical Bayes [Robbins 1956]),
 
     p(psi) <- mean over texels of p(psi | B_p, L).
 
-Where nothing repeats, that mean is broad and changes little. It is global sharing (Sec. 5.2 of the
-paper) without seeds: texels do not take values over, only what is likely. Every posterior is
-blurred by what its texel does not know, and so is their mean: a power sharpens it.
+Global sharing (Sec. 5.2 of the paper) without seeds: texels share probabilities, not values. Each
+posterior is blurred by its texel's uncertainty, and so is the mean: a power sharpens it.
 """
 
 from __future__ import annotations
@@ -38,15 +35,10 @@ LEAST = 1e-30  # probability that stands for 0 in a logarithm
 def shared(
     posterior: Posterior[CalibratedKernel], rounds: int = ROUNDS
 ) -> Posterior[CalibratedKernel]:
-    """Return the posterior of texels that have a prior in common, learned from all of them.
+    """Return the posterior with a shared prior, learned in ``rounds`` of expectation maximisation.
 
-    Base colours of R, G and B each have their own prior, given all others. What the
-    given posterior's prior excludes stays excluded. One that has such a prior is returned as it
-    is: no photograph has been added.
-
-    Args:
-        posterior: of texels that each stand for themselves.
-        rounds: of expectation maximisation, at least 1.
+    Base colours of R, G and B each have a prior, given all others. Cells that the given prior
+    excludes stay excluded. A posterior that has a learned prior is returned unchanged.
     """
     problem = posterior.kernel.problem
     seen = np.flatnonzero(np.array(problem.factors.views))

@@ -268,8 +268,7 @@ class Posterior(Generic[K]):
     def _allowed(
         self, name: str, level: float, chosen: Any | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Texels (t,), and both ends of what the prior allows them, (t, g); errors of
-        ``interval``."""
+        """Return texels (t,) and both ends of the prior's support, (t, g)."""
         self._check_parameter(name)
         if not 0 < level < 1:
             raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")

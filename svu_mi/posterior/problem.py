@@ -23,21 +23,16 @@ NEVER = 1e30  # -log of the prior of what it excludes
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything a posterior depends on.
+    """Inputs of a posterior.
 
     Attributes:
-        factors: of S texels and C channels.
-        copies: how many equal channels each stands for.
-        roughness: nodes.
-        mixed: combinations of nodes of the parameters that mix the columns.
-        edges: (K + 1,) of the cells of base colour; or two equal ones, what is known of it.
+        edges: (K + 1,) of the cells of base colour; two equal ones if it is known.
         rows: (R * M,) float64, -log of the prior of a row of cells, all but base colour.
-        given: (R * M * tables * K,) Float, density of base colour in a cell, given the others; or
+        given: (R * M * tables * K,) Float, density of base colour in a cell, given the others;
             None: 1 everywhere.
-        scale: Float of S values or one, sqrt(W / (s^2 tau)): errors in units of noise, per unit of
-            weight.
+        scale: Float of S values or one, sqrt(W / (s^2 tau)): noise units per unit of weight.
         least: (S,) Float, energy of the best node, less what no node explains.
-        tables: of ``given``: 1 for all channels, or one for each.
+        tables: of ``given``: 1 for all channels, or one each.
     """
 
     factors: Factors
@@ -90,12 +85,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class AtNodes:
-    """A parameter at nodes.
-
-    Attributes:
-        value: (N,) Float.
-        spread: (N,) Float, variance within the part that a node stands for.
-    """
+    """A parameter at nodes: (N,) Floats, the value and its variance within a node's part."""
 
     value: Any
     spread: Any
@@ -124,14 +114,13 @@ class Nodes:
     """Nodes in memory: N rows of roughness, L columns of the parameters that mix.
 
     Attributes:
-        levels, weights: (N * 4,) UInt32 and Float: what a roughness is interpolated from.
-        rows: (N,) Floats of roughness: the value, and its variance within a part.
-        columns: (L,) the same of every parameter that mixes.
+        levels, weights: (N * 4,) UInt32 and Float, to interpolate between levels of roughness.
+        rows: (N,) Floats of roughness: value, and variance within a part.
+        columns: (L,) the same of every mixing parameter.
         row, column: (N,), (L,) UInt32, cells.
         prior: (N * L,) Float, -log of the prior.
-        first: (R + 1,) UInt32, nodes of roughness where a cell begins.
-        last: (N,) UInt32, number of cells of the parameters that mix if a node of roughness is the
-            last of its cell, else 0.
+        first: (R + 1,) UInt32, first node of roughness of each cell.
+        last: (N,) UInt32, number of mixing cells at the last node of a cell of roughness, else 0.
     """
 
     levels: Any
@@ -166,15 +155,9 @@ class Nodes:
 
 
 def spline(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return four levels around every value and their weights [Catmull and Rom 1974].
+    """Return levels and weights of Catmull-Rom interpolation, (N, 4) int64 and float64.
 
-    Args:
-        values: (N,).
-        levels: (R,) ascending at equal distances; values beyond them take the nearest. One level
-            is all there is.
-
-    Returns:
-        (N, 4) int64 and (N, 4) float64.
+    ``levels`` are (R,) ascending and uniform; values beyond them are clamped.
     """
     last = len(levels) - 1
     if last == 0:

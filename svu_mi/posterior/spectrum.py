@@ -27,13 +27,7 @@ DARK = 1e-4  # part of the incident power that counts when nothing at all is ref
 
 @dataclass(frozen=True)
 class SpectrumKernel(CellKernel):
-    """p over (roughness, specular) or the axes of a ``PrincipledGrid``, from power spectra.
-
-    Attributes:
-        grid: of the parameters.
-        count: number of texels T.
-        problem: spectra, noise and grid tables (see ``spectrum_kernel``).
-    """
+    """p over (roughness, specular) or the axes of a ``PrincipledGrid``, from power spectra."""
 
     grid: ParameterGrid | PrincipledGrid
     count: int
@@ -194,16 +188,7 @@ def _groups(switches: Preset, channels: int, copies: int) -> tuple[tuple[int, ..
 def spectrum_grid(
     grid: Any | None, switches: Preset, *, irradiance: bool = True
 ) -> ParameterGrid | PrincipledGrid:
-    """Return the grid to use, with the preset's spacing unless it has its own.
-
-    Args:
-        grid: either kind, or None for what the preset's parameters call for.
-        switches: the preset.
-        irradiance: whether it is known, which a ``PrincipledGrid`` needs.
-
-    Raises:
-        OptionError: no grid, or one that asks for what is not there.
-    """
+    """Return the given or the preset's grid; a ``PrincipledGrid`` needs a known irradiance."""
     if grid is None:
         grid = PrincipledGrid() if irradiance and switches.principled else ParameterGrid()
     if isinstance(grid, ParameterGrid):
@@ -229,10 +214,7 @@ def _alpha(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarray
 
 
 def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarray:
-    """(R,) part of constant light that a lobe with R0 = 1 reflects, mean over cos theta_o.
-
-    On a grid of Ks it is 1: there Ks is the lobe's own scale, as in the paper.
-    """
+    """Return the (R,) mean albedo of a lobe with R0 = 1; 1 on a grid of Ks, the lobe's scale."""
     if not switches.albedo or isinstance(grid, ParameterGrid):
         return np.ones(grid.shape[0])
     return mean_albedo(alpha_from_roughness(grid.roughness_nodes))
@@ -270,11 +252,7 @@ def _constant(
 
 
 def _unit(switches: Preset, S_L: Any, S_B: Any, seen: np.ndarray, scale: float | None) -> float:
-    """Power that sigma is a part of, one number for the capture.
-
-    Noise and the model's error come with the photographs, not with the texel: relative to
-    each texel's own power, a dark texel would seem as well measured as a bright one.
-    """
+    """Return the power that sigma is relative to: one for the capture, not one per texel."""
     if switches.noise == "fixed":
         return 1.0
     if scale is None:

@@ -1,17 +1,12 @@
-"""The posterior of Eq. 11 in one kernel: energies of grid cells, and their entropy.
+"""Posterior of Eq. 11 in one kernel: energies of grid cells, and their entropy.
 
 For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2,
 
     d(K) = sum S_B^2 - 2 K sum e_l S_L S_B + K^2 sum e_l^2 S_L^2,
 
-and the products of spectra do not depend on the roughness: channels that share a Ks are summed
-once per texel, degrees once per row, cells cost two multiplications each. It cancels, so it is
-in double precision: what is left of d / (2 sigma^2) is exact to 1e-16 of sum S_B^2 / (2 sigma^2),
-below what the rounding of single precision *spectra* does to it. Exponentials are in single.
-
-A row is a roughness and its cells are values of Ks, as in the paper; or a row is all but base
-colour, which its cells are, and degree 0 takes part with the diffuse term that
-these have: a constant Kd E / pi has the coefficient c_00 = 2 Kd E / sqrt(pi) (Eq. 7).
+whose products of spectra are computed once per texel. It cancels, so it is in double precision.
+On a principled grid, base colours are the cells of a row, and degree 0 takes part: a constant
+Kd E / pi has the coefficient c_00 = 2 Kd E / sqrt(pi) (Eq. 7).
 """
 
 from __future__ import annotations
@@ -34,10 +29,9 @@ class Constant:
     """Degree 0: sqrt(S_B(0)) = 2 Kd E / sqrt(pi) + R0 a sqrt(S_L(0)).
 
     Attributes:
-        mixed: (M,) nodes of every parameter that mixes the columns.
         irradiance: (T * C) Float, E.
-        albedo: (R,) Float64, a: what a lobe of each roughness reflects of constant light.
-        sigma: Float64, one number: standard deviation of sqrt(S_B(0)), in radiance.
+        albedo: (R,) Float64, a: reflected part of constant light.
+        sigma: Float64, standard deviation of sqrt(S_B(0)), in radiance.
     """
 
     mixed: list[np.ndarray]
@@ -57,21 +51,15 @@ class Products:
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything an energy depends on, as flat Dr.Jit arrays.
+    """Inputs of an energy, as flat Dr.Jit arrays.
 
     Attributes:
         incoming, outgoing: (T * (L + 1) * C) Float, power spectra.
-        sigma: Float64, one number: standard deviation of a degree's power.
-        degree: L = l*.
-        channels: C.
+        sigma: Float64, standard deviation of a degree's power.
         groups: channel indices that share one Ks.
-        rows: UInt32, rows of the grid that the prior does not exclude.
-        total: number of cells of the grid.
+        rows: UInt32, rows that the prior does not exclude.
         decay, albedo: (R,) Float64, q and a^2 of e_l = a^2 q^(l^2), by roughness.
-        cells: nodes of Ks, or of base colour.
-        prior: ((rows,), (rows * cells,)) Float64 of -log prior: of a row, of a cell given it;
-            or None.
-        constant: degree 0 and the nodes of what mixes, or None for a grid of Ks.
+        prior: ((rows,), (rows * cells,)) Float64, -log prior of a row, and of a cell given it.
     """
 
     incoming: Any

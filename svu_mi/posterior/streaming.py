@@ -1,11 +1,8 @@
-"""Entropy of a grid that is walked row by row, in one kernel, without storing probabilities.
+"""Entropy of a grid, row by row in one kernel, without stored probabilities.
 
-A row is what the cells of all channel groups share (a roughness, or a roughness and metallic);
-the cells of a row differ in one parameter of the group's own. One group of three channels is
-one parameter for all; three groups of one channel are a joint posterior in which each channel
-has a parameter of its own, which factorises for a given row and needs no grid over all three.
-Its entropy is that of (row, parameter of a channel), the other channels marginalised, averaged
-over channels, so that it means the same for grey and for coloured light.
+A row is what all channel groups share (roughness, or roughness and metallic); its cells differ in
+one parameter of each group. Several groups factorise given the row: the entropy is that of (row,
+parameter of a channel), averaged over channels.
 """
 
 from __future__ import annotations
@@ -28,16 +25,9 @@ RowEnergies = Callable[[Any], list[tuple[Any, list[Any]]]]
 
 
 def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any:
-    """Return the normalised entropy (T,) of Eq. 5.
+    """Return the normalised entropy (T,) of Eq. 5: ``nats`` / log n.
 
-    With energies x: H = ``nats`` / log n, one logarithm per texel. Energies are taken relative
-    to the smallest so far, and sums rescaled when it drops.
-
-    Args:
-        row_energies: energies of a row, prior included; traced once.
-        count: T.
-        rows: UInt32, the rows that are not impossible, as ``possible_rows`` finds them.
-        total: n, number of cells of the grid.
+    Energies are relative to the smallest so far; sums are rescaled when it drops.
     """
     last = dr.opaque(mi.UInt32, dr.width(rows))
 
@@ -62,12 +52,7 @@ def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any
 
 
 def nats(z: Any, zx: Any) -> Any:
-    """Return the entropy log Z + sum p x, with p = exp(-x) / Z, of energies x.
-
-    Args:
-        z: Z, the sum of exp(-x).
-        zx: the sum of exp(-x) x.
-    """
+    """Return log Z + sum p x with p = exp(-x) / Z, from Z and zx = sum exp(-x) x."""
     return (dr.log if dr.is_array_v(z) else np.log)(z) + zx / z
 
 
@@ -77,13 +62,10 @@ def entropy_of(p: np.ndarray) -> float:
 
 
 def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:
-    """Sum one row over all groups.
+    """Return the base energy (Float64) of a row, prod z_g, and its entropy beyond the base.
 
     With z_g = sum exp(-(x - smallest)) of group g, a row weighs w = exp(-base) prod z_g, and
     adds p(row) (base - log prod z + mean_g (log z_g + mean of x - smallest)) to the entropy.
-
-    Returns:
-        base (Float64), the sum of smallest energies; prod z_g; what a row adds beyond base.
     """
     base, weight, excess = mi.Float64(0), mi.Float(1), mi.Float(0)
     for low, offsets in groups:
@@ -101,13 +83,7 @@ def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:
 def with_prior(
     energies: list[list[Any]], prior: tuple[Any, Any] | None, row: Any
 ) -> list[tuple[Any, list[Any]]]:
-    """Turn the energies of a row, a list per group, into what ``RowEnergies`` returns.
-
-    Args:
-        energies: of the likelihood.
-        prior: -log prior of a row, and of a cell given its row, as ``log_prior`` has them.
-        row: which row.
-    """
+    """Add -log prior of a row and of its cells; return the base and the energies of each group."""
     if prior is None:
         return [above_smallest(x) for x in energies]
     of_row, of_cell = prior
@@ -131,17 +107,7 @@ def above_smallest(energies: list[Any]) -> tuple[Any, list[Any]]:
 def tables(
     energies_of: Callable[[Any], RowEnergies], chosen: np.ndarray, rows: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the energies of t chosen texels, for everything that is not the hot path.
-
-    Args:
-        energies_of: texel index -> energies of a row.
-        chosen: (t,) int64 indices of texels.
-        rows: number of rows.
-
-    Returns:
-        (t, rows) float64: the smallest energy of each row; (t, rows, G, cells) float32:
-        energies relative to their group's smallest.
-    """
+    """Return energies of t texels: row minima (t, rows) float64, (t, rows, G, cells) above them."""
     count = len(chosen)
     lane = dr.arange(mi.UInt32, count * rows)
     place = lane // dr.opaque(mi.UInt32, rows)
@@ -160,16 +126,9 @@ def tables(
 def probabilities(
     base: np.ndarray, offsets: np.ndarray, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Turn a table of row energies into probabilities.
+    """Return p, (t, *shape, G) float32, and the best node, (t, axes, G) int64, of row energies.
 
-    Args:
-        base: (t, rows) float64, smallest energy of each row, any origin per texel.
-        offsets: (t, rows, G, cells) energies relative to their group's smallest.
-        shape: of the grid; its last axis is ``cells``, the others together ``rows``.
-
-    Returns:
-        p (t, *shape, G) float32 and the index of the best node (t, axes, G) int64, as
-        ``Posterior._tables`` has them.
+    ``base`` is (t, rows) float64; ``offsets`` (t, rows, G, cells) are relative to it.
     """
     # p(row) p(cell of a group | row): the groups factorise.
     terms = np.exp(-np.swapaxes(offsets, 2, 3))
@@ -191,16 +150,9 @@ def probabilities(
 def log_prior(
     prior: Any | None, shape: tuple[int, ...], caller: str
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """-log of the prior of a row (rows,), and of a cell given its row (rows * cells,).
+    """Return -log prior of a row, (rows,), and of a cell given its row, (rows * cells,).
 
-    Args:
-        prior: weights of the cells: ``shape``, or of the first axis only; None is uniform.
-        shape: of the grid.
-        caller: function named in errors.
-
-    Raises:
-        ShapeError: another shape.
-        OptionError: no numbers, negative or not finite weights, or nothing but zeros.
+    Weights have the grid's ``shape``, or that of its first axis; None is uniform.
     """
     if prior is None:
         return None
@@ -239,13 +191,7 @@ def _numbers(prior: Any, shape: tuple[int, ...], caller: str) -> np.ndarray:
 
 
 def prior_of(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the prior probability of every cell, float64 of the grid's shape and of sum 1.
-
-    Args:
-        tables: -log prior of a row, and of a cell given its row, as ``log_prior`` returns them,
-            or the same as Dr.Jit arrays; None is uniform.
-        shape: of the grid.
-    """
+    """Return the prior of every cell, float64 of ``shape``, of sum 1, from ``log_prior`` tables."""
     if tables is None:
         return np.full(shape, 1 / np.prod(shape))
     of_row, of_cell = (np.array(table, np.float64) for table in tables)

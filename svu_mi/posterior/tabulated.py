@@ -16,12 +16,7 @@ from svu_mi.posterior.streaming import nats, prior_of
 
 @dataclass(frozen=True)
 class TabulatedKernel(CellKernel):
-    """p ~ exp(-energy).
-
-    Attributes:
-        grid: of the parameters.
-        energies: (T, *grid) float64 of -log p up to a constant per texel.
-    """
+    """p ~ exp(-energy), with (T, *grid) float64 energies up to a constant per texel."""
 
     grid: Grid
     energies: np.ndarray
@@ -54,17 +49,7 @@ class TabulatedKernel(CellKernel):
 def tabulated_posterior(
     energies: np.ndarray, grid: Grid, observed: np.ndarray
 ) -> Posterior[TabulatedKernel]:
-    """Return the posterior of a table of energies.
-
-    Args:
-        energies: (T, *grid) float64 of -log p up to a constant per texel; finite where observed.
-        grid: of the parameters.
-        observed: (T,) bool.
-
-    Raises:
-        ShapeError: the table does not fit the grid or the flags.
-        OptionError: an observed texel has an energy that is not finite.
-    """
+    """Return the posterior of (T, *grid) float64 energies, finite where ``observed`` (T,)."""
     shape = (len(observed), *grid.shape)
     if energies.shape != shape:
         raise ShapeError(

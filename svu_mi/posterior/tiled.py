@@ -26,15 +26,12 @@ Moments = dict[str, Pair]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TiledKernel(Kernel):
-    """The kernel of T texels, of which no more than a tile is held at a time.
+    """Kernel of T texels that holds one tile at a time.
 
     Attributes:
-        grid: of the parameters.
-        observed: (T,) bool; only of these may anything be asked.
-        make: returns the kernel of some texels (t,), by their numbers among all T; it numbers
-            them from 0 to t - 1.
-        size: texels of a tile.
-        report: called with the number of texels that are done, and of all, during the first pass.
+        observed: (T,) bool; only these may be requested.
+        make: returns the kernel of (t,) texels, which numbers them from 0 to t - 1.
+        report: called with the numbers of finished and of all texels, during the first pass.
     """
 
     grid: Grid
@@ -153,8 +150,7 @@ class TiledKernel(Kernel):
                 table[texels] = values
 
     def _keep_widths(self, texels: np.ndarray, tile: Kernel) -> None:
-        """Keep half the widths of the intervals of the sample that summaries use: computing them
-        later would read most photographs again."""
+        """Cache half-widths of the summary's sample; later they would re-read photographs."""
         own = np.flatnonzero(np.isin(texels, self._sample, assume_unique=True))
         place = np.searchsorted(self._sample, texels[own])
         for name in self.grid.axes if len(own) else ():

@@ -1,12 +1,11 @@
-"""What one channel of a base colour may be, in closed form: a normal distribution on [0, 1].
+"""Posterior of one channel of base colour in closed form: a normal distribution on [0, 1].
 
-For a given roughness and metallic the energy of a channel is quadratic in its base colour c,
+Given roughness and metallic, the energy of a channel is quadratic in its base colour c,
 
     E(c) = 1/2 |c u + v|^2 = 1/2 (A c^2 + 2 B c + |v|^2),
 
-so its probability is a normal distribution of mean mu = -B / A and variance 1 / A, cut off at 0
-and 1. Everything is relative to the best colour in that range, and mirrored so that mu is not
-above 1/2: then nothing but tails are subtracted, however far outside mu is.
+a normal distribution of mean mu = -B / A and variance 1 / A, truncated to [0, 1]. Values are
+relative to the best colour, and mirrored so that mu <= 1/2: only tails are subtracted.
 """
 
 from __future__ import annotations
@@ -54,12 +53,12 @@ def erfcx(x: Any) -> Any:
 
 @dataclass(frozen=True)
 class Channel:
-    """The likelihood of one channel's base colour.
+    """Likelihood of one channel's base colour.
 
     Attributes:
         least: Float, energy of the best colour.
-        mirrored: Bool, whether what follows is of y = 1 - c instead of y = c.
-        mu: Float, mean of y before it is cut off, at most 1/2.
+        mirrored: Bool, whether y = 1 - c instead of y = c.
+        mu: Float, mean of y before truncation, at most 1/2.
         s: Float, sqrt(A / 2).
     """
 
@@ -70,13 +69,7 @@ class Channel:
 
     @staticmethod
     def of(u: list[Any], v: list[Any], floor: Any) -> Channel:
-        """Complete the square.
-
-        Args:
-            u: Floats, the components of u that may not be 0.
-            v: those of v, more of them.
-            floor: Float, what |v|^2 has beyond.
-        """
+        """Complete the square of components u and v; ``floor`` is the rest of |v|^2."""
         A, B = _dot(u, u), _dot(u, v)
         c = dr.clip(-B / dr.maximum(A, 1e-30), 0, 1)
         rest = [dr.fma(c, a, b) for a, b in zip(u, v, strict=False)] + v[len(u) :]
@@ -86,11 +79,7 @@ class Channel:
         return Channel(0.5 * (_dot(rest, rest) + floor), mirrored, slope / A, dr.sqrt(0.5 * A))
 
     def integrate(self, edges: list[float]) -> Integrals:
-        """Integrate over cells, all colours being alike by their prior.
-
-        Args:
-            edges: (K + 1,) of the cells, from 0 to 1, the same from both ends.
-        """
+        """Integrate over cells of (K + 1,) symmetric ``edges`` in [0, 1], under a uniform prior."""
         # With x = (y - mu) s, exp(-(E - least)) is exp(x_0^2 - x^2), x_0 where it is 1.
         inner = [self._tail(mi.Float(y)).beyond for y in edges[1:-1]]
         ends = dr.if_stmt(
@@ -105,25 +94,14 @@ class Channel:
         return self._integrals(mass, parts, mean, variance)
 
     def _whole(self, kind: Any) -> tuple[Any, ...]:
-        """Integrate over [0, 1] in single or double precision: means and variances are small
-        differences of the two ends' tails.
-
-        Returns:
-            What lies beyond both ends, and between them; mean and variance of y: Floats.
-        """
+        """Return the tails beyond both ends, the integral over [0, 1], mean and variance of y."""
         first, last = self._tail(kind(0)), self._tail(kind(1))
         whole = first.beyond - last.beyond
         mean, variance = _moments(kind(self.mu), kind(self.s), whole, first, last)
         return tuple(mi.Float(x) for x in (first.beyond, last.beyond, whole, mean, variance))
 
     def masses(self, edges: list[float]) -> tuple[Any, list[Any]]:
-        """Integrate over cells as ``integrate`` does, in single precision, at half the cost where
-        neither mean nor variance is asked for.
-
-        Returns:
-            The mass, of a relative error of 1e-5 where hardly anything lights a channel, and part
-            of it in every cell.
-        """
+        """Return the mass and each cell's part of it, in single precision (relative error 1e-5)."""
         beyond = [self._tail(mi.Float(y)).beyond for y in edges]
         whole = beyond[0] - beyond[-1]
         inverse = dr.rcp(whole)
@@ -132,9 +110,7 @@ class Channel:
         return 0.5 * sqrt(pi) * whole / self.s, cells
 
     def weighed(self, edges: list[float], prior: list[Any]) -> tuple[Any, Integrals]:
-        """Integrate over cells under a prior that excludes nothing (see ``GENTLE``), at a fifth of
-        the cost of ``under``, whose arguments and results it has: cells share their borders, and
-        only the ends are in double precision."""
+        """Integrate as ``under`` at a fifth of its cost, for a prior without zeros (``GENTLE``)."""
         first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
         inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
         beyond = [first.beyond, *(mi.Float64(t.beyond) for t in inner), last.beyond]
@@ -167,15 +143,9 @@ class Channel:
         return log_mass, self._integrals(mi.Float(1), parts, mean, variance)
 
     def under(self, edges: list[float], prior: list[Any]) -> tuple[Any, Integrals]:
-        """Integrate over cells under a prior, however much it contradicts the likelihood.
+        """Return log of the integral of exp(-(E - least)) times the prior, and cells of mass 1.
 
-        Args:
-            edges: as ``integrate`` has them.
-            prior: K Floats, density of c in every cell.
-
-        Returns:
-            log of the integral of exp(-(E - least)) times the prior, Float; and what is in the
-            cells, of mass 1.
+        ``prior`` is K Floats, the density of c in every cell; it may contradict the likelihood.
         """
         density = [
             mi.Float64(dr.select(self.mirrored, b, a))
@@ -201,13 +171,7 @@ class Channel:
         return mi.Float(log_mass), self._integrals(mi.Float(1), parts, mean, variance)
 
     def quantile(self, part: Any, low: Any, high: Any) -> Any:
-        """Return the colour between two others below which a part of what is there lies.
-
-        Args:
-            part: Float in [0, 1].
-            low: Float.
-            high: Float.
-        """
+        """Return the colour between ``low`` and ``high`` with ``part`` of their mass below it."""
         part, low, high = (mi.Float64(x) for x in (part, low, high))
         part = dr.select(self.mirrored, 1 - part, part)
         low, high = (
@@ -229,8 +193,7 @@ class Channel:
         return dr.select(self.mirrored, 1 - y, y)
 
     def _cell(self, low: float, high: float) -> tuple[Any, Any, Any]:
-        """log of the integral over x between two ends, 2 / sqrt(pi) of it, relative to the best
-        colour of all; mean and variance of y there."""
+        """Return log of 2 / sqrt(pi) times the integral over x, mean and variance of y."""
         s, mu = mi.Float64(self.s), mi.Float64(self.mu)
         best, best_of_all = dr.clip(mu, low, high), dr.maximum(mu, 0)
         mass, a, b = self._between(mi.Float64(low), mi.Float64(high), best)
@@ -240,8 +203,7 @@ class Channel:
         return dr.log(mass) - worse, dr.clip(mean, low, high), variance
 
     def _between(self, low: Any, high: Any, best: Any) -> tuple[Any, _Tail, _Tail]:
-        """The integral over x between two ends, relative to the density at ``best`` between them:
-        differences of tails on one side of the mean, so that nothing cancels."""
+        """Integrate over x relative to the density at ``best``, without cancellation of tails."""
         a, b = self._tail(low, best), self._tail(high, best)
         left, right = (y < mi.Float64(self.mu) for y in (low, high))
         mass = dr.select(
@@ -282,11 +244,11 @@ def _moments(mu: Any, s: Any, mass: Any, a: _Tail, b: _Tail) -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class Integrals:
-    """Of one channel's likelihood.
+    """Integrals of one channel's likelihood.
 
     Attributes:
-        mass: Float, the integral of exp(-(E - least)) over [0, 1].
-        cells: K Floats, part of it in every cell.
+        mass: Float, integral of exp(-(E - least)) over [0, 1].
+        cells: K Floats, each cell's part of it.
         mean, variance: Floats, of c.
     """
 
@@ -298,8 +260,7 @@ class Integrals:
 
 @dataclass(frozen=True)
 class _Tail:
-    """Density at y; 2 / sqrt(pi) times the integral over x from there away from the mean, and
-    towards larger x."""
+    """Density at y, and 2 / sqrt(pi) times the integrals over x away from the mean and upwards."""
 
     y: Any
     density: Any

@@ -28,9 +28,8 @@ class Node:
     """One node of every texel: all parameters but base colour.
 
     Attributes:
-        row, column: UInt32, numbers of the nodes.
+        row, column: UInt32 numbers of the nodes.
         weight: Float, exp(-energy) integrated over base colour, prior included.
-        colors: of C channels, given this node.
     """
 
     row: Any
@@ -40,13 +39,7 @@ class Node:
 
 
 class Walker:
-    """Walks over nodes of the texels of a launch.
-
-    Args:
-        problem: of S texels.
-        lane: UInt32, which of the texels; all in order by default.
-        edges: of the cells that colours are summed in; by default those of the grid.
-    """
+    """Walks over nodes of texels ``lane``; ``edges`` are cells of colours (default: the grid's)."""
 
     def __init__(
         self, problem: Problem, lane: Any | None = None, edges: np.ndarray | None = None
@@ -73,15 +66,10 @@ class Walker:
         self, begin: Any, end: Any, visit: Callable[..., Any], state: tuple[Any, ...],
         row_ends: Callable[..., Any] | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Fold over nodes of roughness, and within each over columns.
+        """Fold over nodes of roughness in [begin, end), and within each over columns.
 
-        Args:
-            begin: UInt32, the first node of roughness.
-            end: UInt32, the one after the last.
-            visit: ``visit(node, *state)`` returns the new state; only called where a node
-                matters; traced once.
-            state: Dr.Jit arrays, local memory, or records of these.
-            row_ends: ``row_ends(row, *state)`` returns the new state after all columns.
+        ``visit(node, *state)`` returns the new state, only where a node matters; ``row_ends(row,
+        *state)`` does after all columns. Both are traced once.
         """
 
         def body(row: Any, *state: Any) -> tuple[Any, ...]:
@@ -145,8 +133,7 @@ class Walker:
         return self.problem.copies * sum(energies)
 
     def excess(self, U: list[list[Any]], row: Any, column: Any, best: Any) -> Any:
-        """Return what a node's energy, prior included, has above ``least``, or ``best`` if that
-        is less: Float."""
+        """Return a node's energy above ``least``, prior included, or ``best`` if less: Float."""
         energy, parts = self._channels(U, row, column)
         if self.problem.given is not None and not self._known:
             energy = dr.if_stmt(
@@ -157,13 +144,7 @@ class Walker:
         return dr.minimum(energy, best)
 
     def colors_at(self, row: Any, column: Any, random: list[Any]) -> list[Any]:
-        """Draw the base colour of every channel, copies included, at a node.
-
-        Args:
-            row: UInt32, node of roughness.
-            column: UInt32, node of the parameters that mix.
-            random: two Floats in [0, 1) for each channel.
-        """
+        """Draw base colours by channel, copies included, at a node; two ``random`` Floats each."""
         problem = self.problem
         number = problem.factors.channels * problem.copies
         if self._known:
@@ -183,8 +164,7 @@ class Walker:
         return found
 
     def _channels(self, U: list[list[Any]], row: Any, column: Any) -> tuple[Any, list[Any]]:
-        """Return the energy of the best colour at a node above ``least``, with the prior of the
-        node but not of colours; and the channels."""
+        """Return a node's energy above ``least``, without the prior of colours; and channels."""
         place = row * self._columns + column
         prior = dr.gather(mi.Float, self.nodes.prior, place) - self._least
         if self._known:
@@ -196,8 +176,7 @@ class Walker:
     def _under(
         self, row: Any, column: Any, energy: Any, parts: list[Any]
     ) -> tuple[Any, list[Integrals]]:
-        """Return the energy of a node under a prior of colours, of all that it allows, and what is
-        in the cells."""
+        """Return the energy of a node under a prior of colours, and the integrals of the cells."""
         density, edges = self._color_prior(row, column), self.edges.tolist()
         assert density is not None
         way = Channel.weighed if self.problem.gentle else Channel.under
