@@ -157,6 +157,7 @@ def names(case):
     return "+".join(case.fixes) + ("*" if not np.array_equal(case.camera_axes, np.eye(4)) else "")
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("case", POSES, ids=names)
 def test_wrong_poses_are_named(capture, case):
     finding, chosen = pose_finding(case.made(capture))
@@ -172,6 +173,7 @@ def test_wrong_poses_are_named_without_masks(capture, case):
     assert (finding.verdict, finding.fixes) == ("wrong", case.fixes), finding.sentence
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("case", LIGHTS, ids=names)
 def test_a_wrong_light_is_named(capture, lit, case):
     finding = light_finding(case.made(capture), lit)

@@ -91,14 +91,6 @@ def test_results_are_not_written_among_the_files_of_the_scene(tmp_path, capsys, 
     assert names(tmp_path) == before
 
 
-@pytest.mark.slow
-def test_a_scene_and_a_folder_of_images_are_an_input_too(shot, tmp_path):
-    status = run("entropy", scenes.path("vase"), "--images", shot, "-D", "light=window", "-t", 1,
-                 "--resolution", 48, "-o", tmp_path, "--preset", "paper")  # fmt: skip
-    assert status == 0
-    assert names(tmp_path) == FILES
-
-
 def test_without_photographs_a_scene_is_rendered_only_when_asked(tmp_path, capsys):
     path = write_scene(tmp_path, sensors=sensor_xml(4, 32, 32))
     words = ("entropy", path, "-o", tmp_path / "out", "--resolution", 24)

@@ -317,14 +317,6 @@ def test_impossible_numbers_of_cells_are_refused(coarse, fine):
         light_cells(lamps(), coarse, fine)
 
 
-def test_lattice_points_are_evenly_spread():
-    d = fibonacci(128)
-    np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-12)
-    assert abs(d.mean(axis=0)).max() < 5e-3
-    nearest = np.sort(d @ d.T, axis=1)[:, -2]
-    assert np.degrees(np.arccos(nearest)).min() > 12
-
-
 @pytest.mark.parametrize("size", [(256, 128), (200, 150), (200, 60)])
 def test_what_is_averaged_of_a_large_map_is_its_light(size, monkeypatch):
     """On 2048 columns and 1025 rows at most, here on 130 and 65."""

@@ -455,15 +455,6 @@ def test_an_imported_map_can_be_imported_again(tmp_path, height, turn):
     np.testing.assert_array_equal(read_exr(again)["G"], read_exr(first)["G"][:, ::-1])
 
 
-@pytest.mark.parametrize("name", ["window", "studio", "overcast"])
-def test_maps_of_scenes_are_the_same_light_when_they_are_imported(tmp_path, root, name):
-    """Their rows are Mitsuba's, as of every map with one row more than half its columns."""
-    path = root / "scenes" / "lights" / f"{name}.exr"
-    pose, _ = write_environment(Light(path=path), tmp_path / "environment.exr")
-    there, here = light_of(path, np.eye(4)), light_of(tmp_path / "environment.exr", pose)
-    np.testing.assert_array_equal(here, there)
-
-
 def test_a_header_alone_makes_no_map(tmp_path):
     """One row cannot be both poles; and only this one word is understood."""
     for shape, said in (((1, 8, 3), "poles"), ((33, 32, 3), "elsewhere")):

@@ -121,23 +121,6 @@ def test_a_photograph_that_is_taken_back_keeps_the_gain_that_was_found():
     np.testing.assert_allclose(after.logarithm[1] - after.logarithm[0], np.log(2) + 0.8, atol=0.02)
 
 
-def test_samples_without_gains_are_those_before():
-    samples, _ = photographed(12, 5, 64, noise=0)
-    samples = replace(samples, kappa=0.7, edges=50.0, contrast=0.01 * samples.radiance[:, 0] ** 2)
-    samples = samples.divided(np.ones((5, 3)))  # the weights of that kappa
-    gains = np.exp(random_gains(5)) * [[1], [1], [4], [1], [1]]
-    grey = gains.mean(axis=1)[samples.view]
-    shown = replace(
-        samples, radiance=samples.radiance * gains[samples.view].astype(np.float32),
-        contrast=samples.contrast * grey**2,
-    )  # fmt: skip
-    found = shown.divided(gains)
-    for name in ("radiance", "contrast", "weight"):
-        np.testing.assert_allclose(getattr(found, name), getattr(samples, name), rtol=1e-5)
-    out = shown.without(np.arange(5) == 2).divided(gains)
-    np.testing.assert_array_equal(out.weight == 0, shown.view == 2)
-
-
 @pytest.mark.slow
 def test_light_and_gains_are_found_together():
     samples, x = photographed(100, 20, 64, noise=0.03)

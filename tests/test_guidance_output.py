@@ -6,7 +6,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from unittest.mock import MagicMock
 
 import matplotlib
 import mitsuba as mi
@@ -212,22 +211,3 @@ def test_a_single_candidate_that_gains_nothing_is_drawn(vase, tmp_path):
     assert guidance.proposals[0].gain == 0
     write_guidance(vase.capture, vase.estimate, guidance, tmp_path)
     assert read_exr(tmp_path / "gain_0.exr")["Y"].max() == 0
-
-
-@pytest.mark.parametrize("count", [5, 20])
-def test_numbers_of_near_ties_stay_below_the_title(count):
-    """All proposals among the best of 100 candidates, on a page as tall as it is."""
-    gains = np.concatenate([np.linspace(1, 0.99, count), np.linspace(0.9, 0.1, 100 - count)])
-    guidance = MagicMock(
-        ranking=np.arange(100), gains=gains,
-        proposals=[MagicMock(candidate=k) for k in range(count)],
-        options=svu.GuidanceOptions(),
-    )  # fmt: skip
-    figure = Figure(figsize=guidance_page.SIZE)
-    left, right, bottom, top = guidance_page.PLACES[2]
-    axes = figure.add_axes((left, bottom, right - left, top - bottom))
-    guidance_page.draw_ranking(axes, guidance)
-    figure.draw_without_rendering()
-    inside = axes.get_window_extent()
-    assert len(axes.texts) == min(count, 9)
-    assert all(text.get_window_extent().y1 <= inside.y1 + 1 for text in axes.texts)

@@ -16,7 +16,7 @@ import svu_mi as svu
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.light_summary import likeness
 from svu_mi.illumination.materials import Moments, columns_of, materials_of
-from svu_mi.illumination.prior import SD, Looks, prior_of, refined
+from svu_mi.illumination.prior import SD, Looks, prior_of
 from svu_mi.illumination.refine import ALIKE, FREEDOM, LARGEST, STEP, Fit, Known, system_of
 from svu_mi.illumination.samples import FACING, FEWEST, Samples
 from svu_mi.illumination.transport import WIDENED, Columns, Materials, Transport
@@ -128,18 +128,6 @@ def test_the_prior_is_a_distribution():
     )
     covariance = np.linalg.inv(prior.brightness)
     assert covariance[0, 0] == pytest.approx(3.0**2 + SD**2)  # its level is not known
-
-
-def test_finer_cells_go_on_where_coarse_ones_were():
-    constant = np.tile([0.3, -1.0, 2.0], (64, 1))
-    np.testing.assert_allclose(refined(constant, 300), np.tile(constant[0], (300, 1)), atol=1e-9)
-    wave = np.outer(fibonacci(256) @ [0.6, 0, 0.8], [1.0, 0.5, 0.2])
-    expected = np.outer(fibonacci(1024) @ [0.6, 0, 0.8], [1.0, 0.5, 0.2])
-    found = refined(wave, 1024)
-    assert np.abs(found - expected).max() < 0.06
-    spike = np.zeros((64, 3))
-    spike[10] = 1
-    assert np.abs(refined(spike, 1024)).max() < 1.05  # nothing overshoots
 
 
 # --- a step of the light ----------------------------------------------------------------------

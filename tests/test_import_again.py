@@ -83,16 +83,6 @@ def test_a_correction_that_was_wrong_is_left_out(given, given_before, said, left
     assert line == shlex.join(["svu", "import", *NEEDED, *words, "-o", "capture"])
 
 
-def test_what_is_said_after_an_import_without_a_light(given, capsys):
-    assert main(["import", *NEEDED, "-o", "capture"]) == 0
-    said = capsys.readouterr().out
-    assert "The capture has no light, which is found in its photographs" in said
-    assert said.splitlines()[-2:] == [
-        "Wrote capture; look at it with: svu check capture",
-        "Then find its light with: svu light capture",
-    ]
-
-
 def test_a_capture_of_unknown_words(given):
     """Imported from Python, by an earlier version, or changed by somebody since."""
     main(["import", *NEEDED, "-o", "capture"])

@@ -299,6 +299,7 @@ def test_what_all_texels_have_in_common_counts_once(banded: SimpleNamespace) -> 
     assert np.median(drawn.std(axis=0)[seen] / wide[seen]) == pytest.approx(1, abs=0.15)
 
 
+@pytest.mark.slow
 def test_large_textures_are_judged_by_groups_of_texels(monkeypatch, banded) -> None:
     """What fills them is about the same, and so is how far off that is: of wide stripes."""
     field, hidden = banded.field, banded.hidden
@@ -383,19 +384,6 @@ def test_how_textures_were_recovered(tmp_path: Path) -> None:
     assert weights_of(used) == ShOptions(tv=2, tv_epsilon=0.5)
     (tmp_path / "run.json").write_text("{")
     assert settings_of(tmp_path) == {}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("variant")
-def test_parameters_that_were_not_recovered_are_not_filled(shot, tmp_path):
-    textures, out = tmp_path / "textures", tmp_path / "filled"
-    words = ("--resolution", 32, "--steps", 20, "--parameters", "roughness")
-    assert run("recover", shot, *words, "-o", textures) == 0
-    assert run("inpaint", shot, "--recovered", textures, "-o", out) == 0
-    before, after = (read_textures(folder) for folder in (textures, out))
-    for name in ("base_color", "metallic"):
-        np.testing.assert_array_equal(np.array(before[name]), np.array(after[name]))
-    assert (np.array(before.roughness) != np.array(after.roughness)).any()
 
 
 @pytest.mark.slow

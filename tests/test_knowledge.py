@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.output.knowledge import Intervals, Knowledge
+from svu_mi.output.knowledge import Knowledge
 from svu_mi.posterior import PrincipledGrid, tabulated_posterior
 from svu_mi.posterior.intervals import spread
 
@@ -73,29 +73,6 @@ def test_all_that_was_found_is_one_line(posterior):
     )
     nothing = Knowledge.of(estimate_of(posterior, coverage=(0,) * 5))
     assert nothing.summary() == "Nothing is known: no photograph shows the surface."
-
-
-def test_another_tolerance_and_level(posterior):
-    intervals = Intervals(posterior, level=0.5)
-    found = Knowledge.of(estimate_of(posterior), intervals, tolerance=0.15)
-    assert found.known_part == pytest.approx({"roughness": 14 / 15, "base_color": 1})
-    assert found.sentence().startswith("Roughness known to ±0.15 on 93 % of the surface seen, ")
-    assert found.sentence().endswith("base colour on 100 % (50 % intervals).")
-
-
-def test_a_sample_stands_for_a_large_surface():
-    """Half-widths grow along the surface; areas, too."""
-    count = 100_000
-    half, area = np.linspace(0, 0.2, count), np.linspace(1, 2, count)
-    posterior = Given({"roughness": (0 * half, 2 * half)}, {"roughness": AXES["roughness"]})
-    posterior.count = count
-    coverage = np.arange(count) % 10 != 0
-    estimate = estimate_of(posterior, coverage.astype(np.uint32), np.sqrt(area))
-    found = Knowledge.of(estimate)
-    exact = Knowledge.of(estimate, Intervals(posterior))
-    assert found.seen_part == exact.seen_part == pytest.approx(0.9, abs=1e-3)
-    assert found.known_part["roughness"] == pytest.approx(exact.known_part["roughness"], abs=2e-3)
-    assert 0.1 < exact.known_part["roughness"] < 0.25
 
 
 @pytest.mark.parametrize("most", [4096, 3000, 7])

@@ -74,16 +74,6 @@ def test_split_sum_is_the_directional_albedo(alpha):
         np.testing.assert_allclose(table[node], truth, atol=5e-3)
 
 
-def test_no_surface_reflects_more_than_it_receives():
-    A, B = np.moveaxis(split_sum(np.array(WIDTHS)), -1, 0)
-    assert (A >= 0).all()
-    assert (B >= 0).all()
-    assert (A + B <= 1 + 1e-12).all()
-    # R0 = 1 under a white sky: only masking takes away, and the more the wider the lobe.
-    assert (np.diff((A + B)[:, 4:], axis=0) < 1e-3).all()
-    assert (A + B)[0].min() > 0.99
-
-
 def shading(lights, flux, n, o, roughness, model="disney"):
     """``diffuse_shading`` of moments that are summed here."""
     cosine = np.maximum(lights @ n, 0)

@@ -10,7 +10,6 @@ import pytest
 
 from svu_mi.errors import OutputError
 from svu_mi.output import page
-from svu_mi.output.report.plots import TOP, Plot
 
 TEMPLATE = """{% extends "base.html" %}
 {% import "parts.html" as parts %}
@@ -114,19 +113,3 @@ def test_dark_readers_get_dark_pages(browser, written):
         red = int(re.search(r"\d+", shown.evaluate(color)).group())
         assert red < 64 if dark else red > 192
         shown.close()
-
-
-def test_bars_stand_on_the_floor():
-    drawn = Plot(
-        words="words", edges=np.array([0.0, 1.0, 3.0]), heights=np.array([1.0, 0.5]), top=2,
-        y_ticks=(), lines=[("even", np.array([0, 3]), np.array([1, 1]))],
-    )  # fmt: skip
-    left, right, floor = drawn.box
-    first, second = drawn.bars()
-    assert first["height"] == pytest.approx(2 * second["height"], abs=0.02)
-    assert second["width"] == pytest.approx(2 * first["width"], abs=0.02)
-    assert [bar["y"] + bar["height"] for bar in (first, second)] == [floor] * 2
-    assert (drawn.x(0), drawn.x(3)) == (left, right)
-    line = f"{left:.1f},{first['y']} {right:.1f},{first['y']}"
-    assert list(drawn.polylines()) == [("even", line)]
-    assert drawn.y(9) == drawn.y(2) == TOP and drawn.y(-1) == floor  # beyond the ends

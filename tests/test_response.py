@@ -16,7 +16,7 @@ import svu_mi as svu
 from svu_mi.capture.fingerprint import photographs_key
 from svu_mi.capture.images import CLIPPED, SATURATED, SATURATION
 from svu_mi.capture.mesh import write_ply
-from svu_mi.capture.picture import decoded, open_picture, srgb
+from svu_mi.capture.picture import open_picture, srgb
 from svu_mi.capture.poses import affine
 from svu_mi.cli.import_ import import_again
 from svu_mi.errors import CaptureError
@@ -117,24 +117,6 @@ def test_each_channel_has_its_own_curve_and_unit(tmp_path):
         wanted = encoded[below, channel] ** power
         np.testing.assert_allclose(image[below, channel], wanted, rtol=1e-5, atol=1e-7)
     assert least == pytest.approx(SATURATED[8] ** GAMMA, abs=1e-4)  # of the darkest
-
-
-@pytest.mark.parametrize("bits", SATURATED)
-def test_a_table_of_srgb_changes_nothing(bits, tmp_path):
-    response = table(tmp_path / "curve.txt", [lambda x: decoded(x).astype(float)])
-    mask = np.zeros(SIZE, np.uint8)
-    mask[:, 2:] = 255
-    Image.fromarray(mask).save(tmp_path / "mask.png")
-    plain = photograph(tmp_path / "a.png", random(bits), mask=tmp_path / "mask.png")
-    (given,) = with_response([plain], response)
-    before, image, least = converted(plain, tmp_path / "plain.exr")
-    after, again, least_again = converted(given, tmp_path / "given.exr")
-    assert before == after
-    np.testing.assert_allclose(image, again, atol=1e-4 if bits == 16 else 4e-4)  # half floats
-    assert least == pytest.approx(least_again, abs=1e-4)
-    alpha, alpha_again = (read_exr(tmp_path / f"{name}.exr")["A"] for name in ("plain", "given"))
-    np.testing.assert_array_equal(alpha, alpha_again)
-    np.testing.assert_array_equal(image == CLIPPED, again == CLIPPED)
 
 
 def test_a_table_goes_before_what_the_source_says_and_leaves_floats_alone(tmp_path):

@@ -96,19 +96,6 @@ def test_the_survey_and_both_bare_ways_trace_the_same_rays():
     assert len(free) == 1 and 0 < free.pop() < rays.count
 
 
-def test_kernels_are_counted_by_the_stage_that_launches_them():
-    def two(progress):
-        with progress.stage("outer"):
-            x = dr.arange(mi.Float, 1000) + 1
-            dr.eval(x)
-            with progress.stage("inner"):
-                dr.eval(dr.sin(x), dr.cos(dr.arange(mi.Float, 10)))
-
-    found = kernels.kernels_of(two)
-    assert found["outer"]["launched"] == 1 and found["inner"]["launched"] == 2
-    assert all(stage["operations"] > 0 for stage in found.values())
-
-
 def test_the_clock_sees_kernels_and_compilation():
     factor = 1 + np.random.default_rng().random()  # a literal no cache has seen
 

@@ -179,16 +179,6 @@ def test_one_channel_is_the_mean_of_three() -> None:
     np.testing.assert_allclose(one[:, :, 0], three.mean(axis=2), rtol=1e-5, atol=1e-7)
 
 
-def test_widths_do_not_know_of_each_other() -> None:
-    """One that is known, and left out, must not change the others."""
-    scene, grid = surroundings()
-    surface = Surface.of(grid)
-    reach = trace_reach(scene, surface, light_cells(environment(spotted()), 64, 512))
-    _, view = views_of(grid)
-    whole, some = (found_by(reach, surface, view, alpha=a) for a in (ALPHA, ALPHA[2:]))
-    np.testing.assert_allclose(some, whole[2:], rtol=1e-6, atol=1e-9)
-
-
 @pytest.mark.slow
 def test_a_rough_metal_under_a_sun_is_what_mitsuba_renders() -> None:
     """Pre-filtered light is off by tens of percent here; the sum is not."""

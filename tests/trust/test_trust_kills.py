@@ -20,7 +20,7 @@ from svu_mi.results.transaction import claimed
 
 KILLED = 9
 STEPS = ("rename", "replace", "unlink", "mkdir", "rmdir")  # of Path, that change a folder
-KILLS, PAIRS = 6, 3
+KILLS, PAIRS = 4, 2
 
 
 def killed_at(step: int, work: Callable[[], Any]) -> bool:
