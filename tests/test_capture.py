@@ -430,8 +430,8 @@ def test_imported_photographs_keep_the_names_that_they_had(scene):
     assert capture.names == ("IMG_7.JPG", "IMG_8.JPG", "IMG_9.JPG")
     assert capture.files == ("view_0000.exr", "view_0001.exr", "view_0002.exr")
     assert capture.warnings == (
-        f"{folder / 'view_0001.exr'} (IMG_8.JPG): the photograph is entirely black; the view is "
-        "left out. Check its exposure, or remove it with its sensor.",
+        f"{folder / 'view_0001.exr'} (IMG_8.JPG): entirely black, so left out; check the "
+        "exposure, or remove the photograph and its sensor.",
     )
     paths[2] = "right/IMG_7.JPG"  # a camera of its own, that counts like the first
     assert load().names == tuple(paths)
@@ -513,7 +513,7 @@ def _write_raw_exr(path, image):
 
 def test_a_black_photograph_is_left_out_with_a_warning(scene):
     write_exr(scene.parent / "images" / "view_0001.exr", {"RGB": np.zeros((24, 24, 3))})
-    with pytest.warns(SvuWarning, match="view_0001.exr.*entirely black; the view is left out"):
+    with pytest.warns(SvuWarning, match="view_0001.exr: entirely black, so left out"):
         capture = load_capture(scene)
     assert capture.used == (True, False, True)
 
@@ -534,7 +534,7 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
     for index in range(30):
         Image.fromarray(pixels).save(folder / f"view_{index:04d}.png")
     assert load_capture(path).warnings == (
-        f"{folder}: all 30 photographs: 8-bit images, not HDR; decoded as sRGB, 1440 saturated "
+        f"{folder}: all 30 photographs: 8-bit, not HDR; decoded as sRGB, 1440 saturated "
         "pixels count as at least so bright. Clipped highlights hide gloss: use HDR.",
     )
     for index in (3, 4, 9, 20, 21):
@@ -543,11 +543,11 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
     found = load_capture(path).warnings
     assert found == (
         f"{folder}: 25 of 30 photographs (view_0000.png, view_0001.png, view_0002.png and 22 "
-        "more): 8-bit images, not HDR; decoded as sRGB, 1200 saturated pixels count as at least so "
+        "more): 8-bit, not HDR; decoded as sRGB, 1200 saturated pixels count as at least so "
         "bright. Clipped highlights hide gloss: use HDR.",
         f"{folder}: 5 of 30 photographs (view_0003.exr, view_0004.exr, view_0009.exr and 2 more): "
-        "entirely black; these views are left out. Check their exposure, or remove them with "
-        "their sensors.",
+        "entirely black, so left out; check the exposure, or remove the photograph and its "
+        "sensor.",
     )
 
 
@@ -672,8 +672,9 @@ def test_a_grey_table_under_the_object_is_said(tmp_path):
         'value="0.5"/></bsdf></shape>'
     )
     sentence = (
-        "Shape 'table' reflects light onto 'ball', which svu does not account for: base colours "
-        "near it will be too bright; put something black around the object when it is photographed."
+        "Light reflected by 'table' falls on 'ball', which svu does not account for: base colours "
+        "near there will be too bright; put something black around the object when it is "
+        "photographed."
     )
     with pytest.warns(SvuWarning) as said:
         capture = render_capture(write_scene(tmp_path, extra=table), spp=1, shape="ball")
@@ -721,19 +722,19 @@ BRIGHT = {
 def test_shapes_that_are_not_black_are_said(bsdf, said):
     target = shape_of(PRINCIPLED)
     found = ignored(scene_of([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
-    assert [each.startswith("Shape 'wall' reflects light onto") for each in found] == [True] * said
+    assert [each.startswith("Light reflected by 'wall' falls") for each in found] == [True] * said
 
 
 def test_several_shapes_that_reflect_are_one_sentence():
     target = shape_of(PRINCIPLED)
     others = [shape_of({"type": "diffuse"}, f"wall{k}", center=[3 + k, 0, 0]) for k in range(7)]
     (sentence,) = ignored(scene_of([target, *others[:2]]), target)
-    assert sentence.startswith("Shapes 'wall0' and 'wall1' reflect light onto 'ball', which")
+    assert sentence.startswith("Light reflected by 'wall0' and 'wall1' falls on 'ball', which")
     far = shape_of({"type": "diffuse"}, "moon", center=[1000, 0, 0], radius=100.0)
     (sentence,) = ignored(scene_of([target, others[0], far]), target)
-    assert sentence.startswith("Shape 'wall0' reflects light onto 'ball', which")
+    assert sentence.startswith("Light reflected by 'wall0' falls on 'ball', which")
     (sentence,) = ignored(scene_of([target, *others]), target)
-    assert "'wall0', 'wall1', 'wall2', 'wall3', 'wall4' and others reflect light" in sentence
+    assert "'wall0', 'wall1', 'wall2', 'wall3', 'wall4' and others falls on" in sentence
 
 
 # --- scenes with several shapes -------------------------------------------------------------
@@ -750,7 +751,7 @@ def test_two_candidate_shapes_need_a_choice(tmp_path):
     write_images(tmp_path / "images", 3)
     with pytest.raises(SceneError, match=r"several shapes.*'ball', 'other'.*--shape"):
         load_capture(path)
-    with pytest.warns(SvuWarning, match="'ball' reflects light onto 'other'"):
+    with pytest.warns(SvuWarning, match="by 'ball' falls on 'other'"):
         assert load_capture(path, shape="other").shape.id() == "other"
     with pytest.raises(SceneError, match=r"no shape 'third'.*'ball', 'other'"):
         load_capture(path, shape="third")

@@ -472,7 +472,7 @@ def test_what_is_ignored_has_the_last_word(capture):
     found = svu.check(replace(capture, scene=scene))
     ignored = found.findings[-1]
     assert (ignored.question, ignored.verdict, found.fits) == ("ignored", "note", True)
-    assert ignored.sentence.startswith("Shape 'table' reflects light onto")
+    assert ignored.sentence.startswith("Light reflected by 'table' falls on")
     assert verdict(found) == (
         "The capture fits its photographs, as far as can be determined; results may be off by what "
         "is ignored."

@@ -17,7 +17,7 @@ from svu_mi.capture import Capture
 from svu_mi.errors import OptionError, ShapeError, SvuError
 from svu_mi.posterior import CalibratedKernel
 from svu_mi.posterior import calibrated_kernel as kernel
-from svu_mi.recovery.options import DescentOptions, ShOptions, sh_preset
+from svu_mi.recovery.options import SH_PRESETS, DescentOptions, ShOptions
 from svu_mi.recovery.sh.objective import Likelihood, Pull, moments, values_of
 from svu_mi.recovery.start import posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, uniform
@@ -370,7 +370,7 @@ def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
 
 def brief() -> ShOptions:
     steps = DescentOptions(steps=2)
-    return replace(sh_preset("default"), smoothing=steps, descent=steps)
+    return replace(SH_PRESETS["default"], smoothing=steps, descent=steps)
 
 
 def test_a_checkpoint_of_another_estimate_is_refused(

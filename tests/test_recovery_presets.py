@@ -22,9 +22,9 @@ from svu_mi.recovery.options import (
     PATH_PRESETS,
     SH_PRESETS,
     DescentOptions,
-    Options,
     PathOptions,
     ShOptions,
+    options_of,
 )
 from svu_mi.recovery.path.objective import PathObjective
 from svu_mi.recovery.sh.angular import AngularObjective
@@ -56,7 +56,7 @@ def test_a_preset_that_a_method_does_not_have_is_refused_and_others_are_listed()
         for name in {*SH, *PATH, "best"} - set(table):
             for given in (None, ShOptions()):
                 with pytest.raises(OptionError) as refused:
-                    Options.of(method, name, given, None, None)
+                    options_of(method, name, given)
                 others = [m for m, there in tables.items() if name in there]
                 hint = f" {name!r} is one of method {others[0]!r}." if others else ""
                 assert str(refused.value) == (

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from svu_mi.capture.poses import LARGEST, describe, make_sensor
+from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import is_temporary, read_json, write_json
-from svu_mi.limits import MAX_VIEWS
+from svu_mi.limits import require_views
 from svu_mi.results.exchange import restore
 from svu_mi.results.provenance import RESULT, Entry, entry_of
 from svu_mi.results.transaction import Draft, is_kept
@@ -85,11 +85,12 @@ def read(folder: Path) -> Description | None:
             f"{path}: version {excerpt(record['version'])} is not supported, only {VERSION}; "
             "update svu_mi."
         )
-    for key, (is_fine, what) in FIELDS.items():
-        if key in record and not is_fine(record[key]):
+    for key, (kind, inner, what) in FIELDS.items():
+        if key in record and not _fits(record[key], kind, inner):
             raise CaptureError(
                 f"{path}: {key} must be {what}, got {excerpt(repr(record[key]), 60)}."
             )
+    require_views(len(record.get("sensors", ())), f"{path}: sensors", CaptureError)
     scene, written = record.get("scene"), Entry.parse(record.get(RESULT))
     try:
         scene = None if scene is None else (folder / scene).resolve()
@@ -108,33 +109,22 @@ def read(folder: Path) -> Description | None:
     )
 
 
-def _is_number(value: Any) -> bool:
-    """Return whether JSON's number fits a float; NaN does, and is refused where it matters."""
-    return isinstance(value, int | float) and not abs(value) > LARGEST
-
-
-def _are_defines(value: Any) -> bool:
-    return isinstance(value, dict) and all(
-        isinstance(entry, str | bool) or _is_number(entry) for entry in value.values()
-    )
-
-
-# Keys of capture.json that are read; others are left to whoever wrote them.
-FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "scene": (lambda value: value is None or isinstance(value, str), "a path or null"),
-    "define": (_are_defines, "text or numbers by name"),
-    "shape": (lambda value: value is None or isinstance(value, str), "an id or null"),
-    "exposure": (
-        lambda value: isinstance(value, list) and all(isinstance(n, int | float) for n in value),
-        "a list of numbers",
-    ),
-    "sensors": (
-        lambda value: isinstance(value, list) and len(value) <= MAX_VIEWS,
-        f"a list of at most {MAX_VIEWS} sensors",
-    ),
-    "import": (lambda value: isinstance(value, dict), "an object"),
-    "rendered": (lambda value: isinstance(value, dict), "an object"),
+# Keys of capture.json that are read, their type, and that of what is in it; other keys are left to
+# whoever wrote them.
+FIELDS: dict[str, tuple[Any, Any, str]] = {
+    "scene": (str | None, object, "a path or null"),
+    "define": (dict, str | int | float, "text or numbers by name"),
+    "shape": (str | None, object, "an id or null"),
+    "exposure": (list, int | float, "a list of numbers"),
+    "sensors": (list, object, "a list"),
+    "import": (dict, object, "an object"),
+    "rendered": (dict, object, "an object"),
 }
+
+
+def _fits(value: Any, kind: Any, inner: Any) -> bool:
+    parts = value.values() if isinstance(value, dict) else value or ()
+    return isinstance(value, kind) and all(isinstance(part, inner) for part in parts)
 
 
 def require_one_run(folder: Path, found: Mapping[Path, str], run: str) -> None:
@@ -169,23 +159,17 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
     write_json(draft.folder / FILE, record)
 
 
-def stamps(
-    places: Iterable[Path], apart: Callable[[Path], bool] = lambda _: False
-) -> list[tuple[str, int, int]]:
+def stamps(places: Iterable[Path], apart: Callable[[Path], bool]) -> list[tuple[str, int, int]]:
     """Return paths, sizes and times of files, by which it is known whether inputs are the same."""
     found = []
     for place in places:
-        for path in [place] if place.is_file() else _files_in(place, apart):
+        files = [place]
+        for folder, inner, names in os.walk(place):
+            inner[:] = [name for name in inner if not apart(Path(folder, name))]
+            files += [Path(folder, name) for name in names]
+        for path in sorted(files):
             parts = path.relative_to(place).parts
             if path.is_file() and not any(is_temporary(n) or is_kept(n) for n in parts):
                 status = path.stat()
                 found.append((str(path), status.st_size, status.st_mtime_ns))
     return found
-
-
-def _files_in(place: Path, apart: Callable[[Path], bool]) -> list[Path]:
-    found = []
-    for folder, inner, names in os.walk(place):
-        inner[:] = [name for name in inner if not apart(Path(folder, name))]
-        found += [Path(folder, name) for name in names]
-    return sorted(found)

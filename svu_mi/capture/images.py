@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -51,22 +50,16 @@ class Photograph:
     """
 
     pixels: np.ndarray
-    mask: np.ndarray | None
-    invalid: int
-    marked: int
-    saturated: int
-    bits: int
-    black: bool
+    mask: np.ndarray | None = None
+    invalid: int = 0
+    marked: int = 0
+    saturated: int = 0
+    bits: int = 0
+    black: bool = True
     remarks: tuple[str, ...] = ()
     run: str = ""
     clipped: Clipped | None = None
     rounding: Rounding | None = None
-
-
-def not_taken(size: tuple[int, int]) -> Photograph:
-    """Return what stands for a photograph that nobody has taken: NaN, in no memory."""
-    pixels = np.broadcast_to(np.float32(np.nan), (size[1], size[0], 3))
-    return Photograph(pixels, None, 0, 0, 0, 0, True)
 
 
 def open_photographs(
@@ -90,7 +83,7 @@ def read_photographs(
     A mask is the image's alpha channel, or a file beside it (``masks_of``).
 
     Args:
-        pictures: files by view (``open_photographs``); other views get ``not_taken``.
+        pictures: files by view (``open_photographs``); other views are black, and NaN.
         windows: what to keep of each of the V photographs.
         exposures: V gains of the photographs; pixels are divided by them.
         memory: bytes that they may take, beyond which they lie in a file.
@@ -109,7 +102,11 @@ def read_photographs(
             [exposures[view] for view in pictures], buffer.images, buffer.masks, buffer.channels,
         )  # fmt: skip
         found = dict(zip(pictures, read, strict=True))
-    return [found.get(k) or not_taken(window.size) for k, window in enumerate(windows)], buffer
+    return [
+        # Of a photograph that nobody has taken: NaN, in no memory.
+        found.get(k) or Photograph(np.broadcast_to(np.float32(np.nan), (*window.size[::-1], 3)))
+        for k, window in enumerate(windows)
+    ], buffer
 
 
 def _read_photograph(
@@ -122,36 +119,32 @@ def _read_photograph(
     planes = [window.cut(plane) for plane in stored]
     del stored
     read = _read_integers if bits else _read_floats
-    found = read(picture, planes, window, exposure, pixels, channels)
+    invalid, marked, saturated, black, least = read(
+        picture, planes, window, exposure, pixels, channels
+    )
     mask = _mask_of(picture, planes, window)
     masked[:] = True if mask is None else window.joined(mask, np.logical_and)
     clipped = None
     if channels.any():
-        clipped = Clipped(channels, np.full(3, found.least, np.float32))
-        clipped = clipped.divided(np.float32(exposure))
+        clipped = Clipped(channels, np.full(3, np.float32(least) / np.float32(exposure)))
     rounding = Rounding.of(bits) if bits else _steps(picture)
     return Photograph(
-        pixels=pixels, mask=None if mask is None else masked, invalid=found.invalid,
-        marked=found.marked, saturated=found.saturated, bits=bits, black=found.black,
+        pixels=pixels, mask=None if mask is None else masked, invalid=invalid,
+        marked=marked, saturated=saturated, bits=bits, black=black,
         remarks=tuple(picture.remarks()), run=str(picture.header.attributes.get(RUN, "")),
         clipped=clipped, rounding=None if rounding is None else rounding.divided(exposure),
     )  # fmt: skip
 
 
-class _Found(NamedTuple):
-    """Counts of pixels (see ``Photograph``), and the least radiance of saturated channels."""
-
-    invalid: int
-    marked: int
-    saturated: int
-    black: bool
-    least: float
+# Counts of pixels: invalid, marked and saturated; whether it is black, and the least radiance of
+# saturated channels.
+Found = tuple[int, int, int, bool, float]
 
 
 def _read_integers(
     picture: Picture, planes: Sequence[np.ndarray], window: Window, exposure: float,
     pixels: np.ndarray, channels: np.ndarray,
-) -> _Found:  # fmt: skip
+) -> Found:  # fmt: skip
     """Decode sRGB integers by a table. Channels that are clipped become NaN; of a block that is
     made one pixel, all must be to call it clipped, and any leaves it unusable."""
     codes = np.arange(2**picture.bits, dtype=planes[0].dtype)
@@ -167,13 +160,13 @@ def _read_integers(
         channels |= joined.astype(np.uint8) << channel
     least = float(decoded(np.array(SATURATED[picture.bits], np.float32)))
     black = not any(plane.any() for plane in planes[:3])
-    return _Found(0, 0, int(some.sum()), black, least)
+    return 0, 0, int(some.sum()), black, least
 
 
 def _read_floats(
     picture: Picture, planes: Sequence[np.ndarray], window: Window, exposure: float,
     pixels: np.ndarray, channels: np.ndarray,
-) -> _Found:  # fmt: skip
+) -> Found:  # fmt: skip
     """Take linear values. What holds no radiance becomes NaN, and so does what an import has marked
     as clipped."""
     color = pixels if window.shrink == 1 else np.empty((*planes[0].shape, 3), np.float32)
@@ -192,7 +185,7 @@ def _read_floats(
     if clipped is not None:
         channels[:] = window.joined(clipped.channels, np.bitwise_and)
         saturated = int((clipped.channels > 0).sum())
-    return _Found(invalid - marked, marked, saturated, black, least or 0.0)
+    return invalid - marked, marked, saturated, black, least or 0.0
 
 
 def _mask_of(picture: Picture, planes: Sequence[np.ndarray], window: Window) -> np.ndarray | None:
@@ -200,8 +193,10 @@ def _mask_of(picture: Picture, planes: Sequence[np.ndarray], window: Window) -> 
     if len(planes) > 3:
         alpha = picture.scaled(planes[3]) if picture.bits else planes[3]
         return np.asarray(alpha >= (IN_MASK if picture.bits else ON_OBJECT))
-    found = _mask_beside(picture.path, picture.size[::-1])
-    return None if found is None else window.cut(found)
+    path = picture.path
+    names = (path.with_name(stem + end) for stem in masks_of(path.stem) for end in SUFFIXES)
+    found = next((name for name in names if name.is_file()), None)
+    return None if found is None else window.cut(read_mask(found, picture.size[::-1]))
 
 
 def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None:
@@ -267,25 +262,14 @@ def read_mask(path: Path, shape: tuple[int, ...]) -> np.ndarray:
         (H, W) bool, True on the object.
     """
     planes, low_range = read_planes(path)
-    values = planes[0]
-    if values.shape != tuple(shape):
+    height, width = planes[0].shape
+    if (height, width) != tuple(shape):
         raise CaptureError(
-            f"{path}: the mask has {values.shape[1]} x {values.shape[0]} pixels but its photograph "
+            f"{path}: the mask has {width} x {height} pixels but its photograph "
             f"has {shape[1]} x {shape[0]}; resize it."
         )
-    if planes[3:] and planes[3].min() < 1:
-        values = planes[3]
-    else:
-        values = np.maximum(np.maximum(values, planes[1]), planes[2])
+    transparent = planes[3:] and planes[3].min() < 1
+    values = planes[3] if transparent else np.maximum(np.maximum(*planes[:2]), planes[2])
     if low_range and 0 < values.max() < IN_MASK:
         return values > 0
     return values >= (IN_MASK if low_range else ON_OBJECT)
-
-
-def _mask_beside(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
-    for stem in masks_of(path.stem):
-        for suffix in SUFFIXES:
-            candidate = path.with_name(stem + suffix)
-            if candidate.is_file():
-                return read_mask(candidate, shape)
-    return None

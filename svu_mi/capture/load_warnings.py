@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -43,69 +42,53 @@ POINTS, EYES = 400, 32  # that are looked at, and from
 OFFSET = 1e-4  # of the object's size, that rays start above the surface
 
 
-@dataclass(frozen=True)
-class Taken:
-    """A photograph that was read, its file, and its name for the user."""
-
-    photograph: Photograph
-    path: Path
-    name: str
-
-
 def judged(
     photographs: Sequence[Photograph], paths: Sequence[Path | None], names: Sequence[str], *,
-    some: bool = False,
+    some: bool,
 ) -> tuple[list[str], tuple[bool, ...]]:  # fmt: skip
     """Return sentences about V photographs, and whether each is used: those without any light are
     not. Unless these are only ``some``, not all may be black."""
     taken = [
-        Taken(photograph, path, name)
+        (photograph, path, name)
         for photograph, path, name in zip(photographs, paths, names, strict=True)
         if path is not None
     ]
     used = tuple(not photograph.black for photograph in photographs)
     if taken and not any(used) and not some:
         raise CaptureError(
-            f"{taken[0].path.parent}: all {len(taken)} photographs are entirely black; "
+            f"{taken[0][1].parent}: all {len(taken)} photographs are entirely black; "
             "check the exposure and the channel names of the files."
         )
-    notes = []
-    for remark in dict.fromkeys(remark for one in taken for remark in one.photograph.remarks):
-        found = [one for one in taken if remark in one.photograph.remarks]
-        notes.append(f"{_subject(found, taken)}{', each' if len(found) > 1 else ''}: {remark}")
+    remarks = dict.fromkeys(remark for one, _, _ in taken for remark in one.remarks)
+    groups = [([one for one in taken if text in one[0].remarks], text) for text in remarks]
     for bits in (8, 16):
-        if found := [one for one in taken if one.photograph.bits == bits]:
-            article = "an" if bits == 8 else "a"
-            kind = f"{article} {bits}-bit image" if len(found) == 1 else f"{bits}-bit images"
-            notes.append(
-                f"{_subject(found, taken)}: {kind}, not HDR; decoded as sRGB, "
-                f"{sum(one.photograph.saturated for one in found)} saturated pixels count as at "
-                "least so bright. Clipped highlights hide gloss: use HDR."
-            )
-    if found := [one for one in taken if one.photograph.invalid]:
-        count = sum(one.photograph.invalid for one in found)
-        notes.append(
-            f"{_subject(found, taken)}: {count} pixels are NaN, infinite or negative; left out."
-        )
-    if found := [one for one in taken if one.photograph.black]:
-        what = "entirely black; these views are left out. Check their exposure, or remove them "
-        if len(found) == 1:
-            what = "the photograph is entirely black; the view is left out. Check its exposure, or "
-        with_sensors = "with their sensors" if len(found) > 1 else "remove it with its sensor"
-        notes.append(f"{_subject(found, taken)}: {what}{with_sensors}.")
-    return notes, used
+        found = [one for one in taken if one[0].bits == bits]
+        groups.append((found, (
+            f"{bits}-bit, not HDR; decoded as sRGB, {sum(one[0].saturated for one in found)} "
+            "saturated pixels count as at least so bright. Clipped highlights hide gloss: use HDR."
+        )))  # fmt: skip
+    count = sum(one[0].invalid for one in taken)
+    groups.append((
+        [one for one in taken if one[0].invalid],
+        f"{count} pixels are NaN, infinite or negative; left out.",
+    ))  # fmt: skip
+    groups.append((
+        [one for one in taken if one[0].black],
+        "entirely black, so left out; check the exposure, or remove the photograph and its sensor.",
+    ))  # fmt: skip
+    return [f"{_subject(found, len(taken))}: {text}" for found, text in groups if found], used
 
 
-def _subject(found: Sequence[Taken], taken: Sequence[Taken]) -> str:
-    """Name what a sentence is about: one photograph, or the folder and how many of them."""
-    path, name = found[0].path, found[0].name
+def _subject(found: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
+    """Name what a sentence is about: one photograph, or the folder and how many of ``count``."""
+    _, path, name = found[0]
     if len(found) == 1:
         return str(path) if name == path.name else f"{path} ({name})"
-    if len(found) == len(taken):
-        return f"{path.parent}: all {len(taken)} photographs"
+    if len(found) == count:
+        return f"{path.parent}: all {count} photographs"
     rest = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
-    some = ", ".join(one.name for one in found[:NAMED])
-    return f"{path.parent}: {len(found)} of {len(taken)} photographs ({some}{rest})"
+    some = ", ".join(name for _, _, name in found[:NAMED])
+    return f"{path.parent}: {len(found)} of {count} photographs ({some}{rest})"
 
 
 def ignored(scene: Any, target: Any) -> list[str]:
@@ -119,13 +102,11 @@ def ignored(scene: Any, target: Any) -> list[str]:
     others = [shape for shape in scene.shapes() if not is_same(shape, target)]
     near = [shape for shape in others if _extent(shape, target) > SMALL]
     if bright := [_name(shape) for shape in near if not _is_black(shape.bsdf())]:
-        several = len(bright) > 1
         names = _and(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
         notes.append(
-            f"Shape{'s' * several} {names} reflect{'' if several else 's'} light onto "
-            f"'{excerpt(target.id())}', which svu does not account for: base colours near "
-            f"{'them' if several else 'it'} will be too bright; put something black around the "
-            "object when it is photographed."
+            f"Light reflected by {names} falls on '{excerpt(target.id())}', which svu does not "
+            "account for: base colours near there will be too bright; put something black around "
+            "the object when it is photographed."
         )
     return notes
 
@@ -157,18 +138,14 @@ def _is_black(bsdf: Any) -> bool:
     found: dict[str, list[np.ndarray]] = {}  # values and data of textures, by parameter
     for key, value in mi.traverse(bsdf):
         if not key.endswith("to_uv"):
-            found.setdefault(_parameter(key), []).append(np.array(value, np.float32))
+            name = NESTED.sub("", key).partition(".")[0]
+            found.setdefault(name, []).append(np.array(value, np.float32))
     if bsdf.class_name() == "MaskBSDF" and not any(map(np.any, found.get("opacity", [1]))):
         return True
     colors = [*found.pop("reflectance", ()), *found.pop("diffuse_reflectance", ())]
     gloss = [((eta - 1) / (eta + 1)) ** 2 for eta in found.pop("eta", ())]  # 4 % of usual plastic
     is_diffuse = bool(colors) and set(found) <= BESIDE  # others have more parameters, or no colour
     return is_diffuse and all((values <= BLACK).all() for values in [*colors, *gloss])
-
-
-def _parameter(key: str) -> str:
-    """Return what a parameter of a BSDF, or of one in it, is called, without its texture's own."""
-    return NESTED.sub("", key).partition(".")[0]
 
 
 def _extent(shape: Any, target: Any) -> float:
@@ -193,15 +170,13 @@ def seen_from_behind(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[str
     behind = part_from_behind(scene, mesh, [to_world(each)[:3, 3] for each in sensors])
     if behind < MOST:
         return []
-    if has_front_outside(mesh):
-        return [
-            f"Shape '{shape.id()}': {behind:.0%} of what the photographs show of it is its back; "
-            "it is closed, so the cameras are inside it: see that its units are those of the poses."
-        ]
-    return [
-        f"Shape '{shape.id()}': {behind:.0%} of what the photographs show of it is its back, where "
-        "nothing is found; its normals point the wrong way: set flip_normals on the shape."
-    ]
+    why = (
+        "; it is closed, so the cameras are inside it: see that its units are those of the poses."
+        if has_front_outside(mesh) else ", where nothing is found; its normals point the wrong "
+        "way: set flip_normals on the shape."
+    )  # fmt: skip
+    what = f"{behind:.0%} of what the photographs show of it is its back"
+    return [f"Shape '{shape.id()}': {what}{why}"]
 
 
 def has_front_outside(mesh: MeshArrays) -> bool:
@@ -233,18 +208,10 @@ def part_from_behind(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -
     cosine = np.einsum("vni,ni->vn", direction, normal)
     above = OFFSET * np.linalg.norm(np.ptp(mesh.positions, axis=0)) * np.sign(cosine)
     start = point + above[..., None] * normal
-    free = _is_free(scene, start.reshape(-1, 3), direction.reshape(-1, 3), distance.ravel())
+    ray = mi.Ray3f(
+        owned(mi.Point3f, start.reshape(-1, 3).T), owned(mi.Vector3f, direction.reshape(-1, 3).T)
+    )
+    ray.maxt = owned(mi.Float, distance.ravel())
+    free = ~np.array(scene.ray_test(ray), bool)
     seen = np.abs(cosine) * free.reshape(cosine.shape) / np.maximum(distance, 1e-300) ** 2
     return float(seen[cosine < 0].sum() / max(seen.sum(), 1e-300))
-
-
-def _is_free(
-    scene: Any, start: np.ndarray, direction: np.ndarray, distance: np.ndarray
-) -> np.ndarray:
-    """Return whether nothing is on the way: (N,) bool."""
-    ray = mi.Ray3f(
-        owned(mi.Point3f, start.T.astype(np.float32)),
-        owned(mi.Vector3f, direction.T.astype(np.float32)),
-    )
-    ray.maxt = owned(mi.Float, distance.astype(np.float32))
-    return np.array(~scene.ray_test(ray), bool)

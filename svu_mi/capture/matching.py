@@ -28,15 +28,9 @@ UNREADABLE = {
 
 
 class NoPhotographsError(CaptureError):
-    """A folder has no photograph of any sensor.
+    """A folder has no photograph of any sensor; ``sensors`` says how many there are."""
 
-    Attributes:
-        sensors: how many there are.
-    """
-
-    def __init__(self, message: str, sensors: int = 0) -> None:
-        super().__init__(message)
-        self.sensors = sensors
+    sensors = 0
 
 
 @dataclass(frozen=True)
@@ -131,20 +125,20 @@ def _by_name(
 ) -> Match:
     """Give each sensor the picture with its name."""
     found = _once(folder, pictures)
-    absent = [name for name in expected if name not in found]
-    if absent:
+    if absent := [name for name in expected if name not in found]:
         lack = (
             f"{folder}: {len(absent)} of {len(expected)} photographs are missing, first "
             f"{absent[0]}.exr"
         )
         if len(absent) == len(expected):
-            raise NoPhotographsError(f"{lack}; {_instead(folder)}.", len(expected))
+            error = NoPhotographsError(f"{lack}; {_instead(folder)}.")
+            error.sensors = len(expected)
+            raise error
         if missing == "refuse":
             raise CaptureError(
                 f"{lack}; give the others, or --missing leave-out to go on without them."
             )
-    extra = [name for name in found if name not in set(expected)]
-    if extra:
+    if extra := [name for name in found if name not in set(expected)]:
         raise CaptureError(
             f"{found[extra[0]]}: there are {len(found)} photographs but only {len(expected)} "
             "sensors; remove the extra images or add their sensors to the scene."
@@ -161,8 +155,7 @@ def _instead(folder: Path) -> str:
             "and give it with --images"
         )
     others = Counter(path.suffix for path in folder.iterdir() if path.suffix.lower() in UNREADABLE)
-    if others:
-        ((suffix, count),) = others.most_common(1)
+    for suffix, count in others.most_common(1):
         return (
             f"the folder holds no picture that svu can read ({count} {suffix}: "
             f"{UNREADABLE[suffix.lower()]} first)"
@@ -176,18 +169,12 @@ def _in_order(
     """Give each sensor one of as many pictures, by their order."""
     _once(folder, pictures)
     if len(pictures) != len(ids):
-        lack = (
-            f"{folder}: {len(pictures)} photographs for {len(ids)} sensors, and none has a name "
-            "that says"
-        )
-        if missing == "leave-out" and len(pictures) < len(ids):
-            raise CaptureError(
-                f"{lack} which are missing; call them view_0000, ... by the number of "
-                "their sensor, or by its id."
-            )
+        leaves_out = missing == "leave-out" and len(pictures) < len(ids)
         raise CaptureError(
-            f"{lack} whose it is; call them view_0000, ... by the number of their "
-            "sensor, or by its id, or give one for each."
+            f"{folder}: {len(pictures)} photographs for {len(ids)} sensors, and none has a name "
+            f"that says {'which are missing' if leaves_out else 'whose it is'}; call them "
+            "view_0000, ... by the number of their sensor, or by its id"
+            f"{'' if leaves_out else ', or give one for each'}."
         )
     ends = [f"{excerpt(pictures[k].name, LONGEST)} is sensor {k}{_id(ids[k])}"
             for k in sorted({0, len(ids) - 1})]  # fmt: skip

@@ -52,6 +52,13 @@ def crosses_of(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.cross(b - a, c - a)
 
 
+def chart_areas(uvs: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the areas (F,) of triangles in texture space."""
+    a, b, c = (uvs[faces[:, corner]] for corner in range(3))
+    (u, v), (s, t) = (b - a).T, (c - a).T
+    return np.asarray(np.abs(u * t - v * s) / 2)
+
+
 def unit_vectors(vectors: np.ndarray) -> np.ndarray:
     """Return vectors (..., 3) of length 1; 0 stays 0."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
@@ -138,9 +145,7 @@ def covered_by_charts(mesh: Any) -> float:
     found = arrays(mesh)
     if found.uvs is None:
         return 1.0
-    a, b, c = (found.uvs[found.faces[:, corner]].astype(np.float64) for corner in range(3))
-    (u, v), (s, t) = (b - a).T, (c - a).T
-    area = np.abs(u * t - v * s).sum() / 2
+    area = chart_areas(found.uvs, found.faces).sum()
     return float(min(MARGIN * area, 1)) if np.isfinite(area) else 1.0
 
 
@@ -164,23 +169,15 @@ def write_ply(path: Path, name: str, mesh: MeshArrays, comment: str = "") -> Non
 
 def make(name: str, mesh: MeshArrays) -> Any:
     """Build a ``mi.Mesh`` from arrays."""
+    uvs, normals = mesh.uvs, mesh.normals
     made = mi.Mesh(
-        name,
-        len(mesh.positions),
-        len(mesh.faces),
-        has_vertex_normals=mesh.normals is not None,
-        has_vertex_texcoords=mesh.uvs is not None,
-    )
+        name, len(mesh.positions), len(mesh.faces),
+        has_vertex_normals=normals is not None, has_vertex_texcoords=uvs is not None,
+    )  # fmt: skip
     params = mi.traverse(made)
-    params["vertex_positions"] = mi.Float(_flat(mesh.positions))
     params["faces"] = mi.UInt32(np.ascontiguousarray(mesh.faces, np.uint32).ravel())
-    if mesh.normals is not None:
-        params["vertex_normals"] = mi.Float(_flat(mesh.normals))
-    if mesh.uvs is not None:
-        params["vertex_texcoords"] = mi.Float(_flat(mesh.uvs))
+    for key, rows in (("positions", mesh.positions), ("normals", normals), ("texcoords", uvs)):
+        if rows is not None:
+            params[f"vertex_{key}"] = mi.Float(np.ascontiguousarray(rows, np.float32).ravel())
     params.update()
     return made
-
-
-def _flat(rows: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(rows, np.float32).ravel()

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,15 +57,16 @@ class PixelBuffer:
             CaptureError: there is no room for a file, or too many are open.
         """
         counts = np.array([width * height for width, height in sizes], np.int64)
-        count = int(counts.sum())
+        count, file = int(counts.sum()), None
+        parts: list[tuple[int, Any]] = [(3 * count, np.float32), (count, bool), (count, np.uint8)]
         if STORED * count <= memory:
-            blocks = np.zeros(3 * count, np.float32), np.zeros(count, bool), np.zeros(count, "u1")
-            return PixelBuffer(*blocks, tuple(sizes), np.cumsum(counts) - counts)
-        files = [_unnamed_file(size * count) for size in (12, 1, 1)]
-        kinds = (np.float32, bool, np.uint8)
-        pixels, masked, clipped = map(np.frombuffer, files, kinds)
+            pixels, masked, clipped = (np.zeros(*part) for part in parts)
+        else:
+            files = [_unnamed_file(size * np.dtype(kind).itemsize) for size, kind in parts]
+            pixels, masked, clipped = map(np.frombuffer, files, [kind for _, kind in parts])
+            file = files[0]
         return PixelBuffer(
-            pixels, masked, clipped, tuple(sizes), np.cumsum(counts) - counts, files[0]
+            pixels, masked, clipped, tuple(sizes), np.cumsum(counts) - counts, file
         )
 
     @staticmethod
@@ -78,19 +80,17 @@ class PixelBuffer:
     @cached_property
     def images(self) -> tuple[np.ndarray, ...]:
         """V views (H, W, 3) of ``pixels``."""
-        parts = np.split(self.pixels, 3 * self.offsets[1:])
-        shapes = [(height, width, 3) for width, height in self.sizes]
-        return tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=False))
+        return self._views(self.pixels, 3)
 
     @cached_property
     def masks(self) -> tuple[np.ndarray, ...]:
         """V views (H, W) of ``masked``."""
-        return self._planes(self.masked)
+        return self._views(self.masked)
 
     @cached_property
     def channels(self) -> tuple[np.ndarray, ...]:
         """V views (H, W) of ``clipped``."""
-        return self._planes(self.clipped)
+        return self._views(self.clipped)
 
     def places(self, images: Sequence[np.ndarray]) -> list[int] | None:
         """Return which photographs of the buffer these are; None unless they are its own views,
@@ -114,12 +114,10 @@ class PixelBuffer:
         if self.file is not None and hasattr(mmap, "MADV_RANDOM"):
             self.file.madvise(mmap.MADV_RANDOM)
 
-    def _planes(self, block: np.ndarray) -> tuple[np.ndarray, ...]:
-        parts = np.split(block, self.offsets[1:])
-        return tuple(
-            part.reshape(height, width)
-            for part, (width, height) in zip(parts, self.sizes, strict=False)
-        )
+    def _views(self, block: np.ndarray, *channels: int) -> tuple[np.ndarray, ...]:
+        parts = np.split(block, math.prod(channels) * self.offsets[1:])
+        shapes = ((height, width, *channels) for width, height in self.sizes)
+        return tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=False))
 
     def _flat(
         self, block: np.ndarray, own: Sequence[np.ndarray], places: Sequence[int],

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
+import scipy
 
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import last_sentence, to_world
@@ -195,28 +195,21 @@ def sphere_sensors(
     }  # fmt: skip
     poses = [
         _look_at(center + distance * direction, center, up)
-        for direction in _fibonacci(count, np.array(up, np.float64), lowest)
+        for direction in fibonacci(count, lowest, start=0.5)[:, ::-1] @ _rotation(up).T
     ]
     return tuple(
         make_sensor(record | {"to_world": pose}, f"view_{k:04d}") for k, pose in enumerate(poses)
     )
 
 
-def _fibonacci(count: int, up: np.ndarray, lowest: float) -> np.ndarray:
-    """Unit directions (N, 3) whose sine of elevation over ``up`` is in [lowest, 1]."""
+def _rotation(up: Sequence[float]) -> np.ndarray:
+    """Return the rotation (3, 3) that takes +Y to a direction the shortest way."""
     length = np.linalg.norm(up)
     if not (np.isfinite(length) and length > 0):
-        raise OptionError(f"up must be a direction, got {up.tolist()}.")
-    return fibonacci(count, lowest, start=0.5)[:, ::-1] @ _turned(up / length).T
-
-
-def _turned(up: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) that takes +Y to a unit direction the shortest way."""
-    if up[1] < -1 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    v = np.cross([0.0, 1.0, 0.0], up)
-    K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + K + K @ K / (1 + up[1])
+        raise OptionError(f"up must be a direction, got {list(up)}.")
+    x, y, z = np.array(up, np.float64) / length
+    quaternion = (z, 0, -x, 1 + y) if y > -1 + 1e-9 else (1, 0, 0, 0)
+    return np.asarray(scipy.spatial.transform.Rotation.from_quat(quaternion).as_matrix())
 
 
 def bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
@@ -261,15 +254,12 @@ def check_record(record: Any, label: str) -> None:
     _require(0 < record["x_fov"] < 180, label, "x_fov", "between 0 and 180 degrees")
     near, far = record["clip"]
     _require(0 < near < far, label, "clip", "positive and in order, near and far")
-    _check_film(record, label)
-
-
-def _check_film(record: Mapping[str, Any], label: str) -> None:
-    film, offset, size = (record[key] for key in WHOLE)
-    sides = [*film, *size]
-    _require(min(sides) >= 1 and max(sides) <= MAX_SIDE, label, "film", f"1 to {MAX_SIDE} per side")
-    _require(math.prod(map(int, size)) <= MAX_PIXELS, label, "film", f"at most {MAX_PIXELS} pixels")
-    inside = all(offset[k] >= 0 and offset[k] + size[k] <= film[k] for k in range(2))
+    film, offset, size = (np.array(record[key], np.float64) for key in WHOLE)
+    sides = np.concatenate([film, size])
+    _require(1 <= sides.min() <= sides.max() <= MAX_SIDE, label, "film",
+             f"1 to {MAX_SIDE} per side")  # fmt: skip
+    _require(size.prod() <= MAX_PIXELS, label, "film", f"at most {MAX_PIXELS} pixels")
+    inside = (offset >= 0).all() and (offset + size <= film).all()
     _require(inside, label, "crop_size", "a window inside the film")
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays, arrays, crosses_of, has_uvs
+from svu_mi.capture.mesh import MeshArrays, arrays, chart_areas, crosses_of
 from svu_mi.capture.poses import film_size, focal_length, projected, windowed_sensor
 from svu_mi.memory import Size
 
@@ -149,7 +149,7 @@ class _Surface:
         areas = np.linalg.norm(crosses_of(found.positions, chosen), axis=1) / 2
         sides = np.zeros(0)
         if texels is not None:
-            sides = _sides(found, chosen, areas, has_uvs(mesh), texels)
+            sides = _sides(found, chosen, areas, texels)
         return _Surface(found.positions, found.positions[chosen].mean(axis=1), sides, areas)
 
     def bounds_in(self, sensor: Any, film: Size) -> tuple[np.ndarray, np.ndarray]:
@@ -178,14 +178,9 @@ class _Surface:
         return float(across[order][np.searchsorted(area, SMALL * area[-1])])
 
 
-def _sides(
-    mesh: MeshArrays, faces: np.ndarray, areas: np.ndarray, mapped: bool, texels: Size
-) -> np.ndarray:
+def _sides(mesh: MeshArrays, faces: np.ndarray, areas: np.ndarray, texels: Size) -> np.ndarray:
     """Return the side (F,) of a texel of each face, in world units."""
     number = texels[0] * texels[1]
-    if not mapped or mesh.uvs is None:  # unwrapping will make all alike
+    if mesh.uvs is None:  # unwrapping will make all alike
         return np.full(len(areas), np.sqrt(np.linalg.norm(mesh.crosses, axis=1).sum() / 2 / number))
-    a, b, c = (mesh.uvs[faces[:, corner]] for corner in range(3))
-    (u, v), (s, t) = (b - a).T, (c - a).T
-    covered = np.abs(u * t - v * s) / 2 * number
-    return np.sqrt(areas / np.maximum(covered, 1e-30))
+    return np.sqrt(areas / np.maximum(chart_areas(mesh.uvs, faces) * number, 1e-30))

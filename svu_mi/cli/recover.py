@@ -178,19 +178,15 @@ class Recover(CaptureCommand):
         return textures
 
     def _options(self) -> dict[str, Any]:
-        """Return the options of both methods that differ from their presets."""
-        from svu_mi.recovery.options import Options
+        """Return the options of the parts of the method."""
+        from svu_mi.recovery.options import options_of
 
         self._require_used("steps", "path")
         self._require_used("epochs", "sh")
-        chosen = Options.of(self.method, self.preset, None, None, None)
-        found: dict[str, Any] = {}
-        if self.method != "path":
-            sh = chosen.sh
-            steps = sh.descent.steps if self.steps is None else self.steps
-            found["sh"] = replace(sh, descent=replace(sh.descent, steps=steps))
-        if self.method != "sh":
-            path = chosen.path
+        found = options_of(self.method, self.preset)
+        if (sh := found.get("sh")) and self.steps is not None:
+            found["sh"] = replace(sh, descent=replace(sh.descent, steps=self.steps))
+        if path := found.get("path"):
             epochs = path.epochs if self.epochs is None else self.epochs
             found["path"] = replace(path, epochs=epochs, seed=self.seed)
         return found

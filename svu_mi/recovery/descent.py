@@ -109,20 +109,11 @@ def rate(options: DescentOptions, step: int) -> float:
     return options.learning_rate * options.final_rate**part
 
 
-@dataclass(frozen=True)
-class _Done:
-    """The last whole step: its number, Adam's state, and losses that were not read yet."""
-
-    step: int
-    state: dict[str, Any]
-    unread: tuple[tuple[Any, Any], ...] = ()
-
-
 class _Run:
     """A descent under way.
 
-    A finished step is replaced as a whole (``_done``), so that an interrupt in the middle of one
-    finds the step before it.
+    ``step`` and what belongs to it change together at the end of a step, so that an interrupt in
+    the middle of one finds the step before it.
     """
 
     def __init__(
@@ -137,17 +128,13 @@ class _Run:
         for name, tensor in start.items():
             self._optimizer[name] = self._project(mi.TensorXf(tensor))
         self.losses: list[float] = []  # those that were read
-        self._done = _Done(0, dict(self._optimizer.state))
+        self.step, self._state = 0, dict(self._optimizer.state)
+        self._unread: tuple[tuple[Any, Any], ...] = ()  # losses, and whether gradients are broken
         self._clock: tuple[int, float] | None = None
-
-    @property
-    def step(self) -> int:
-        """Number of steps that were taken."""
-        return self._done.step
 
     def advance(self) -> None:
         """Take one step; nothing waits for the device."""
-        step, optimizer = self._done.step, self._optimizer
+        step, optimizer = self.step, self._optimizer
         loss = _one_number(self._objective({name: optimizer[name] for name in optimizer}, step))
         dr.backward(loss)
         broken = dr.opaque(mi.UInt32, 0)
@@ -163,19 +150,22 @@ class _Run:
             optimizer[name] = self._project(optimizer[name])
         seen = dr.detach(loss)
         dr.eval(seen, broken, optimizer.state)
-        unread = (*self._done.unread, (seen, broken))
-        self._done = _Done(step + 1, dict(optimizer.state), unread)
+        unread = (*self._unread, (seen, broken))
+        self.step, self._state, self._unread = step + 1, dict(optimizer.state), unread
 
     def read(self) -> None:
         """Wait for the device; refuse losses and gradients that are NaN or infinite."""
-        done = self._done
-        first = done.step - len(done.unread)
+        first = self.step - len(self._unread)
         losses = []
-        for step, (loss, broken) in enumerate(done.unread, first):
+        for step, (loss, broken) in enumerate(self._unread, first):
             losses.append(float(np.array(loss).ravel()[0]))
-            _require_finite(step, losses[-1], bool(np.array(broken)[0]))
-        self.losses[first:] = losses
-        self._done = _Done(done.step, done.state)
+            if broken[0] or not np.isfinite(losses[-1]):
+                what = "a gradient" if np.isfinite(losses[-1]) else "the loss"
+                raise SvuError(
+                    f"Descent: {what} of step {step} is NaN or infinite; look for NaN in the "
+                    "photographs and for divisions by zero, or lower the learning rate."
+                )
+        self.losses[first:], self._unread = losses, ()
 
     def show(self, stage: Stage) -> None:
         """Show steps, loss, rate, and time left: from the first look on, before which kernels are
@@ -202,12 +192,12 @@ class _Run:
 
     def values(self) -> dict[str, Any]:
         """Return the parameters, detached."""
-        return {name: mi.TensorXf(dr.detach(entry[0])) for name, entry in self._done.state.items()}
+        return {name: mi.TensorXf(dr.detach(entry[0])) for name, entry in self._state.items()}
 
     def state(self) -> State:
         """Copy the last whole step."""
         self.read()
-        entries = self._done.state.items()
+        entries = self._state.items()
         return State(
             step=self.step,
             values={name: np.array(dr.detach(entry[0])) for name, entry in entries},
@@ -230,7 +220,7 @@ class _Run:
             count = mi.UInt32(state.step)
             optimizer.state[name] = value, promoted, own_rate, (count, *moments, most)
         self.losses = state.losses.tolist()
-        self._done = _Done(state.step, dict(optimizer.state))
+        self.step, self._state = state.step, dict(optimizer.state)
 
     def _project(self, tensor: Any) -> Any:
         return dr.clip(dr.detach(tensor), self._options.low, self._options.high)
@@ -251,13 +241,3 @@ def _one_number(loss: Any) -> Any:
             "them, without detaching anything."
         )
     return loss
-
-
-def _require_finite(step: int, loss: float, broken: bool) -> None:
-    if np.isfinite(loss) and not broken:
-        return
-    what = "a gradient" if np.isfinite(loss) else "the loss"
-    raise SvuError(
-        f"Descent: {what} of step {step} is NaN or infinite; look for NaN in the photographs and "
-        "for divisions by zero, or lower the learning rate."
-    )

@@ -6,7 +6,7 @@ Frozen; every run writes them down, and can be repeated from them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, Literal
 
@@ -49,17 +49,15 @@ class DescentOptions:
     def __post_init__(self) -> None:
         object.__setattr__(self, "scales", dict(self.scales))  # the caller's may change
         require_types(self)
-        whole, positive = "a whole number, at least 1", "positive"
-        require(self, self.steps >= 1, "steps", whole)
-        require(self, 0 < self.learning_rate < inf, "learning_rate", positive)
+        for name in ("steps", "window"):
+            require(self, getattr(self, name) >= 1, name, "a whole number, at least 1")
+        for name in ("tolerance", "beta_1", "beta_2"):
+            require(self, 0 <= getattr(self, name) < 1, name, "in [0, 1)")
+        require(self, 0 < self.learning_rate < inf, "learning_rate", "positive")
         require(self, 0 < self.final_rate <= 1, "final_rate", "in (0, 1]")
-        require(self, 0 <= self.tolerance < 1, "tolerance", "in [0, 1)")
-        require(self, self.window >= 1, "window", whole)
         require(self, -inf < self.low < self.high < inf, "low", "a number below high")
         require(self, all(0 <= scale < inf for scale in self.scales.values()), "scales",
                 "numbers that are not negative, by parameter")  # fmt: skip
-        require(self, 0 <= self.beta_1 < 1, "beta_1", "in [0, 1)")
-        require(self, 0 <= self.beta_2 < 1, "beta_2", "in [0, 1)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,9 +166,8 @@ class PathOptions:
 
 def _require_weights(options: ShOptions | PathOptions) -> None:
     """Refuse regularisers with an invalid weight."""
-    require(options, 0 <= options.tv < inf, "tv", "at least 0")
-    require(options, 0 <= options.tv_epsilon < inf, "tv_epsilon", "at least 0")
-    require(options, 0 <= options.sharing < inf, "sharing", "at least 0")
+    for name in ("tv", "tv_epsilon", "sharing"):
+        require(options, 0 <= getattr(options, name) < inf, name, "at least 0")
 
 
 _PAPER = ShOptions(
@@ -216,22 +213,26 @@ BOTH_PRESETS: dict[str, tuple[str, str]] = {
 }
 
 
-PRESETS_OF: dict[Method, Mapping[str, Any]] = {
+PRESETS_OF: dict[str, Mapping[str, Any]] = {
     "sh": SH_PRESETS, "path": PATH_PRESETS, "sh+path": BOTH_PRESETS,
 }  # fmt: skip
 
 
-def sh_preset(name: str) -> ShOptions:
-    """Return the options of recovery by the SH model that a preset stands for."""
-    return _preset(SH_PRESETS, name, "sh")
+def options_of(
+    method: Method, preset: str, sh: ShOptions | None = None, path: PathOptions | None = None,
+    tv: float | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the options of the parts of a method, by name; the preset's where none are given."""
+    names = _preset(preset, method) if method == "sh+path" else (preset,)
+    found = {}
+    for part, name in zip(method.split("+"), names, strict=True):
+        own = _preset(name, part)
+        found[part] = {"sh": sh, "path": path}[part] or own
+    return found if tv is None else {part: replace(own, tv=tv) for part, own in found.items()}
 
 
-def path_preset(name: str) -> PathOptions:
-    """Return the options of recovery by path tracing that a preset stands for."""
-    return _preset(PATH_PRESETS, name, "path")
-
-
-def _preset(known: dict[str, Any], name: str, method: str) -> Any:
+def _preset(name: str, method: str) -> Any:
+    known = PRESETS_OF[method]
     if name not in known:
         others = [other for other, theirs in PRESETS_OF.items() if name in theirs]
         raise OptionError(
@@ -239,40 +240,3 @@ def _preset(known: dict[str, Any], name: str, method: str) -> Any:
             + (f" {name!r} is one of method {others[0]!r}." if others else "")
         )
     return known[name]
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of both methods.
-
-    Attributes:
-        sh, path: of each.
-    """
-
-    sh: ShOptions
-    path: PathOptions
-
-    @staticmethod
-    def of(
-        method: Method, preset: str, sh: ShOptions | None, path: PathOptions | None,
-        tv: float | None,
-    ) -> Options:
-        """Take the preset's options where none are given."""
-        if method == "sh+path":
-            first, second = _preset(BOTH_PRESETS, preset, method)
-        else:
-            first, second = (preset, "default") if method == "sh" else ("default", preset)
-        chosen = Options(sh_preset(first), path_preset(second))
-        chosen = Options(sh or chosen.sh, path or chosen.path)
-        if tv is not None:
-            chosen = Options(replace(chosen.sh, tv=tv), replace(chosen.path, tv=tv))
-        return chosen
-
-    def settings(self, method: Method) -> dict[str, Any]:
-        """Return what of the options matters for a method, as records."""
-        used = {name: asdict(options) for name, options in self.used(method).items()}
-        return {"method": method} | used
-
-    def used(self, method: Method) -> dict[str, ShOptions | PathOptions]:
-        """Return those of the parts of a method, by name."""
-        return {name: getattr(self, name) for name in method.split("+")}

@@ -20,8 +20,7 @@ from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.progress import Progress
-from svu_mi.recovery.descent import Descent
-from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
+from svu_mi.recovery.options import Method, PathOptions, ShOptions, options_of
 from svu_mi.recovery.run import Run, require_resolution
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization import GlobalSharing
@@ -128,7 +127,7 @@ def recover(
     if resume and checkpoint is None:
         raise OptionError("recover(): resume=True needs a checkpoint to resume from.")
     names = _checked(method, sharing, parameters)
-    options, progress = Options.of(method, preset, sh, path, tv), progress or Progress()
+    options, progress = options_of(method, preset, sh, path, tv), progress or Progress()
     require_resolution(subject_of(source, texels)[1], start)
     observed = observed_of(source, texels, progress)
     with progress.stage("Reading the light"):
@@ -136,10 +135,7 @@ def recover(
     given = source if isinstance(source, Estimate) else None
     run = Run(method, observed, given, names, options, start, sharing, progress)
     saved = None if checkpoint is None else run.checkpoint(checkpoint, resume, checkpoint_seconds)
-    return _result(run, *run.run(saved))
-
-
-def _result(run: Run, textures: Textures, descent: Descent) -> Recovery:
+    textures, descent = run.run(saved)
     return Recovery(
         method=run.method, texels=run.texels, textures=textures, coverage=run.observed.coverage,
         losses=descent.losses, stopped=descent.stopped, settings=run.settings,

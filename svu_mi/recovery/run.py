@@ -21,7 +21,7 @@ from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent, Objective, descend
 from svu_mi.recovery.fingerprint import fingerprint
-from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
+from svu_mi.recovery.options import Method, PathOptions, ShOptions
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.printed import Printed
 from svu_mi.recovery.relight import path_length
@@ -46,7 +46,8 @@ class Run:
     """One recovery: its parts are made when they are first needed.
 
     Attributes:
-        method, options, start, sharing, progress: as for ``recover``.
+        method, start, sharing, progress: as for ``recover``.
+        options: of the parts of the method, by name (``options_of``).
         observed: the photographs.
         given: the estimate that it goes on from, if there is one.
         names: parameters to recover; those that the estimate knows leave the list.
@@ -58,13 +59,12 @@ class Run:
     observed: Observed
     given: Estimate | None
     names: tuple[str, ...]
-    options: Options
+    options: dict[str, Any]
     start: Textures | None
     sharing: GlobalSharing | bool
     progress: Progress
     asked: bool = field(default=False, init=False)
     found_neighbors: Neighbors | None = field(default=None, init=False)
-    _variations: dict[tuple[str, float], Rule] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self.capture, self.texels = self.observed.capture, self.observed.texels
@@ -81,10 +81,10 @@ class Run:
     @cached_property
     def settings(self) -> dict[str, Any]:
         """Everything that the result depends on, besides the capture, as JSON has it."""
-        found = self.options.settings(self.method)
+        found: dict[str, Any] = {"method": self.method}
+        found |= {name: asdict(own) for name, own in self.options.items()}
         found |= {"parameters": list(self.names), "sharing": self._shares()}
-        given = self.given
-        if given is not None:
+        if (given := self.given) is not None:
             found["estimate"] = {
                 "method": given.method, **asdict(given.preset), "known": self.known
             }  # fmt: skip
@@ -100,7 +100,7 @@ class Run:
         """Return how texels share: not at all, by a prior in common (True), or by which rule."""
         if isinstance(self.sharing, GlobalSharing):
             return self.sharing.record()
-        used = [one for one in self.options.used(self.method).values() if one.sharing]
+        used = [one for one in self.options.values() if one.sharing]
         if not self.sharing or not used:
             return False
         if all(one.common_prior for one in used):
@@ -127,12 +127,11 @@ class Run:
     def estimate(self) -> Estimate:
         """What is known of every texel; with a prior in common if that is how they share."""
         self.asked = True
-        used = self.options.used(self.method)
         return estimate_for_textures(
             self.given, self.observed, progress=self.progress,
-            robust=0 if self.method == "path" else self.options.sh.robust,
+            robust=0 if self.method == "path" else self.options["sh"].robust,
             sharing=self.sharing is True
-            and any(one.common_prior and one.sharing > 0 for one in used.values()),
+            and any(one.common_prior and one.sharing > 0 for one in self.options.values()),
         )  # fmt: skip
 
     @property
@@ -152,7 +151,7 @@ class Run:
         return textures, descent
 
     def _sh(self, start: Textures, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
-        options = self.options.sh
+        options = self.options["sh"]
         data = self._sh_data(options)
         if options.loss == "statistics" and options.closed_form and self.start is None:
             start = self._smoothed(start.but(**self._free(posterior_means(self.estimate))))
@@ -177,7 +176,7 @@ class Run:
     def _smoothed(self, start: Textures) -> Textures:
         """Let neighbours decide where a texel alone cannot: photographs only by what they say
         of each, a mean and a variance."""
-        options = self.options.sh
+        options = self.options["sh"]
         if not options.tv:
             return start
         variation = GENTLE * self._tv(options), options.tv_epsilon
@@ -193,11 +192,7 @@ class Run:
 
     def _neighbors(self, options: ShOptions | PathOptions) -> Neighbors:
         """Return the neighbours that total variation is taken between."""
-        return self.around if options.tv_space == "surface" else self._in_the_texture
-
-    @cached_property
-    def _in_the_texture(self) -> Neighbors:
-        return neighbors(self.texels)
+        return self.around if options.tv_space == "surface" else neighbors(self.texels)
 
     def _tv(self, options: ShOptions | PathOptions) -> float:
         """Return the weight of total variation: in nats, what edges cost does not depend on the
@@ -205,21 +200,11 @@ class Run:
         in_nats = isinstance(options, ShOptions) and options.loss == "statistics"
         return options.tv * (sqrt(self.texels.count) if in_nats else 1.0)
 
-    def _variation(self, options: ShOptions | PathOptions) -> Rule:
-        """Return total variation, which both parts of a recovery may have in common."""
-        key = options.tv_space, options.tv_epsilon
-        if key not in self._variations:
-            variation = TotalVariation(
-                self.texels, self._neighbors(options), epsilon=options.tv_epsilon
-            )
-            self._variations[key] = each(variation)
-        return self._variations[key]
-
     def _free(self, textures: Textures) -> dict[str, object]:
         return {name: tensor for name, tensor in textures.items() if name in self.names}
 
     def _path(self, start: Textures, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
-        options = self.options.path
+        options = self.options["path"]
         if options.max_depth is None:
             options = replace(options, max_depth=path_length(self.capture.scene))
         with self.progress.stage("Preparing rays"):
@@ -235,9 +220,12 @@ class Run:
         sharing: Rule | None, checkpoint: Checkpoint | None,
     ) -> tuple[Textures, Descent]:  # fmt: skip
         fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
-        variation = self._variation(options) if options.tv else None
-        rules = [(self._tv(options), variation), (options.sharing, sharing)]
-        objective = regularized(data, [(w, rule) for w, rule in rules if w and rule], fixed)
+        rules = [(options.sharing, sharing)] if sharing else []
+        if options.tv:
+            around = self._neighbors(options)
+            variation = TotalVariation(self.texels, around, epsilon=options.tv_epsilon)
+            rules.insert(0, (self._tv(options), each(variation)))
+        objective = regularized(data, rules, fixed)
         with self.progress.stage(title, options.descent.steps) as stage:
             descent = descend(
                 objective, self._free(start), options.descent,
@@ -269,14 +257,14 @@ class Run:
 
 
 def regularized(
-    data: Objective, rules: Sequence[tuple[float, Rule]], fixed: dict[str, Any] | None = None
+    data: Objective, rules: Sequence[tuple[float, Rule]], fixed: dict[str, Any]
 ) -> Objective:
     """Return the objective data + sum of weight * rule(textures); ``fixed`` textures are not
     optimised."""
     weights = [dr.opaque(mi.Float, weight) for weight, _ in rules]
 
     def objective(textures: dict[str, Any], step: int) -> Any:
-        every = (fixed or {}) | textures
+        every = fixed | textures
         loss = data(every, step)
         for weight, (_, rule) in zip(weights, rules, strict=True):
             loss += weight * rule(every)

@@ -19,7 +19,7 @@ from svu_mi.errors import OptionError, SvuWarning
 from svu_mi.exr import write_exr
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.recovery.fingerprint import fingerprint
-from svu_mi.recovery.options import DescentOptions, sh_preset
+from svu_mi.recovery.options import SH_PRESETS, DescentOptions
 from svu_mi.reference import cache
 from svu_mi.reference.options import ReferenceOptions
 
@@ -219,7 +219,7 @@ def kept(capture, tmp_path_factory):
 
 def recover(capture, path, **options):
     steps = DescentOptions(steps=2)
-    brief = replace(sh_preset("default"), smoothing=steps, descent=steps)
+    brief = replace(SH_PRESETS["default"], smoothing=steps, descent=steps)
     grid = svu.texels(capture.mesh, (8, 8))
     return svu.recover(capture, grid, sh=brief, checkpoint=path, **options)
 

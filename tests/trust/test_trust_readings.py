@@ -113,7 +113,7 @@ def test_16_bits_are_decoded_as_16_and_called_so(scene):
     path = scene.parent / "view_0000.png"
     write_16_bits(path, pixels)
     assert open_picture(path).bits == 16
-    assert any("view_0000.png: a 16-bit image, not HDR; decoded as sRGB, 1 sat" in note
+    assert any("view_0000.png: 16-bit, not HDR; decoded as sRGB, 1 sat" in note
                for note in notes_of(scene))  # fmt: skip
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from svu_mi.capture import Capture
 from svu_mi.progress import Progress
-from svu_mi.recovery.options import PathOptions, ShOptions, path_preset, sh_preset
+from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS, PathOptions, ShOptions
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.recover import Method, Recovery, recover
 from svu_mi.settings import require_known
@@ -45,7 +45,7 @@ class Row:
         Args:
             scale: epochs of the path tracer and steps of SH descent, as a part of the presets'.
         """
-        sh, path = sh_preset(self.sh), path_preset(self.path)
+        sh, path = SH_PRESETS[self.sh], PATH_PRESETS[self.path]
         smoothing, descent = (
             replace(one, steps=max(1, round(scale * one.steps)))
             for one in (sh.smoothing, sh.descent)
