@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.errors import OptionError, ShapeError, SvuError
+from svu_mi.errors import OptionError, SvuError
 from svu_mi.interop import owned
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import READ, descend
@@ -138,24 +138,6 @@ def test_a_bad_gradient_behind_a_good_loss_is_named():
 
     with pytest.raises(SvuError, match="a gradient of step 12 is NaN or infinite"):
         descend(objective, half(), DescentOptions(steps=40))
-
-
-@pytest.mark.parametrize(
-    ("loss", "words"),
-    [
-        (lambda texture: texture.array, "one number"),
-        (lambda _: 1.0, "one number"),
-        (lambda texture: dr.sum(dr.detach(texture.array)), "does not depend"),
-    ],
-)
-def test_an_objective_must_return_one_number_that_depends_on_the_textures(loss, words):
-    with pytest.raises(ShapeError, match=words):
-        descend(lambda textures, _: loss(textures["base_color"]), half(), DescentOptions(steps=2))
-
-
-def test_there_must_be_parameters():
-    with pytest.raises(OptionError, match="no parameters"):
-        descend(towards(truth()), {}, DescentOptions(steps=2))
 
 
 def test_single_parameters_may_have_rates_of_their_own():

@@ -19,7 +19,7 @@ from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field import field as module
 from svu_mi.recovery.field import smoother as smoothers
-from svu_mi.recovery.field.draws import Waves
+from svu_mi.recovery.field.draws import waves
 from svu_mi.recovery.field.field import TextureField, texture_field
 from svu_mi.recovery.field.smoother import Nested, Smoother
 from svu_mi.recovery.recover import recover
@@ -148,8 +148,7 @@ def test_waves_are_a_field_of_their_correlation() -> None:
     place[0] = np.array([0, 0.3, 0.8, 1.5, 4])
     random, found = np.random.default_rng(2), []
     for _ in range(400):
-        waves = Waves.draw(3, random).at(owned(mi.Point3f, place))
-        found.append(np.array(waves))
+        found.append(np.array(waves(3, owned(mi.Point3f, place), random)))
     values = np.concatenate(found)  # (1200, 5)
     wanted = np.exp(-0.5 * (place[0] - place[0][:, None]) ** 2)
     np.testing.assert_allclose(values.T @ values / len(values), wanted, atol=0.1)
@@ -268,7 +267,7 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     assert len(i) > 50
     distance = np.linalg.norm(place[i] - place[j], axis=1) / (module.LENGTH * field.texels.extent)
     rho = module.COMMON
-    roots = field.correlations.roots
+    roots = field.roots()
     alike = (roots[i, row] * roots[j, row]).sum(axis=1)  # of their correlations
     covariance = rho * coherent[i] * coherent[j] * np.exp(-(distance**2) / 2) * alike
     covariance += (1 - rho) * inverse[i, j]

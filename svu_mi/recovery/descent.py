@@ -1,7 +1,7 @@
 """Gradient descent on textures: Adam, bounds, a falling rate, and an end.
 
 An *objective* is any function ``objective(textures, step)`` of a dictionary of tensors that
-returns one differentiable number, and depends on nothing else: then a run that was interrupted
+returns one differentiable Float, and depends on nothing else: then a run that was interrupted
 after a step goes on from there as if nothing had happened.
 
     descent = descend(lambda t, step: dr.mean(dr.square(t["roughness"] - 0.3), axis=None),
@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 from drjit.opt import Adam
 
-from svu_mi.errors import OptionError, ShapeError, SvuError
+from svu_mi.errors import SvuError
 from svu_mi.interop import owned
 from svu_mi.interrupts import between_steps
 from svu_mi.progress import Stage
@@ -72,8 +72,7 @@ def descend(
         progress: a stage that shows steps, loss, rate and time left.
 
     Raises:
-        OptionError: no parameters, or a checkpoint of other ones.
-        ShapeError: the objective does not return one number.
+        OptionError: a checkpoint of other parameters.
         SvuError: the loss or a gradient is NaN or infinite.
         OutputError: the checkpoint cannot be read or written.
     """
@@ -119,8 +118,6 @@ class _Run:
     def __init__(
         self, objective: Objective, start: Mapping[str, Any], options: DescentOptions
     ) -> None:
-        if not start:
-            raise OptionError("descend(): there are no parameters; name at least one texture.")
         self._objective, self._options = objective, options
         self._optimizer = Adam(
             lr=options.learning_rate, beta_1=options.beta_1, beta_2=options.beta_2
@@ -135,7 +132,7 @@ class _Run:
     def advance(self) -> None:
         """Take one step; nothing waits for the device."""
         step, optimizer = self.step, self._optimizer
-        loss = _one_number(self._objective({name: optimizer[name] for name in optimizer}, step))
+        loss = self._objective({name: optimizer[name] for name in optimizer}, step)
         dr.backward(loss)
         broken = dr.opaque(mi.UInt32, 0)
         for value in optimizer.values():
@@ -224,20 +221,3 @@ class _Run:
 
     def _project(self, tensor: Any) -> Any:
         return dr.clip(dr.detach(tensor), self._options.low, self._options.high)
-
-
-def _one_number(loss: Any) -> Any:
-    """Return the loss as a Float; tensors of one number are welcome."""
-    if dr.is_tensor_v(loss):
-        loss = loss.array
-    if not dr.is_array_v(loss) or dr.depth_v(loss) != 1 or dr.width(loss) != 1:
-        raise ShapeError(
-            "descend(): the objective must return one number (a Dr.Jit Float), got "
-            f"{type(loss).__name__} of size {dr.width(loss)}; take its mean."
-        )
-    if not dr.grad_enabled(loss):
-        raise ShapeError(
-            "descend(): the loss does not depend on the textures it was given; compute it from "
-            "them, without detaching anything."
-        )
-    return loss

@@ -20,6 +20,7 @@ from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.errors import OptionError
 from svu_mi.light.environment import directions, read_environment
+from svu_mi.limits import require_spp
 from svu_mi.recovery.path.scene import PathScene
 from svu_mi.recovery.textures import Textures
 
@@ -68,11 +69,9 @@ def relight(
     Raises:
         OptionError: less than one sample per pixel.
     """
-    if spp < 1:
-        raise OptionError(f"relight(): spp must be at least 1, got {spp}.")
-    scene = _scene(capture, textures, environment)
-    depth = path_length(capture.scene) if max_depth is None else max_depth
-    integrator = mi.load_dict({"type": "path", "max_depth": depth})
+    require_spp(spp, "relight(): spp")
+    scene = capture.scene if textures is None else PathScene.of(capture, textures).scene
+    scene, integrator = under(scene, environment), _integrator(capture, max_depth)
     sensors = capture.sensors if sensors is None else sensors
     if pixels is not None:
         return Pictures(sensors).traced(scene, integrator, pixels, spp, seed)
@@ -81,6 +80,11 @@ def relight(
         for k, sensor in enumerate(sensors)
     )
     return [np.array(image, np.float32)[..., :3] for image in images]
+
+
+def _integrator(capture: Capture, max_depth: int | None) -> Any:
+    depth = path_length(capture.scene) if max_depth is None else max_depth
+    return mi.load_dict({"type": "path", "max_depth": depth})
 
 
 def path_length(scene: Any) -> int:
@@ -121,11 +125,6 @@ def _lamps() -> np.ndarray:
         inside = np.clip(0.5 + (angle - away) / 0.08, 0, 1)  # edges wider than a texel
         radiance += inside[..., None] * np.array(color)
     return radiance
-
-
-def _scene(capture: Capture, textures: Textures | None, environment: Any | None) -> Any:
-    scene = capture.scene if textures is None else PathScene.of(capture, textures).scene
-    return under(scene, environment)
 
 
 def under(scene: Any, environment: Any | None) -> Any:
@@ -186,20 +185,16 @@ def relight_draws(
         OptionError: fewer than two draws, or less than one sample per pixel.
         ShapeError: a draw has another resolution.
     """
-    if spp < 1:
-        raise OptionError(f"relight_draws(): spp must be at least 1, got {spp}.")
-    sensors = capture.sensors if sensors is None else sensors
+    require_spp(spp, "relight_draws(): spp")
     painted = PathScene.of(capture, textures)
-    scene = under(painted.scene, environment)
-    depth = path_length(capture.scene) if max_depth is None else max_depth
-    integrator = mi.load_dict({"type": "path", "max_depth": depth})
-    pictures = Pictures(sensors)
+    scene, integrator = under(painted.scene, environment), _integrator(capture, max_depth)
+    pictures = Pictures(capture.sensors if sensors is None else sensors)
     inside = [part > 0 for part in pictures.covered(painted.scene, painted.shape)]
-    everything = [np.ones_like(mask) for mask in inside]
-    middle = pictures.traced(scene, integrator, everything, spp, seed)
+    middle = pictures.traced(scene, integrator, [np.ones_like(m) for m in inside], spp, seed)
     # Relative to pictures that have the same noise, so that nothing cancels.
     base = pictures.traced(scene, integrator, inside, spp, seed)
-    total, squares, count = _zeros(base), _zeros(base), 0
+    total, squares = ([np.zeros(image.shape) for image in base] for _ in range(2))
+    count = 0
     for count, draw in enumerate(draws, 1):  # noqa: B007
         painted.paint(dict(draw.items()))
         found = pictures.traced(scene, integrator, inside, spp, seed)
@@ -210,19 +205,11 @@ def relight_draws(
         progress(count)
     if count < FEWEST:
         raise OptionError(f"relight_draws(): needs at least {FEWEST} draws, got {count}.")
+    means = [changes / count for changes in total]
     return [
-        _relit(*parts, count) for parts in zip(middle, inside, total, squares, strict=True)
-    ]
-
-
-def _relit(
-    image: np.ndarray, inside: np.ndarray, total: np.ndarray, squares: np.ndarray, count: int
-) -> RelitView:
-    """Return a view with the moments of ``count`` draws, by sums of their changes."""
-    mean = total / count
-    sd = np.sqrt(np.maximum(squares - count * mean**2, 0) / (count - 1))
-    return RelitView(image, (image + mean).astype(np.float32), sd.astype(np.float32), inside)
-
-
-def _zeros(images: Sequence[np.ndarray]) -> list[np.ndarray]:
-    return [np.zeros(image.shape, np.float64) for image in images]
+        RelitView(
+            picture, (picture + mean).astype(np.float32),
+            np.sqrt(np.maximum(square - count * mean**2, 0) / (count - 1)).astype(np.float32), mask,
+        )
+        for picture, mean, square, mask in zip(middle, means, squares, inside, strict=True)
+    ]  # fmt: skip

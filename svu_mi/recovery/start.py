@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.errors import CaptureError
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, preset
 from svu_mi.parameters import CHANNELS, NAMES
@@ -34,11 +33,6 @@ def estimate_for_textures(
     That is the given one if it is in colour and knows its noise. Another is made again, with its
     reflection model and what is known; rays are not.
     """
-    if not observed.found.scale > 0:
-        raise CaptureError(
-            f"No texel of '{observed.capture.shape.id()}' is seen with any radiance; check poses "
-            "(camera space is +X left, +Y up, +Z forward), masks and exposures."
-        )
     found = (given or estimate(observed, whole=True, progress=progress)).in_one_piece(progress)
     kernel = found.posterior.kernel
     sharing = sharing or (isinstance(kernel, CalibratedKernel) and kernel.learned)

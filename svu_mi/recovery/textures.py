@@ -78,8 +78,7 @@ def lay_out(texels: Texels, values: Mapping[str, Any]) -> Textures:
             are clipped.
 
     Raises:
-        OptionError: a parameter is missing, or is NaN or infinite.
-        ShapeError: not one value per texel.
+        OptionError: a parameter is NaN or infinite.
     """
     return Textures.of({name: _texture(texels, values, name) for name in NAMES})
 
@@ -108,15 +107,8 @@ def scene_textures(capture: Capture, texels: Texels) -> Textures:
 
 
 def _texture(texels: Texels, values: Mapping[str, Any], name: str) -> np.ndarray:
-    if name not in values:
-        raise OptionError(f"lay_out(): {name} is missing; textures need {', '.join(NAMES)}.")
-    parameter = PARAMETERS[name]
-    flat = np.array(values[name], np.float32).reshape(texels.count, -1)
-    if flat.shape[1] != parameter.channels:
-        raise ShapeError(
-            f"lay_out(): {name} needs {parameter.channels} values per texel, got {flat.shape[1]}."
-        )
+    flat = np.array(values[name], np.float32).reshape(texels.count, CHANNELS[name])
     if not np.isfinite(flat).all():
         raise OptionError(f"lay_out(): {name} is NaN or infinite in some texels.")
-    image = texels.to_image(np.clip(flat, parameter.low, parameter.high))
+    image = texels.to_image(np.clip(flat, PARAMETERS[name].low, PARAMETERS[name].high))
     return dilate(image, texels.inside(), float(np.hypot(*image.shape[:2])))

@@ -19,9 +19,9 @@ are of values in [0, 1], what is clipped is as much wider as it takes to be left
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 import drjit as dr
@@ -36,7 +36,7 @@ from svu_mi.pipeline import Estimate
 from svu_mi.posterior import CalibratedKernel, Posterior
 from svu_mi.progress import Progress
 from svu_mi.recovery.field import clipped
-from svu_mi.recovery.field.draws import SUREST, Correlations, Waves, prior_sds
+from svu_mi.recovery.field.draws import SUREST, correlation_roots, prior_sds, waves
 from svu_mi.recovery.field.smoother import Nested, Smoother
 from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.recover import Recovery
@@ -69,7 +69,8 @@ class TextureField:
         own: (N, T), m of the N values of all parameters, base colour first.
         deviation: (N, T), b.
         common: (N, T), rho: 1 for texels that nobody saw, which are all as the prior has it.
-        correlations: of the values of every texel.
+        roots: what returns (T, N, N), those of the correlations of every texel's values; only draws
+            ask for them.
         scale: standard deviation of the logarithm of a factor of base colour that all texels have
             in common, per channel.
         smoother: D + K.
@@ -83,7 +84,7 @@ class TextureField:
     own: np.ndarray
     deviation: np.ndarray
     common: np.ndarray
-    correlations: Correlations
+    roots: Callable[[], np.ndarray]
     scale: np.ndarray
     smoother: Smoother
     least: np.ndarray | None = None
@@ -91,7 +92,8 @@ class TextureField:
     def mean(self, name: str) -> np.ndarray:
         """Return the mean of the field, (T, C) or (T,): the texture, but where that is near 0 or 1
         and the field goes on only to one side."""
-        return self._laid_out(name, clipped.moments(*self._rows_of(name))[0])
+        rows = self.rows(name)
+        return self._laid_out(name, clipped.moments(self.values[rows], self.width[rows])[0])
 
     def sd(self, name: str) -> np.ndarray:
         """Return standard deviations, (T, C) or (T,)."""
@@ -105,7 +107,8 @@ class TextureField:
         """
         if not 0 < level < 1:
             raise OptionError(f"TextureField.interval(): level must be in (0, 1), got {level}.")
-        low, high = clipped.interval(*self._rows_of(name), level)
+        rows = self.rows(name)
+        low, high = clipped.interval(self.values[rows], self.width[rows], level)
         return self._laid_out(name, low), self._laid_out(name, high)
 
     def laid(self, values: np.ndarray) -> Textures:
@@ -129,9 +132,9 @@ class TextureField:
 
     def _drawn(self, random: np.random.Generator) -> Textures:
         length = dr.opaque(mi.Float, 1 / (LENGTH * self.texels.extent))
-        waves = Waves.draw(len(self.deviation), random).at(self.texels.position * length)
+        smooth = np.array(waves(len(self.deviation), self.texels.position * length, random))
         forces = random.standard_normal(self.deviation.shape, np.float32)
-        wave, force = (self.correlations.given_to(x) for x in (np.array(waves), forces))
+        wave, force = (np.einsum("tij,jt->it", self.roots(), x) for x in (smooth, forces))
         together = np.sqrt(self.common) * self._coherent * wave
         right = force / self.deviation + self.smoother.pulls(random)
         away = together + np.sqrt(1 - self.common) * self._nested.solve(right)
@@ -221,11 +224,6 @@ class TextureField:
         first = sum(CHANNELS[other] for other in NAMES[: NAMES.index(name)])
         return slice(first, first + CHANNELS[name])
 
-    def _rows_of(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return values and standard deviations of a parameter, (C, T) each."""
-        rows = self.rows(name)
-        return self.values[rows], self.width[rows]
-
     def _laid_out(self, name: str, values: np.ndarray) -> np.ndarray:
         return values.T if CHANNELS[name] > 1 else values[0]
 
@@ -310,7 +308,7 @@ def field_around(
     )
     return TextureField(
         texels=texels, textures=textures, names=tuple(names), own=own, deviation=deviation,
-        common=_common(posterior), correlations=Correlations(posterior, values),
+        common=_common(posterior), roots=cache(partial(correlation_roots, posterior, values)),
         scale=np.asarray(posterior.kernel.common), smoother=smoother,
     )  # fmt: skip
 

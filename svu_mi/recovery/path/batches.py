@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.rays import pixel_rays
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.visibility.views import Views, pack_views
 
@@ -63,13 +63,8 @@ class PixelBatches:
             views: those of ``pack_views``, if they were packed already.
 
         Raises:
-            OptionError: an empty batch, or a negative seed.
             CaptureError: no photograph shows the object in a usable pixel.
         """
-        if (size is not None and size < 1) or seed < 0:
-            raise OptionError(
-                f"Batches need at least 1 pixel and a seed of at least 0, got {size} and {seed}."
-            )
         self.views = views = pack_views(capture) if views is None else views
         self._seed = seed
         self._first = views.offset.numpy().astype(np.int64)

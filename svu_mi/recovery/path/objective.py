@@ -28,7 +28,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import drjit as dr
@@ -36,7 +35,6 @@ import mitsuba as mi
 
 from svu_mi.capture import Capture
 from svu_mi.capture.trust import own_plugin
-from svu_mi.errors import ShapeError
 from svu_mi.recovery.options import PathOptions
 from svu_mi.recovery.path.batches import Batch, PixelBatches
 from svu_mi.recovery.path.scene import PathScene, key_of
@@ -64,9 +62,7 @@ def relative(render: Any, target: Any, scale: Any = 1.0) -> Any:
     return dr.mean(dr.square(render - target) * weight, axis=None)
 
 
-LOSSES: Mapping[str, Callable[..., Any]] = MappingProxyType(
-    {"l1": l1, "l2": l2, "relative": relative}
-)
+LOSSES: dict[str, Callable[..., Any]] = {"l1": l1, "l2": l2, "relative": relative}
 
 
 @dataclass(frozen=True)
@@ -180,22 +176,12 @@ class PathObjective:
 
 
 def path_objective(
-    capture: Capture,
-    texels: Texels,
-    options: PathOptions,
-    *,
-    fixed: Textures | None = None,
+    capture: Capture, texels: Texels, options: PathOptions, *, fixed: Textures | None = None,
     views: Views | None = None,
-) -> PathObjective:
+) -> PathObjective:  # fmt: skip
     """Make the objective of a capture."""
-    fixed = uniform(texels) if fixed is None else fixed
-    if fixed.resolution != texels.resolution:
-        raise ShapeError(
-            f"Fixed textures must have the texels' resolution {texels.resolution}, got "
-            f"{fixed.resolution}."
-        )
     return PathObjective(
-        target=PathScene.of(capture, fixed),
+        target=PathScene.of(capture, uniform(texels) if fixed is None else fixed),
         batches=PixelBatches(capture, options.pixels_per_batch, options.seed, views),
         integrator=own_plugin({"type": "prb", "max_depth": options.max_depth}),
         options=options,

@@ -11,7 +11,7 @@ import mitsuba as mi
 
 from svu_mi.capture import Capture
 from svu_mi.capture.repaint import repaint
-from svu_mi.errors import OptionError, ShapeError
+from svu_mi.errors import ShapeError
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures
 
@@ -53,10 +53,6 @@ class PathScene:
         """Replace textures, differentiably: gradients of a render reach these tensors."""
         width, height = self.resolution
         for name, tensor in textures.items():
-            if name not in CHANNELS:
-                raise OptionError(
-                    f"There is no parameter {name!r} to recover; use one of {', '.join(NAMES)}."
-                )
             wanted = (height, width, CHANNELS[name])
             if tuple(tensor.shape) != wanted:
                 raise ShapeError(

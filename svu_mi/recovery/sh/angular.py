@@ -16,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import OptionError
 from svu_mi.frequency.samples import MirroredLight
 from svu_mi.interop import owned
 from svu_mi.light.lighting import moment_map
@@ -58,9 +58,8 @@ class AngularObjective:
     place: Any
     factor: Any
 
-    def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
+    def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
         """Return the loss as a Float that derivatives reach the textures through."""
-        del step
         values = look_up(textures, self.place)
         with dr.suspend_grad():
             loss, slopes = self._sums(dr.detach(values))
@@ -144,8 +143,6 @@ def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObj
             f"The angular loss needs the SH model, which fits light to every texel, but "
             f"preset {switches.name!r} has no fit; use preset('paper', method='angular')."
         )
-    if not found.scale > 0:
-        raise CaptureError("No texel is seen with any radiance; check poses, masks and exposures.")
     selection = owned(mi.UInt32, seen.astype(np.uint32))
     surface = Surface.of(texels, selection)
     diffuse = moment_map(observed.lighting.environment, channels)

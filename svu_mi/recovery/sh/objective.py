@@ -52,9 +52,8 @@ class Likelihood:
         dr.eval(place)
         return Likelihood(factors, place, weight)
 
-    def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
+    def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
         """Return the loss, a Float of one value."""
-        del step
         values = look_up(textures, self.place)
         with dr.suspend_grad():
             error, slopes = energy(self.factors, dr.detach(values))
@@ -105,9 +104,8 @@ class Pull:
         place, chosen = dr.gather(mi.UInt32, texels.index, seen), seen.numpy()
         return Pull(place, values_of(means, chosen), values_of(weights, chosen))
 
-    def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
+    def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
         """Return the loss, a Float of one value; arguments as for ``Likelihood``."""
-        del step
         values = look_up(textures, self.place)
         with dr.suspend_grad():
             offsets = _each(lambda x, target: x - target, dr.detach(values), self.target)
@@ -213,9 +211,8 @@ class Smoothing:
         scales = {_key(name, k): options.scales.get(name, 1.0) for name, k in self.keys}
         return replace(options, scales=scales)
 
-    def __call__(self, channels: Mapping[str, Any], step: int = 0) -> Any:
+    def __call__(self, channels: Mapping[str, Any], _: int = 0) -> Any:
         """Return the loss, a Float of one value."""
-        del step
         values = [channels[_key(name, k)].array for name, k in self.keys]
         with dr.suspend_grad():
             loss, slopes = self._of([dr.detach(x) for x in values])

@@ -16,13 +16,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.gather import Coefficients, fit_coefficients
 from svu_mi.interop import owned
 from svu_mi.observed import Observed
@@ -69,9 +68,8 @@ class SpectralObjective:
     albedo: Any
     factor: Any
 
-    def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
+    def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
         """Return the loss as a Float that derivatives reach the textures through."""
-        del step
         return dr.sum(self.errors(look_up(textures, self.place))) * self.factor
 
     def errors(self, values: Values) -> Any:
@@ -123,11 +121,7 @@ def spectral_objective(
     observed: Observed, switches: Preset, domain: Domain
 ) -> SpectralObjective:
     """Fit the photographs, and prepare the loss."""
-    if domain not in get_args(Domain):
-        raise OptionError(f"domain must be one of {', '.join(get_args(Domain))}, got {domain!r}.")
     found, lighting, texels = observed.found, observed.lighting, observed.texels
-    if not found.scale > 0:
-        raise CaptureError("No texel is seen with any radiance; check poses, masks and exposures.")
     light = 1 if lighting.environment.grey else 3
     seen = observed.coverage > 0
     texel = owned(mi.UInt32, np.flatnonzero(seen).astype(np.uint32))
@@ -156,7 +150,6 @@ def spectral_objective(
 
 def _powers(fitted: Coefficients, texel: Any) -> tuple[Any, float]:
     """Power spectra of seen texels (Eq. 8), and the photographs' mean power."""
-    count = dr.width(texel)
     rows = []
     for l in range(fitted.degree + 1):
         orders = range(l * l, (l + 1) ** 2)
@@ -164,8 +157,8 @@ def _powers(fitted: Coefficients, texel: Any) -> tuple[Any, float]:
             for read in (fitted.outgoing, fitted.incoming):
                 rows.append(sum(dr.square(read(index, c, texel)) for index in orders))
     dr.eval(rows)
-    mean = sum(float(row.numpy().sum(dtype=np.float64)) for row in rows[::2]) / (3 * count)
-    return dr.concat(rows), mean
+    total = sum(float(row.numpy().sum(dtype=np.float64)) for row in rows[::2])
+    return dr.concat(rows), total / (3 * dr.width(texel))
 
 
 def _albedo_table(switches: Preset) -> Any:
