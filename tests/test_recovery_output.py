@@ -317,7 +317,7 @@ def test_an_object_open_to_both_sides_stays_so(tmp_path):
     assert "TwoSided" in written.shapes()[0].bsdf().class_name()
 
 
-@pytest.mark.filterwarnings("ignore:Shapes .* reflect light:svu_mi.errors.SvuWarning")
+@pytest.mark.filterwarnings("ignore:Light reflected by:svu_mi.errors.SvuWarning")
 def test_ids_that_meet_are_told_apart(tmp_path):
     """The light has no name and is called light, as is the object; another is named as a camera."""
     extra = """<shape type="disk" id="view_0000"><bsdf type="diffuse"/></shape>

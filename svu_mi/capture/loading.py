@@ -199,20 +199,22 @@ class CapturePlan:
 
     def sizes(self, memory: float | None = None) -> Sizes:
         """Return how large everything is, with photographs in ``memory`` bytes (``read``)."""
-        room = room_for_photographs([film_size(each) for each in self.sensors])
         return Sizes(
             [self.windows[view].size for view in self.pictures], map_size(self.light),
             1.0 if self.unwrap else covered_by_charts(self.target), self.light is not None,
             stored=[picture.size for picture in self.pictures.values()],
-            memory=room if memory is None else memory, asked=memory is not None,
+            memory=self._room(memory), asked=memory is not None,
         )  # fmt: skip
+
+    def _room(self, memory: float | None) -> float:
+        if memory is not None:
+            return memory
+        return room_for_photographs([film_size(each) for each in self.sensors])
 
     def read(self, memory: float | None = None) -> Capture:
         """Read the photographs."""
-        if memory is None:
-            memory = room_for_photographs([film_size(each) for each in self.sensors])
         photographs, buffer = read_photographs(
-            self.pictures, self.windows, self.exposures, memory
+            self.pictures, self.windows, self.exposures, self._room(memory)
         )
         runs = {picture.path: photographs[k].run for k, picture in self.pictures.items()}
         capture_folder.require_one_run(self.folder, runs, self.description.run)
@@ -318,21 +320,18 @@ def map_size(light: Any) -> Size:
 
 def _chosen(paths: Sequence[Path | None], views: Iterable[int] | None) -> list[Path | None]:
     """Return the files of the views that are to be read; None for all others."""
-    if views is None:
-        return list(paths)
-    chosen = frozenset(views)
-    for view in sorted(chosen):
-        if not 0 <= view < len(paths):
-            raise OptionError(
-                f"load_capture(): there is no view {view}; there are {len(paths)}, from 0 on."
-            )
+    count = len(paths)
+    chosen = frozenset(range(count) if views is None else views)
+    for view in sorted(chosen - set(range(count))):
+        raise OptionError(
+            f"load_capture(): there is no view {view}; there are {count}, from 0 on."
+        )
     return [path if view in chosen else None for view, path in enumerate(paths)]
 
 
-def _texel_mesh(shape: Any, unwrap: bool, folder: Path | None) -> tuple[Any, list[str]]:
+def _texel_mesh(shape: Any, unwrap: bool, folder: Path) -> tuple[Any, list[str]]:
     if has_uvs(shape) and not unwrap:
         return shape, []
-    reason = "has no UVs" if not has_uvs(shape) else "is unwrapped again, as requested"
-    kept = "" if folder is None else f"; they are kept in {folder / UNWRAPPED}"
-    note = f"Shape '{shape.id()}' {reason}: UVs are laid out by xatlas{kept}."
-    return unwrapped(shape, folder), [note]
+    reason = "is unwrapped again, as requested" if has_uvs(shape) else "has no UVs"
+    where = f"UVs are laid out by xatlas; they are kept in {folder / UNWRAPPED}."
+    return unwrapped(shape, folder), [f"Shape '{shape.id()}' {reason}: {where}"]

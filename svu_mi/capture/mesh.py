@@ -84,12 +84,8 @@ def arrays(mesh: Any) -> MeshArrays:
         # Mitsuba 3.9 turns them when a ray hits, not in the buffers.
         faces = faces[:, ::-1].copy()
         normals = None if normals is None else -normals
-    return MeshArrays(
-        positions=positions(mesh),
-        faces=faces,
-        normals=normals,
-        uvs=_rows(mesh.vertex_texcoords_buffer(), 2) if has_uvs(mesh) else None,
-    )
+    uvs = _rows(mesh.vertex_texcoords_buffer(), 2) if has_uvs(mesh) else None
+    return MeshArrays(positions(mesh), faces, normals, uvs)
 
 
 def positions(mesh: Any) -> np.ndarray:

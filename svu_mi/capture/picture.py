@@ -19,6 +19,7 @@ from svu_mi.errors import CaptureError, SvuError, excerpt
 from svu_mi.exr import Header, read_header, read_pixels
 from svu_mi.files import may_hold
 
+FLOATS = {".hdr": (hdr_size, read_hdr), ".pfm": (pfm_size, read_pfm)}  # besides EXR
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may promise any number
 LOST = 0.01  # part of a map's light that negative pixels may take away
@@ -60,24 +61,17 @@ class Picture:
             Three or four float32 planes (H, W), red, green, blue and, if there is one, alpha;
             integers are scaled to [0, 1] and still encoded.
         """
-        planes = self.stored()
-        return [self.scaled(plane) for plane in planes] if self.bits else planes
+        return [self.scaled(plane) if self.bits else plane for plane in self.stored()]
 
     def stored(self) -> list[np.ndarray]:
         """Read the pixels as ``planes`` does, integers as integers."""
+        suffix = self.path.suffix.lower()
         with _readable(self.path):
-            match self.path.suffix.lower():
-                case ".exr":
-                    return _of_exr(self.path, read_pixels(self.path, self.header))
-                case ".hdr":
-                    values = read_hdr(self.path)
-                case ".pfm":
-                    values = read_pfm(self.path)
-                case _:
-                    values = _integers(self.path)
+            if suffix == ".exr":
+                return _of_exr(self.path, read_pixels(self.path, self.header))
+            _, read = FLOATS.get(suffix, (None, _integers))
+            values = read(self.path)
         planes = [values[..., k] for k in range(values.shape[2])]
-        if not self.bits:
-            planes = [plane.astype(np.float32) for plane in planes]
         return planes if len(planes) >= 3 else planes[:1] * 3 + planes[1:]
 
     def scaled(self, codes: np.ndarray) -> np.ndarray:
@@ -124,15 +118,12 @@ def open_picture(path: Path) -> Picture:
         raise CaptureError(f"{path}: not a supported image format ({', '.join(SUFFIXES)}).")
     bits = 0
     with _readable(path):
-        match suffix:
-            case ".exr":
-                header = read_header(path)
-            case ".hdr":
-                header = Header(hdr_size(path))
-            case ".pfm":
-                header = Header(pfm_size(path))
-            case _:
-                header, bits = _integer_header(path)
+        if suffix == ".exr":
+            header = read_header(path)
+        elif suffix in FLOATS:
+            header = Header(FLOATS[suffix][0](path))
+        else:
+            header, bits = _integer_header(path)
     width, height = header.size
     if min(width, height) < 1 or width * height > MAX_PIXELS:
         raise CaptureError(
@@ -150,13 +141,11 @@ def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
 
 def decoded(encoded: np.ndarray, transfer: Transfer = "srgb") -> np.ndarray:
     """Return linear values (float32) of encoded ones in [0, 1]."""
-    if transfer == "linear":
-        return np.asarray(encoded, np.float32)
-    if transfer == "gamma 2.2":
-        return np.asarray(encoded ** np.float32(2.2), np.float32)
-    low = encoded / 12.92
-    high = ((encoded + 0.055) / 1.055) ** 2.4
-    return np.where(encoded <= 0.04045, low, high).astype(np.float32)
+    if transfer == "srgb":
+        low, high = encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
+        return np.where(encoded <= 0.04045, low, high).astype(np.float32)
+    power = 1 if transfer == "linear" else np.float32(2.2)
+    return np.asarray(encoded**power, np.float32)
 
 
 def srgb(linear: np.ndarray) -> np.ndarray:
@@ -174,7 +163,7 @@ def _of_exr(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]:
     """Return red, green, blue and, if there is one, alpha among the channels of an EXR."""
     channels = _of_one_layer(channels)
     for names, what in OTHER_COLORS.items():
-        if set(names) <= set(channels) and not set("RGB") <= set(channels):
+        if channels.keys() >= set(names) and not channels.keys() >= set("RGB"):
             raise CaptureError(
                 f"{path}: holds {what} ({', '.join(names)}), not colours; export it as plain RGB."
             )

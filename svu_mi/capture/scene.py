@@ -190,13 +190,10 @@ def find_shape(scene: Any, name: str | None, path: str) -> Any:
     Without a name it is the only mesh, or the only mesh with a ``principled`` BSDF.
     """
     shapes = list(scene.shapes())
-    if name is not None:
-        chosen = [shape for shape in shapes if shape.id() == name]
-        if not chosen:
-            raise SceneError(f"{path}: there is no shape '{name}'; the scene has {_ids(shapes)}.")
-    else:
-        chosen = _candidates(shapes, path)
-    shape = chosen[0]
+    named = [shape for shape in shapes if shape.id() == name]
+    if name is not None and not named:
+        raise SceneError(f"{path}: there is no shape '{name}'; the scene has {_ids(shapes)}.")
+    shape = named[0] if name is not None else _candidates(shapes, path)[0]
     if not shape.is_mesh():
         raise SceneError(
             f"{path}: shape '{shape.id()}' ({shape.class_name()}) is not a triangle mesh; convert "
@@ -238,8 +235,7 @@ def is_closed(mesh: MeshArrays) -> bool:
 
 def _check_buffers(mesh: MeshArrays, label: str) -> None:
     """Refuse what Mitsuba takes from a damaged file."""
-    buffers = {"positions": mesh.positions, "normals": mesh.normals}
-    for name, values in buffers.items():
+    for name, values in (("positions", mesh.positions), ("normals", mesh.normals)):
         if values is not None and not np.isfinite(values).all():
             raise SceneError(f"{label} has {name} that are NaN or infinite; export its mesh again.")
     if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.positions):
@@ -254,9 +250,9 @@ def _check_orientation(mesh: MeshArrays, label: str) -> None:
     """
     if len(mesh.faces) == 0 or mesh.normals is None:
         return
-    corners = mesh.positions[mesh.faces]
+    centers = mesh.positions[mesh.faces].mean(axis=1)
     area = np.linalg.norm(mesh.crosses, axis=1) / 2
-    outward = corners.mean(axis=1) - np.average(corners.mean(axis=1), axis=0, weights=area + 1e-300)
+    outward = centers - np.average(centers, axis=0, weights=area + 1e-300)
     normal = mesh.normals[mesh.faces].mean(axis=1)
     flux = float((area * np.einsum("fi,fi->f", normal, outward)).sum())
     reach = float((area * np.linalg.norm(outward, axis=1)).sum())

@@ -78,8 +78,7 @@ def unwrapped(mesh: Any, folder: Path | None) -> Any:
 
 def _saved(path: Path, source: MeshArrays) -> MeshArrays:
     """Lay the UVs of a file on a mesh, whose positions and normals are taken."""
-    key = _key_in(path)
-    saved = read_ply(path)
+    key, saved = _key_in(path), read_ply(path)
     if saved.uvs is None or not np.isfinite(saved.uvs).all():
         raise MeshError(f"{path}: has no finite UVs")
     if key != _key(source, saved) or saved.faces.shape != source.faces.shape:
