@@ -8,14 +8,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 
 from svu_mi.capture.mesh import unit_vectors
 from svu_mi.inpaint.fill_result import SUREST
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.smoother import FEWER, Smoother
 from svu_mi.surface import Texels
-from svu_mi.surface.neighbors import means, squares_of, sums
+from svu_mi.surface.neighbors import connected, means, squares_of, sums
 
 APART = 1e3  # distance between pieces that are not to be mixed up, in extents of the object
 
@@ -58,16 +57,6 @@ class Pieces:
     def apart(self, places: np.ndarray) -> np.ndarray:
         """Return places (T, d) with another column, by which pieces are far from each other."""
         return np.concatenate([places, APART * self.piece[:, None]], axis=1)
-
-
-def connected(around: Sequence[Any]) -> np.ndarray:
-    """Return the connected piece of every texel, (T,) int64, given columns of neighbours."""
-    columns = [np.array(column, np.int64) for column in around]
-    count = len(columns[0])
-    rows = np.tile(np.arange(count), len(columns))
-    places = rows, np.concatenate(columns)
-    links = scipy.sparse.csr_array((np.ones(len(rows), bool), places), (count, count))
-    return np.asarray(scipy.sparse.csgraph.connected_components(links, directed=False)[1], np.int64)
 
 
 def centred(points: np.ndarray) -> np.ndarray:

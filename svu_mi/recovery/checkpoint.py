@@ -49,15 +49,7 @@ class State:
 
 
 class Checkpoint:
-    """A file that states of one run are saved to.
-
-    Attributes:
-        path: the file; there is none before the first state is saved.
-        settings: what the run's result depends on, as JSON has it.
-        content: digests of what it works on, by words for messages, such as ``sensors``.
-        resume: continue from the file, if there is one.
-        every: seconds between two states.
-    """
+    """A file that states of one run are saved to; attributes are as the arguments."""
 
     def __init__(
         self,
@@ -73,7 +65,7 @@ class Checkpoint:
         Args:
             path: the file, ``.npz``; its folder must exist.
             settings: names and values that JSON can hold, nested to any depth.
-            content: digests of what the run works on, by name.
+            content: digests of what the run works on, by words for messages, such as ``sensors``.
             resume: whether a descent starts from what the file holds.
             every: seconds between two states; 0 saves whenever losses are read.
 

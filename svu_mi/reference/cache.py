@@ -67,7 +67,7 @@ def load(path: Path, options: ReferenceOptions) -> Reference | None:
 
 def store(path: Path, traced: Traced) -> None:
     """Write what was traced."""
-    values = {field.name: getattr(traced, field.name) for field in fields(traced)}
+    values = {each.name: getattr(traced, each.name) for each in fields(traced)}
     stored = {name: value for name, value in values.items() if value is not None}
     write_arrays(path, {"name": path.stem, **stored})
     log.debug("%s: reference stored", path)

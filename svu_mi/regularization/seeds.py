@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy
 
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import Posterior
-from svu_mi.surface.neighbors import Neighbors
+from svu_mi.surface.neighbors import Neighbors, connected
 
 RINGS = 3  # no texel within so many steps is more certain than a seed
 RESOLUTION = 1e-3  # entropies closer than this are the same
 
 
-def find_seeds(estimate: Estimate, around: Neighbors, count: int = 20) -> np.ndarray:
+def find_seeds(estimate: Estimate, around: Neighbors, count: int) -> np.ndarray:
     """Return the numbers of at most ``count`` seeds, (S,) int64.
 
     Candidates are local minima of the entropy on the surface, averaged with their neighbours,
@@ -25,8 +24,11 @@ def find_seeds(estimate: Estimate, around: Neighbors, count: int = 20) -> np.nda
     observed = np.array(estimate.coverage) > 0
     if not observed.any():
         return np.empty(0, np.int64)
-    smooth = smoothed(np.where(observed, np.array(estimate.entropy, np.float64), 1), around)
-    found = minima(smooth, observed, around)
+    entropy = np.where(observed, np.array(estimate.entropy, np.float64), 1)
+    table = around.table()
+    linked = table != np.arange(around.count)
+    smooth = (entropy + np.where(linked, entropy[table], 0).sum(axis=0)) / (1 + linked.sum(axis=0))
+    found = minima(smooth, observed, around, RINGS, RESOLUTION)
     certain = found[smooth[found] <= np.median(smooth[observed])]
     found = certain if len(certain) else found
     found = found[np.argsort(smooth[found], kind="stable")]
@@ -34,16 +36,8 @@ def find_seeds(estimate: Estimate, around: Neighbors, count: int = 20) -> np.nda
     return found[spread(means, 1 - smooth[found], count)]
 
 
-def smoothed(values: np.ndarray, around: Neighbors) -> np.ndarray:
-    """Return the mean of every texel and its neighbours, (T,)."""
-    table = around.table()
-    linked = table != np.arange(around.count)
-    total = values + np.where(linked, values[table], 0).sum(axis=0)
-    return total / (1 + linked.sum(axis=0))
-
-
 def least_minima(
-    entropy: np.ndarray, observed: np.ndarray, around: Neighbors, count: int = 20
+    entropy: np.ndarray, observed: np.ndarray, around: Neighbors, count: int
 ) -> np.ndarray:
     """Return the seeds of the paper: the least local minima of the entropy, (S,) int64.
 
@@ -51,14 +45,13 @@ def least_minima(
     entropy are one plateau; it is a minimum if no neighbour of any of its texels is lower, and
     the texel of the lowest number stands for it.
     """
-    found = minima(entropy, observed, around, rings=1, resolution=0.0)
+    found = minima(entropy, observed, around, 1, 0.0)
     return found[np.argsort(entropy[found], kind="stable")][:count]
 
 
 def minima(
-    values: np.ndarray, allowed: np.ndarray, around: Neighbors, *,
-    rings: int = RINGS, resolution: float = RESOLUTION,
-) -> np.ndarray:  # fmt: skip
+    values: np.ndarray, allowed: np.ndarray, around: Neighbors, rings: int, resolution: float
+) -> np.ndarray:
     """Return one texel of every local minimum, in order of their numbers.
 
     A minimum is the lowest within some rings of texels; a plateau of equal values is one minimum.
@@ -68,7 +61,8 @@ def minima(
     lowest = level
     for _ in range(rings):
         lowest = np.minimum(lowest, lowest[table].min(axis=0))
-    plateau = _plateaus(level, table)
+    own = np.arange(around.count)
+    plateau = connected([np.where(level[column] == level, column, own) for column in table])
     beaten = np.zeros(plateau.max(initial=-1) + 1, bool)
     beaten[plateau[(lowest < level) | ~allowed]] = True
     inside = np.flatnonzero(~beaten[plateau])
@@ -83,16 +77,6 @@ def mean_parameters(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
         marginal = np.array(posterior.marginal(name, chosen), np.float64)
         columns.append(np.einsum("tn...,n->t...", marginal, nodes).reshape(len(chosen), -1))
     return np.concatenate(columns, axis=1)
-
-
-def _plateaus(level: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Number the connected parts of equal level, (T,)."""
-    count = len(level)
-    here = np.broadcast_to(np.arange(count), table.shape)
-    same = level[table] == level[here]
-    places = here[same], table[same]
-    links = scipy.sparse.csr_array((np.ones(same.sum(), bool), places), shape=(count, count))
-    return scipy.sparse.csgraph.connected_components(links, directed=False)[1]
 
 
 def spread(points: np.ndarray, worth: np.ndarray, count: int) -> np.ndarray:

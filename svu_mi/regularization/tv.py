@@ -53,7 +53,6 @@ class TotalVariation(Regularizer):
     epsilon: float = field(default=EPSILON, kw_only=True)
     _around: dict[int, tuple[Any, ...]] = field(init=False, repr=False, compare=False)
     _scale: Any = field(init=False, repr=False, compare=False)
-    _epsilon: Any = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         require(self, 0 <= self.epsilon < np.inf, "epsilon", "at least 0")
@@ -61,14 +60,13 @@ class TotalVariation(Regularizer):
         columns = tuple(owned(mi.UInt32, column) for column in around)
         object.__setattr__(self, "_around", {1: columns})
         object.__setattr__(self, "_scale", dr.opaque(mi.Float, 1 / max(pairs, 1)))
-        object.__setattr__(self, "_epsilon", dr.opaque(mi.Float, self.epsilon))
 
     def _texels(self) -> Texels:
         return self.texels
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
         """Value and gradient; every lane, a texel's channel, only reads from its neighbours."""
-        epsilon = self._epsilon if self.epsilon else None
+        epsilon = dr.opaque(mi.Float, self.epsilon) if self.epsilon else None
 
         def add(other: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
             size, slope = absolute(values - dr.gather(mi.Float, values, other), epsilon)

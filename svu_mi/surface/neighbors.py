@@ -263,6 +263,16 @@ def _place(owner: np.ndarray, order: np.ndarray) -> np.ndarray:
     return place
 
 
+def connected(around: Sequence[Any]) -> np.ndarray:
+    """Return the connected piece of every texel, (T,) int64, given columns of neighbours."""
+    columns = [np.array(column, np.int64) for column in around]
+    count = len(columns[0])
+    rows = np.tile(np.arange(count), len(columns))
+    places = rows, np.concatenate(columns)
+    links = scipy.sparse.csr_array((np.ones(len(rows), bool), places), (count, count))
+    return np.asarray(scipy.sparse.csgraph.connected_components(links, directed=False)[1], np.int64)
+
+
 def squares_of(texels: Texels) -> np.ndarray:
     """Return row and column of T texels in the map, (T, 2) int64."""
     index, width = texels.index.numpy().astype(np.int64), texels.resolution[0]
