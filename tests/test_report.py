@@ -161,7 +161,7 @@ def test_parts_are_of_the_area_and_sum_to_1(estimate):
 
 def test_what_is_settled_is_said_from_intervals(estimate, page, monkeypatch):
     banded, seen = Banded(estimate), np.array(estimate.coverage) > 0
-    monkeypatch.setattr(report, "Intervals", lambda *_, **__: banded)
+    monkeypatch.setattr(report, "picture_intervals", lambda *_: banded)
     text = page()
     area = np.array(estimate.texels.footprint, np.float64)[seen] ** 2
     below = [area[banded.v[seen] < v].sum() / area.sum() for v in (0.3, 0.5, 0.7)]

@@ -11,6 +11,7 @@ from svu_mi.output.page import NARROW_SPACE, percent
 from svu_mi.output.result import areas, is_seen, open_axes, words
 from svu_mi.posterior.intervals import LEVEL, spread
 from svu_mi.posterior.nodes import cell_edges
+from svu_mi.surface.raster import dilate
 
 TOLERANCE = 0.05  # half-width of an interval from which on a parameter counts as known
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
@@ -47,10 +48,38 @@ class Intervals:
         """Return half the width of the intervals, (t,); of several channels, that of the widest
         (see ``Posterior.half_width``)."""
         if name not in self._half:
-            self._half[name] = np.array(
-                self._posterior.half_width(name, self.level, self.chosen)
-            )
+            self._half[name] = np.array(self._posterior.half_width(name, self.level, self.chosen))
         return self._half[name]
+
+
+class CoarseIntervals(Intervals):
+    """Intervals whose half-widths (T,) are those of every n-th texel, repeated around it.
+
+    ``some`` (t,) are the texels that are computed, ``nearest`` (T,) the one of them for each texel.
+    """
+
+    def __init__(self, posterior: Any, some: np.ndarray, nearest: np.ndarray) -> None:
+        super().__init__(posterior)
+        self._some, self._nearest = Intervals(posterior, chosen=some), nearest
+
+    def half_width(self, name: str) -> np.ndarray:
+        """Return half-widths (T,), repeated."""
+        return self._some.half_width(name)[self._nearest]
+
+
+def picture_intervals(estimate: Any, side: int) -> Intervals:
+    """Return intervals for a map whose longer side has ``side`` pixels: no more than it shows."""
+    texels, seen = estimate.texels, is_seen(estimate)
+    index, step = np.array(texels.index), -(-max(texels.resolution) // side)
+    rows, columns = np.divmod(index, texels.resolution[0])
+    some = np.flatnonzero(seen & (rows % step == 0) & (columns % step == 0))
+    if step == 1 or not len(some):
+        return Intervals(estimate.posterior)
+    numbers = np.full(texels.count, -1)
+    numbers[some] = np.arange(len(some))
+    image = texels.to_image(numbers, -1)
+    nearest = dilate(image, image >= 0, float(np.hypot(*image.shape))).reshape(-1)[index]
+    return CoarseIntervals(estimate.posterior, some, nearest)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import svu_mi
 from svu_mi.capture import Capture
 from svu_mi.illumination.light_summary import sentences
 from svu_mi.output import style
-from svu_mi.output.knowledge import Intervals, Knowledge
+from svu_mi.output.knowledge import Intervals, Knowledge, picture_intervals
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.page import NARROW_SPACE, grouped, page_of, percent
 from svu_mi.output.relit import WORST
@@ -68,7 +68,7 @@ def write_report(
     """
     report = progress or Stage().update
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
-    intervals = Intervals(estimate.posterior)
+    intervals = picture_intervals(estimate, pictures.MAP_SIDE)
     shown = _pictures(capture, estimate, textures, table, intervals, report)
     knowledge = Knowledge.of(estimate, intervals)
     today = datetime.date.today()
