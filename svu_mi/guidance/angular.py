@@ -1,17 +1,12 @@
-"""Expected entropy (Eq. 13), or variance, by the angular method: with the estimate's own energies.
+"""Expected entropy (Eq. 13), or variance, by the angular method's energies.
 
-If psi_0 were the truth, photographs of a set S of views would show r_i(psi_0), and another psi
-would have the energy
+If psi_0 is true, photographs of a set S of views are r_i(psi_0), and another psi has the energy
 
     d_S(psi_0, psi) = sum_{i in S} w_i |r_i(psi_0) - r_i(psi)|^2 / (2 s^2 tau)
 
-over views and channels; or the mean over views, if the estimate takes that. The weights are the
-estimator's: less where r_i(psi_0) is large. A candidate v adds its own term, however many views
-there are, and whatever the base colour three numbers per row and channel hold the sum
-(``objectives.py``).
-
-No photograph takes part: e, p, q, d of every roughness level and channel, which parameters mix
-(``reflection/principled.py``), are what ``Responses`` hold.
+over views and channels; or the mean over views, as in the estimate. The weights are the
+estimator's. A candidate adds one term; three numbers per row and channel hold the sum for all base
+colours (``objectives.py``). Only ``Responses`` (e, p, q, d by level and channel) are used.
 """
 
 from __future__ import annotations
@@ -67,12 +62,9 @@ class AngularForecast(Forecast):
     """``Forecast`` on a ``PrincipledGrid``, whose R M rows are all but base colour.
 
     Attributes:
-        truths: (T * R * M * C,) Float, the base colour that a row has if it is the truth.
-        channels: C.
-        precision: (T,) Float, 1 / (2 s^2 tau): energy of a squared error of radiance.
-        kappa: radiance around which samples begin to count less (``noise_weight``).
-        averaged: whether errors are the mean over views, not their sum.
-        colors: how the colours of a row are summed.
+        truths: (T * R * M * C,) Float, base colour of each row if it is true.
+        precision: (T,) Float, 1 / (2 s^2 tau).
+        kappa: radiance where weights begin to fall (``noise_weight``).
     """
 
     grid: PrincipledGrid
@@ -132,10 +124,7 @@ Shown = tuple[Any, list[Any]]
 
 
 class _Launch:
-    """Hypotheses of texels, a lane of each, and the rows of their grid.
-
-    A packet of lanes has those of few texels, which the same views see.
-    """
+    """Hypotheses of texels, one per lane, and the rows of their grid; a packet has few texels."""
 
     def __init__(self, forecast: AngularForecast, lane: Any, number: Any) -> None:
         self._forecast, self._lane = forecast, lane
@@ -226,8 +215,7 @@ class _Launch:
 
     @dr.syntax
     def evaluate(self, sums: list[Any], views: Any, candidate: Any | None) -> Any:
-        """Return the measure, a Float, by sums of views, and of a candidate that sees the texel or
-        None; ``views`` is the number of both."""
+        """Return the measure, a Float, from sums of views and of a visible candidate or None."""
         share = dr.select(self._averaged, dr.rcp(views), 1)
         shown = None if candidate is None else self.shown(candidate)
         total = self.measure.start()
@@ -277,10 +265,7 @@ class _Launch:
 
 @dr.syntax
 def _each(launch: _Launch, known: _Order, candidates: _Order, out: Any) -> Any:
-    """Write p(psi_0) times the measure with each candidate, of all hypotheses (candidates, lanes).
-
-    The products of the known views are summed up once, in local memory.
-    """
+    """Write p(psi_0) times the measure with each candidate: (candidates, lanes)."""
     sums = launch.empty()
     n = mi.Float(0)
     i = mi.UInt32(0)

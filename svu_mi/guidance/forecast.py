@@ -1,10 +1,8 @@
-"""Expected entropy of texels with photographs not yet taken: the interface of both methods.
+"""Expected entropy of texels with additional photographs: the interface of both methods.
 
-Eq. 13 averages over truths drawn from the posterior of each texel: cells of a grid, or its rows, a
-roughness and a metallic of the colour that the photographs so far then give (``objectives.py``).
-All of a small grid are taken, each with its probability. Of a large one, K are drawn by systematic
-sampling: their number per cell differs from K p by less than one, so a certain texel has few
-different ones, and costs less. Every candidate is judged by the same draw.
+Eq. 13 averages over truths drawn from the posterior of each texel: cells of a grid, or rows with
+the colour that the photographs give (``objectives.py``). Small grids are enumerated. From large
+ones, K cells are drawn by systematic sampling; all candidates share the draws.
 """
 
 from __future__ import annotations
@@ -26,13 +24,7 @@ from svu_mi.posterior.grid import Grid
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Cells psi_0 and their probabilities, for T texels.
-
-    Attributes:
-        cells: (K T,) UInt32, cell k of texel t at k T + t.
-        weights: (K T,) Float, of sum 1 per texel.
-        counts: (T,) UInt32, how many of the K a texel has.
-    """
+    """Cells psi_0, number k T + t, and probabilities of T texels; ``counts`` (T,) of K are used."""
 
     cells: Any
     weights: Any
@@ -57,13 +49,9 @@ class Hypotheses:
     def draw(
         probabilities: np.ndarray, most: int, starts: np.ndarray, possible: int | None = None
     ) -> Hypotheses:
-        """Draw cells.
+        """Draw ``most`` cells of (T, N) probabilities, or enumerate them if there are no more.
 
-        Args:
-            probabilities: (T, N) of the posterior.
-            most: K; if there are no more cells, every one of positive probability is taken.
-            starts: (T,) random numbers in [0, 1).
-            possible: how many cells the prior does not exclude; all N by default.
+        ``starts`` is (T,) random in [0, 1); ``possible`` counts cells that the prior allows.
         """
         total = probabilities.sum(axis=1, keepdims=True, dtype=np.float64)
         if most >= (probabilities.shape[1] if possible is None else possible):
@@ -98,16 +86,11 @@ def _drawn(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Forecast(ABC):
-    """Expected entropies of T texels.
-
-    Views are numbered: first those with photographs, then the candidates.
+    """Expected entropies of T texels. Views are numbered: photographs first, then candidates.
 
     Attributes:
-        responses: of all views.
         hypotheses: psi of Eq. 13, and p(psi | B, L).
-        grid: of parameters.
-        prior: Float, -log prior of every cell, or of every row; or None.
-        measure: what is expected.
+        prior: Float, -log prior of every cell, or row; or None.
     """
 
     responses: Responses
@@ -127,8 +110,7 @@ class Forecast(ABC):
         return int(self.responses.count[0])
 
     def now(self, views: np.ndarray) -> np.ndarray:
-        """Return E[H] (T,) of photographs from some views; where none of them sees a texel, H of
-        the prior."""
+        """Return E[H] (T,) of photographs from some views; of unseen texels, H of the prior."""
         seen = self.seen[views].any(axis=0)
         result = np.full(self.count, self.measure.unseen, np.float32)
         if seen.any():
@@ -145,8 +127,7 @@ class Forecast(ABC):
         return np.where(self.seen[np.ix_(candidates, texels)], found, np.nan)
 
     def one_by_one(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-        """Return E[H] of photographs from some views, then with each candidate as well: (A + 1, T).
-        """
+        """Return E[H] of some views, then with each of A candidates in addition: (A + 1, T)."""
         steps = [self.now(views)]
         for k, candidate in enumerate(candidates):
             texels = np.flatnonzero(self.seen[candidate])

@@ -120,8 +120,7 @@ def _angular(
 
 
 def _rows(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Probabilities (t, rows) of texels whatever the base colour, and what this is if a row is the
-    truth, (t, rows, C)."""
+    """Return row probabilities (t, rows), and each row's base colour if true, (t, rows, C)."""
     kernel, nodes = posterior.kernel, posterior.grid.axes["base_color"]
     masses, colors = [], []
     for span in kernel.chunks(len(texels)):
@@ -210,10 +209,7 @@ def refuse_growing(method: str, options: GuidanceOptions) -> None:
 
 
 def _entropy(posterior: Posterior) -> Entropy:
-    """Return the measure in units of the posterior's own entropy.
-
-    Known parameters count as a prior that leaves one node: the same views are proposed.
-    """
+    """Return the measure in units of the posterior's entropy; known parameters have one node."""
     return Entropy(max(posterior.most, 1e-6), posterior.prior_entropy)
 
 

@@ -15,17 +15,14 @@ BATCH = 8  # candidates of one launch, each of which may make others needless
 class Greedy:
     """Lowest expected entropy (Eq. 13), summed over texels; unseen ones have that of the prior.
 
-    A candidate's E[H] of a texel changes only when a view is added that sees the texel, too: only
-    these are computed again; or all of them, if the forecast is not ``lasting``. With ``lazy``,
-    only candidates that may be best are brought up to date [Minoux 1978]: those whose last gain
-    reaches the best when it grows by ``GROWTH`` with every view. Candidates out of reach are never
-    computed.
+    E[H] of a texel is recomputed when a view that sees it is added; always, if the forecast is not
+    ``lasting``. With ``lazy``, only candidates whose last gain, times ``GROWTH`` per view, reaches
+    the best are updated [Minoux 1978].
 
     Attributes:
-        forecast: of the texels.
         photographs: number of views with a photograph; candidates are numbered after them.
-        entropy: (T,) float64, E[H] of photographs from all views chosen so far.
-        evaluated: number of (candidate, texel) pairs computed so far.
+        entropy: (T,) float64, E[H] of photographs from all chosen views.
+        evaluated: number of computed (candidate, texel) pairs.
     """
 
     def __init__(

@@ -1,16 +1,12 @@
-"""What a forecast expects of a texel: its entropy, or the variance of its parameters.
+"""Objectives of a forecast: entropy of a texel, or variance of its parameters.
 
-Both are means over truths psi_0 of a number that sums over rows (a roughness and a metallic) of
-what their base colours sum to. Weights are relative to the row of psi_0.
-
-Base colours are integrated in closed form, channel by channel. Given a row, radiance is linear in
-base colour, so what photographs of a truth of colour c_0 differ by from those of another colour is
-quadratic:
+Both are means over truths psi_0 of a sum over rows (roughness and metallic), relative to the row of
+psi_0. Base colours are integrated in closed form by channel: given a row and a truth of colour c_0,
 
     E(c) = A x^2 - 2 B x + C,    x = c - c_0,
 
 with sums A of w slope^2, B of w slope rest, C of w rest^2 over the views, in units of 2 s^2 tau;
-``rest`` is the difference of radiance at c_0. Entropies are those of the masses of a grid's cells.
+``rest`` is the difference of radiance at c_0. Entropies are those of a grid's cell masses.
 """
 
 from __future__ import annotations
@@ -31,12 +27,11 @@ FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is abou
 
 
 class Row(NamedTuple):
-    """What the base colours of a row sum to, for C channels.
+    """Sums over the base colours of a row, for C channels.
 
     Attributes:
-        weight: Float, of the row: exp(-energy), summed over its colours.
-        entropy: Float, nats, of the cells of a channel's colour given the row; mean over channels.
-        mean, variance: C Floats each, of colour given the row.
+        weight: Float, sum of exp(-energy).
+        entropy: Float, nats, of a channel's cells given the row; mean over channels.
     """
 
     weight: Any
@@ -72,12 +67,11 @@ class Measure(Protocol):
 
 @dataclass(frozen=True)
 class Entropy:
-    """Normalised entropy of Eq. 5, by the chain rule: that of rows, and of colours given these.
+    """Normalised entropy of Eq. 5, by the chain rule: of rows, and of colours given these.
 
     Attributes:
-        most: nats that it is a part of, those of the posterior's entropy: log n for n cells, or
-            the prior's own (``Posterior.most``).
-        unseen: that of the prior, in these units.
+        most: nats of entropy 1 (``Posterior.most``): log n of n cells, or the prior's.
+        unseen: entropy of the prior, in these units.
     """
 
     most: float
@@ -102,15 +96,11 @@ class Entropy:
 
 @dataclass(frozen=True)
 class Variance:
-    """Variance of the parameters, each in units of its present one: the squared error to expect.
-
-    Decibels of a texture fall with the logarithm of its mean squared error, so it is the
-    relative change of each parameter's that counts.
+    """Sum of the parameters' variances, each relative to its present one: expected squared error.
 
     Attributes:
-        present: mean variance over texels of the axes of a grid, base colour last, as it is now.
-        prior: their variance where nothing is known.
-        channels: C, of base colour, whose mean counts.
+        present: present variance of each axis, mean over texels, base colour last.
+        prior: their variance under the prior.
     """
 
     present: tuple[float, ...]
@@ -160,13 +150,12 @@ def _channel(A: Any, B: Any, C: Any, truth: Any) -> Channel:
 
 @dataclass(frozen=True)
 class Colors:
-    """How colours of a row are summed.
+    """Grid of the base colours of a row.
 
     Attributes:
         edges: (K + 1,) of the cells; two equal ones if the colour is known.
-        copies: how many equal channels each stands for.
         given: (rows * K,) Float, density of a colour in a cell given its row, or None.
-        nodes: (K,), if these are the only colours there are.
+        nodes: (K,), if colours are discrete.
     """
 
     edges: np.ndarray
@@ -233,15 +222,9 @@ def _sum(channel: Channel, nodes: list[float], density: list[Any]) -> Integrals:
 
 
 def prior_tables(prior: np.ndarray, usual: np.ndarray) -> tuple[Any, Any | None]:
-    """Split the prior of cells.
+    """Return -log prior of rows, (R * M,) Float, and colour densities relative to ``usual``.
 
-    Args:
-        prior: (R, M, K), of sum 1.
-        usual: (K,) the prior of a colour given its row, where nothing is said about it.
-
-    Returns:
-        -log of the prior of rows, (R * M,) Float; and how many times as likely as usual a colour
-        is given its row, (R * M * K,) Float, None if it is not.
+    ``prior`` is (R, M, K), of sum 1; densities are (R * M * K,) Float, None if all are 1.
     """
     table = prior.reshape(-1, prior.shape[-1]).astype(np.float64)
     rows = table.sum(axis=1, keepdims=True)

@@ -26,18 +26,12 @@ Respond = Callable[[Observation], list[Any]]
 
 @dataclass(frozen=True)
 class Responses:
-    """K numbers of V views per texel; memory: 8 bytes per view and texel, and 4 K per pair that
-    sees each other: to touch memory for the others would take longer than all else.
+    """K numbers of V views per texel; 8 bytes per view and texel, and 4 K per visible pair.
 
     Attributes:
-        first: (V T,) Float: the first column of every view and texel, 0 where the view does not see
-            the texel.
-        slot: (V T,) UInt32, the number of a pair among those that see each other.
-        rest: (pairs Q 4,) Float: their other columns, in Q groups of four that kernels read at
-            once.
-        columns: K.
-        count: T, an opaque UInt32.
-        lane: (L,) UInt32, which of the T texels a launch is about.
+        first: (V T,) Float: first column of every view and texel, 0 where not seen.
+        slot: (V T,) UInt32, number among the visible pairs.
+        rest: (pairs Q 4,) Float: their other columns, in Q groups of four.
     """
 
     first: Any
@@ -85,8 +79,7 @@ class Responses:
         return dr.gather(mi.Float, self.first, view * self.count + self.lane)
 
     def read(self, view: Any, group: Any) -> Any:
-        """Read four other columns of a view, those from 1 + 4 ``group`` on: Vector4f, 0 where it
-        does not see the texel."""
+        """Return columns 1 + 4 ``group`` and on of a view: Vector4f, 0 where not seen."""
         place = self._slot(view) * self.groups + group
         return dr.gather(mi.Vector4f, self.rest, place, self.sees(view) > 0)
 
@@ -137,9 +130,7 @@ def collect(
 def cosines(
     surface: Surface, photographed: tuple[Views, Survey] | None, candidates: Views
 ) -> Any:
-    """Return the cosine at which every view sees every texel, 0 where it does not: (V T,) Float,
-    evaluated. Arguments, and what is raised, are those of ``collect``; None for the candidates
-    alone."""
+    """Return (V T,) Float cosines of every view and texel, 0 where not seen, evaluated."""
     photographs = photographed[0].number if photographed else 0
     _require_room(surface.count, photographs + candidates.number, 1)
     count, before = dr.opaque(mi.UInt32, surface.count), dr.opaque(mi.UInt32, photographs)

@@ -126,8 +126,7 @@ class Guidance:
         return maps
 
     def _blocks(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One texel for every block that some texels (t,) lie in, in their order, and the number
-        of each one's block, (t,)."""
+        """Return one texel of each block of (t,) texels, and the block number of each, (t,)."""
         width, height = self.texels.resolution
         side = -(-max(width, height) // FINEST)
         row, column = squares_of(self.texels)[chosen].T

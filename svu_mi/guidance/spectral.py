@@ -1,12 +1,10 @@
 """Expected entropy (Eq. 13) by power spectra.
 
-If psi_0 were the truth, the photographs' spectrum would be that of the light that the surface
-mirrors, S_L', times Ks_0^2 e_l, so that Eq. 11 becomes
+If psi_0 is true, the photographs' spectrum is S_L' Ks_0^2 e_l, and Eq. 11 becomes
 
     d(psi_0, psi) = sum_{l=1}^{l*} (Ks_0^2 e_l(alpha_0) - Ks^2 e_l(alpha))^2 S_L'(l)^2.
 
-Only S_L' depends on the views, and a candidate's is a rank-1 change of the fit of the light
-(``frequency/primal.py``): no candidate needs a factorisation, a photograph, or a fit of its own.
+A candidate is a rank-1 change of the fit of the mirrored light S_L' (``frequency/primal.py``).
 """
 
 from __future__ import annotations
@@ -63,13 +61,7 @@ def respond(scene: Any, surface: Surface, lighting: Lighting, switches: Preset) 
 
 @dataclass(frozen=True)
 class SpectrumForecast(Forecast):
-    """``Forecast`` on a grid of (roughness, Ks).
-
-    Attributes:
-        switches: of the fit and the likelihood.
-        sigma: standard deviation of a degree's power.
-        prefilter: alpha' of the light.
-    """
+    """``Forecast`` on a grid of (roughness, Ks)."""
 
     grid: ParameterGrid
     switches: Preset
@@ -119,10 +111,7 @@ class SpectrumForecast(Forecast):
         return owned(mi.Float64, np.concatenate([value.numpy() for value in values]))
 
     def _kept(self, lane: Any) -> tuple[int, Keep]:
-        """Return K, and what picks K Float64 of a spectrum, by degree and channel, of texels.
-
-        Here sum over channels of S_L'(l)^2 / (2 sigma^2), l = 1 ... l*.
-        """
+        """Return K, and a function that returns K Float64: sum_C S_L'(l)^2 / (2 sigma^2), l > 0."""
         del lane
         scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
 

@@ -29,14 +29,7 @@ class Judge(Protocol):
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to judge candidates.
-
-    Attributes:
-        unit: of gains.
-        make: prospect -> judge.
-        forecasts: whether it needs a forecast (Eq. 13); others cost nothing but rays.
-        method: of the estimates it works with; None for all.
-    """
+    """Criterion of candidates; ``make``: prospect -> judge. ``method`` None: for all estimates."""
 
     unit: str
     make: Callable[[Prospect], Judge]

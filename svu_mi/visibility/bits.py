@@ -19,10 +19,7 @@ class Bits:
     """N bits for each of S lanes.
 
     Attributes:
-        words: (ceil(N / 32) S,) UInt32: bit n % 32 of word (n // 32) S + s is that of number n
-            and lane s.
-        stride: S, an opaque UInt32.
-        last: N - 1, an opaque UInt32.
+        words: (ceil(N / 32) S,) UInt32: bit n % 32 of word (n // 32) S + s is bit n of lane s.
     """
 
     words: Any
@@ -45,10 +42,7 @@ class Bits:
         dr.scatter_add(self.words, bit, place, active, dr.ReduceMode.NoConflicts)
 
     def push(self, word: Any, number: Any, lane: Any, value: Any) -> Any:
-        """Set bits of numbers that come in order, each word when it is full.
-
-        ``word`` is what the call for the number before returned; anything at first.
-        """
+        """Set bits of consecutive numbers; ``word``: the previous result, arbitrary at first."""
         place = number % WORD
         word = dr.select(place == 0, 0, word) | dr.select(value, mi.UInt32(1) << place, 0)
         full = (place == WORD - 1) | (number == self.last)

@@ -1,9 +1,7 @@
-"""What one view shows of one texel; called inside a symbolic loop over views.
+"""Samples of one view at one texel, within a symbolic loop over views.
 
-Texels meet photographs here and nowhere else: ``observe`` finds out whether a view sees a
-texel, ``look`` reads the pixels of one that does. A consumer (SH fit, statistics, ...) calls
-them once while tracing its loop, so that samples live in registers and no (texel x view)
-array of them exists.
+``observe`` tests visibility; ``look`` reads the pixels of a visible texel. Consumers (SH fit,
+statistics) trace them once: samples stay in registers, without a (texel x view) array.
 """
 
 from __future__ import annotations
@@ -26,13 +24,12 @@ MIN_COSINE = 1e-3  # more grazing than this, neither pixel nor ray means the tex
 
 @dataclass(frozen=True)
 class Surface:
-    """The texels of a kernel launch, in lanes.
+    """Texels of a kernel launch, in lanes.
 
     Attributes:
-        position, normal, geometric_normal: of each, world space.
-        offset: Float, opaque: how far from the surface rays start.
-        texel: UInt32, which of all texels each is; None for all, in order.
-        sides: two Vector3f, what each spans in world space; None for points.
+        offset: Float, opaque: distance of ray origins from the surface.
+        texel: UInt32, number among all texels; None for all, in order.
+        sides: two Vector3f, world space; None for points.
     """
 
     position: Any
@@ -92,15 +89,12 @@ class Observation:
     """One sample per lane.
 
     Attributes:
-        direction: unit Vector3f from the texel to the camera, world space.
-        cosine: Float, between direction and shading normal; 0 where not seen.
-        radiance: outgoing radiance, Color3f; 0 where not seen.
-        seen: Bool.
-        contrast: Float, variance of the pixels that radiance is the mean of, squared radiance;
-            0 where not seen.
-        clipped: of a view that was looked for only, Bool: it would be seen, were it not for clipped
-            pixels. Of one that was looked at together with those, the part of the pixels that
-            is clipped, Color3f. None where nothing is clipped, or was not asked for.
+        direction: unit Vector3f to the camera, world space.
+        cosine: Float, of direction and shading normal; 0 where not seen.
+        radiance: Color3f; 0 where not seen.
+        contrast: Float, variance of the averaged pixels, squared radiance; 0 where not seen.
+        clipped: in the visibility pass Bool, seen only through saturated pixels; in the gather pass
+            Color3f, saturated fraction. None if nothing is saturated, or not requested.
     """
 
     direction: Any
@@ -112,11 +106,10 @@ class Observation:
 
 
 def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -> Observation:
-    """Observe every texel of a launch in one view.
+    """Observe every texel of a launch in one view; rays are traced after the cheaper tests.
 
-    A texel is seen when it faces the camera (both normals), its pixel neighbourhood lies on
-    the film and is usable, and nothing stands between. Rays are traced only for lanes that
-    pass the cheaper tests.
+    A texel is seen if it faces the camera (both normals), its pixels are usable, and no geometry
+    occludes it.
     """
     camera = read_camera(views, view)
     to_camera = camera.position - surface.position
@@ -181,10 +174,7 @@ def look(
     views: Views, surface: Surface, view: Any, seen: Any, *, dense: bool = False,
     clipped: bool = False,
 ) -> Observation:  # fmt: skip
-    """Observe texels that a view is known to see: no test, no ray, and no work for others.
-
-    ``clipped`` reads saturated pixels, too, as their lower bounds. ``dense`` works for all lanes.
-    """
+    """Observe visible texels, without rays; ``clipped``: saturated pixels as lower bounds."""
 
     def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
         camera = read_camera(views, view)
@@ -211,10 +201,7 @@ def over_views(
     *,
     dense: bool = False,
 ) -> Any:
-    """Run a consumer over all views in one symbolic loop; return the last state.
-
-    ``consume(observation, view, *state)`` returns the new state; it is traced once.
-    """
+    """Fold ``consume(observation, view, *state)`` over all views in one symbolic loop."""
 
     def body(view: Any, *state: Any) -> tuple[Any, ...]:
         return (view + 1, *consume(observe(views, surface, view, dense=dense), view, *state))
@@ -223,10 +210,7 @@ def over_views(
 
 
 def fold(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
-    """Run a body over numbers from start to end in one symbolic loop; return the last state.
-
-    ``body(number, *state)`` returns the next number and the new state; it is traced once.
-    """
+    """Fold ``body``, which returns the next number and state, over [start, end) symbolically."""
     return dr.while_loop(
         state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body
     )[1:]

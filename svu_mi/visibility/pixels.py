@@ -26,11 +26,8 @@ class Camera:
 
     Attributes:
         x, y, w: Vector4f, rows of the projection.
-        position: Point3f.
-        near: Float.
-        width, height: UInt32, of the photograph.
-        offset: UInt32, index of its first pixel.
-        least: Color3f, radiance of clipped channels at least; None where nothing is clipped.
+        offset: UInt32, index of the photograph's first pixel.
+        least: Color3f, lower bound of saturated channels; None if nothing is saturated.
     """
 
     x: Any
@@ -72,8 +69,7 @@ class Taps:
 
 
 class _Projected(NamedTuple):
-    """Pixel coordinates, 0 at the first pixel's centre; 1 / depth; whether in front of the
-    camera."""
+    """Pixel coordinates, 0 at the first centre; 1 / depth; whether in front of the camera."""
 
     x: Any
     y: Any
@@ -129,14 +125,10 @@ def mean_over_texel(
     views: Views, camera: Camera, position: Any, sides: tuple[Any, Any] | None, seen: Any, *,
     clipped: bool = False,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Average the pixels that a texel covers in a view, by overlapping bilinear look-ups.
+    """Return mean radiance (Color3f) and grey variance of the pixels under a texel.
 
-    A texel smaller than a pixel is one look-up, and shares its pixels with its neighbours. What
-    lies beyond the film, or is not usable, is left out; if that is all, the middle is read.
-
-    Returns:
-        radiance (Color3f), and the variance of grey over the pixels that were read; if
-        ``clipped``, also the part of them that is saturated, Color3f.
+    ``clipped`` adds their saturated fraction, Color3f. Unusable pixels do not count; if all are
+    unusable, the centre is read. A texel smaller than a pixel is one bilinear look-up.
     """
     if views.pixels is None:
         return black(), mi.Float(0), *([black()] if clipped else [])
@@ -217,8 +209,7 @@ def _span(camera: Camera, side: Any, at: _Projected) -> tuple[Any, Any]:
 
 
 def _bilinear(camera: Camera, x: Any, y: Any) -> tuple[list[Any], list[Any]]:
-    """Return the four pixels around a point and their weights; beyond the film, those at its
-    edge."""
+    """Return the four pixels around a point and their weights, clamped to the film."""
     x = dr.clip(x, 0, mi.Float(camera.width) - 1)
     y = dr.clip(y, 0, mi.Float(camera.height) - 1)
     left = dr.minimum(mi.UInt32(x), dr.maximum(camera.width, 2) - 2)

@@ -1,10 +1,8 @@
-"""What of the light reaches every texel: rays to the cells of the light, traced once.
+"""Visibility of the light: rays from texels to the cells of the light, traced once.
 
-All coarse cells are traced. A fine cell is seen if its coarse cell is, except where a group of
-neighbouring coarse cells is partly hidden: there, bright fine cells have rays of their own, as
-have those of a coarse cell that looks below the horizon. What is found is kept as one bit per
-texel and cell, and everything that asks for hidden light reads it: diffuse light by four moments
-under the cosine, wide lobes cell by cell.
+All coarse cells are traced. A fine cell inherits from its coarse cell; bright fine cells have rays
+of their own where neighbouring coarse cells are partly hidden or below the horizon. The result is
+one bit per texel and cell, for diffuse moments and wide lobes.
 """
 
 from __future__ import annotations
@@ -28,13 +26,11 @@ from svu_mi.visibility.views import Views
 
 @dataclass(frozen=True)
 class Reach:
-    """What S texels see of the light's cells.
+    """Visibility of the light's cells from S texels.
 
     Attributes:
-        cells: of the light.
-        coarse, fine: of the cells of either depth, and S lanes: whether nothing hides the one
-            from the other.
-        texel: (S,) UInt32, which of all texels each lane is.
+        coarse, fine: bits of the cells of either depth and S lanes: unoccluded.
+        texel: (S,) UInt32, number of each lane among all texels.
     """
 
     cells: LightCells
@@ -58,11 +54,10 @@ class Reach:
         )
 
     def diffuse(self, surface: Surface, lighting: Lighting, channels: int) -> list[list[Any]]:
-        """Return the diffuse moments of the light that arrives: 8 Floats (S,) per channel.
+        """Return the diffuse moments of the visible light: 8 Floats (S,) per channel.
 
         c0 = sum L V cos, m0 (3) = sum L V cos w, and the same with Schlick's (1 - cos)^5 of the
-        incident direction w as c1, m1. The sum over cells only says which part is hidden: the
-        irradiance of an open surface comes from the light's harmonics, which know it better.
+        incident direction w as c1, m1. Open surfaces take them from the light's harmonics.
         """
         cells, lane = self.cells.fine, surface.lane
 
@@ -146,12 +141,7 @@ def trace_reach(
 
 @dataclass(frozen=True)
 class Mirrors:
-    """Whether nothing stands in the mirror direction of a sample.
-
-    Attributes:
-        bits: of N slots (``Survey.order``) and S lanes; below the horizon nothing is free.
-        lane: (T,) UInt32, the lane of every texel; any for texels that no view sees.
-    """
+    """Visibility in mirror directions: ``bits`` of N slots and S lanes, ``lane`` (T,) of texels."""
 
     bits: Bits
     lane: Any

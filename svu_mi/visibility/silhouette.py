@@ -1,13 +1,9 @@
-"""Pixels that show one continuous piece of the object, and nothing of what lies behind it.
+"""Interior pixels: those that show one continuous piece of the object.
 
-A pixel on a silhouette mixes two radiances, and the mixture is not a measurement of either. A
-pixel is interior when rays through its four corners all hit the object, at distances that a
-smooth surface through it explains.
-
-Rays of many views share a launch. A tile is a square of TILE x TILE pixel corners, and of the
-pixels between them, one fewer each way. A lane is a corner of a tile, and the 16 lanes of a packet
-are a square of 4 x 4 corners, whose rays take nearly the same way. Only tiles that the object's
-projected bounding box and the photograph's mask reach are traced.
+A pixel is interior if rays through its four corners hit the object, at distances that a smooth
+surface explains; silhouette pixels mix two radiances. Rays of many views share a launch. A tile is
+a square of TILE x TILE pixel corners; the 16 lanes of a packet are 4 x 4 neighbouring corners.
+Only tiles within the object's projected bounding box and the photograph's mask are traced.
 """
 
 from __future__ import annotations
@@ -34,12 +30,11 @@ BLOCK = 1024  # tiles per launch: 1 M rays, 8 MiB
 
 @dataclass(frozen=True, kw_only=True)
 class Films:
-    """Where the pixels of V views lie, and the rays through them.
+    """Pixel layout of V views, and the rays through the pixels.
 
     Attributes:
-        width, height: (V,) UInt32, size of each photograph in pixels.
-        offset: (V,) UInt32, index of each photograph's first pixel.
-        angle: (V,) Float, radians between neighbouring pixels at the centre of the film.
+        offset: (V,) UInt32, index of each first pixel.
+        angle: (V,) Float, radians between neighbouring pixels at the film's centre.
         rays: (V * 24,) Float, see ``ray_floats``.
     """
 
@@ -86,10 +81,7 @@ def find_tiles(
     bounds: np.ndarray,
     masks: Sequence[np.ndarray | None],
 ) -> np.ndarray:
-    """List the tiles of V views: (N, 3) uint32, view, column and row of the first pixel.
-
-    Given (V, 3, 4) projections to pixels and (V, 2) film sizes. Tiles do not share pixels.
-    """
+    """Return disjoint tiles of V views, (N, 3) uint32: view, column, row of the first pixel."""
     windows = _windows(projections, near, sizes, bounds)
     found = [
         _tiles_of(view, window, mask)
@@ -129,10 +121,7 @@ def _tiles_of(view: int, window: np.ndarray, mask: np.ndarray | None) -> np.ndar
 
 
 def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterator[tuple[Any, Any]]:
-    """Yield pixels among those of the tiles (UInt32), and whether they are interior (Bool).
-
-    One ray per pixel corner. No pixel comes twice; those that do not come are not interior.
-    """
+    """Yield pixels of the tiles (UInt32), each once, and whether they are interior (Bool)."""
     for start in range(0, len(tiles), BLOCK):
         block = tiles[start : start + BLOCK]
         table = owned(mi.UInt32, np.pad(block, ((0, 0), (0, 1))).ravel())

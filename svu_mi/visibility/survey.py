@@ -22,19 +22,15 @@ GLARE = 1e3  # medians of all texels, beyond which one does not add to the mean 
 
 @dataclass(frozen=True)
 class Survey:
-    """What V views together show of T texels.
+    """Visibility of T texels in V views.
 
     Attributes:
-        coverage: (T,) UInt32, number of views that see each texel.
-        total: (T,) Float64, grey (channel mean) radiance summed over those views; in double
-            precision, so that sums of parts of the views are those of all.
-        per_view: (V,) int64, number of texels that each view sees.
-        bits: of V views and T texels: that of view v and texel t says whether v sees t.
-        order: (N,) UInt32, the views that a pass goes through.
-        count: N, an opaque UInt32.
-        clipped: of V views and T texels: the view would see the texel, were it not for clipped
-            pixels; None where nothing is clipped.
-        dense: whether passes work for every texel and view, seen or not.
+        coverage: (T,) UInt32, number of views of each texel.
+        total: (T,) Float64, sum of grey (channel mean) radiance over those views.
+        per_view: (V,) int64, number of texels of each view.
+        bits: of V views and T texels: visible.
+        order: (N,) UInt32, the views of a pass.
+        clipped: of V views and T texels: visible only with saturated pixels; None if none are.
     """
 
     coverage: Any
@@ -53,16 +49,14 @@ class Survey:
 
     @cached_property
     def clipped_coverage(self) -> np.ndarray | int:
-        """(T,) uint32, number of views that would see each texel, were it not for clipped pixels;
-        0 where nothing is clipped."""
+        """(T,) uint32, number of views that see each texel only with saturated pixels; or 0."""
         return 0 if self.clipped is None else np.asarray(self.clipped.count(), np.uint32)
 
     def look(
         self, views: Views, surface: Surface, slot: Any, *, clipped: bool = False,
         among: Bits | None = None,
     ) -> Observation:  # fmt: skip
-        """Observe every texel of a launch in the view ``order[slot]``, with clipped pixels or
-        without; ``among`` some samples only, a bit per slot and lane."""
+        """Observe texels in the view ``order[slot]``; ``among``: a bit per slot and lane."""
         view = dr.gather(mi.UInt32, self.order, slot)
         if among is not None:
             seen = among.test(slot, surface.lane)
@@ -82,10 +76,9 @@ class Survey:
         self, views: Views, surface: Surface, consume: Callable[..., Any],
         state: tuple[Any, ...], *, clipped: bool = False, among: Bits | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Run a consumer over the views in ``order`` in one symbolic loop; return the last state.
+        """Loop over ``order`` symbolically; return the last state of ``consume``.
 
-        ``consume(observation, slot, *state)`` returns the new state; it is traced once. ``clipped``
-        and ``among`` are those of ``look``.
+        ``consume(observation, slot, *state)`` is traced once; the options are those of ``look``.
         """
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
@@ -96,11 +89,7 @@ class Survey:
 
 
 def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
-    """Return the mean grey radiance of all samples; 0 without any.
-
-    Texels far above the median count as 1000 times that: a few pixels that the camera has got
-    wrong, or that show the sun, say nothing about noise elsewhere.
-    """
+    """Return the mean grey radiance of all samples, or 0; texels above 1000 medians are clamped."""
     samples, total = np.asarray(coverage, np.float64), np.asarray(total, np.float64)
     lit = total > 0
     if not lit.any():
@@ -112,8 +101,7 @@ def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
 def survey(
     views: Views, surface: Surface, *, skip_blind: bool = True, skip_pairs: bool = True
 ) -> Survey:
-    """Find which views see which texels, and how bright: one pass over all views, the only
-    one that traces rays to the cameras."""
+    """Trace the visibility of all texels in all views, and sum their radiance, in one pass."""
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
     worth = dr.zeros(mi.UInt32, max(views.number, 1))  # of clipped pixels
     bits = Bits.clear(views.number, surface.count)

@@ -33,24 +33,19 @@ GREY = 1e-6  # part of its largest channel that the channels of a grey pixel dif
 
 @dataclass(frozen=True, kw_only=True)
 class Views(Films):
-    """The V views of a capture that may be used, and their ``Films``.
+    """The V used views of a capture, and their ``Films``.
 
     Attributes:
         cameras: (V * 16,) Float: projection rows x, y, w (pixels of the crop window, times
-            depth), position in world space, near clip as a depth.
-        pixels: (3 P,) Float, radiance of all photographs, interleaved RGB: the capture's own
-            memory where they lie in one block. None where nothing was photographed.
-        usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance. None where
-            ``outline`` says so.
-        count: V, an opaque UInt32, so that its value is not part of a kernel.
-        number: V as a Python int.
-        scene: the ``mi.Scene`` that visibility is traced in.
-        grey: R = G = B in every usable pixel of the photographs (to 1e-6 of the largest), so
-            that one channel says what three do. True without any usable pixel.
-        clipped: pixels of which some channels are clipped; None where there are none.
-        rounding: (3 V,) Float twice, the first step and the slope of each channel (``Rounding``);
-            0 for photographs of floats. None where all are.
-        outline: of the object, of sensors whose pixels are judged when they are looked at.
+            depth), world position, near clip as a depth.
+        pixels: (3 P,) Float, radiance, interleaved RGB: the capture's own memory if in one block.
+            None without photographs.
+        usable: (P,) Bool, shows only the object and holds a radiance. None with an ``outline``.
+        grey: R = G = B in every usable pixel (to 1e-6 of the largest); true without any.
+        clipped: partly saturated pixels; None if there are none.
+        rounding: (3 V,) Float twice, first step and slope of each channel (``Rounding``); 0 for
+            floating point photographs, None if all are.
+        outline: of the object, for sensors whose pixels are tested lazily.
     """
 
     cameras: Any
@@ -67,12 +62,11 @@ class Views(Films):
 
 @dataclass(frozen=True)
 class ClippedPixels:
-    """What is known of pixels that are not usable because some of their channels are clipped.
+    """Pixels that are unusable because some of their channels are saturated.
 
     Attributes:
-        channels: (P,) UInt8; bit c says that channel c of a pixel is clipped and the others are
-            not, and that the pixel shows nothing but the object. 0 for all other pixels.
-        least: (3 V,) Float, radiance that a clipped channel of a view has at least.
+        channels: (P,) UInt8; bit c: channel c is saturated, others are not. 0 for other pixels.
+        least: (3 V,) Float, lower bound of a view's saturated channels.
     """
 
     channels: Any
@@ -129,10 +123,9 @@ def pack_sensors(
     scene: Any, target: Any, sensors: Sequence[Any], largest: int = LARGEST_FILM, *,
     later: bool = False,
 ) -> Views:  # fmt: skip
-    """Lay sensors out that have not taken any photograph: they see texels, not radiance.
+    """Pack sensors without photographs; silhouettes count as unseen.
 
-    What a photograph would not show, they do not see: pixels on a silhouette. Films of more than
-    512 pixels are looked at in 512, with silhouettes that much wider.
+    Films of more than 512 pixels are reduced to 512, with proportionally wider silhouettes.
     """
     poses = [_Pose.of(scaled_sensor(sensor, largest)) for sensor in sensors]
     sizes = np.array([pose.size for pose in poses], np.int64).reshape(-1, 2)
@@ -149,15 +142,12 @@ def pack_sensors(
 
 
 class _Pixels:
-    """What is found out about the P pixels, a launch at a time.
+    """Properties of the P pixels, accumulated over launches.
 
     Attributes:
-        radiance: (3 P,) Float, the photographs.
-        usable: (P,) Bool.
-        coloured: (1,) UInt32, 1 when a usable pixel is not grey.
-        brightest, faintest: (1,) UInt32, the bits of the largest radiance of a usable pixel, and of
-            the smallest that is not black: bits are in the order of such numbers.
-        clipped: (P,) UInt8, see ``ClippedPixels``; None where no photograph is clipped.
+        coloured: (1,) UInt32, 1 if a usable pixel is not grey.
+        brightest, faintest: (1,) UInt32, bits of the largest and smallest positive usable radiance.
+        clipped: (P,) UInt8, see ``ClippedPixels``; None if none are.
     """
 
     def __init__(self, radiance: Any, allowed: Any, flags: Any | None) -> None:
@@ -205,10 +195,7 @@ class _Pixels:
         return ClippedPixels(self.clipped, owned(mi.Float, least.ravel()))
 
     def drop_hot(self, offset: np.ndarray) -> list[tuple[int, int, float]]:
-        """Take pixels out of use that are too bright to be true; return where.
-
-        Of each photograph with some: its number, theirs, the brightest over the median.
-        """
+        """Mark implausibly bright pixels unusable; return (view, number, largest / median)."""
         brightest, faintest = (
             bits.numpy().view(np.float32)[0] for bits in (self.brightest, self.faintest)
         )
@@ -238,13 +225,11 @@ class _Pixels:
 
 @dataclass(frozen=True)
 class _Pose:
-    """What the kernels know of one sensor.
+    """One sensor as the kernels use it.
 
     Attributes:
-        size: (width, height) of its photograph.
         camera: (16,) float64, see ``Views.cameras``.
         rays: (24,) float32, see ``ray_floats``.
-        angle: radians between neighbouring pixels at the centre of the film.
     """
 
     size: tuple[int, int]
