@@ -1,5 +1,7 @@
 """``python -m svu_mi`` is ``svu``."""
 
-from svu_mi.cli.process import run
+import sys
 
-run()
+from svu_mi.cli.main import main
+
+sys.exit(main())

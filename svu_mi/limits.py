@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
-from svu_mi.memory import Size, address_space, free_memory
+from svu_mi.memory import Size, address_space, cores, free_memory
 
 MAX_LANES = 2**32 - 1  # of one kernel
 MAX_VIEWS = 10_000  # photographs are called view_0000 to view_9999
@@ -20,6 +21,20 @@ PIXEL_BYTES = 16  # of a photograph in memory: three floats, a mask, and what ca
 RENDER_BYTES = 100  # per pixel of a film while it is rendered; measured: 90
 MASK_LANES = 9  # rays per pixel that find the object
 GIGA = 1e9
+
+
+def ensure_threads(count: int = 0) -> None:
+    """Have Dr.Jit use ``count`` threads (0: as many as now), but at least ``FEWEST_THREADS``."""
+    import drjit as dr
+
+    dr.set_thread_count(max(count or dr.thread_count(), FEWEST_THREADS))
+
+
+def bootstrap() -> None:
+    """Ensure two threads where there is one core; elsewhere Dr.Jit is not even imported."""
+    if cores() < FEWEST_THREADS:
+        with suppress(ImportError):  # svu doctor says what is wrong with it
+            ensure_threads()
 
 
 def require_memory(size: float, what: str, fix: str, error: type[SvuError] = OptionError) -> None:

@@ -14,18 +14,18 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 
 PROCESS = Path("/proc/self")
 MEMINFO = Path("/proc/meminfo")
 GROUPS = Path("/sys/fs/cgroup")
-# Of control groups, version 2 and 1: folder, limit, usage, and prefix of ``DROPPED``.
-GROUP_FILES = (
-    ("", "memory.max", "memory.current", ""),
-    ("memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_"),
-)
+# Of control groups, version 2 and 1, by folder: limit, usage, and prefix of ``DROPPED``.
+GROUP_FILES = {
+    "": ("memory.max", "memory.current", ""),
+    "memory": ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_"),
+}
 DROPPED = ("inactive_file", "active_file")  # statistics of pages that can be dropped
 _allowed: list[int] = []  # bytes that this process may take (``allow``)
 
@@ -175,51 +175,44 @@ class Need:
     @property
     def fits(self) -> bool:
         """Whether that much memory is free, or it is not known."""
-        room = _room()
-        return room is None or self.bytes <= room
+        return self.bytes <= _room()
 
     def sentence(self) -> str:
         """Return the announcement: "Needs up to 1.4 GB of memory, 23 are there"."""
         room = _room()
-        return f"Needs up to {_giga(self.bytes)} GB of memory" + (
-            "" if room is None else f", {_giga(room)} are there"
-        )
+        there = f", {_giga(room)} are there" if room < inf else ""
+        return f"Needs up to {_giga(self.bytes)} GB of memory{there}"
 
     def require(self, label: str = "") -> None:
         """Refuse what takes more memory, or address space, than there is."""
         label = f"{label}: " if label else ""
         room = _room()
-        if room is not None and not self.fits:
+        if self.bytes > room:
             raise CaptureError(
                 f"{label}needs {_giga(self.bytes)} GB of memory, {_giga(room)} are there; "
                 f"{self._less(room) or 'work on a machine with more'}."
             )
-        space = address_space()
-        if space is None:
-            return
-        most, used = space
+        most, used = address_space() or (inf, 0)
         begun = used - resident() + ARENAS[0] + ARENAS[1] * max(_threads() - 2, 0)
-        if begun + self.reserved > most:
+        needed = begun + self._reserved()
+        if needed > most:
             less = self._less(most - begun, reserved=True)
             raise CaptureError(
-                f"{label}needs {_giga(begun + self.reserved)} GB of address space, ulimit -v "
-                f"allows {_giga(most)}; raise it{less and f'; {less} of memory'}."
+                f"{label}needs {_giga(needed)} GB of address space, ulimit -v allows "
+                f"{_giga(most)}; raise it{less and f'; {less} of memory'}."
             )
 
-    @property
-    def reserved(self) -> float:
-        """Bytes of address space for what is in ``bytes``."""
+    def _reserved(self) -> float:
+        """Return bytes of address space for what is in ``bytes``."""
         return self.bytes + SPARE * self._parts()[1]
 
     def _less(self, room: float, reserved: bool = False) -> str:
         """Return the words for fewer pixels or texels that fit; empty if none do."""
-
-        def fits(need: Need) -> bool:
-            return (need.reserved if reserved else need.bytes) <= room
-
         shrink, small = 1, self
-        while not fits(small) and shrink < MOST_SHRUNK and max(small.resolution) != 1:
+        while (small._reserved() if reserved else small.bytes) > room:
             photographs, texels = small._parts()
+            if shrink == MOST_SHRUNK or max(small.resolution) == 1:
+                return ""
             if photographs >= texels:
                 shrink += 1
                 sides = [(w // shrink, h // shrink) for w, h in self.sizes.photographs]
@@ -227,12 +220,6 @@ class Need:
             else:
                 width, height = small.resolution
                 small = replace(small, resolution=(max(width // 2, 1), max(height // 2, 1)))
-        if not fits(small):
-            return ""
-        return f"{' and '.join(self._words(small, shrink))} needs {_giga(small.bytes)}"
-
-    def _words(self, small: Need, shrink: int) -> list[str]:
-        """Return the options that lead to ``small``, with photographs shrunk by a factor."""
         words = []
         if shrink > 1:
             width, height = max(small.sizes.photographs, key=_pixels)
@@ -241,7 +228,7 @@ class Need:
         if small.resolution != self.resolution:
             size = " ".join(map(str, dict.fromkeys(small.resolution)))
             words.append(FEWER_TEXELS.get(self.command, "--resolution {}").format(size))
-        return words
+        return f"{' and '.join(words)} needs {_giga(small.bytes)}"
 
 
 def _pixels(size: Size) -> int:
@@ -263,17 +250,17 @@ def light_bytes(size: Size) -> float:
 
 def require_start() -> None:
     """Refuse to begin where libraries cannot even be loaded: they end the process."""
-    room, space = _room(), address_space()
-    if room is not None and room < START:
+    room = _room()
+    if room < START:
         raise SvuEnvironmentError(
             f"needs {_giga(START)} GB of memory to start, {_giga(room)} are there; end something "
             "else."
         )
-    least = START_ADDRESS + STACK * max(_threads() - 2, 0)
-    if space is not None and space[0] < least:
+    least, most = START_ADDRESS + STACK * max(_threads() - 2, 0), (address_space() or (inf,))[0]
+    if most < least:
         raise SvuEnvironmentError(
-            f"needs {_giga(least)} GB of address space to start, ulimit -v allows "
-            f"{_giga(space[0])}; raise it."
+            f"needs {_giga(least)} GB of address space to start, ulimit -v allows {_giga(most)}; "
+            "raise it."
         )
 
 
@@ -288,10 +275,10 @@ def _threads() -> int:
     return cores() if drjit is None else int(drjit.thread_count())
 
 
-def _room() -> float | None:
-    """Return bytes that this process may come to hold."""
+def _room() -> float:
+    """Return bytes that this process may come to hold; infinite if unknown."""
     free = free_memory()
-    return None if free is None else free + resident()
+    return inf if free is None else free + resident()
 
 
 def _giga(size: float) -> str:
@@ -365,29 +352,20 @@ def _field(path: Path, name: str, unit: int = 1) -> int | None:
 
 def _group_rooms() -> list[int | None]:
     """Return bytes that each control group around this process still allows."""
+    lines = []
+    with suppress(OSError):
+        lines = (PROCESS / "cgroup").read_text().splitlines()
     rooms = []
-    for kind, group in _groups():
-        subfolder, *names = GROUP_FILES[kind]
-        folder = GROUPS / subfolder
-        # In a container the path may be that of the machine outside; its root is always there.
-        for path in (folder / group, *(folder / group).parents):
-            if not path.is_relative_to(folder):
-                break
-            rooms.append(_group_room(path, *names))
+    # In a container the path may be that of the machine outside; its root is always there.
+    for line in ["0::/", "0:memory:/", *lines]:
+        _, controllers, path = [*line.split(":", 2), "", ""][:3]
+        kind = "memory" if "memory" in controllers.split(",") else controllers
+        if kind in GROUP_FILES:
+            folder, group = GROUPS / kind, PurePosixPath(path.lstrip("/"))
+            rooms += [
+                _group_room(folder / each, *GROUP_FILES[kind]) for each in (group, *group.parents)
+            ]
     return rooms
-
-
-def _groups() -> set[tuple[int, str]]:
-    """Return version (0 for the second, 1 for the first) and path of this process's groups."""
-    found = {(0, ""), (1, "")}
-    with suppress(OSError, ValueError):
-        for line in (PROCESS / "cgroup").read_text().splitlines():
-            _, controllers, path = line.split(":", 2)
-            if not controllers:
-                found.add((0, path.lstrip("/")))
-            elif "memory" in controllers.split(","):
-                found.add((1, path.lstrip("/")))
-    return found
 
 
 def _group_room(path: Path, limit: str, usage: str, prefix: str) -> int | None:

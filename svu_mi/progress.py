@@ -129,29 +129,19 @@ def _bar(console: Console) -> Any:
     from rich import progress as rich
     from rich.text import Text
 
-    class Column(rich.ProgressColumn):
-        """A text by task."""
-
-        def __init__(self, text: Callable[[rich.Task], str]) -> None:
-            super().__init__()
-            self._text = text
+    class Steps(rich.ProgressColumn):
+        """Steps, and the stage's own word; after a silence, the likely reason."""
 
         def render(self, task: rich.Task) -> Text:
-            return Text(self._text(task))
-
-    def steps(task: rich.Task) -> str:
-        return "" if task.total is None else f"{task.completed:.0f}/{task.total:.0f}"
-
-    def state(task: rich.Task) -> str:
-        """The stage's own word; after a silence, the likely reason."""
-        silent = task.completed == 0 and (task.elapsed or 0.0) > PATIENCE
-        text = task.fields["state"]
-        return printable(text if text is not None else COMPILING if silent else "")
+            steps = "" if task.total is None else f"{task.completed:.0f}/{task.total:.0f} "
+            silent = task.completed == 0 and (task.elapsed or 0.0) > PATIENCE
+            text = task.fields["state"]
+            return Text(steps + printable(COMPILING if text is None and silent else text or ""))
 
     return rich.Progress(
         rich.SpinnerColumn("dots" if console.encoding.startswith("utf") else "line"),
         rich.TextColumn("{task.description}", markup=False), rich.BarColumn(bar_width=24),
-        Column(steps), rich.TimeElapsedColumn(), Column(state), console=console, transient=True,
+        rich.TimeElapsedColumn(), Steps(), console=console, transient=True,
     )  # fmt: skip
 
 

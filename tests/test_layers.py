@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LAYERS = (
-    "errors", "names", "memory", "limits", "quiet", "interrupts", "_llvm", "_workers",
+    "errors", "names", "memory", "limits", "quiet", "interrupts", "_llvm",
     "interop", "local", "hashing", "files", "npz", "exr", "results", "progress",
     "settings", "parameters", "options", "capture", "formats", "surface",
     "light", "visibility", "frequency", "reflection", "statistics", "observed", "posterior",

@@ -114,26 +114,29 @@ def _in_table(path: Path) -> list[Item]:
 
 
 def _item(table: Path, line: int, row: dict[str, str]) -> Item:
-    where = f"{table}, line {line}"
-    capture = table.parent / row.get("capture", "")
-    if not row.get("capture") or not capture.exists():
-        raise OptionError(
-            f"{where}: {excerpt(row.get('capture', ''), LONGEST)!r} is no capture; give the path "
-            "of a folder or scene, relative to the table."
-        )
+    def require(fine: object, value: str, problem: str) -> None:
+        if not fine:
+            raise OptionError(f"{table}, line {line}: {excerpt(value, LONGEST)!r} {problem}")
+
+    word = row.get("capture", "")
+    capture = table.parent / word
+    require(
+        word and capture.exists(), word,
+        "is no capture; give the path of a folder or scene, relative to the table.",
+    )  # fmt: skip
     default = capture.parent.name if capture.suffix == ".xml" else capture.resolve().name
     name = row.get("name") or default
-    if not NAME.fullmatch(name):
-        raise OptionError(
-            f"{where}: {excerpt(name, LONGEST)!r} cannot be the name of a folder; use letters, "
-            "digits, spaces and . + - _ in the column name."
-        )
+    require(
+        NAME.fullmatch(name), name,
+        "cannot be the name of a folder; use letters, digits, spaces and . + - _ in the column "
+        "name.",
+    )  # fmt: skip
     options = {key: row[key] for key in OPTIONS if row.get(key)}
-    if not SIZE.fullmatch(options.get("resolution", "1")):
-        raise OptionError(
-            f"{where}: {excerpt(options['resolution'], LONGEST)!r} is no resolution; give one or "
-            "two whole numbers, such as 512 or 1024 512."
-        )
+    size = options.get("resolution", "1")
+    require(
+        SIZE.fullmatch(size), size,
+        "is no resolution; give one or two whole numbers, such as 512 or 1024 512.",
+    )  # fmt: skip
     paths = {key: str(table.parent / options[key]) for key in PATHS if key in options}
     return Item(name, capture, options | paths)
 

@@ -16,7 +16,6 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +30,8 @@ from svu_mi.results.exchange import locked
 TRIES = 3  # of a command that is killed from outside
 INTERRUPTED = 130  # exit status after Ctrl-C, which reaches the commands, too
 KILOBYTE = 1024
-CORNER, LAST_CORNER, BOX = "╭", "╰", "╭╮╰╯│─ "  # drawn around errors of options
+# Drawn around errors of options.
+CORNER, LAST_CORNER, RULE, BOX = "╭", "╯", "│ ─", "╭╮╰╯│─ "
 DAY = 86400.0  # seconds
 SECONDS = 30  # to reach a scheduler
 _one_at_a_time = threading.Lock()  # a worker has as many tasks at once as it has threads
@@ -213,36 +213,31 @@ def connected(address: str) -> Iterator[Any]:
     Yields:
         A ``distributed.Client``.
     """
-    client = _client(address)
-    from distributed.comm import CommClosedError  # of a result that is on its way
-
-    try:
-        yield client
-    except (CancelledError, CommClosedError) as error:
-        raise SvuError(
-            f"--scheduler {excerpt(address, 80)}: the connection was lost; what is done is kept, "
-            "and the same command goes on."
-        ) from error
-    finally:
-        with suppress(Exception):  # it may have gone
-            client.close()
-
-
-def _client(address: str) -> Any:
     try:
         from distributed import Client
+        from distributed.comm import CommClosedError  # of a result that is on its way
     except ImportError as error:
         raise SvuEnvironmentError(
             "A scheduler needs Dask; install it with: pip install 'svu_mi[cluster]'."
         ) from error
+    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # we raise errors
+    label = f"--scheduler {excerpt(address, 80)}"
     try:
-        logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # we raise errors
-        return Client(address, timeout=SECONDS)
+        client = Client(address, timeout=SECONDS)
     except (OSError, ValueError, TimeoutError) as error:
         raise OptionError(
-            f"--scheduler {excerpt(address, 80)}: nobody answers there within {SECONDS} s "
-            f"({excerpt(error, 80)}); start one with: dask scheduler."
+            f"{label}: nobody answers there within {SECONDS} s ({excerpt(error, 80)}); start one "
+            "with: dask scheduler."
         ) from error
+    try:
+        yield client
+    except (CancelledError, CommClosedError) as error:
+        raise SvuError(
+            f"{label}: the connection was lost; what is done is kept, and the same command goes on."
+        ) from error
+    finally:
+        with suppress(Exception):  # it may have gone
+            client.close()
 
 
 def _tried(commands: Commands, words: Sequence[str], left: Path | None) -> Ended:
@@ -301,17 +296,12 @@ class Commands:
 def sentence_of(said: str) -> str:
     """Return the last sentence of a command: its last line with words, or the text of a box at
     the end, which wraps an error of options and ends with a hint below a rule."""
-    lines = said.rstrip().splitlines()
-    texts = [line.strip(BOX) for line in lines]
-    if lines and lines[-1].startswith(LAST_CORNER):
-        tops = [number for number, line in enumerate(lines) if line.startswith(CORNER)]
-        return " ".join(takewhile(_has_words, texts[tops[-1] + 1 if tops else 0 :]))
-    last = next((text for text in reversed(texts) if _has_words(text)), "")
-    return last.removeprefix("svu: ")
-
-
-def _has_words(text: str) -> bool:
-    return any(map(str.isalnum, text))
+    said = said.rstrip()
+    if said.endswith(LAST_CORNER):
+        text, _, _hint = said[said.rfind(CORNER) :].partition(RULE)
+        return " ".join(filter(None, (line.strip(BOX) for line in text.splitlines()[1:])))
+    texts = [line.strip(BOX) for line in said.splitlines()]
+    return next(filter(None, reversed(texts)), "").removeprefix("svu: ")
 
 
 def _waited(process: subprocess.Popen[bytes]) -> tuple[int, int]:

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -22,7 +21,7 @@ from svu_mi.capture.trust import (
     searching,
 )
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
-from svu_mi.limits import FEWEST_THREADS
+from svu_mi.limits import ensure_threads
 
 LONGEST = 400  # letters of what Mitsuba says
 PLACE = re.compile(r"\] (?:Error while loading|At) (.+) \(line (\d+), col \d+\): ")
@@ -75,7 +74,7 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
     config = mi.parser.ParserConfig(mi.variant())
     # Merging would lose the ids of equal textures and meshes.
     config.merge_equivalent = config.merge_meshes = False
-    dr.set_thread_count(max(dr.thread_count(), FEWEST_THREADS))
+    ensure_threads()
     with searching(os.path.dirname(path)):
         try:
             check_xml(path, defines)

@@ -13,7 +13,7 @@ from svu_mi.cli.common import Common
 from svu_mi.cli.import_ import import_again
 from svu_mi.cli.loading import NeedOf, read_capture, with_search
 from svu_mi.cli.options import Output, Overwrite, PhotographOptions, SceneOptions, given
-from svu_mi.cli.terminal import say
+from svu_mi.cli.terminal import cell, say
 from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 SIDE = 1024  # pixels of large photographs, which are compared in far fewer
 SHOWN = 5  # views that fit worst, in the table
 WRONG = 3  # exit status with --strict
-MARKS = {
-    "fits": "fits", "wrong": "WRONG", "unclear": "UNCLEAR", "unknown": "unknown", "note": "note",
-}  # fmt: skip
+SERIOUS = ("wrong", "unclear")  # verdicts in capital letters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,13 +61,13 @@ class CheckCapture(Common):
         from svu_mi.output.check_page import write_check
 
         need: NeedOf = partial(Need, "check")
-        find = None
-        if self.photographs.estimates_gains:
+        estimates, find = self.photographs.estimates_gains, None
+        if estimates:
             need = with_search(need)
         capture = read_capture(
             progress, self.source, self.photographs, need, Detail(side=SIDE), trust=self.trust
         )  # nothing is cropped: poses may be wrong
-        if self.photographs.estimates_gains:
+        if estimates:
             find = partial(found_gains, capture, self.output / "light", progress)
         found = check(capture, gains=find, progress=progress)
         with progress.stage("Writing the page"):
@@ -78,12 +76,13 @@ class CheckCapture(Common):
 
 
 def _print(console: Console, found: Check, capture: Capture) -> None:
-    from svu_mi.output.check_page import verdict
+    from svu_mi.output import check_page
 
     console.print(_views(found), markup=False)
     for one in found.findings:
-        say(console, f"{one.question} ({MARKS[one.verdict]}): {one.sentence}")
-    for line in (verdict(found), _remedy(found, capture)):
+        verdict = one.verdict.upper() if one.verdict in SERIOUS else one.verdict
+        say(console, f"{one.question} ({verdict}): {one.sentence}")
+    for line in (check_page.verdict(found), _remedy(found, capture)):
         if line:
             say(console, line)
 
@@ -108,5 +107,4 @@ def _views(found: Check) -> Any:
 
 
 def _cells(one: Any) -> list[str]:
-    values = (one.overlap, one.contrast, one.color_error)
-    return ["-" if value is None else f"{value:.2f}" for value in values]
+    return [cell(value) for value in (one.overlap, one.contrast, one.color_error)]

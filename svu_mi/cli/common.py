@@ -10,10 +10,9 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from svu_mi import _llvm, _workers
-from svu_mi.cli.process import importing, is_own
+from svu_mi import _llvm
 from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
-from svu_mi.limits import FEWEST_THREADS
+from svu_mi.limits import FEWEST_THREADS, ensure_threads
 
 log = logging.getLogger(__name__)
 
@@ -52,22 +51,16 @@ class Common:
             raise OptionError(f"--threads must be 0 (all) or more, got {self.threads}.")
         if self.threads > MAX_THREADS:
             raise OptionError(f"--threads must be at most {MAX_THREADS}, got {self.threads}.")
-        with importing():
-            import drjit as dr
-            import mitsuba as mi
+        import mitsuba as mi
 
-            self._set_variant()
-            import svu_mi.plugins  # noqa: F401 - registers them for the variant
-            from svu_mi.capture.trust import require_own_plugins
+        self._set_variant()
+        import svu_mi.plugins  # noqa: F401 - registers them for the variant
+        from svu_mi.capture.trust import require_own_plugins
 
         require_own_plugins(self.trust)
-
-        wanted = self.threads or dr.thread_count()
         if self.threads == 1:
             log.warning(f"--threads 1: {FEWEST_THREADS} are used, which Mitsuba needs to read EXR.")
-        dr.set_thread_count(max(wanted, FEWEST_THREADS))
-        if is_own():
-            _workers.take_small_parts()
+        ensure_threads(self.threads)
         mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
 
     def _set_variant(self) -> None:

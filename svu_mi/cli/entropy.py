@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
 from svu_mi.cli import options as opt
-from svu_mi.cli.loading import CaptureCommand
+from svu_mi.cli.loading import EstimateCommand
 from svu_mi.cli.terminal import say
-from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entropy(CaptureCommand):
+class Entropy(EstimateCommand):
     """Compute how much photographs tell about every texel.
 
     Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
     run.json.
     """
 
-    estimation: opt.EstimateOptions = opt.EstimateOptions()
-    light: opt.GivenLight = None
     output: opt.Output = Path("out/entropy")
     overwrite: opt.Overwrite = False
     resolution: opt.Resolution = (512,)
@@ -35,25 +31,21 @@ class Entropy(CaptureCommand):
 
     def run(self, console: Console) -> int:
         """Run the pipeline, write the four files, and say what is known."""
-        size = opt.texel_size(self.resolution)
-        self.capture.check(self.spp)
-        self.estimation.check()
+        self.check()
         with claimed(self.output, "entropy", overwrite=self.overwrite) as place:
             self.start()
-            summary = self._run(Progress(console), size, place)
+            summary = self._run(Progress(console), place)
         say(console, f"Wrote {self.output}")
         say(console, summary)
         return 0
 
-    def _run(self, progress: Progress, size: tuple[int, int], place: Claim) -> str:
+    def _run(self, progress: Progress, place: Claim) -> str:
         from svu_mi.checking.exposure import warn_if_too_bright
         from svu_mi.options import NOTHING, Skip
         from svu_mi.output import Knowledge, Run, write_outputs
 
-        need = partial(Need, "entropy", resolution=size, model=self.estimation.model)
-        capture, grid = self.load_lit(progress, need, size, self.light)
-        skip = Skip() if self.skip else NOTHING
-        result = self.estimation.estimate(progress, capture, grid, skip=skip)
+        size, skip = opt.texel_size(self.resolution), Skip() if self.skip else NOTHING
+        capture, result = self.estimated(progress, size, "entropy", skip=skip)
         warn_if_too_bright(result)
         with progress.stage("Writing the results"):
             knowledge = Knowledge.of(result)

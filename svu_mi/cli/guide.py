@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,8 +14,8 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli import options as opt
-from svu_mi.cli.loading import CaptureCommand
-from svu_mi.cli.terminal import say
+from svu_mi.cli.loading import EstimateCommand
+from svu_mi.cli.terminal import cell, say
 from svu_mi.errors import OptionError
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE
@@ -38,7 +39,7 @@ Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guide(CaptureCommand):
+class Guide(EstimateCommand):
     """Propose where to take the next photographs from.
 
     Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, maps
@@ -46,8 +47,6 @@ class Guide(CaptureCommand):
     run.json.
     """
 
-    estimation: opt.EstimateOptions = opt.EstimateOptions()
-    light: opt.GivenLight = None
     output: opt.Output = Path("out/next")
     overwrite: opt.Overwrite = False
     resolution: opt.Resolution = (512,)
@@ -135,7 +134,7 @@ class Guide(CaptureCommand):
         flags = np.ones(count, bool)
         if self.reachable is not None:
             flags = _flags(_read_numbers(self.reachable), count, str(self.reachable))
-        flags &= ~_flags(list(self.unreachable), count, "--unreachable")
+        flags &= ~_flags(self.unreachable, count, "--unreachable")
         if not flags.any():
             raise OptionError(
                 f"None of the {count} candidates can be reached; change --reachable or "
@@ -145,9 +144,7 @@ class Guide(CaptureCommand):
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
-        opt.texel_size(self.resolution)
-        self.capture.check(self.spp)
-        self.estimation.check()
+        super().check()
         if self.add < 1:
             raise OptionError(f"--add must be at least 1, got {self.add}.")
         self._check_sphere()
@@ -209,22 +206,20 @@ def _number(word: str) -> int | None:
         return None
 
 
-def _flags(numbers: list[Any], count: int, label: str) -> np.ndarray:
+def _flags(numbers: Sequence[int], count: int, label: str) -> np.ndarray:
     """Return (count,) bool, True at some numbers, or as flags say that are given instead."""
-    if any(isinstance(number, bool) for number in numbers):
+    if numbers and isinstance(numbers[0], bool):
         if len(numbers) != count:
             raise OptionError(
                 f"{label}: {len(numbers)} flags for {count} candidates; give one per candidate."
             )
-        return np.array(numbers, bool)
-    outside = [number for number in numbers if not 0 <= number < count]
-    if outside:
-        raise OptionError(
-            f"{label}: no candidate {outside[0]}; they are numbered from 0 to {count - 1}."
-        )
-    flags = np.zeros(count, bool)
-    flags[numbers] = True
-    return flags
+        return np.array(numbers)
+    for number in numbers:
+        if not 0 <= number < count:
+            raise OptionError(
+                f"{label}: no candidate {number}; they are numbered from 0 to {count - 1}."
+            )
+    return np.isin(np.arange(count), numbers)
 
 
 def _read_numbers(path: Path) -> list[Any]:
@@ -237,8 +232,7 @@ def _read_numbers(path: Path) -> list[Any]:
             f"{path}: not a readable list of candidates ({error}); give numbers, or a JSON list of "
             "numbers or of booleans."
         ) from error
-    kinds = {type(value) for value in values}
-    if not values or kinds not in ({int}, {bool}):
+    if set(map(type, values)) not in ({int}, {bool}):
         raise OptionError(f"{path}: expected a list of numbers, or of booleans.")
     return values
 
@@ -248,14 +242,13 @@ def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for head in ("rank", "candidate", "gain", "+-", "entropy", "sees", "new"):
-        table.add_column(head, justify="right")
-    table.add_column("name")
+    for head in ("rank", "candidate", "gain", "+-", "entropy", "sees", "new", "name"):
+        table.add_column(head, justify="left" if head == "name" else "right")
     for rank, proposal in enumerate(guidance.proposals, 1):
         table.add_row(
-            str(rank), str(proposal.candidate), _number_or_dash(proposal.gain, 4),
-            _number_or_dash(proposal.error, 4), _number_or_dash(proposal.entropy, 3),
-            f"{proposal.sees:.0%}", f"{proposal.new:.0%}", proposal.name,
+            str(rank), str(proposal.candidate), cell(proposal.gain, 4), cell(proposal.error, 4),
+            cell(proposal.entropy, 3), f"{proposal.sees:.0%}", f"{proposal.new:.0%}",
+            proposal.name,
         )  # fmt: skip
     seen = np.array(estimate.coverage) > 0
     words = (
@@ -272,7 +265,3 @@ def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
         words += " By how much each photograph is expected to lower the latter (gain), and to what:"
     console.print(words, highlight=False, soft_wrap=True)
     console.print(table, markup=False, highlight=False)
-
-
-def _number_or_dash(value: float, digits: int) -> str:
-    return "-" if np.isnan(value) else f"{value:.{digits}f}"

@@ -73,7 +73,7 @@ class Inpaint(CaptureCommand):
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
-        self.capture.check(self.spp)
+        super().check()
         if not self.above > 0:
             raise OptionError(f"--above must be positive, got {self.above}.")
         if self.model is not None:

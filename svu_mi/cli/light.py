@@ -75,21 +75,21 @@ class FindLight(CaptureCommand):
             self.start()
             capture, found, against = self._run(Progress(console), place)
         say(console, f"Wrote {self.output}")
-        for sentence in sentences(found, upright(capture)):
-            say(console, sentence)
+        lines = list(sentences(found, upright(capture)))
         if found.gains is not None:
-            for sentence in gain_sentences(found.gains, capture):
-                say(console, sentence)
+            lines += gain_sentences(found.gains, capture)
         if against is not None:
-            say(console, likeness_sentence(against))
+            lines.append(likeness_sentence(against))
+        for line in lines:
+            say(console, line)
         return 0
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
         from svu_mi.illumination.scale import require_albedo
 
+        super().check()
         opt.texel_size(self.resolution)
-        self.capture.check(self.spp)
         if self.light_moves and self.light_fixed:
             raise OptionError("--light-moves and --light-fixed exclude each other; omit one.")
         self._options()
@@ -98,25 +98,19 @@ class FindLight(CaptureCommand):
         several = [name for name, value in facts.items() if value is not None]
         if len(several) > 1:
             raise OptionError(f"{' and '.join(several)} say the same thing twice; give one.")
-        self._check_card()
         if self.light_scale is not None and not LEAST <= self.light_scale <= 1 / LEAST:
             raise OptionError(
                 f"--light-scale must be in [{LEAST:g}, {1 / LEAST:g}], got {self.light_scale:g}."
             )
         if self.mean_albedo is not None:
             require_albedo(self.mean_albedo, "--mean-albedo")
-
-    def _check_card(self) -> None:
-        from svu_mi.illumination.scale import require_albedo
-
-        if self.grey_card is None:
-            return
-        require_albedo(self.grey_card[2], "--grey-card")
-        if not all(0 <= value <= 1 for value in self.grey_card[:2]):
-            raise OptionError(
-                "--grey-card: texture coordinates are in [0, 1], got "
-                f"{self.grey_card[0]:g} {self.grey_card[1]:g}."
-            )
+        if self.grey_card is not None:
+            u, v, albedo = self.grey_card
+            require_albedo(albedo, "--grey-card")
+            if not (0 <= u <= 1 and 0 <= v <= 1):
+                raise OptionError(
+                    f"--grey-card: texture coordinates are in [0, 1], got {u:g} {v:g}."
+                )
 
     def _options(self) -> LightOptions:
         """Return how light is found."""
@@ -171,7 +165,7 @@ class FindLight(CaptureCommand):
         finest = FINEST_MEAN if self.grey_card is None else FINEST_CARD
         seen = observe(capture, texels(capture.mesh, finest), progress)
         with progress.stage("Comparing base colours"):
-            if self.grey_card is None:
-                assert self.mean_albedo is not None
-                return scaled_by_mean(found, seen, self.mean_albedo)
-            return scaled_by_card(found, seen, self.grey_card[:2], self.grey_card[2])
+            if self.grey_card is not None:
+                return scaled_by_card(found, seen, self.grey_card[:2], self.grey_card[2])
+            assert self.mean_albedo is not None
+            return scaled_by_mean(found, seen, self.mean_albedo)

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from svu_mi.cli import options as opt
 from svu_mi.cli.common import Common
-from svu_mi.cli.options import (
-    CaptureOptions,
-    Missing,
-    Output,
-    PhotographOptions,
-    Samples,
-    SceneOptions,
-)
 from svu_mi.errors import OptionError
 from svu_mi.memory import Need, Sizes
 from svu_mi.progress import Progress
@@ -24,6 +18,7 @@ if TYPE_CHECKING:
     from svu_mi.capture import Capture
     from svu_mi.capture.window import Detail
     from svu_mi.illumination.options import LightOptions
+    from svu_mi.pipeline import Estimate
     from svu_mi.surface import Texels
 
 EQUATIONS = 26  # memory of six matrices of 3 N x 3 N, in that of a look
@@ -34,9 +29,9 @@ NeedOf = Callable[[Sizes], Need]
 class CaptureCommand(Common):
     """Options of every command that loads a capture."""
 
-    capture: CaptureOptions
-    spp: Samples = 64
-    output: Output = Path("out")
+    capture: opt.CaptureOptions
+    spp: opt.Samples = 64
+    output: opt.Output = Path("out")
 
     @property
     def beside(self) -> tuple[Path, Path]:
@@ -45,7 +40,7 @@ class CaptureCommand(Common):
 
     def load(
         self, progress: Progress, need: NeedOf, size: tuple[int, int], *, again: bool = False,
-        missing: Missing | None = None, surroundings: bool = False,
+        missing: opt.Missing | None = None, surroundings: bool = False,
     ) -> tuple[Capture, Texels]:  # fmt: skip
         """Read or render the photographs, and lay out texels; there may be no light.
 
@@ -90,8 +85,12 @@ class CaptureCommand(Common):
         lit = illuminated(capture, light, elsewhere=self.beside[1], gains=gains, progress=progress)
         return lit, grid
 
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work."""
+        self.capture.check(self.spp)
+
     def _read(
-        self, progress: Progress, photographs: PhotographOptions, need: NeedOf, detail: Detail
+        self, progress: Progress, photographs: opt.PhotographOptions, need: NeedOf, detail: Detail
     ) -> Capture:
         from svu_mi.capture.matching import NoPhotographsError, photographs_of
 
@@ -126,10 +125,39 @@ class CaptureCommand(Common):
             return plan.render(self.beside[0], progress=stage.update)
 
 
+@dataclass(frozen=True, kw_only=True)
+class EstimateCommand(CaptureCommand):
+    """Options of every command that estimates the posterior."""
+
+    estimation: opt.EstimateOptions = opt.EstimateOptions()
+    light: opt.GivenLight = None
+    resolution: opt.Size = ()
+
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work."""
+        super().check()
+        if self.resolution:
+            opt.texel_size(self.resolution)
+        self.estimation.check()
+
+    def estimated(
+        self, progress: Progress, size: tuple[int, int], command: str,
+        recovered: Path | None = None, **options: Any,
+    ) -> tuple[Capture, Estimate]:  # fmt: skip
+        """Load the capture, which ``recovered`` must show, and estimate its posterior."""
+        from svu_mi.output.textures import require_textures_of
+
+        need = partial(Need, command, resolution=size, model=self.estimation.model)
+        capture, grid = self.load_lit(progress, need, size, self.light)
+        if recovered is not None:
+            require_textures_of(capture, recovered)
+        return capture, self.estimation.estimate(progress, capture, grid, **options)
+
+
 def read_capture(
     progress: Progress,
-    source: SceneOptions,
-    photographs: PhotographOptions,
+    source: opt.SceneOptions,
+    photographs: opt.PhotographOptions,
     need: NeedOf,
     detail: Detail,
     *,

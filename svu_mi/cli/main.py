@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import nullcontext
-from typing import Annotated, Any
+from typing import Annotated, Any, Union
 
 import tyro
 
@@ -40,37 +40,22 @@ from svu_mi.cli.view import View
 from svu_mi.errors import OptionError, SvuError, excerpt, printable
 from svu_mi.memory import require_start
 
-Command = (
-    Annotated[Import, tyro.conf.subcommand("import")]
-    | Annotated[CheckCapture, tyro.conf.subcommand("check")]
-    | Annotated[FindLight, tyro.conf.subcommand("light")]
-    | Annotated[Entropy, tyro.conf.subcommand("entropy")]
-    | Annotated[Guide, tyro.conf.subcommand("guide")]
-    | Annotated[Recover, tyro.conf.subcommand("recover")]
-    | Annotated[Inpaint, tyro.conf.subcommand("inpaint")]
-    | Annotated[Relight, tyro.conf.subcommand("relight")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-    | Annotated[View, tyro.conf.subcommand("view")]
-    | Annotated[Compare, tyro.conf.subcommand("compare")]
-    | Annotated[Batch, tyro.conf.subcommand("batch")]
-    | Annotated[Scenes, tyro.conf.subcommand("scenes")]
-    | Annotated[Render, tyro.conf.subcommand("render")]
-    | Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Bench, tyro.conf.subcommand("bench")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-)
-
-
+COMMANDS = {
+    "import": Import, "check": CheckCapture, "light": FindLight, "entropy": Entropy,
+    "guide": Guide, "recover": Recover, "inpaint": Inpaint, "relight": Relight, "report": Report,
+    "export": Export, "view": View, "compare": Compare, "batch": Batch, "scenes": Scenes,
+    "render": Render, "demo": Demo, "bench": Bench, "doctor": Doctor,
+}  # fmt: skip
+Command: Any = Union[  # noqa: UP007 - of a tuple
+    tuple(Annotated[each, tyro.conf.subcommand(name)] for name, each in COMMANDS.items())
+]
 DESCRIPTION = "What photographs say about the reflectance of an object, and how much."
-ZERO = "embedded null"  # how Python says that a path has a zero byte, which no system allows
 LONGEST = 200  # letters of a path in a sentence
+ROOM = "make room, or write to another disk"
 REMEDIES = {
-    errno.ENAMETOOLONG: "give a shorter one",
-    errno.ENOSPC: "make room, or write to another disk",
-    errno.EDQUOT: "make room, or write to another disk",
+    errno.ENAMETOOLONG: "give a shorter one", errno.ENOSPC: ROOM, errno.EDQUOT: ROOM,
     errno.EROFS: "write to another disk",
-}
+}  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -100,8 +85,7 @@ def _run(arguments: Sequence[str]) -> int:
         asked = not {"-h", "--help"}.isdisjoint(arguments)
         with flowing(Command) if asked else nullcontext():
             command: Any = tyro.cli(
-                Command,  # type: ignore[arg-type]
-                prog="svu", description=DESCRIPTION, args=with_known_repeated(arguments),
+                Command, prog="svu", description=DESCRIPTION, args=with_known_repeated(arguments),
                 config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands), registry=REGISTRY,
             )  # fmt: skip
         _require_a_place()
@@ -153,7 +137,7 @@ def _sentence(error: Exception) -> tuple[str, int]:
         place = f"{excerpt(os.fsdecode(error.filename), LONGEST)}: " if named else ""
         remedy = f"; {REMEDIES[error.errno]}" if error.errno in REMEDIES else ""
         return f"{place}{error.strerror or error}{remedy}.", 2
-    if isinstance(error, ValueError) and ZERO in str(error):
+    if isinstance(error, ValueError) and "embedded null" in str(error):  # Python's own words
         return "a file name must not have a zero byte.", 2
     kind = type(error).__name__
     return f"internal error ({kind}: {error}); please report it with the output of -v", 1

@@ -81,7 +81,6 @@ class Recover(CaptureCommand):
 
     def run(self, console: Console) -> int:
         """Recover, and write the results."""
-
         self.check()
         with claimed(
             self.output, "recover", overwrite=self.overwrite, keep=CHECKPOINT
@@ -97,8 +96,8 @@ class Recover(CaptureCommand):
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
+        super().check()
         opt.texel_size(self.resolution)
-        self.capture.check(self.spp)
         if not self.parameters:
             raise OptionError("--parameters must name at least one texture.")
         if self.seed < 0:
@@ -116,15 +115,16 @@ class Recover(CaptureCommand):
             )
 
     def _check_checkpoint(self, checkpoint: Path) -> None:
-        if self.resume and not checkpoint.exists():
-            raise OptionError(f"{self.output}: no checkpoint to resume from; omit --resume.")
-        if not self.resume and checkpoint.exists():
-            if not self.overwrite:
-                raise OptionError(
-                    f"{self.output}: an interrupted run has left a checkpoint; continue it with "
-                    "--resume, or start again with --overwrite."
-                )
-            checkpoint.unlink()
+        if self.resume:
+            if not checkpoint.exists():
+                raise OptionError(f"{self.output}: no checkpoint to resume from; omit --resume.")
+        elif self.overwrite:
+            checkpoint.unlink(missing_ok=True)
+        elif checkpoint.exists():
+            raise OptionError(
+                f"{self.output}: an interrupted run has left a checkpoint; continue it with "
+                "--resume, or start again with --overwrite."
+            )
 
     def _run(self, progress: Progress, place: Claim) -> Knowledge:
         from svu_mi.checking.exposure import warn_if_too_bright
@@ -181,8 +181,9 @@ class Recover(CaptureCommand):
         """Return the options of the parts of the method."""
         from svu_mi.recovery.options import options_of
 
-        self._require_used("steps", "path")
-        self._require_used("epochs", "sh")
+        for option, unused in (("steps", "path"), ("epochs", "sh")):
+            if self.method == unused and getattr(self, option) is not None:
+                raise OptionError(f"--{option} has no effect with --method {unused}; omit it.")
         found = options_of(self.method, self.preset)
         if (sh := found.get("sh")) and self.steps is not None:
             found["sh"] = replace(sh, descent=replace(sh.descent, steps=self.steps))
@@ -190,10 +191,6 @@ class Recover(CaptureCommand):
             epochs = path.epochs if self.epochs is None else self.epochs
             found["path"] = replace(path, epochs=epochs, seed=self.seed)
         return found
-
-    def _require_used(self, option: str, unused: str) -> None:
-        if self.method == unused and getattr(self, option) is not None:
-            raise OptionError(f"--{option} has no effect with --method {unused}; omit it.")
 
 
 def _advice(checkpoint: Path) -> str:

@@ -70,7 +70,7 @@ class Relight(CaptureCommand):
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
-        self.capture.check(self.spp)
+        super().check()
         if not 1 <= self.side <= MOST_PIXELS:
             raise OptionError(f"--side must be in [1, {MOST_PIXELS}], got {self.side}.")
         if self.views < 1:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,10 +10,9 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli import options as opt
-from svu_mi.cli.loading import CaptureCommand
+from svu_mi.cli.loading import EstimateCommand
 from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
-from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.exchange import locked
 
@@ -28,7 +26,7 @@ Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(CaptureCommand):
+class Report(EstimateCommand):
     """Write what photographs say as one HTML file, with all pictures inside.
 
     Photographs, entropy on a turntable, maps, probabilities, errors of views, settings, times and
@@ -36,8 +34,6 @@ class Report(CaptureCommand):
     are compared with the photographs.
     """
 
-    estimation: opt.EstimateOptions = opt.EstimateOptions()
-    light: opt.GivenLight = None
     recovered: opt.Recovered = None
     resolution: opt.Size = ()
     """Texels per side, or width and height; by default those of --recovered, else 256, as many as
@@ -73,9 +69,7 @@ class Report(CaptureCommand):
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
-        opt.texel_size(self.resolution or (SIDE,))
-        self.capture.check(self.spp)
-        self.estimation.check()
+        super().check()
         if self.output.is_dir():
             raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")
         if self.output.suffix.lower() not in SUFFIXES:
@@ -89,13 +83,8 @@ class Report(CaptureCommand):
     ) -> Knowledge:
         from svu_mi.checking.exposure import warn_if_too_bright
         from svu_mi.output.report.report import write_report
-        from svu_mi.output.textures import require_textures_of
 
-        need = partial(Need, "report", resolution=size, model=self.estimation.model)
-        capture, texels = self.load_lit(progress, need, size, self.light)
-        if self.recovered is not None:
-            require_textures_of(capture, self.recovered)
-        found = self.estimation.estimate(progress, capture, texels)
+        capture, found = self.estimated(progress, size, "report", self.recovered)
         warn_if_too_bright(found)
         with progress.stage("Writing the report") as stage:
             return write_report(

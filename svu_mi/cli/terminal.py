@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from math import isnan
 from typing import Any, TextIO, cast
 
 from rich.console import Console
@@ -106,23 +107,16 @@ class OneLine(Console):
 class LogLines(logging.Handler):
     """Writes records to the ``sys.stderr`` of their time, one line each."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.setFormatter(_Line("svu: %(message)s"))
-
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record."""
-        try:
-            sys.stderr.write(f"{self.format(record)}\n")
-        except Exception:
-            self.handleError(record)
-
-
-class _Line(logging.Formatter):
-    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
-        return printable(super().formatMessage(record))  # a traceback follows in its own lines
+        sys.stderr.write(f"svu: {printable(record.getMessage())}\n")
 
 
 def say(console: Console, text: str) -> None:
     """Print a line as it is: a log has no width, and a name may hold [brackets]."""
     console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
+
+
+def cell(value: float | None, digits: int = 2) -> str:
+    """Return a number as the cell of a table; a dash if it is unknown."""
+    return "-" if value is None or isnan(value) else f"{value:.{digits}f}"

@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 from rich.console import Console
 
 from svu_mi.cli import options as opt
-from svu_mi.cli.loading import CaptureCommand
+from svu_mi.cli.loading import EstimateCommand
 from svu_mi.cli.terminal import say
-from svu_mi.memory import Need
 from svu_mi.progress import Progress
 
 SIDE = 512  # texels
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(CaptureCommand):
+class View(EstimateCommand):
     """Look at entropy, textures and photographs on the object, in a browser.
 
     Click a texel for its posterior and a camera to look through it; Ctrl-C stops. Needs
     pip install 'svu_mi[viewer]'.
     """
 
-    estimation: opt.EstimateOptions = opt.EstimateOptions()
-    light: opt.GivenLight = None
     recovered: opt.Recovered = None
     resolution: opt.Size = ()
     """Texels per side, or width and height; by default those of --recovered, else 512."""
@@ -37,23 +33,16 @@ class View(CaptureCommand):
 
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""
-        from svu_mi.output.textures import require_textures_of
         from svu_mi.output.viewer.server import require_port, require_viser
         from svu_mi.output.viewer.viewer import Viewer
 
-        opt.texel_size(self.resolution or (SIDE,))
-        self.capture.check(self.spp)
-        self.estimation.check()
+        self.check()
         require_port(self.port)
         require_viser()
         self.start()
         progress = Progress(console)
         size, textures = opt.recovered_textures(self.recovered, self.resolution, SIDE)
-        need = partial(Need, "view", resolution=size, model=self.estimation.model)
-        capture, texels = self.load_lit(progress, need, size, self.light)
-        if self.recovered is not None:
-            require_textures_of(capture, self.recovered)
-        result = self.estimation.estimate(progress, capture, texels)
+        capture, result = self.estimated(progress, size, "view", self.recovered)
         with progress.stage("Opening the viewer"):
             viewer = Viewer(capture, result, textures, port=self.port, up=self.up)
         say(console, f"Open {viewer.url} in a browser; press Ctrl-C to stop.")
