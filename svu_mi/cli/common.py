@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, ClassVar
 
 import tyro
+from rich.console import Console
 
 from svu_mi import _llvm
+from svu_mi.cli.options import Output, Overwrite
+from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
 from svu_mi.limits import FEWEST_THREADS, ensure_threads
+from svu_mi.progress import Progress
+from svu_mi.results.transaction import Claim, claimed
 
 log = logging.getLogger(__name__)
 
@@ -85,6 +91,38 @@ class Common:
             raise SvuEnvironmentError(
                 f"Variant '{name}' is not available: {excerpt(error)}; run svu doctor."
             ) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultCommand(Common):
+    """Options of every command that writes a folder, and its frame."""
+
+    command: ClassVar[str]
+    """Name in the record of the result."""
+    keep: ClassVar[str] = ""
+    """Pattern of files that outlive a run that fails."""
+    page: ClassVar[str] = ""
+    """File of the result to look at first."""
+    output: Output = Path("out")
+    overwrite: Overwrite = False
+
+    def run(self, console: Console) -> int:
+        """Check the options, claim the folder, work, and print what was found."""
+        self.check()
+        with claimed(self.output, self.command, overwrite=self.overwrite, keep=self.keep) as place:
+            self.start()
+            lines = self.work(Progress(console), place)
+        say(console, f"Wrote {self.output / self.page}")
+        for line in lines:
+            say(console, line)
+        return 0
+
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work."""
+
+    def work(self, progress: Progress, place: Claim) -> Iterable[str]:
+        """Write the result; return what to print of it."""
+        raise NotImplementedError
 
 
 class Interrupted(KeyboardInterrupt):

@@ -8,26 +8,22 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 
-from svu_mi.cli.common import Common
+from svu_mi.cli.common import ResultCommand
 from svu_mi.cli.loading import read_capture, with_search
 from svu_mi.cli.options import (
     Memory,
     Output,
-    Overwrite,
     PhotographOptions,
     SceneOptions,
     Size,
     bytes_of,
     given,
-    pair,
+    texel_size,
 )
-from svu_mi.cli.terminal import say
-from svu_mi.limits import require_texels
 from svu_mi.memory import MODELS, Need
 from svu_mi.progress import Progress
-from svu_mi.results.transaction import claimed
+from svu_mi.results.transaction import Claim
 
 Result = Annotated[Path, tyro.conf.Positional]
 Preset = Literal["default", "fixed", "fast", "paper"]
@@ -35,7 +31,7 @@ Presets = Annotated[tuple[Preset, ...], tyro.conf.arg(metavar="PRESET [PRESET]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(Common):
+class Compare(ResultCommand):
     """Compare two captures, results or folders of textures of one object.
 
     Each of A and B is a capture (which is estimated), a folder that svu entropy or svu recover
@@ -47,8 +43,8 @@ class Compare(Common):
     """The first, such as before a change."""
     b: Annotated[Result, tyro.conf.arg(metavar="B")]
     """The second, which the first is subtracted from."""
+    command, page = "compare", "compare.html"
     output: Output = Path("out/compare")
-    overwrite: Overwrite = False
     preset: Presets = ("default",)
     """Of estimates of captures: default, fixed, fast or paper; two for A and B."""
     resolution: Size = ()
@@ -59,35 +55,33 @@ class Compare(Common):
     """Memory that the photographs of a capture may take, such as 4G; beyond it they lie in a file.
     By default half of what is free."""
 
-    def run(self, console: Console) -> int:
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work."""
+        bytes_of(self.memory, "--memory")
+        if self.resolution:
+            texel_size(self.resolution)
+
+    def work(self, progress: Progress, place: Claim) -> list[str]:
         """Compare, write the page, and say what was found."""
         from svu_mi.capture.window import Detail
         from svu_mi.output.compare import plan_comparison
         from svu_mi.output.compare_page import write_comparison
 
-        size = pair(self.resolution, "--resolution") if self.resolution else None
-        if size is not None:
-            require_texels(size, "--resolution")
         preset = self.preset[0] if len(self.preset) == 1 else self.preset
-        with claimed(self.output, "compare", overwrite=self.overwrite) as place:
-            bytes_of(self.memory, "--memory")  # refused before any work
-            self.start()
-            progress = Progress(console)
-            plan = plan_comparison(
-                self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance
-            )
-            # Of the one of the two estimates that takes more.
-            model = max(self.preset, key=MODELS.__getitem__)
-            need = with_search(partial(Need, "compare", resolution=plan.size, model=model))
-            for index, path in plan.captures:
-                capture = read_capture(
-                    progress, SceneOptions(scene=path), PhotographOptions(memory=self.memory),
-                    need, Detail(texels=plan.size), trust=self.trust,
-                )  # fmt: skip
-                plan.estimate(index, capture, progress)
-            found = plan.compared()
-            with progress.stage("Writing the page"):
-                write_comparison(found, place, settings=given(self))
-        say(console, f"Wrote {self.output / 'compare.html'}")
-        say(console, found.sentence())
-        return 0
+        size = texel_size(self.resolution) if self.resolution else None
+        plan = plan_comparison(
+            self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance
+        )
+        # Of the one of the two estimates that takes more.
+        model = max(self.preset, key=MODELS.__getitem__)
+        need = with_search(partial(Need, "compare", resolution=plan.size, model=model))
+        for index, path in plan.captures:
+            capture = read_capture(
+                progress, SceneOptions(scene=path), PhotographOptions(memory=self.memory), need,
+                Detail(texels=plan.size), trust=self.trust,
+            )  # fmt: skip
+            plan.estimate(index, capture, progress)
+        found = plan.compared()
+        with progress.stage("Writing the page"):
+            write_comparison(found, place, settings=given(self))
+        return [found.sentence()]

@@ -5,41 +5,30 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
 from svu_mi.cli import options as opt
+from svu_mi.cli.common import ResultCommand
 from svu_mi.cli.loading import EstimateCommand
-from svu_mi.cli.terminal import say
 from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim, claimed
+from svu_mi.results.transaction import Claim
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entropy(EstimateCommand):
+class Entropy(EstimateCommand, ResultCommand):
     """Compute how much photographs tell about every texel.
 
     Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
     run.json.
     """
 
+    command = "entropy"
     output: opt.Output = Path("out/entropy")
-    overwrite: opt.Overwrite = False
     resolution: opt.Resolution = (512,)
     skip: bool = True
     """Skip work that changes no result (unseen texels, blind views, equal channels, ...)."""
     pictures: opt.Pictures = True
 
-    def run(self, console: Console) -> int:
+    def work(self, progress: Progress, place: Claim) -> list[str]:
         """Run the pipeline, write the four files, and say what is known."""
-        self.check()
-        with claimed(self.output, "entropy", overwrite=self.overwrite) as place:
-            self.start()
-            summary = self._run(Progress(console), place)
-        say(console, f"Wrote {self.output}")
-        say(console, summary)
-        return 0
-
-    def _run(self, progress: Progress, place: Claim) -> str:
         from svu_mi.checking.exposure import warn_if_too_bright
         from svu_mi.options import NOTHING, Skip
         from svu_mi.output import Knowledge, Run, write_outputs
@@ -50,7 +39,5 @@ class Entropy(EstimateCommand):
         with progress.stage("Writing the results"):
             knowledge = Knowledge.of(result)
             run = Run(settings=opt.given(self), kernels=progress.kernels)
-            write_outputs(
-                capture, result, place, run, knowledge=knowledge, pictures=self.pictures
-            )
-        return knowledge.summary()
+            write_outputs(capture, result, place, run, knowledge=knowledge, pictures=self.pictures)
+        return [knowledge.summary()]

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from rich.console import Console
 
-from svu_mi.cli.common import Common
+from svu_mi.cli.common import ResultCommand
 from svu_mi.cli.loading import announce
-from svu_mi.cli.options import Output, Overwrite
-from svu_mi.cli.terminal import say
+from svu_mi.cli.options import Output
 from svu_mi.memory import Need, Sizes
 from svu_mi.progress import Progress
-from svu_mi.results.transaction import claimed
+from svu_mi.results.transaction import Claim
+
+if TYPE_CHECKING:
+    from svu_mi.export.export import ExportOptions
 
 Result = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
@@ -25,7 +26,7 @@ Gutter = Annotated[int | None, tyro.conf.arg(metavar="TEXELS")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(Common):
+class Export(ResultCommand):
     """Write recovered textures for Blender, Mitsuba, MaterialX and the web.
 
     Writes textures/*.exr and *.png (base_color, roughness, metallic, their standard deviations,
@@ -35,8 +36,8 @@ class Export(Common):
 
     result: Result
     """Folder that svu recover wrote."""
+    command = "export"
     output: Output = Path("out/asset")
-    overwrite: Overwrite = False
     entropy: Maps = None
     """Folder that svu entropy wrote about the same capture, for its maps; by default those in
     RESULT."""
@@ -52,22 +53,26 @@ class Export(Common):
     """Axis of the capture's world that points up; by default that of its cameras. glTF needs
     y, so a capture with z up is rotated in the GLB."""
 
-    def run(self, console: Console) -> int:
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work."""
+        self._options()
+
+    def _options(self) -> ExportOptions:
+        from svu_mi.export.export import ExportOptions
+
+        return ExportOptions(
+            formats=self.formats, bits=self.bits, half=self.half, gutter=self.gutter, up=self.up
+        )
+
+    def work(self, progress: Progress, place: Claim) -> list[str]:
         """Read the result, and write the asset."""
-        from svu_mi.export.export import ExportOptions, export_asset
+        from svu_mi.export.export import export_asset
         from svu_mi.export.reading import plan_asset
 
-        options = ExportOptions(
-            formats=self.formats, bits=self.bits, half=self.half, gutter=self.gutter, up=self.up
-        )  # refused before any work
-        with claimed(self.output, "export", overwrite=self.overwrite) as place:
-            self.start()
-            progress = Progress(console)
-            with progress.stage("Reading the result"):
-                plan = plan_asset(self.result, self.entropy)
-                announce(progress, str(self.result), Need("export", Sizes(()), plan.size))
-                asset = plan.read()
-            with progress.stage("Writing the asset"):
-                export_asset(asset, place, options)
-        say(console, f"Wrote {self.output}")
-        return 0
+        with progress.stage("Reading the result"):
+            plan = plan_asset(self.result, self.entropy)
+            announce(progress, str(self.result), Need("export", Sizes(()), plan.size))
+            asset = plan.read()
+        with progress.stage("Writing the asset"):
+            export_asset(asset, place, self._options())
+        return []

@@ -81,9 +81,7 @@ class Guide(EstimateCommand):
             progress = Progress(console)
             capture, estimate, guidance = self._guide(progress)
             with progress.stage("Writing the results") as stage:
-                run = Run(
-                    settings=opt.given(self), kernels=progress.kernels, progress=stage.update
-                )
+                run = Run(settings=opt.given(self), kernels=progress.kernels, progress=stage.update)
                 write_guidance(
                     capture, estimate, guidance, place, run, up=self.up,
                     pictures=self.pictures,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from math import inf
@@ -9,16 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 
 from svu_mi.cli import options as opt
+from svu_mi.cli.common import ResultCommand
 from svu_mi.cli.loading import CaptureCommand
-from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
 from svu_mi.inpaint.diffusion.model_interface import DiffusionOptions
 from svu_mi.memory import Need
 from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim, claimed
+from svu_mi.results.transaction import Claim
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,7 +33,7 @@ Weights = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inpaint(CaptureCommand):
+class Inpaint(CaptureCommand, ResultCommand):
     """Fill texels of recovered textures that no photograph shows, by what they are like.
 
     In their piece of the object, as high, around an axis, or on the other side of a mirror: how
@@ -42,9 +42,9 @@ class Inpaint(CaptureCommand):
     was filled), filled.png and run.json.
     """
 
+    command = "inpaint"
     light: opt.GivenLight = None
     output: opt.Output = Path("out/filled")
-    overwrite: opt.Overwrite = False
     recovered: From
     """Folder that svu recover wrote."""
     above: float = inf
@@ -58,19 +58,6 @@ class Inpaint(CaptureCommand):
     pictures: opt.Pictures = True
     diffusion: DiffusionOptions = DiffusionOptions()
 
-    def run(self, console: Console) -> int:
-        """Fill, and write the results."""
-        from svu_mi.output.filled import fill_sentences
-
-        self.check()
-        with claimed(self.output, "inpaint", overwrite=self.overwrite) as place:
-            self.start()
-            found = self._run(Progress(console), place)
-        say(console, f"Wrote {self.output}")
-        for sentence in fill_sentences(found):
-            say(console, sentence)
-        return 0
-
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
         super().check()
@@ -83,8 +70,9 @@ class Inpaint(CaptureCommand):
         elif self.diffusion != DiffusionOptions():
             raise OptionError("How a diffusion model is asked has no effect without --model.")
 
-    def _run(self, progress: Progress, place: Claim) -> Filled:
-        from svu_mi.output.filled import write_filled
+    def work(self, progress: Progress, place: Claim) -> Iterable[str]:
+        """Fill, and write the results."""
+        from svu_mi.output.filled import fill_sentences, write_filled
         from svu_mi.output.manifest import Run
         from svu_mi.output.textures import read_textures, require_textures_of, settings_of
         from svu_mi.parameters import NAMES
@@ -106,7 +94,7 @@ class Inpaint(CaptureCommand):
         with progress.stage("Writing the results"):
             run = Run(settings=opt.given(self), kernels=progress.kernels)
             write_filled(capture, field, found, place, run, pictures=self.pictures)
-        return found
+        return fill_sentences(found)
 
     def _model(self, progress: Progress) -> Model | None:
         """Read the weights: before anything that takes long."""

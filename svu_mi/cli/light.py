@@ -8,20 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from rich.console import Console
 
 from svu_mi.cli import options as opt
-from svu_mi.cli.common import interruptible
+from svu_mi.cli.common import ResultCommand, interruptible
 from svu_mi.cli.loading import CaptureCommand, to_find_light
-from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
 from svu_mi.illumination.options import LightOptions
 from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim, claimed
+from svu_mi.results.transaction import Claim
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
-    from svu_mi.illumination.light_summary import Likeness
     from svu_mi.illumination.record import LightEstimate
 
 Depths = Annotated[tuple[tuple[int, int], ...], tyro.conf.arg(metavar="CELLS ROUNDS ...")]
@@ -32,7 +29,7 @@ FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side that base colours are comp
 
 
 @dataclass(frozen=True, kw_only=True)
-class FindLight(CaptureCommand):
+class FindLight(CaptureCommand, ResultCommand):
     """Find the light that photographs were taken under, in the photographs.
 
     Writes light.exr (a map in the frame of Mitsuba's envmap, with layers that say how well it is
@@ -40,8 +37,8 @@ class FindLight(CaptureCommand):
     that the capture has is not looked at, but compared with.
     """
 
+    command = "light"
     output: opt.Output = Path("out/light")
-    overwrite: opt.Overwrite = False
     resolution: opt.Size = (256,)
     """Texels per side, or width and height, that texels are chosen from."""
     texels: int = LightOptions.texels
@@ -64,25 +61,6 @@ class FindLight(CaptureCommand):
     """Texture coordinates of a grey spot that is not metallic, and its base colour there: fixes
     brightness and colour."""
     pictures: opt.Pictures = True
-
-    def run(self, console: Console) -> int:
-        """Find the light, write it, and say what is known of it."""
-        from svu_mi.illumination.light_summary import gain_sentences, likeness_sentence, sentences
-        from svu_mi.output.views import upright
-
-        self.check()
-        with claimed(self.output, "light", overwrite=self.overwrite) as place:
-            self.start()
-            capture, found, against = self._run(Progress(console), place)
-        say(console, f"Wrote {self.output}")
-        lines = list(sentences(found, upright(capture)))
-        if found.gains is not None:
-            lines += gain_sentences(found.gains, capture)
-        if against is not None:
-            lines.append(likeness_sentence(against))
-        for line in lines:
-            say(console, line)
-        return 0
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
@@ -120,13 +98,13 @@ class FindLight(CaptureCommand):
             background=self.background, gains=self.capture.photographs.estimates_gains,
         )  # fmt: skip
 
-    def _run(
-        self, progress: Progress, place: Claim
-    ) -> tuple[Capture, LightEstimate, Likeness | None]:
+    def work(self, progress: Progress, place: Claim) -> list[str]:
+        """Find the light, write it, and say what is known of it."""
+        from svu_mi.illumination import light_summary as summary
         from svu_mi.illumination.estimate import estimate_light
-        from svu_mi.illumination.light_summary import likeness
         from svu_mi.output import Run
         from svu_mi.output.light_page import write_light
+        from svu_mi.output.views import upright
 
         options, size = self._options(), opt.texel_size(self.resolution)
         need = partial(to_find_light, resolution=size, options=options)
@@ -138,18 +116,19 @@ class FindLight(CaptureCommand):
         with interruptible(lambda: "interrupted; run the same command again"):
             found = estimate_light(capture, grid, options, progress)
             found = self._scaled(progress, capture, found)
-        against = None if own is None or found.moves else likeness(found, own)
+        against = None if own is None or found.moves else summary.likeness(found, own)
         with progress.stage("Writing the results"):
             run = Run(settings=opt.given(self), kernels=progress.kernels)
             write_light(
                 capture, found, place, run, used=asdict(options), against=against,
                 timings=progress.timings, pictures=self.pictures,
             )  # fmt: skip
-        return capture, found, against
+        lines = list(summary.sentences(found, upright(capture)))
+        if found.gains is not None:
+            lines += summary.gain_sentences(found.gains, capture)
+        return lines if against is None else [*lines, summary.likeness_sentence(against)]
 
-    def _scaled(
-        self, progress: Progress, capture: Capture, found: LightEstimate
-    ) -> LightEstimate:
+    def _scaled(self, progress: Progress, capture: Capture, found: LightEstimate) -> LightEstimate:
         """Return the light as bright as is known otherwise."""
         from svu_mi.illumination.exposure import equalized
         from svu_mi.illumination.scale import scaled_by_card, scaled_by_mean

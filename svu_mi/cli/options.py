@@ -48,9 +48,7 @@ Samples = Annotated[int, tyro.conf.arg(help="Samples per pixel, with --render.")
 Pictures = Annotated[bool, tyro.conf.arg(help="Draw PNG pictures of the results, too.")]
 Recovered = Annotated[
     Path | None,
-    tyro.conf.arg(
-        metavar="FOLDER", help="Folder that svu recover wrote, to show its textures."
-    ),
+    tyro.conf.arg(metavar="FOLDER", help="Folder that svu recover wrote, to show its textures."),
 ]
 GivenLight = Annotated[
     Path | None,

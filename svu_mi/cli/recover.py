@@ -8,18 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 
 from svu_mi.cli import options as opt
-from svu_mi.cli.common import interruptible
+from svu_mi.cli.common import ResultCommand, interruptible
 from svu_mi.cli.loading import CaptureCommand
-from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
 from svu_mi.memory import Need
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.options import PRINTED_PRESETS
-from svu_mi.results.transaction import CHECKPOINT, Claim, claimed
+from svu_mi.results.transaction import CHECKPOINT, Claim
 
 if TYPE_CHECKING:
     from svu_mi.output import Knowledge
@@ -34,7 +32,7 @@ From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recover(CaptureCommand):
+class Recover(CaptureCommand, ResultCommand):
     """Recover base colour, roughness and metallic textures from photographs.
 
     Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
@@ -43,9 +41,9 @@ class Recover(CaptureCommand):
     interrupted run.
     """
 
+    command, keep = "recover", CHECKPOINT
     light: opt.GivenLight = None
     output: opt.Output = Path("out/textures")
-    overwrite: opt.Overwrite = False
     resolution: opt.Resolution = (512,)
     method: Literal["sh", "path", "sh+path"] = "sh"
     """sh: a reflection model, in seconds; path: Mitsuba's path tracer in a loop; sh+path: the
@@ -79,20 +77,12 @@ class Recover(CaptureCommand):
     """Seed of the batches and paths of path, and of the draws."""
     pictures: opt.Pictures = True
 
-    def run(self, console: Console) -> int:
+    def work(self, progress: Progress, place: Claim) -> list[str]:
         """Recover, and write the results."""
-        self.check()
-        with claimed(
-            self.output, "recover", overwrite=self.overwrite, keep=CHECKPOINT
-        ) as place:
-            checkpoint = place.draft / CHECKPOINT
-            self._check_checkpoint(checkpoint)
-            self.start()
-            with interruptible(partial(_advice, checkpoint)):
-                knowledge = self._run(Progress(console), place)
-        say(console, f"Wrote {self.output}")
-        say(console, knowledge.summary())
-        return 0
+        checkpoint = place.draft / CHECKPOINT
+        self._check_checkpoint(checkpoint)
+        with interruptible(partial(_advice, checkpoint)):
+            return [self._recover(progress, place).summary()]
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
@@ -126,7 +116,7 @@ class Recover(CaptureCommand):
                 "--resume, or start again with --overwrite."
             )
 
-    def _run(self, progress: Progress, place: Claim) -> Knowledge:
+    def _recover(self, progress: Progress, place: Claim) -> Knowledge:
         from svu_mi.checking.exposure import warn_if_too_bright
         from svu_mi.observed import observe
         from svu_mi.output import Knowledge, Run

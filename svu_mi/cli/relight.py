@@ -8,19 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from rich.console import Console
 
 from svu_mi.cli import options as opt
+from svu_mi.cli.common import ResultCommand
 from svu_mi.cli.loading import CaptureCommand
-from svu_mi.cli.terminal import say
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.memory import Need
 from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim, claimed
+from svu_mi.results.transaction import Claim
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
-    from svu_mi.recovery.relight import RelitView
 
 MOST_PIXELS = 8192  # per side of a picture
 From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -29,7 +27,7 @@ Poses = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relight(CaptureCommand):
+class Relight(CaptureCommand, ResultCommand):
     """Show the object in its recovered textures under another light, and how sure every pixel is.
 
     Renders the textures and the draws beside them (svu recover --draws 16) with the same random
@@ -37,8 +35,8 @@ class Relight(CaptureCommand):
     pixel over the draws), relight.png and run.json.
     """
 
+    command = "relight"
     output: opt.Output = Path("out/relit")
-    overwrite: opt.Overwrite = False
     recovered: From
     """Folder that svu recover --draws wrote."""
     environment: Map = None
@@ -56,18 +54,6 @@ class Relight(CaptureCommand):
     """Seed of the samples."""
     pictures: opt.Pictures = True
 
-    def run(self, console: Console) -> int:
-        """Render, and write the results."""
-        from svu_mi.output.relit_page import doubt_sentence
-
-        self.check()
-        with claimed(self.output, "relight", overwrite=self.overwrite) as place:
-            self.start()
-            found = self._run(Progress(console), place)
-        say(console, f"Wrote {self.output}")
-        say(console, doubt_sentence(found))
-        return 0
-
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
         super().check()
@@ -83,11 +69,12 @@ class Relight(CaptureCommand):
                 "HDR)."
             )
 
-    def _run(self, progress: Progress, place: Claim) -> list[RelitView]:
+    def work(self, progress: Progress, place: Claim) -> list[str]:
+        """Render, and write the results."""
         from svu_mi.illumination.resolve_light import with_map
         from svu_mi.output.draws import find_draws, read_draws
         from svu_mi.output.manifest import Run
-        from svu_mi.output.relit_page import write_relighting
+        from svu_mi.output.relit_page import doubt_sentence, write_relighting
         from svu_mi.output.textures import read_textures, require_textures_of
         from svu_mi.recovery.relight import relight_draws
 
@@ -115,7 +102,7 @@ class Relight(CaptureCommand):
             write_relighting(
                 capture, found, names, place, run, draws=len(files), pictures=self.pictures
             )
-        return found
+        return [doubt_sentence(found)]
 
     def _sensors(self, capture: Capture) -> tuple[list[Any], list[str]]:
         """Return the sensors that pictures are made from, and their names."""
