@@ -45,7 +45,7 @@ def test_a_connection_that_is_lost_is_a_sentence(monkeypatch, name):
     """Dask says it in two ways: of results on their way, and of work that is not done."""
     distributed = pytest.importorskip("distributed")
     known = {"CommClosedError": distributed.comm.CommClosedError, "CancelledError": CancelledError}
-    monkeypatch.setattr(runner, "_client", MagicMock())
+    monkeypatch.setattr(distributed, "Client", MagicMock())
     with pytest.raises(SvuError, match="connection was lost"), runner.connected("tcp://there:1"):
         raise known[name]("Stream is closed.")
 

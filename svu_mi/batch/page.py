@@ -16,7 +16,7 @@ from svu_mi.batch.capture_list import INDEX, TABLE
 from svu_mi.batch.runner import Outcome
 from svu_mi.batch.steps import STEPS
 from svu_mi.files import write_text
-from svu_mi.output.page import Picture, drawing, percent, write_page
+from svu_mi.output.page import Picture, drawing, write_page
 
 SIDE = 160  # pixels of a thumbnail
 COLUMNS = ("capture", "seen", "entropy", "known", "seconds", "peak_gb", "problem")
@@ -30,7 +30,7 @@ def write_index(output: Path, outcomes: Sequence[Outcome], waiting: int = 0) -> 
     table.writerow(COLUMNS)
     for one in rows:
         figures = [f"{one.figures[name]:.4f}" if name in one.figures else ""
-                   for name in ("seen", "entropy", "known")]  # fmt: skip
+                   for name in COLUMNS[1:4]]  # fmt: skip
         peak = f"{one.peak / 1e9:.2f}"
         table.writerow([one.name, *figures, f"{one.seconds:.1f}", peak, one.sentence])
     write_text(output / TABLE, text.getvalue().removesuffix("\n"))
@@ -46,14 +46,8 @@ def _row(outcome: Outcome) -> dict[str, Any]:
         name: f"{quote(outcome.name)}/{step.output}{'' if '.' in step.output else '/'}"
         for name, step in STEPS.items() if name in outcome.done
     }  # fmt: skip
-    seen, entropy, known = (outcome.figures.get(name) for name in ("seen", "entropy", "known"))
-    return {
-        "name": outcome.name, "picture": thumbnail(outcome.folder) if "entropy" in links else None,
-        "links": links, "sentence": outcome.sentence, "seconds": outcome.seconds,
-        "peak": outcome.peak / 1e9, "seen": seen, "entropy": entropy, "known": known,
-        "seen_text": "" if seen is None else percent(seen),
-        "known_text": "" if known is None else percent(known),
-    }  # fmt: skip
+    picture = thumbnail(outcome.folder) if "entropy" in links else None
+    return {"links": links, "picture": picture, "outcome": outcome}
 
 
 def thumbnail(folder: Path) -> Picture | None:

@@ -109,30 +109,34 @@ class BatchRunner:
                     future.cancel()
                 commands.end()
 
-    def run_on(self, client: Any, items: Sequence[Item]) -> Iterator[Outcome]:
-        """Work on captures by the workers of a cluster, which see the same files.
+    def run_on(self, address: str, items: Sequence[Item]) -> Iterator[Outcome]:
+        """Work on captures by the workers of a Dask scheduler, which see the same files.
 
         A worker that ends costs the command it was at: another one continues.
         """
-        from distributed import KilledWorker, as_completed
+        with connected(address) as client:
+            from distributed import KilledWorker, as_completed
 
-        if not client.scheduler_info().get("workers"):
-            raise OptionError("The cluster has no workers; start some with: dask worker ADDRESS.")
-        # Workers finish their capture after a batch was stopped: wait for them.
-        there = replace(self, output=self.output.absolute(), patience=DAY)
-        futures = {
-            client.submit(work_there, there, _absolute(item), pure=False): item for item in items
-        }
-        try:
-            for future in as_completed(futures):
-                item = futures[future]
-                try:
-                    yield future.result()
-                except KilledWorker:
-                    said = "ended every worker that it was given to; their logs may say why"
-                    yield Outcome(item.name, there.output / item.name, said)
-        finally:
-            client.cancel(list(futures))
+            if not client.scheduler_info().get("workers"):
+                raise OptionError(
+                    "The cluster has no workers; start some with: dask worker ADDRESS."
+                )
+            # Workers finish their capture after a batch was stopped: wait for them.
+            there = replace(self, output=self.output.absolute(), patience=DAY)
+            futures = {
+                client.submit(work_there, there, _absolute(item), pure=False): item
+                for item in items
+            }
+            try:
+                for future in as_completed(futures):
+                    item = futures[future]
+                    try:
+                        yield future.result()
+                    except KilledWorker:
+                        said = "ended every worker that it was given to; their logs may say why"
+                        yield Outcome(item.name, there.output / item.name, said)
+            finally:
+                client.cancel(list(futures))
 
     def work(self, item: Item, commands: Commands) -> Outcome:
         """Take the steps of one capture that are not done; errors become its sentence."""

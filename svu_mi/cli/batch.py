@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Interrupted
+from svu_mi.cli.common import Common, interruptible
 from svu_mi.cli.options import Output, pair
 from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
@@ -20,7 +20,6 @@ from svu_mi.progress import Progress
 from svu_mi.results.exchange import locked
 
 if TYPE_CHECKING:
-    from svu_mi.batch.capture_list import Item
     from svu_mi.batch.runner import BatchRunner, Outcome
 
 Address = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
@@ -63,34 +62,27 @@ class Batch(Common):
         require_apart(self.output, items)
         self.output.mkdir(parents=True, exist_ok=True)
         outcomes: list[Outcome] = []
+
+        def stopped() -> str:
+            return (
+                f"Interrupted after {len(outcomes)} of {len(items)} captures; the same command "
+                "goes on."
+            )
+
         with locked(self.output.resolve()):
-            try:
-                with Progress(console).stage("Working on captures", len(items)) as stage:
-                    for outcome in self._outcomes(runner, items):
-                        outcomes.append(outcome)
-                        write_index(self.output, outcomes, len(items) - len(outcomes))
-                        stage.update(len(outcomes), len(items))
-                        if outcome.sentence:
-                            say(console, f"{outcome.name}: {outcome.sentence}")
-            except KeyboardInterrupt as stop:
-                raise Interrupted(
-                    f"Interrupted after {len(outcomes)} of {len(items)} captures; the same command "
-                    "goes on."
-                ) from stop
+            progress = Progress(console)
+            work = partial(runner.run_on, self.scheduler) if self.scheduler else runner.run
+            with interruptible(stopped), progress.stage("Working on captures", len(items)) as stage:
+                for outcome in work(items):
+                    outcomes.append(outcome)
+                    write_index(self.output, outcomes, len(items) - len(outcomes))
+                    stage.update(len(outcomes), len(items))
+                    if outcome.sentence:
+                        say(console, f"{outcome.name}: {outcome.sentence}")
         failed = sum(bool(outcome.sentence) for outcome in outcomes)
         say(console, f"Wrote {self.output / 'index.html'}")
         say(console, _summary(outcomes, failed))
         return FAILED if failed else 0
-
-    def _outcomes(self, runner: BatchRunner, items: Sequence[Item]) -> Iterator[Outcome]:
-        """Yield outcomes of captures, worked on here or by a cluster."""
-        from svu_mi.batch.runner import connected
-
-        if not self.scheduler:
-            yield from runner.run(items)
-            return
-        with connected(self.scheduler) as client:
-            yield from runner.run_on(client, items)
 
     def _runner(self) -> BatchRunner:
         """Return how captures are worked on."""

@@ -249,19 +249,19 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
 
 
 def recovered_textures(
-    folder: Path | None, resolution: tuple[int, ...], default: int
+    folder: Path | None, resolution: tuple[int, ...], default: int = 0, one_run: bool = True
 ) -> tuple[tuple[int, int], Textures | None]:
-    """Return the (width, height) of a grid, and the textures to show on it."""
+    """Return the (width, height) of a grid, and the textures of a folder, which must have it."""
     from svu_mi.output.textures import read_textures
 
     if folder is None:
         return pair(resolution or (default,), "--resolution"), None
-    textures = read_textures(folder)
+    textures = read_textures(folder, one_run=one_run)
     if resolution and pair(resolution, "--resolution") != textures.resolution:
         width, height = textures.resolution
         raise OptionError(
-            f"{folder}: the textures have {width} x {height} texels; omit --resolution, which is "
-            "theirs."
+            f"{folder}: the textures have {width} x {height} texels; give --resolution {width} "
+            f"{height}."
         )
     return textures.resolution, textures
 

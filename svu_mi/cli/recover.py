@@ -21,8 +21,6 @@ from svu_mi.results.transaction import CHECKPOINT, Claim
 
 if TYPE_CHECKING:
     from svu_mi.output import Knowledge
-    from svu_mi.recovery.textures import Textures
-    from svu_mi.surface import Texels
 
 MOST_DRAWS = 1000
 Name = Literal[NAMES]  # type: ignore[valid-type]
@@ -129,7 +127,7 @@ class Recover(CaptureCommand, ResultCommand):
         size = opt.texel_size(self.resolution)
         need = partial(Need, "recover", resolution=size, model="default")
         capture, texels = self.load_lit(progress, need, size, self.light, again=self.resume)
-        initial = self._initial(texels)
+        _, initial = opt.recovered_textures(self.initial, texels.resolution, one_run=False)
         seen = observe(capture, texels, progress)
         recovery = recover(
             seen, None, self.method, self.preset, sharing=self.sharing, tv=self.tv,
@@ -151,21 +149,6 @@ class Recover(CaptureCommand, ResultCommand):
                 draws=Draws(self.drawn, self.seed) if self.drawn else None, pictures=self.pictures,
             )  # fmt: skip
             return Knowledge.of(known)
-
-    def _initial(self, texels: Texels) -> Textures | None:
-        """Read the textures of --start."""
-        if self.initial is None:
-            return None
-        from svu_mi.output.textures import read_textures
-
-        textures = read_textures(self.initial, one_run=False)
-        if textures.resolution != texels.resolution:
-            width, height = textures.resolution
-            raise OptionError(
-                f"{self.initial}: the textures have {width} x {height} texels; give --resolution "
-                f"{width} {height}, or resample them."
-            )
-        return textures
 
     def _options(self) -> dict[str, Any]:
         """Return the options of the parts of the method."""

@@ -43,7 +43,7 @@ def test_textures_are_looked_at_beside_those_painted_in_blender(shots):
     )
     line = "report capture --recovered out/textures --resolution 128"
     assert svu(line, shots).refusal == (
-        "out/textures: the textures have 64 x 64 texels; omit --resolution, which is theirs."
+        "out/textures: the textures have 64 x 64 texels; give --resolution 64 64."
     )
     said = done("compare out/textures scenes/vase -o out/compared", shots)
     assert said.out[-1].startswith("Of the surface that both show, ")
