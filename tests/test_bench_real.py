@@ -124,7 +124,7 @@ def test_what_is_no_real_capture_is_refused(imported, tmp_path, capsys):
     out = ("-o", tmp_path / "out")
     assert "needs a capture" in fails(capsys, "bench", "real", *out)
     assert "no such file" in fails(capsys, "bench", "real", tmp_path / "none", *out)
-    assert "--every must be 2 or more, got 1." in fails(
+    assert "--every must be at least 2, got 1." in fails(
         capsys, "bench", "real", imported, "--every", 1, *out
     )
     assert "runs on scenes" in fails(capsys, "bench", "speed", imported, *out)

@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli.common import Common, interruptible
-from svu_mi.cli.options import Output, pair
+from svu_mi.cli.options import Output, pair, require_range
 from svu_mi.cli.terminal import say
 from svu_mi.errors import OptionError
 from svu_mi.limits import FEWEST_THREADS
@@ -89,8 +89,7 @@ class Batch(Common):
         from svu_mi.batch.runner import BatchRunner
         from svu_mi.batch.steps import STEPS
 
-        if self.workers < 1:
-            raise OptionError(f"--workers must be at least 1, got {self.workers}.")
+        require_range("--workers", self.workers, 1)
         if self.scheduler and self.workers > 1:
             raise OptionError("--workers are of this machine; the scheduler has its own: omit it.")
         if "export" in self.steps and "recover" not in self.steps:

@@ -13,14 +13,13 @@ from rich.console import Console
 
 from svu_mi.bench import ALL, BENCHMARKS
 from svu_mi.cli.common import Common
-from svu_mi.cli.options import Output
+from svu_mi.cli.options import Output, require_range
 from svu_mi.cli.terminal import say
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.bench.cases import Cell
-    from svu_mi.bench.experiment import Bench as Where
     from svu_mi.bench.study import Asked
 
 What = Annotated[
@@ -71,6 +70,8 @@ class Bench(Common):
 
     def run(self, console: Console) -> int:
         """Run the benchmarks."""
+        from svu_mi.bench.experiment import Bench as Where
+        from svu_mi.bench.problem_sizes import FULL, QUICK
         from svu_mi.bench.study import run_bench, study_of
         from svu_mi.files import prepare_folder
         from svu_mi.settings import require_known
@@ -83,22 +84,16 @@ class Bench(Common):
         studies = {name: study_of(name) for name in chosen}
         on_cells = any(study.runs_on == "cells" for study in studies.values())
         command = shlex.join(["svu", *sys.argv[1:]])
-        record = run_bench(self._bench(console), chosen, self._asked(on_cells), command)
+        bench = Where(
+            self.output, QUICK if self.quick else FULL, Progress(console), quick=self.quick,
+            fresh=self.fresh, keep=self.keep, stored=self.stored,
+        )  # fmt: skip
+        record = run_bench(bench, chosen, self._asked(on_cells), command)
         for name, study in studies.items():
             for line in (*study.lines(record[name]), *self._missed(record[name])):
                 say(console, line)
         say(console, f"Wrote {self.output}")
         return 0
-
-    def _bench(self, console: Console) -> Where:
-        """Return where and how the benchmark runs, once the variant is set."""
-        from svu_mi.bench.experiment import Bench as Where
-        from svu_mi.bench.problem_sizes import FULL, QUICK
-
-        return Where(
-            self.output, QUICK if self.quick else FULL, Progress(console), quick=self.quick,
-            fresh=self.fresh, keep=self.keep, stored=self.stored,
-        )  # fmt: skip
 
     def _asked(self, on_cells: bool) -> Asked:
         """Return what is run; cells only where they are objects under lights."""
@@ -135,8 +130,7 @@ class Bench(Common):
             raise OptionError("svu bench real needs a capture: svu bench real FOLDER.")
         if not self.capture.exists():
             raise CaptureError(f"{self.capture}: no such file or folder; give a capture.")
-        if self.every < 2:
-            raise OptionError(f"--every must be 2 or more, got {self.every}.")
+        require_range("--every", self.every, 2)
 
 
 def names(words: str, option: str) -> tuple[str, ...]:

@@ -13,9 +13,9 @@ import tyro
 from rich.console import Console
 
 from svu_mi import _llvm
-from svu_mi.cli.options import Output, Overwrite
+from svu_mi.cli.options import Output, Overwrite, require_range
 from svu_mi.cli.terminal import say
-from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
+from svu_mi.errors import SvuEnvironmentError, excerpt
 from svu_mi.limits import FEWEST_THREADS, ensure_threads
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
@@ -53,10 +53,7 @@ class Common:
 
     def start(self) -> None:
         """Set the variant and the number of threads."""
-        if self.threads < 0:
-            raise OptionError(f"--threads must be 0 (all) or more, got {self.threads}.")
-        if self.threads > MAX_THREADS:
-            raise OptionError(f"--threads must be at most {MAX_THREADS}, got {self.threads}.")
+        require_range("--threads", self.threads, 0, MAX_THREADS)
         import mitsuba as mi
 
         self._set_variant()

@@ -143,8 +143,7 @@ class Guide(EstimateCommand):
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
         super().check()
-        if self.add < 1:
-            raise OptionError(f"--add must be at least 1, got {self.add}.")
+        opt.require_range("--add", self.add, 1)
         self._check_sphere()
         self._check_method()
         if self.reachable is not None:
@@ -158,8 +157,7 @@ class Guide(EstimateCommand):
 
     def _check_sphere(self) -> None:
         count = _number(self.candidates)
-        if count is not None and count < 1:
-            raise OptionError(f"--candidates must be at least 1, got {count}.")
+        opt.require_range("--candidates", count, 1)
         require_views(count or 0, "--candidates")
         for option in ("lowest", "distance"):
             if count is None and getattr(self, option) is not None:

@@ -76,10 +76,7 @@ class FindLight(CaptureCommand, ResultCommand):
         several = [name for name, value in facts.items() if value is not None]
         if len(several) > 1:
             raise OptionError(f"{' and '.join(several)} say the same thing twice; give one.")
-        if self.light_scale is not None and not LEAST <= self.light_scale <= 1 / LEAST:
-            raise OptionError(
-                f"--light-scale must be in [{LEAST:g}, {1 / LEAST:g}], got {self.light_scale:g}."
-            )
+        opt.require_range("--light-scale", self.light_scale, LEAST, 1 / LEAST)
         if self.mean_albedo is not None:
             require_albedo(self.mean_albedo, "--mean-albedo")
         if self.grey_card is not None:

@@ -112,16 +112,15 @@ class CaptureCommand(Common):
     def _render(self, progress: Progress, need: NeedOf) -> Capture:
         from svu_mi.capture.rendering import plan_render
 
-        def larger(sizes: Sizes) -> Need:
-            return max(Need("render", sizes), need(sizes), key=lambda one: one.bytes)
-
         source, unwrap = self.capture.source, self.capture.rendering.unwrap
         with progress.stage("Rendering photographs") as stage:
             plan = plan_render(
                 source.scene, self.spp, shape=source.shape, defines=source.defines(),
                 unwrap=unwrap, trust=self.trust,
             )  # fmt: skip
-            announce_sizes(progress, str(source.scene), larger, plan.sizes)
+            announce_sizes(
+                progress, str(source.scene), larger(partial(Need, "render"), need), plan.sizes
+            )
             return plan.render(self.beside[0], progress=stage.update)
 
 
@@ -209,10 +208,11 @@ def with_search(need: NeedOf) -> NeedOf:
     """Return the memory of a command that first finds the light, if there is none."""
     from svu_mi.illumination.resolve_light import OPTIONS, RESOLUTION
 
-    def larger(sizes: Sizes) -> Need:
-        if sizes.lit:
-            return need(sizes)
-        search = to_find_light(sizes, (RESOLUTION, RESOLUTION), OPTIONS)
-        return max(need(sizes), search, key=lambda one: one.bytes)
+    search = partial(to_find_light, resolution=(RESOLUTION, RESOLUTION), options=OPTIONS)
+    both = larger(need, search)
+    return lambda sizes: need(sizes) if sizes.lit else both(sizes)
 
-    return larger
+
+def larger(*needs: NeedOf) -> NeedOf:
+    """Return the largest of some needs."""
+    return lambda sizes: max((need(sizes) for need in needs), key=lambda one: one.bytes)

@@ -180,6 +180,13 @@ class EstimateOptions:
         )  # fmt: skip
 
 
+def require_range(option: str, value: float | None, low: float, high: float = math.inf) -> None:
+    """Refuse a number that is not in [low, high]; None is the default."""
+    if value is not None and not low <= value <= high:
+        limits = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
+        raise OptionError(f"{option} must be {limits}, got {value:g}.")
+
+
 def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
     """Return (width, height) from one or two numbers."""
     if len(size) not in (1, 2) or min(size) < 1:

@@ -88,18 +88,13 @@ class Recover(CaptureCommand, ResultCommand):
         opt.texel_size(self.resolution)
         if not self.parameters:
             raise OptionError("--parameters must name at least one texture.")
-        if self.seed < 0:
-            raise OptionError(f"--seed must not be negative, got {self.seed}.")
-        if not 0 <= self.drawn <= MOST_DRAWS:
-            raise OptionError(f"--draws must be in [0, {MOST_DRAWS}], got {self.drawn}.")
+        opt.require_range("--seed", self.seed, 0)
+        opt.require_range("--draws", self.drawn, 0, MOST_DRAWS)
+        opt.require_range("--checkpoint-seconds", self.checkpoint_seconds, 0)
         if self.drawn and self.preset in PRINTED_PRESETS:
             raise OptionError(
                 f"--draws needs the noise of the photographs, which --preset {self.preset} does "
                 "not estimate; omit one of them."
-            )
-        if not self.checkpoint_seconds >= 0:
-            raise OptionError(
-                f"--checkpoint-seconds must be at least 0, got {self.checkpoint_seconds}."
             )
 
     def _check_checkpoint(self, checkpoint: Path) -> None:

@@ -57,12 +57,9 @@ class Relight(CaptureCommand, ResultCommand):
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
         super().check()
-        if not 1 <= self.side <= MOST_PIXELS:
-            raise OptionError(f"--side must be in [1, {MOST_PIXELS}], got {self.side}.")
-        if self.views < 1:
-            raise OptionError(f"--views must be at least 1, got {self.views}.")
-        if self.seed < 0:
-            raise OptionError(f"--seed must not be negative, got {self.seed}.")
+        opt.require_range("--side", self.side, 1, MOST_PIXELS)
+        opt.require_range("--views", self.views, 1)
+        opt.require_range("--seed", self.seed, 0)
         if self.environment is not None and not self.environment.is_file():
             raise CaptureError(
                 f"{self.environment}: no such file; --environment takes a lat-long map (EXR or "
