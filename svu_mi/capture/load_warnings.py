@@ -63,19 +63,17 @@ def judged(
     groups = [([one for one in taken if text in one[0].remarks], text) for text in remarks]
     for bits in (8, 16):
         found = [one for one in taken if one[0].bits == bits]
-        groups.append((found, (
+        text = (
             f"{bits}-bit, not HDR; decoded as sRGB, {sum(one[0].saturated for one in found)} "
             "saturated pixels count as at least so bright. Clipped highlights hide gloss: use HDR."
-        )))  # fmt: skip
+        )
+        groups.append((found, text))
     count = sum(one[0].invalid for one in taken)
-    groups.append((
-        [one for one in taken if one[0].invalid],
-        f"{count} pixels are NaN, infinite or negative; left out.",
-    ))  # fmt: skip
-    groups.append((
-        [one for one in taken if one[0].black],
-        "entirely black, so left out; check the exposure, or remove the photograph and its sensor.",
-    ))  # fmt: skip
+    text = f"{count} pixels are NaN, infinite or negative; left out."
+    groups.append(([one for one in taken if one[0].invalid], text))
+    black = [one for one in taken if one[0].black]
+    text = "entirely black, so left out; check the exposure, or remove the photograph and its"
+    groups.append((black, f"{text} sensor."))
     return [f"{_subject(found, len(taken))}: {text}" for found, text in groups if found], used
 
 
@@ -170,13 +168,11 @@ def seen_from_behind(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[str
     behind = part_from_behind(scene, mesh, [to_world(each)[:3, 3] for each in sensors])
     if behind < MOST:
         return []
-    why = (
-        "; it is closed, so the cameras are inside it: see that its units are those of the poses."
-        if has_front_outside(mesh) else ", where nothing is found; its normals point the wrong "
-        "way: set flip_normals on the shape."
-    )  # fmt: skip
+    why = ", where nothing is found; its normals point the wrong way: set flip_normals on the shape"
+    if has_front_outside(mesh):
+        why = "; it is closed, so the cameras are inside it: see that its units are those of the poses"
     what = f"{behind:.0%} of what the photographs show of it is its back"
-    return [f"Shape '{shape.id()}': {what}{why}"]
+    return [f"Shape '{shape.id()}': {what}{why}."]
 
 
 def has_front_outside(mesh: MeshArrays) -> bool:

@@ -90,11 +90,10 @@ def load_capture(
         SceneError: the scene cannot be loaded or lacks something.
         CaptureError: photographs are missing, unreadable or do not fit.
     """
-    plan = plan_capture(
+    return plan_capture(
         path, images, shape=shape, defines=defines, unwrap=unwrap, missing=missing, light=light,
         trust=trust, detail=detail, views=views,
-    )  # fmt: skip
-    return plan.read(memory)
+    ).read(memory)  # fmt: skip
 
 
 def plan_capture(
@@ -103,12 +102,10 @@ def plan_capture(
     *,
     shape: str | None = None,
     defines: Mapping[str, str] | None = None,
-    unwrap: bool = False,
+    trust: bool = False,
     missing: Missing = "refuse",
     light: Light = "required",
-    trust: bool = False,
-    detail: Detail = WHOLE,
-    views: Iterable[int] | None = None,
+    **reading: Any,
 ) -> CapturePlan:
     """Load a scene, match photographs with its sensors, and read their headers, but no pixel.
 
@@ -138,9 +135,8 @@ def plan_capture(
     if images is None:
         folder = photographs_of(path, [sensor.id() for sensor in sensors])
     return plan_photographs(
-        scene, sensors, folder, description, unwrap=unwrap, missing=missing, light=light,
-        detail=detail, views=views,
-    )  # fmt: skip
+        scene, sensors, folder, description, missing=missing, light=light, **reading
+    )
 
 
 def _described(path: Path, folder: Path) -> tuple[Path, Description]:

@@ -166,10 +166,8 @@ def write_ply(path: Path, name: str, mesh: MeshArrays, comment: str = "") -> Non
 def make(name: str, mesh: MeshArrays) -> Any:
     """Build a ``mi.Mesh`` from arrays."""
     uvs, normals = mesh.uvs, mesh.normals
-    made = mi.Mesh(
-        name, len(mesh.positions), len(mesh.faces),
-        has_vertex_normals=normals is not None, has_vertex_texcoords=uvs is not None,
-    )  # fmt: skip
+    has = {"has_vertex_normals": normals is not None, "has_vertex_texcoords": uvs is not None}
+    made = mi.Mesh(name, len(mesh.positions), len(mesh.faces), **has)
     params = mi.traverse(made)
     params["faces"] = mi.UInt32(np.ascontiguousarray(mesh.faces, np.uint32).ravel())
     for key, rows in (("positions", mesh.positions), ("normals", normals), ("texcoords", uvs)):

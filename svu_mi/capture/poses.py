@@ -256,8 +256,8 @@ def check_record(record: Any, label: str) -> None:
     _require(0 < near < far, label, "clip", "positive and in order, near and far")
     film, offset, size = (np.array(record[key], np.float64) for key in WHOLE)
     sides = np.concatenate([film, size])
-    _require(1 <= sides.min() <= sides.max() <= MAX_SIDE, label, "film",
-             f"1 to {MAX_SIDE} per side")  # fmt: skip
+    small = 1 <= sides.min() <= sides.max() <= MAX_SIDE
+    _require(small, label, "film", f"1 to {MAX_SIDE} per side")
     _require(size.prod() <= MAX_PIXELS, label, "film", f"at most {MAX_PIXELS} pixels")
     inside = (offset >= 0).all() and (offset + size <= film).all()
     _require(inside, label, "crop_size", "a window inside the film")

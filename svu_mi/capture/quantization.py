@@ -59,7 +59,7 @@ class Rounding:
         """Return the steps of integers of 8 or 16 bits, of a white of radiance 1."""
         last = 2**bits - 1
         ends = np.array([1 / last, 1 - 1 / last, 1], np.float64)
-        first, below, white = (float(x) for x in decoded(ends, transfer))
+        first, below, white = map(float, decoded(ends, transfer))
         return Rounding.between(first, white - below)
 
     @staticmethod

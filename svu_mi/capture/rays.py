@@ -24,18 +24,14 @@ LAUNCH = 1 << 22  # rays at a time
 MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
 
 
-def ray_floats(sensor: Any, principal_point: tuple[float, float]) -> np.ndarray:
+def ray_floats(sensor: Any) -> np.ndarray:
     """Return (24,) float32, what the rays of one view are made of.
 
     Film to camera space (scale and shift of x, the same of y); depth and divisor there, shift
     of the principal point in crop windows; three rows of ``to_world``; near and far clip, width
     and height of the crop window in pixels.
-
-    Args:
-        sensor: a perspective sensor.
-        principal_point: its offset, in units of the full film.
     """
-    film = sensor.film()
+    film, principal_point = sensor.film(), describe(sensor)["principal_point_offset"]
     size = np.array(film.crop_size(), np.float32)
     # Mitsuba multiplies by the rounded reciprocal.
     shift = np.array(film.size(), np.float32) * np.array(principal_point, np.float32) * (1 / size)
@@ -53,8 +49,7 @@ def ray_floats(sensor: Any, principal_point: tuple[float, float]) -> np.ndarray:
 
 def table_of(sensors: Sequence[Any]) -> Any:
     """Return (V * 24,) Float, what the rays of V perspective sensors are made of."""
-    rows = [ray_floats(each, tuple(describe(each)["principal_point_offset"])) for each in sensors]
-    return owned(mi.Float, np.array(rows, np.float32).ravel())
+    return owned(mi.Float, np.array([ray_floats(each) for each in sensors], np.float32).ravel())
 
 
 def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:

@@ -115,8 +115,9 @@ class Recover(CaptureCommand, ResultCommand):
         from svu_mi.output import Knowledge, Run
         from svu_mi.output.recovery import Draws, write_recovery
         from svu_mi.pipeline import estimate
-        from svu_mi.recovery.field.field import has_field, texture_field
+        from svu_mi.recovery.field.field import texture_field
         from svu_mi.recovery.recover import recover
+        from svu_mi.recovery.start import has_field
 
         options = self._options()  # refused before any work
         size = opt.texel_size(self.resolution)

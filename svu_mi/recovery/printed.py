@@ -38,10 +38,14 @@ class Printed:
 
     def switches(self, method: Literal["angular", "spectrum"]) -> Any:
         """Return preset ``paper`` of a method, as the given estimate has it if it is one."""
+        own = self._own(method)
+        return preset("paper", method=method) if own is None else own.preset
+
+    def _own(self, method: str) -> Estimate | None:
+        """Return the given estimate if it is the paper's by this method."""
         given = self.given
-        if given is not None and given.method == method and given.preset.name == "paper":
-            return given.preset
-        return preset("paper", method=method)
+        is_own = given and given.method == method and given.preset.name == "paper"
+        return given if is_own else None
 
     def record(self) -> dict[str, Any]:
         """Return the rule of Eq. 14 and 15, and the posterior that it goes by."""
@@ -68,10 +72,8 @@ class Printed:
 
     def _spectra(self) -> Estimate | None:
         """Return the given estimate if it is the paper's, over (roughness, Ks)."""
-        given = self.given
-        if given is None or given.method != "spectrum" or given.preset.name != "paper":
-            return None
-        return given if isinstance(given.posterior.grid, ParameterGrid) else None
+        own = self._own("spectrum")
+        return own if own and isinstance(own.posterior.grid, ParameterGrid) else None
 
     def _question(self) -> tuple[ParameterGrid, Any | None]:
         """Return the grid of Eq. 11 and the prior, as far as they are about roughness."""

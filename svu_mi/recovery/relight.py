@@ -205,11 +205,14 @@ def relight_draws(
         progress(count)
     if count < FEWEST:
         raise OptionError(f"relight_draws(): needs at least {FEWEST} draws, got {count}.")
-    means = [changes / count for changes in total]
-    return [
-        RelitView(
-            picture, (picture + mean).astype(np.float32),
-            np.sqrt(np.maximum(square - count * mean**2, 0) / (count - 1)).astype(np.float32), mask,
-        )
-        for picture, mean, square, mask in zip(middle, means, squares, inside, strict=True)
-    ]  # fmt: skip
+    parts = zip(middle, inside, total, squares, strict=True)
+    return [_relit(*each, count) for each in parts]
+
+
+def _relit(
+    image: np.ndarray, inside: np.ndarray, total: np.ndarray, squares: np.ndarray, count: int
+) -> RelitView:
+    """Return a view with the moments of ``count`` draws, by sums of their changes."""
+    mean = total / count
+    sd = np.sqrt(np.maximum(squares - count * mean**2, 0) / (count - 1))
+    return RelitView(image, (image + mean).astype(np.float32), sd.astype(np.float32), inside)

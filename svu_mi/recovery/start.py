@@ -36,7 +36,7 @@ def estimate_for_textures(
     found = (given or estimate(observed, whole=True, progress=progress)).in_one_piece(progress)
     kernel = found.posterior.kernel
     sharing = sharing or (isinstance(kernel, CalibratedKernel) and kernel.learned)
-    if not _serves(found):
+    if not has_field(found):
         found = _in_colour(found, observed, progress)
     for _ in range(robust):
         with progress.stage("Reweighting samples"):
@@ -48,7 +48,8 @@ def estimate_for_textures(
     return found
 
 
-def _serves(found: Estimate) -> bool:
+def has_field(found: Estimate) -> bool:
+    """Return whether an estimate is in colour and knows its noise, as ``texture_field`` asks."""
     kernel = found.posterior.kernel
     return isinstance(kernel, CalibratedKernel) and kernel.groups == CHANNELS["base_color"]
 

@@ -253,7 +253,7 @@ class _Pose:
         return _Pose(
             size=(width, height),
             camera=np.concatenate([rows.ravel(), to_world[:3, 3], [float(sensor.near_clip())]]),
-            rays=ray_floats(sensor, record["principal_point_offset"]),
+            rays=ray_floats(sensor),
             angle=float(1 / abs(projection[0, 0] * width)),
         )
 

@@ -42,6 +42,7 @@ from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.recover import Recovery
 from svu_mi.recovery.run import HOLD
 from svu_mi.recovery.sh.objective import moments
+from svu_mi.recovery.start import has_field
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.settings import require_known
 from svu_mi.surface import Texels
@@ -271,13 +272,6 @@ def weights_of(settings: Mapping[str, Any]) -> ShOptions:
     if used.get("loss") != "statistics":
         return ShOptions()
     return ShOptions(tv=used["tv"], tv_epsilon=used["tv_epsilon"])
-
-
-def has_field(estimate: Estimate) -> bool:
-    """Return whether an estimate says enough for ``texture_field``."""
-    posterior = estimate.posterior
-    colors = CHANNELS["base_color"]
-    return isinstance(posterior.kernel, CalibratedKernel) and posterior.groups == colors
 
 
 def field_of(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:

@@ -176,9 +176,13 @@ class PathObjective:
 
 
 def path_objective(
-    capture: Capture, texels: Texels, options: PathOptions, *, fixed: Textures | None = None,
+    capture: Capture,
+    texels: Texels,
+    options: PathOptions,
+    *,
+    fixed: Textures | None = None,
     views: Views | None = None,
-) -> PathObjective:  # fmt: skip
+) -> PathObjective:
     """Make the objective of a capture."""
     return PathObjective(
         target=PathScene.of(capture, uniform(texels) if fixed is None else fixed),

@@ -23,14 +23,12 @@ class PathScene:
     Attributes:
         scene: the ``mi.Scene``.
         shape: the object in it.
-        material: its ``principled`` BSDF.
-        params: the ``mi.SceneParameters`` of that.
+        params: the ``mi.SceneParameters`` of its ``principled`` BSDF.
         resolution: (W, H) of its textures, in texels.
     """
 
     scene: Any
     shape: Any
-    material: Any
     params: Any
     resolution: tuple[int, int]
 
@@ -45,7 +43,7 @@ class PathScene:
         params = mi.traverse(material)
         # update() evaluates whatever it holds.
         params.keep([key_of(name) for name in NAMES])
-        painted = PathScene(made.scene, made.shape, material, params, start.resolution)
+        painted = PathScene(made.scene, made.shape, params, start.resolution)
         painted.paint(dict(start.items()))
         return painted
 
