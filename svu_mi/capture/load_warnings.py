@@ -170,7 +170,8 @@ def seen_from_behind(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[str
         return []
     why = ", where nothing is found; its normals point the wrong way: set flip_normals on the shape"
     if has_front_outside(mesh):
-        why = "; it is closed, so the cameras are inside it: see that its units are those of the poses"
+        inside = "it is closed, so the cameras are inside it"
+        why = f"; {inside}: see that its units are those of the poses"
     what = f"{behind:.0%} of what the photographs show of it is its back"
     return [f"Shape '{shape.id()}': {what}{why}."]
 

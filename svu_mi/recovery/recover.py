@@ -15,7 +15,7 @@ from typing import Any, get_args
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, observed_of, subject_of
@@ -130,11 +130,6 @@ def recover(
     options, progress = options_of(method, preset, sh, path, tv), progress or Progress()
     require_resolution(subject_of(source, texels)[1], start)
     observed = observed_of(source, texels, progress)
-    if not observed.found.scale > 0:
-        raise CaptureError(
-            f"No texel of '{observed.capture.shape.id()}' is seen with any radiance; check poses "
-            "(camera space is +X left, +Y up, +Z forward), masks and exposures."
-        )
     with progress.stage("Reading the light"):
         _ = observed.lighting  # refused before any work: a black light shows nothing
     given = source if isinstance(source, Estimate) else None

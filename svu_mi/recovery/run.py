@@ -12,7 +12,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.errors import OptionError
+from svu_mi.errors import CaptureError, OptionError
 from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate
@@ -68,6 +68,11 @@ class Run:
 
     def __post_init__(self) -> None:
         self.capture, self.texels = self.observed.capture, self.observed.texels
+        if not self.observed.found.scale > 0:
+            raise CaptureError(
+                f"No texel of '{self.capture.shape.id()}' is seen with any radiance; check poses "
+                "(camera space is +X left, +Y up, +Z forward), masks and exposures."
+            )
         self.known = {} if self.given is None else known_values(self.given)
         self.printed = Printed(self.given, self.known)
         left = tuple(name for name in self.names if name not in self.known)
