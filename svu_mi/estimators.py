@@ -1,9 +1,7 @@
-"""The estimators: from what was observed to a posterior, by angles or by spectra.
+"""Estimators: from observations to a posterior, by angles or by spectra.
 
-A plan decides once, before the work, what a scene makes unnecessary; results stay as they are, to
-rounding. Not skipped, because that would change the result: degrees that the band-limited light
-does not contain. Samples on part of a sphere leak power from other degrees into them, in the
-light's spectrum and in the photographs' alike (BENCHMARKS.md).
+A plan selects work that does not change results. Degrees beyond the band-limited light are not
+skipped: samples on part of a sphere leak power into them (BENCHMARKS.md).
 """
 
 from __future__ import annotations
@@ -46,14 +44,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is left to do.
+    """Work to do.
 
     Attributes:
-        channels: number of colour channels of the photographs to work on.
-        light_channels: of the light; 1 for all when it is grey.
-        copies: how many equal channels each of the photographs' stands for.
-        levels: (R,) bool, roughness nodes to work on.
-        skipped: what is left out, by reason, as counts.
+        copies: number of equal channels that each one stands for.
+        levels: (R,) bool, roughness nodes to compute.
     """
 
     channels: int
@@ -65,16 +60,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Run:
-    """What both estimators start from.
-
-    Attributes:
-        observed: photographs, light and texels.
-        grid: of parameters.
-        prior: weights of its cells; None for the usual ones.
-        plan: what is left to do.
-        progress: shows what is going on.
-        whole: keep the statistics of all texels, however many there are.
-    """
+    """Inputs of both estimators; ``whole`` keeps the statistics of all texels, however many."""
 
     observed: Observed
     grid: Any
@@ -261,15 +247,7 @@ def make_plan(
     grid: ParameterGrid | PrincipledGrid,
     prior: tuple[np.ndarray, np.ndarray] | None,
 ) -> Plan:
-    """Decide what to leave out.
-
-    Args:
-        skip: what may be.
-        switches: the preset.
-        observed: the photographs, their light, and which of them see which texels.
-        grid: of parameters.
-        prior: its tables, as ``streaming.log_prior`` has them.
-    """
+    """Plan the work; ``prior`` are the tables of ``streaming.log_prior``."""
     grey_light = skip.channels and switches.colors == 3 and observed.lighting.environment.grey
     # Grey photographs of coloured light: no less work.
     grey = grey_light and observed.views.grey
@@ -304,16 +282,7 @@ def make_plan(
 def with_known(
     grid: ParameterGrid | PrincipledGrid, known: Mapping[str, float] | str | None, shape: Any
 ) -> Any:
-    """Return a grid without the parameters that are known.
-
-    Args:
-        grid: of all parameters.
-        known: values by name; ``"scene"`` for what the shape's material does not vary.
-        shape: the object.
-
-    Raises:
-        OptionError: values that are not parameters of the grid, or not in [0, 1].
-    """
+    """Return a grid without known parameters: values by name, or ``"scene"`` for its constants."""
     constants = constant_parameters(shape)
     constants = {name: value for name, value in constants.items() if name in grid.axes}
     if isinstance(known, str):

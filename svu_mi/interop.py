@@ -15,15 +15,10 @@ LARGE = 2**20  # bytes, from which a second copy costs more than waiting for Dr.
 
 
 def owned(kind: Any, values: np.ndarray) -> Any:
-    """Copy a NumPy array into a Dr.Jit array.
+    """Copy a NumPy array, (N,) or (dimension, N), into a Dr.Jit array of type ``kind``.
 
-    ``mi.Float(array)`` and ``dr.copy`` of it go on using NumPy's memory. Later writes then
-    show through, and, worse, Dr.Jit compiles another kernel for every combination of inputs
-    that happen to be aligned to its packets: the same code compiles again on other data.
-
-    Args:
-        kind: a Dr.Jit type, such as ``mi.Float`` or ``mi.Point3f``.
-        values: (N,) or, for a vector type, (dimension, N); converted to the type's precision.
+    ``mi.Float(array)`` shares NumPy's memory: later writes show through, and Dr.Jit compiles
+    another kernel for every alignment of its inputs.
     """
     if not values.size:
         return kind()
@@ -42,19 +37,10 @@ def owned(kind: Any, values: np.ndarray) -> Any:
 def tensor(
     values: Any, caller: str, name: str, axes: Sequence[str | int], *, copy: bool = False
 ) -> Any:
-    """Return ``values`` as a detached single precision TensorXf.
+    """Return ``values`` as a detached single precision TensorXf; errors name caller and argument.
 
-    Args:
-        values: a Dr.Jit tensor, or anything NumPy turns into numbers (any precision, any
-            memory layout).
-        caller: function named in the error, such as ``"fit_sh()"``.
-        name: argument named in the error.
-        axes: one entry per axis: the required length, or a name for "any".
-        copy: never alias NumPy memory. Without it, single precision in C order is aliased, and
-            the caller must evaluate what it builds on that before it returns.
-
-    Raises:
-        ShapeError: another number of axes, another length, or no numbers at all.
+    ``axes`` has a length, or a name for any, per axis. Unless ``copy``, contiguous float32 input is
+    aliased: the caller must evaluate before it returns.
     """
     if dr.is_tensor_v(values):
         out = dr.detach(mi.TensorXf(values))
@@ -76,18 +62,12 @@ def tensor(
 
 
 def evenly_spaced(count: int, most: int) -> np.ndarray:
-    """Return at most ``most`` of the indices 0 to ``count - 1``, in order and evenly spaced.
-
-    Includes the first and the last, unless ``most`` is 1.
-    """
+    """Return at most ``most`` of the indices below ``count``, evenly spaced, both ends included."""
     return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
 
 
 def fibonacci(count: int, lowest: float = -1.0, start: float = 0.0) -> np.ndarray:
-    """Return (count, 3) unit directions, evenly spread over the sphere above y = ``lowest``.
-
-    A Fibonacci spiral around +Y from the top; ``start`` turns it, in golden angles.
-    """
+    """Return (count, 3) even unit directions above y = ``lowest``; ``start`` in golden angles."""
     index = np.arange(count)
     y = 1 - (1 - lowest) * (index + 0.5) / count
     azimuth = (index + start) * np.pi * (3 - np.sqrt(5))

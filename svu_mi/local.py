@@ -1,11 +1,8 @@
-"""Local memory: numbers of a lane that loops look up, in blocks, and how they leave a kernel.
+"""Local memory: values of a lane for look-ups in loops, in blocks, and their output.
 
-A block has one local array per position in it. All of it is then read with the same index, so that
-the test whether the lanes agree on it (a plain load) or not (a gather) is made once per block
-instead of once per number.
-
-Values in groups of four are read and written at once (``dr.gather`` of a Vector4f): where lanes
-read from different places, that takes about a third of the time of one by one.
+A block has one local array per position: all are read with one index, so that uniformity (load or
+gather) is tested once per block. Groups of four are read and written as Vector4f, three times as
+fast where lanes diverge.
 """
 
 from __future__ import annotations

@@ -43,15 +43,11 @@ DARK = 1e-2  # part of the light that is the unit of radiance if all photographs
 
 @dataclass(eq=False, kw_only=True)
 class Observed:
-    """A capture's photographs, light, texels and their visibility; traced when first needed.
+    """Photographs, light, texels and their visibility of a capture; traced lazily.
 
     Attributes:
-        capture: scene, photographs and light.
-        texels: the T texels.
-        views: the photographs that are used, packed.
-        found: which view sees which texel.
-        seen: (S,) int64, the texels to work on: those that a photograph shows, or all if nothing
-            may be skipped.
+        found: visibility of texels in views.
+        seen: (S,) int64, texels to compute: those in a photograph, or all if none are skipped.
     """
 
     capture: Capture
@@ -63,11 +59,7 @@ class Observed:
     _reached: dict[Any, Reach] = field(default_factory=dict, repr=False)
 
     def subset(self, texels: np.ndarray) -> Observed:
-        """Return the same with fewer texels to work on; the light is read once for both.
-
-        Args:
-            texels: (t,) their numbers among all T.
-        """
+        """Return the same with (t,) texels to compute; the light is read once for both."""
         return replace(self, seen=texels, _reached={})
 
     @cached_property
@@ -77,8 +69,7 @@ class Observed:
 
     @cached_property
     def clipped_coverage(self) -> np.ndarray | None:
-        """(T,) uint32, number of photographs that show each texel with clipped channels; None if
-        none is clipped."""
+        """(T,) uint32, number of photographs with saturated channels of each texel; or None."""
         return None if self.found.clipped is None else np.asarray(self.found.clipped_coverage)
 
     @property
@@ -94,17 +85,12 @@ class Observed:
 
     @cached_property
     def unit(self) -> float:
-        """Radiance that noise is relative to: the photographs' mean, or, if they are black, a part
-        of the light's."""
+        """Radiance unit of noise: the photographs' mean, or part of the light's if black."""
         return self.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
 
     @property
     def lighting(self) -> Lighting:
-        """The light; read when first needed.
-
-        Raises:
-            SceneError: there is none, it cannot be read, or it is black.
-        """
+        """The light; read when first needed."""
         if "lighting" not in self._of_light:
             require_light(self.capture)
             self._of_light["lighting"] = light(self.capture, sum(self.capture.used))
@@ -138,13 +124,7 @@ class Observed:
         return trace_mirrors(self.views, self.surface, self.found, lane)
 
     def reach(self, cells: int, *, occluded: bool = True) -> Reach:
-        """Return which of ``cells`` light cells the texels of ``seen`` see; traced when first
-        needed.
-
-        Args:
-            cells: number of fine cells.
-            occluded: whether the object hides light.
-        """
+        """Return the visibility of ``cells`` fine light cells from the ``seen`` texels; cached."""
         key = (cells, occluded)
         if key not in self._reached:
             self._reached[key] = trace_reach(
@@ -153,12 +133,7 @@ class Observed:
         return self._reached[key]
 
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
-        """Return the irradiance of the texels of ``seen``: a Float per channel.
-
-        Args:
-            switches: how many cells are traced, and whether the object hides light.
-            channels: 3, or 1 for the mean of R, G and B.
-        """
+        """Return the irradiance of the ``seen`` texels: a Float (S,) per channel, 3 or 1."""
         if not switches.occluded:
             return as_channels(self.lighting.irradiance(self.surface.normal), channels)
         moments = self.reach(switches.rays).diffuse(self.surface, self.lighting, channels)
@@ -168,14 +143,7 @@ class Observed:
         self, roughness: np.ndarray, switches: AngularPreset, channels: int,
         texels: np.ndarray | None = None,
     ) -> Model:  # fmt: skip
-        """Return the reflection model of texels.
-
-        Args:
-            roughness: (R,) its levels.
-            switches: which model.
-            channels: 3, or 1 for the mean of R, G and B.
-            texels: (t,) their numbers among all T, seen or not; by default those of ``seen``.
-        """
+        """Return the reflection model of (t,) texels (default: ``seen``) at (R,) roughnesses."""
         surface, reach = self.surface if texels is None else self._lanes(texels), None
         if switches.traced:
             reach = self._reach_of(texels, switches)
@@ -186,14 +154,7 @@ class Observed:
     def mirrored(
         self, fit: Fit | None, channels: int, texels: np.ndarray | None = None
     ) -> MirroredLight | None:
-        """Return the light that texels mirror into their photographs, to be fitted; None without
-        ``fit``.
-
-        Args:
-            fit: of what degree.
-            channels: 3, or 1 for the mean of R, G and B.
-            texels: (t,) their numbers among all T; by default those of ``seen``.
-        """
+        """Return the light that (t,) texels mirror into photographs, or None without ``fit``."""
         if fit is None:
             return None
         return MirroredLight(self, fit, channels, self.seen if texels is None else texels)
@@ -203,17 +164,10 @@ class Observed:
         light_channels: int | None = None, weighting: Weighting = ALIKE,
         texels: np.ndarray | None = None,
     ) -> Statistics:  # fmt: skip
-        """Gather the statistics of all photographs.
+        """Gather the statistics of all photographs, of (t,) texels, by default ``seen``.
 
-        Args:
-            roughness: (R,) levels.
-            switches: the reflection model.
-            channels: of the photographs, 3, or 1 for their mean.
-            light_channels: of the light; 1 if it is grey.
-            weighting: of samples; equal by default. Clipped samples count as bounds
-                (``statistics.censored``) if it has a finite kappa and no ``current``; otherwise
-                they do not count.
-            texels: (t,) numbers of texels; by default those of ``seen``.
+        Channels are 3, or 1 for their mean. Saturated samples count as bounds (``censored``) if
+        ``weighting`` has a finite kappa and no ``current``; otherwise not at all.
         """
         model = self.model(roughness, switches, light_channels or channels, texels)
         return self._with_clipped(model, channels, weighting)
@@ -223,17 +177,14 @@ class Observed:
         light_channels: int | None = None, weighting: Weighting = ALIKE,
         texels: np.ndarray | None = None,
     ) -> Factors:  # fmt: skip
-        """Return the square-root form of ``statistics``, which need not be in memory if no sample
-        is clipped."""
+        """Return the square-root form of ``statistics``; saves memory if none is saturated."""
         model = self.model(roughness, switches, light_channels or channels, texels)
         if self._counts_clipped(weighting):
             return self._with_clipped(model, channels, weighting).factor()
         return self._gather(model, channels, weighting).factor()
 
     def rounding(self, weighting: Weighting) -> np.ndarray | None:
-        """Return the variance by rounding of a sample of weight 1, of the texels of ``seen``: (S,)
-        float64, squared radiance, the mean over samples and channels; None if all photographs are
-        floating point."""
+        """Return the mean rounding variance at weight 1, (S,) squared radiance; None for floats."""
         total = rounding_sums(self.views, self.found, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
 
@@ -291,19 +242,7 @@ def observe(
     capture: Capture, texels: Texels, progress: Progress | None = None, *,
     skip_unseen: bool = True, skip_blind: bool = True, skip_pairs: bool = True,
 ) -> Observed:  # fmt: skip
-    """Find out which views of a capture see which texels.
-
-    Args:
-        capture: scene, photographs and light.
-        texels: of ``capture.mesh``.
-        progress: shows what is going on.
-        skip_unseen: no work for texels that no photograph shows.
-        skip_blind: none for photographs that show no texel.
-        skip_pairs: none for texels and views that do not see each other.
-
-    Raises:
-        CaptureError: no texel is seen in any photograph, or radiance is out of range.
-    """
+    """Trace the visibility of texels in a capture's views; ``skip_*`` keep the results."""
     progress = progress or Progress()
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
@@ -318,16 +257,7 @@ def observe(
 
 
 def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False) -> None:
-    """Refuse photographs that show no texel; warn of each.
-
-    Args:
-        counts: (V,) number of texels that each photograph that is used shows.
-        capture: what they are of.
-        clipped: whether some show texels that are clipped.
-
-    Raises:
-        CaptureError: none shows any.
-    """
+    """Warn of photographs that show no texel, by (V,) ``counts``; raise if none shows any."""
     if not counts.any() and clipped:
         raise CaptureError(
             f"All that {len(counts)} photographs show of '{capture.shape.id()}' is clipped; expose "
@@ -345,11 +275,7 @@ def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False)
 
 
 def require_range(radiance: float) -> None:
-    """Squares of radiance must fit in single precision: black is an observation, 1e-30 is not.
-
-    Raises:
-        CaptureError: they do not.
-    """
+    """Refuse radiance whose squares are not in single precision; black is valid."""
     if radiance and not 1 / BRIGHTEST <= radiance <= BRIGHTEST:
         raise CaptureError(
             f"The photographs' mean radiance is {radiance:g}; scale them and the light so that it "

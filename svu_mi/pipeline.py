@@ -1,12 +1,9 @@
-"""The pipeline, capture to posterior: the file to read first.
+"""Pipeline, capture to posterior: the file to read first.
 
     capture -> texels -> observed: visibility   -> plan -> statistics of all views   -> posterior
                                                          -> SH fit -> power spectra   -> posterior
 
-Memory at its peak is told by ``memory.py``: bytes per pixel of all photographs, as far as they do
-not lie in a file (``capture/pixel_buffer.py``), and per texel, mostly statistics and factors;
-many texels are therefore worked on tile by tile (``posterior/tiled.py``), and where all of them are
-asked for, only factors are kept (``estimators.py``).
+``memory.py`` estimates the peak memory; ``posterior/tiled.py`` processes many texels in tiles.
 """
 
 from __future__ import annotations
@@ -160,18 +157,7 @@ def subject_of(
 def observed_of(
     source: Capture | Observed | Estimate, texels: Texels | None, progress: Progress | None = None
 ) -> Observed:
-    """Return what is known of a capture's photographs: made now, or gone on from.
-
-    Args:
-        source: a capture; or what was made from one, and knows the visibility of texels.
-        texels: of the capture's mesh; may be left out with the other two.
-        progress: shows what is going on.
-
-    Raises:
-        OptionError: a capture without texels, other texels than those observed, or an estimate
-            that was not made from a capture.
-        CaptureError: no texel is seen in any photograph, or radiance is out of range.
-    """
+    """Return the ``Observed`` of ``source``; compute it if ``source`` is a capture."""
     if isinstance(source, Capture):
         return observe(*subject_of(source, texels), progress)
     return _observed_by(source, texels)

@@ -1,11 +1,8 @@
 """Symmetric positive definite systems, one per lane, in local memory.
 
-The matrix lives as square tiles of its lower triangle; a tile is held in registers while it
-is worked on, and the loops over tiles are symbolic: compile time does not depend on the
-size of the system, and the number of tiles may differ from lane to lane.
-
-Unrolled code sits in plain helpers that take and return lists: ``@dr.syntax`` would take a
-Python ``for`` inside a traced loop for loop state.
+Square tiles of the lower triangle are held in registers while they are in use. Loops over tiles
+are symbolic: compile time is independent of the size, which may differ between lanes. Unrolled
+code is in plain helpers, since ``@dr.syntax`` would trace their loops.
 """
 
 from __future__ import annotations
@@ -98,21 +95,11 @@ def factor_and_forward(
     matrix: Callable[[Any, Any, bool], Block] | None = None,
     right: Callable[[Any], Block] | None = None,
 ) -> tuple[list[Any], list[Any]]:
-    """Factor M = L L^T and solve L z = b, tile row by tile row.
+    """Factor M = L L^T and solve L z = b; return ``lower`` (L) and ``solution`` (z), filled.
 
-    Args:
-        lower: memory for L, packed lower tiles (row i, column j at i (i + 1) / 2 + j).
-        solution: memory for z, one block of ``size`` rows per tile row.
-        blocks: number of tile rows, a UInt32 that may vary from lane to lane.
-        size: edge of a tile.
-        matrix: ``(i, j, diagonal) -> Block`` of M, asked once for every block j <= i; rows past the
-            end of the system must be those of the identity, and only the lower triangle of
-            a diagonal tile is read. None: ``lower`` holds M and is overwritten.
-        right: ``i -> Block`` of the right-hand sides, zero past the end. None: ``solution``
-            holds them and is overwritten.
-
-    Returns:
-        ``lower`` and ``solution``, filled.
+    Tile (i, j) of L is at i (i + 1) / 2 + j; z has ``size`` rows per tile row. ``matrix(i, j,
+    diagonal)`` returns a block of M, identity past the end; ``right(i)`` the right-hand sides, zero
+    past the end. None: ``lower`` holds M, or ``solution`` holds b.
     """
     entry = matrix or (lambda bi, bj, _: load(lower, packed_count(bi) + bj))
     given = right or (lambda bi: load(solution, bi))
@@ -145,10 +132,9 @@ def factor_and_forward(
 
 @dr.syntax
 def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int, held: int) -> list[Any]:
-    """Solve L^T x = z in place, tile rows from the last to the first; return ``solution``.
+    """Solve L^T x = z in place, from the last of ``held`` tile rows; return ``solution``.
 
-    Counting down from ``held``, the most tile rows a lane may have, rather than from ``blocks``
-    keeps all lanes at the same tile: loads rather than gathers.
+    All lanes start at ``held``, not at their own ``blocks``: loads rather than gathers.
     """
     past = mi.UInt32(held)
     while past > 0:

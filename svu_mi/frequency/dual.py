@@ -4,9 +4,7 @@ M a = W f with M = W K W + I, K_ij = k(d_i . d_j) and k the zonal kernel of (lam
 then c = (lambda R)^-1 Y^T W a. With R_00 = 0 the constant is an extra, unpenalised unknown:
 for u = W Y_00, c_00 = u^T M^-1 W f / u^T M^-1 u and a = M^-1 (W f - u c_00).
 
-All of it is in double precision. Single precision takes 0.6 of the time, and loses 1e-3 of the
-spectrum where views crowd together: only their small differences carry power then. No bound on
-the condition of M tells those texels from the others.
+In double precision: single loses 1e-3 of the spectrum where views are close together.
 """
 
 from __future__ import annotations
@@ -119,10 +117,7 @@ def _dual_right(samples: list, bi: Any, free: bool) -> list:
 
 @dr.syntax
 def _free_constant(solution: list, blocks: Any, products: list) -> tuple[list, list]:
-    """Solve for the unpenalised c_00 and take it out of the right-hand sides.
-
-    With z = L^-1 W f and v = L^-1 u: c_00 = v.z / v.v, and W f - u c_00 becomes z - v c_00.
-    """
+    """Return c_00 and right-hand sides without it: c_00 = v.z / v.v, z - v c_00; v = L^-1 u."""
     norm = type(products[0])(0)
     bi = mi.UInt32(0)
     while bi < blocks:
@@ -178,10 +173,7 @@ def _weigh_block(weights: Any, a: list, rows: list, bi: Any) -> None:
 def _sum_samples(
     directions: list, rows: list, count: Any, total: list, basis: Callable[[list], list]
 ) -> list:
-    """Add Y^T W a to ``total``, a list of channels per coefficient, one sample at a time.
-
-    The bases of more would be spilled (four at a time take 1.4 times as long).
-    """
+    """Add Y^T W a to ``total``, channels per coefficient, one sample at a time (no spills)."""
     row = mi.UInt32(0)
     while row < count:
         wa = load(rows, row)

@@ -2,13 +2,9 @@
 
     (Y^T W^2 Y + lambda R) c = Y^T W^2 f,    R = diag(e^l),    W = diag(w)
 
-The paper penalises l = 0 as well (R_00 = 1), which leaks a constant signal into l > 0;
-R_00 = 0 leaves it free. Two equivalent ways to solve it: by the (degree + 1)^2 normal equations
-(``primal.py``), for any number of views and without memory for samples; or by one equation per
-*visible* view (``dual.py``). Measured for 24 of 60 views: the dual takes a quarter of the time.
-
-Both are computed in double precision inside the kernel: lambda is a millionth of the trace of
-Y^T W^2 Y for a few hundred views, and single precision then loses a degree altogether.
+The paper penalises l = 0 (R_00 = 1), which leaks a constant into l > 0; R_00 = 0 does not. Two
+equivalent solvers: (degree + 1)^2 normal equations (``primal.py``), or one equation per visible
+view (``dual.py``; a quarter of the time for 24 of 60 views). Both use double precision.
 """
 
 from __future__ import annotations
@@ -45,22 +41,11 @@ VIEWS_PER_COEFFICIENT = 2.5
 
 
 def fit_lanes(sample: Sample, views: Any, system: System, capacity: int) -> list[list[Any]]:
-    """Fit Eq. 12 in every lane, inside the kernel that produces the samples.
+    """Fit Eq. 12 in every lane; return (degree + 1)^2 coefficients, each ``channels`` Floats.
 
-    Args:
-        sample: called once, while the loop over views is traced, with a UInt32 view index;
-            returns the unit direction (Vector3f), the weight w of ``W = diag(w)`` (Float, 0
-            where the lane does not see the view) and the values (``channels`` Floats). What
-            it returns for a weight of 0 is not used.
-        views: number of views, an opaque UInt32.
-        system: the problem.
-        capacity: the most visible views that a lane can hold, to solve the dual; more are dropped.
-            Local memory is about 4 capacity^2 bytes per lane. 0 solves the primal, the same to
-            rounding.
-
-    Returns:
-        (degree + 1)^2 coefficients in the order l*l + l + m, each a list of ``channels``
-        Floats; 0 in a lane that sees no view.
+    ``sample(view)`` returns unit direction, weight w (0: unseen) and values. Coefficient (l, m) is
+    at l*l + l + m, 0 in a lane without views. ``capacity`` is the most visible views of the dual,
+    which takes about 4 capacity^2 bytes per lane; 0 solves the primal.
     """
     if capacity:
         return fit_dual(sample, views, system, capacity)
@@ -69,13 +54,10 @@ def fit_lanes(sample: Sample, views: Any, system: System, capacity: int) -> list
 
 @dataclass(frozen=True)
 class SolverGroup:
-    """Texels that one call of ``fit_lanes`` solves.
+    """Texels of one call of ``fit_lanes``: ascending UInt32 ``selection``, not empty.
 
     Attributes:
-        selection: texel indices, an ascending UInt32 array with at least one entry; the order of
-            texels is kept, since neighbours see the same views.
-        capacity: of the dual: the most views that a texel of the group sees, rounded up; 0 for
-            the primal.
+        capacity: of the dual: the most views of a texel, rounded up; 0 for the primal.
     """
 
     selection: Any
@@ -83,13 +65,7 @@ class SolverGroup:
 
 
 def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[SolverGroup]:
-    """Group texels by the kernel that solves them fastest; those without views are in no group.
-
-    Args:
-        visible: (T,) number of views that see each texel, UInt32 or NumPy.
-        degree: l*, in [0, 9].
-        method: ``auto``, or ``primal`` or ``dual`` (at most 256 views) for all texels.
-    """
+    """Group texels with views by the fastest solver; ``primal`` or ``dual`` prescribes one."""
     counts = np.asarray(visible).reshape(-1)
     limits = {
         "auto": min(int(VIEWS_PER_COEFFICIENT * (degree + 1) ** 2), AUTO_CAPACITY),

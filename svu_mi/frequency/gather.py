@@ -49,15 +49,11 @@ def fit_spectra(
 
 @dataclass(frozen=True)
 class Coefficients:
-    """SH coefficients of what T texels show, and of the light that they mirror.
+    """SH coefficients of the radiance of T texels, and of the light that they mirror.
 
     Attributes:
-        values: (K (C + C') T,) Float: for coefficient l*l + l + m, then channel of the
-            photographs or of the light, one value per texel, in radiance; 0 where not seen.
-        degree: l*, so that K = (l* + 1)^2.
-        channels: C of the photographs.
-        light_channels: C' of the light, the same or 1.
-        count: T.
+        values: (K (C + C') T,) Float: for coefficient l*l + l + m, then channel of photographs
+            or light, one value per texel, in radiance; 0 where not seen.
     """
 
     values: Any

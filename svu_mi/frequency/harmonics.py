@@ -2,10 +2,7 @@
 
     S(l) = sum over m = -l ... l of c_lm^2                                        (Eq. 8)
 
-A sum, not a mean: white noise of unit variance has 2l + 1 on average. A rotation of the
-signal leaves every S(l) unchanged.
-
-Conventions, the same everywhere in the package:
+A sum, not a mean: white noise of unit variance has 2l + 1 on average. Conventions:
 
 * order ``index = l*l + l + m``: (0,0), (1,-1), (1,0), (1,1), (2,-2), ...
 * orthonormal on the sphere, real, with the Condon-Shortley sign of ``dr.sh_eval``
@@ -70,11 +67,7 @@ def zonal_polynomial(degree: int, penalize_constant: bool) -> list[float]:
 
 
 def zonal_kernel(t: Any, powers: list[float]) -> Any:
-    """Evaluate lambda * k(t) by Horner's rule.
-
-    By the addition theorem this is Y(a)^T R^-1 Y(b) for unit vectors with a.b = t. Powers of t
-    are safe here: R grows by e per degree, coefficients of P_l only by 1 + sqrt(2).
-    """
+    """Evaluate lambda k(t) = lambda Y(a)^T R^-1 Y(b), t = a.b, by Horner's rule."""
     value = type(t)(powers[-1])
     for power in reversed(powers[:-1]):
         value = dr.fma(value, t, power)
@@ -111,10 +104,7 @@ class System:
 
 
 def unit(direction: Any) -> Any:
-    """Return a direction of unit length in double precision.
-
-    Rounding to 1e-7 shows in fits of many views that crowd together.
-    """
+    """Normalise a direction in double precision, which fits of close views need."""
     return dr.normalize(mi.Vector3d(direction))
 
 

@@ -1,12 +1,9 @@
 """Eq. 12 by its normal equations: (degree + 1)^2 unknowns, any number of views.
 
-Also fits with one more sample, for every sample that might be added. With A = Y^T W^2 Y +
-lambda R factored once, a sample of direction y, weight w and value f changes the coefficients c by
-[Sherman and Morrison 1950]
+Also fits with one added sample, for each of several: with A = Y^T W^2 Y + lambda R factored once, a
+sample of direction y, weight w and value f changes c to [Sherman and Morrison 1950]
 
-    c' = c + A^-1 w y  w (f - y . c) / (1 + w y . A^-1 w y),
-
-two substitutions instead of a factorisation. In double precision, like the fit itself.
+    c' = c + A^-1 w y  w (f - y . c) / (1 + w y . A^-1 w y).
 """
 
 from __future__ import annotations
@@ -39,9 +36,7 @@ class Solved:
     Attributes:
         factor: of A = Y^T W^2 Y + lambda R, packed lower tiles.
         solution: c, one block of degree + 1 rows per tile row.
-        rows: room for one more row of Y.
-        blocks: number of tile rows, UInt32.
-        seen: Bool, which lanes saw anything.
+        rows: memory for one more row of Y.
     """
 
     factor: list
@@ -151,13 +146,9 @@ Take = Callable[[Any, list[list[Any]]], None]
 def extend_lanes(
     known: tuple[Sample, Any], added: tuple[Sample, Any], system: System, take: Take
 ) -> list[list[Any]]:
-    """Fit the known samples, then each candidate in addition; return the power of the known.
+    """Fit the ``known`` samples and their count, then each of the ``added`` in addition.
 
-    Args:
-        known: samples of Eq. 12, as ``fit_lanes`` takes them, and how many, an opaque UInt32.
-        added: the candidates, in the same form.
-        system: the problem.
-        take: called where a candidate's weight is positive, within the kernel.
+    Returns the power of the known; calls ``take`` where an added sample's weight is positive.
     """
     system = replace(system, ridge=[max(value, FREE) for value in system.ridge])
     solved = Solved.of(*known, system)

@@ -49,16 +49,14 @@ class Photographed(Protocol):
 
 @dataclass(frozen=True)
 class Samples:
-    """Where the rows of Eq. 12 come from.
+    """Rows of Eq. 12, of the texels ``surface``.
 
     Attributes:
-        observed: the photographs.
-        surface: the texels of the launch.
-        occluded: leave out light from where the object itself stands.
+        occluded: exclude light that the object occludes.
         channels: C of the photographs, 1 or 3; 0 leaves them out.
-        light_channels: of the light, the same or 1.
-        masking: factors of the light, by cos theta_i (cos theta_o, of a mirror) and by texel: each
-            is a right-hand side per channel. By default 1.
+        light_channels: of the light, C or 1.
+        masking: factors of the light, by cos theta_i (cos theta_o of a mirror) and texel: one
+            right-hand side per factor and channel. Default 1.
     """
 
     observed: Photographed
@@ -69,10 +67,7 @@ class Samples:
     masking: Masking | None = None
 
     def at(self, slot: Any) -> tuple[Any, Any, list[Any]]:
-        """Return one row: view direction, w = |cos theta|, and both right-hand sides.
-
-        Light is indexed by the direction to the camera, and looked up in its mirror direction.
-        """
+        """Return view direction, w = |cos theta|, and both right-hand sides of one row."""
         views, found, lighting = self.observed.views, self.observed.found, self.observed.lighting
         seen = found.look(views, self.surface, slot)
         lit = found.asked(seen.seen)
@@ -94,14 +89,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Job:
-    """A fit of all texels, which may be asked for again under another masking.
-
-    Attributes:
-        observed: the photographs.
-        switches: degree, regulariser and R_00 of Eq. 12.
-        counts: (T,) the views of each texel; those of 0 are not fitted.
-        channels, light_channels, occluded: as for ``Samples``.
-    """
+    """Fit of all texels, (T,) ``counts`` views each; may be repeated with another masking."""
 
     observed: Photographed
     switches: Preset | Fit
@@ -138,14 +126,7 @@ class Job:
 
 @dataclass(frozen=True)
 class MirroredLight:
-    """The light that texels mirror into their photographs, to be fitted (Eq. 12).
-
-    Attributes:
-        observed: the photographs of T texels.
-        fit: degree, regulariser and R_00.
-        channels: C of the light, 3 or 1.
-        chosen: (S,) numbers of the texels to fit: their lanes.
-    """
+    """Light that S ``chosen`` texels mirror into their photographs, to be fitted (Eq. 12)."""
 
     observed: Photographed
     fit: Fit
@@ -173,12 +154,7 @@ class MirroredLight:
         return owned(mi.UInt32, lane)
 
     def solutions(self, masking: Masking, count: int) -> Iterator[tuple[Any, list[list[Any]]]]:
-        """Fit masked light.
-
-        Yields:
-            UInt32 lanes of texels that some view sees, and their (l* + 1)^2 coefficients: lists
-            of F C Floats, not evaluated yet.
-        """
+        """Yield UInt32 lanes of seen texels, and (l* + 1)^2 lists of F C Floats, unevaluated."""
         for texel, coefficients in self._job.solutions(masking, count):
             yield dr.gather(mi.UInt32, self.lane, texel), coefficients
 

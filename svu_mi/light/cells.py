@@ -1,13 +1,9 @@
-"""The light as a tree of cells, that visibility is traced in and wide lobes are summed over.
+"""Tree of light cells, for visibility and wide lobes.
 
-The sphere is split into even cells around a spherical Fibonacci lattice [Swinbank and Purser
-2006], the ``leaves``. They are merged into clusters that are small where the light is bright: of
-all clusters, that with the largest spread of its radiance, sum L |w - mean|^2, is split next
-[Wu 1991, for colours]. The first splits make ``coarse`` cells, all of them ``fine`` ones, so that
-a coarse cell is a union of fine ones, a fine one of leaves, and all sum up to the same light.
-
-A cell is looked at in the direction that its light comes from, the centroid of its radiance:
-a sun is in the shadow of whatever hides the sun, not of what hides the middle of its cell.
+Even cells around a spherical Fibonacci lattice [Swinbank and Purser 2006] are the ``leaves``.
+Clusters of them are split where the spread of radiance, sum L |w - mean|^2, is largest [Wu 1991].
+The first splits make ``coarse`` cells, all of them ``fine`` ones: a coarse cell is a union of fine
+ones, a fine one of leaves. The direction of a cell is the centroid of its radiance.
 """
 
 from __future__ import annotations
@@ -40,12 +36,9 @@ class Cells:
     """N cells of one depth of the tree, in its order.
 
     Attributes:
-        toward: (4 N,) Float: unit world direction from the surface to the light, and the radius
-            [rad] of an even disk whose light would be spread as far as the cell's.
-        flux: (4 N,) Float: radiance integrated over the cell's solid angle, R, G and B, and
-            their mean.
-        number: N.
-        count: N, an opaque UInt32.
+        toward: (4 N,) Float: unit world direction to the light, and radius [rad] of an even disk of
+            the same spread.
+        flux: (4 N,) Float: radiance integrated over solid angle, R, G, B, and their mean.
     """
 
     toward: Any
@@ -66,17 +59,13 @@ class Cells:
 
 @dataclass(frozen=True)
 class LightCells:
-    """The light in cells of three depths; those of one larger cell stand together.
+    """Light in cells of three depths; those of one larger cell are contiguous.
 
     Attributes:
-        coarse: N_c cells.
-        fine: N_f cells.
-        leaves: cells that are not worth a ray of their own.
-        first: (N_c + 1,) UInt32, the first fine cell of each coarse one.
-        first_leaf: (N_f + 1,) UInt32, the first leaf of each fine cell.
-        groups: (N_g + 1,) UInt32, the first coarse cell of each group of neighbours.
-        group_count: N_g, an opaque UInt32.
-        bright: (N_f,) UInt32, 1 for fine cells that are worth a ray of their own.
+        first: (N_c + 1,) UInt32, first fine cell of each coarse one.
+        first_leaf: (N_f + 1,) UInt32, first leaf of each fine cell.
+        groups: (N_g + 1,) UInt32, first coarse cell of each group of neighbours.
+        bright: (N_f,) UInt32, 1 for fine cells with rays of their own.
     """
 
     coarse: Cells
@@ -91,8 +80,7 @@ class LightCells:
 
 @dataclass(frozen=True)
 class _Cluster:
-    """M weighted points, their offsets (M, 3) from their mean, and their covariance (3, 3), not
-    divided by the sum of weights, with its trace; the widest cluster comes first."""
+    """M weighted points, offsets (M, 3) from their mean, unnormalised covariance; by its trace."""
 
     number: int
     members: np.ndarray

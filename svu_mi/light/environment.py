@@ -1,13 +1,8 @@
-"""The light as a function on the sphere: quadrature, spherical harmonics, synthesis.
+"""Light as a function on the sphere: quadrature, spherical harmonics, synthesis (NumPy, float64).
 
-Everything here is NumPy in double precision and runs once per capture: 0.1 s for a map of
-512 x 256, a second for 2048 x 1024.
-
-Conventions. A direction is given in the emitter's *local* frame, where Mitsuba's lat-long
-maps have their pole on +Y: theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical
-harmonics are real, orthonormal, in the order l*l + l + m, as ``drjit.sh_eval`` has them,
-of the *polar* frame (z, x, y): the local axes turned cyclically so that the pole is the
-third axis. Power spectra do not depend on that choice of frame.
+Directions are in the emitter's *local* frame, where lat-long maps have their pole on +Y:
+theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical harmonics are real, orthonormal, in the
+order l*l + l + m of ``drjit.sh_eval``, of the *polar* frame (z, x, y).
 """
 
 from __future__ import annotations
@@ -38,12 +33,11 @@ class Environment:
     """Distant light: radiance at lat-long nodes, plus nodes on a small disk (a sun).
 
     Attributes:
-        radiance: (H, W, 3) float64 at theta_j = j pi / (H - 1), phi_i = (i + 0.5) 2 pi / W:
-            rows 0 and H - 1 are the poles, columns are texel-centred, as Mitsuba samples. At most
-            1025 x 2048.
-        disk_directions: (N, 3) float64 local directions of extra nodes.
-        disk_weights: (N,) float64 solid angles of the extra nodes [sr].
-        disk_radiance: (N, 3) float64, in excess of what ``radiance`` holds there.
+        radiance: (H, W, 3) float64 at theta_j = j pi / (H - 1), phi_i = (i + 0.5) 2 pi / W, at most
+            1025 x 2048: the first and last rows are the poles.
+        disk_directions: (N, 3) float64 local directions.
+        disk_weights: (N,) float64 solid angles of the disk's nodes [sr].
+        disk_radiance: (N, 3) float64, in excess of ``radiance``.
         to_local: (3, 3) float64, world to local rotation (may mirror).
     """
 
@@ -92,8 +86,7 @@ def read_environment(emitter: Any) -> Environment:
 
 
 def lat_long(local: Any) -> tuple[Any, Any]:
-    """Return where a lat-long map holds a unit local direction: phi / 2 pi in [0, 1), theta / pi.
-    """
+    """Return phi / 2 pi in [0, 1) and theta / pi of a unit local direction."""
     if dr.is_array_v(local):
         u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
         return u - dr.floor(dr.detach(u)), dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
@@ -221,9 +214,7 @@ def basis_at(polar: np.ndarray, degree: int) -> np.ndarray:
 def associated_legendre(x: np.ndarray, degree: int) -> np.ndarray:
     """Return (degree + 1, degree + 1, N) normalised associated Legendre functions.
 
-    P(l, m, x) e^(i m phi) is orthonormal on the sphere, with the sign (-1)^m of
-    Condon-Shortley, as in ``drjit.sh_eval``. Recurrence in l from P(m, m), stable to
-    degrees far above 64.
+    P(l, m, x) e^(i m phi) is orthonormal, with the Condon-Shortley sign of ``drjit.sh_eval``.
     """
     table = np.zeros((degree + 1, degree + 1, len(x)))
     sin = np.sqrt(np.maximum(1 - x * x, 0))

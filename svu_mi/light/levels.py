@@ -31,12 +31,7 @@ Profile = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Levels:
-    """Filtered light, one texture per level.
-
-    Attributes:
-        textures: R lat-long Texture2f of 3 channels, or of 1 when the light was made grey.
-        to_local: Matrix3f, world to local.
-    """
+    """Filtered light: R lat-long Texture2f of 3 channels or 1, in the light's local frame."""
 
     textures: tuple[Any, ...]
     to_local: Any
@@ -55,10 +50,7 @@ def filter_light(
     lighting: Lighting, widths: Sequence[float], profile: Callable[[float, np.ndarray], np.ndarray],
     grey: bool = False, disk: bool = True,
 ) -> Levels:
-    """Convolve the light with a lobe of every width alpha; results are cached.
-
-    ``profile`` is the weight by the cosine from the lobe's centre. ``disk`` includes a sun's disk.
-    """
+    """Convolve the light with lobes of given widths alpha, with or without a sun's disk; cached."""
     kept = lighting.lobes
     keys = [(float(width), profile, grey, disk) for width in widths]
     missing = [key for key in keys if key not in kept]
@@ -72,10 +64,7 @@ def filter_light(
 
 
 def resolved(environment: Environment) -> np.ndarray:
-    """Return the light on its lat-long grid (H, W, 3), a sun's disk spread over the nearest nodes.
-
-    Radiance is conserved in the sense of the grid's own quadrature.
-    """
+    """Return the light's lat-long grid (H, W, 3), a sun's disk added to the nearest nodes."""
     grid = environment.radiance
     if not len(environment.disk_weights):
         return grid
@@ -89,10 +78,9 @@ def resolved(environment: Environment) -> np.ndarray:
 
 
 def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
-    """Average a lat-long grid under a lobe around every node: exact on the grid's quadrature.
+    """Average a lat-long grid under a normalised lobe at every node; wide lobes coarsen it.
 
-    Rows are convolved along the azimuth by FFT; only rows that the lobe reaches take part. The lobe
-    is normalised where it stands. Wide lobes give a coarser grid.
+    Rows are convolved along the azimuth by FFT, within the lobe's reach.
     """
     if width < DELTA:
         return grid
@@ -136,10 +124,7 @@ def _reach(profile: Profile, rows: int) -> int:
 
 
 def _coarser(grid: np.ndarray, width: float) -> np.ndarray:
-    """Return flux and solid angle (H', W', C + 1) of the fewest nodes that resolve a lobe.
-
-    Every node's light and solid angle are shared among the two nearest new nodes, per axis.
-    """
+    """Return flux and solid angle (H', W', C + 1) on the coarsest grid that resolves a lobe."""
     rows, columns, channels = grid.shape
     solid, own = env.quadrature(rows), np.ones(columns)
     fewer = max(int(np.ceil(COARSE / width)) + 1, FEWEST)
@@ -162,15 +147,12 @@ PADDED = {1: 1, 3: 4}  # floats per node by channels: four are read at once
 
 @dataclass(frozen=True)
 class LightStack:
-    """R lat-long maps of different sizes, one behind the other.
+    """R lat-long maps of different sizes, contiguous.
 
     Attributes:
-        values: Float, nodes of all maps, row by row, with a column of the other side on either
-            side; 1 float per node, or 4 (R, G, B, 0).
+        values: Float, nodes of all maps by row, with a wrapped column on either side; 1 float per
+            node, or 4 (R, G, B, 0).
         tables: (3 R,) UInt32: first node, rows and columns of every map.
-        count: R, at least 2.
-        channels: 1 or 3.
-        to_local: Matrix3f, world to local.
     """
 
     values: Any

@@ -23,14 +23,11 @@ TEXELS_PER_WAVE = 24  # rows per period of the highest degree: bilinear error be
 
 @dataclass(eq=False)
 class Lighting:
-    """Light of a capture, filtered for v views; each map is computed when first asked for.
+    """Light of a capture, filtered for v views; maps are computed lazily.
 
     Attributes:
-        environment: what the light was read from.
-        prefilter: alpha' = v^(-1/2), the width the light is band-limited with.
-        to_local: Matrix3f, world to local.
-        lobes: Texture2f of the light under lobes of the BRDF, as ``filter_light`` has made them,
-            by the lobe: the estimator and guidance ask for the same ones.
+        prefilter: alpha' = v^(-1/2), width of the band limit.
+        lobes: cached Texture2f of ``filter_light``, by lobe.
     """
 
     environment: Environment
@@ -108,8 +105,7 @@ def degrees(degree: int) -> np.ndarray:
 def zonal_cosine(degree: int, power: int = 0) -> np.ndarray:
     """Return (degree + 1,) zonal factors of max(x, 0) (1 - x)^power, x = cos theta.
 
-    A_l = 2 pi times the integral of P_l(x) x (1 - x)^power over [0, 1]. With power 0 they turn
-    radiance into irradiance: pi, 2 pi / 3, pi / 4, 0, ... [Ramamoorthi and Hanrahan 2001, Eq. 19].
+    A_l = 2 pi times the integral of P_l(x) x (1 - x)^power over [0, 1]; power 0: irradiance.
     """
     nodes, weights = np.polynomial.legendre.leggauss(degree // 2 + power + 2)
     x, w = (nodes + 1) / 2, weights / 2
@@ -134,13 +130,7 @@ MOMENTS = 8  # per channel: two scalars, two vectors
 
 @dataclass(frozen=True)
 class MomentMap:
-    """c0, m0 (3), c1, m1 (3) (``Reach.diffuse``), vectors in the light's local frame.
-
-    Attributes:
-        texture: Texture2f of 8 C channels, those of one colour together.
-        to_local: Matrix3f, world to local.
-        channels: C, 1 or 3.
-    """
+    """c0, m0 (3), c1, m1 (3) (``Reach.diffuse``) in the light's frame: 8 C channels, by colour."""
 
     texture: Any
     to_local: Any

@@ -37,10 +37,7 @@ def map_of(emitter: Any, otherwise: np.ndarray) -> np.ndarray:
 
 
 def grid_size(emitter: Any) -> tuple[int, int]:
-    """Return (columns, rows): the map's own nodes, so that quadrature sees each texel once.
-
-    A small map is sampled between its nodes too, so that constants are orthogonal to high degrees.
-    """
+    """Return (columns, rows) of the map's own nodes; small maps are also sampled between them."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return SKY_GRID
     rows, columns = mi.traverse(emitter)["data"].shape[:2]
@@ -64,10 +61,7 @@ BAND = 2**17  # nodes that are sampled at a time: 20 MB
 
 
 def sampled(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Sample an emitter at lat-long nodes, (H, W, 3); what is more than ``MOST`` is averaged.
-
-    Every node's light is then shared among its nearest neighbours, so that none is lost.
-    """
+    """Sample an emitter at lat-long nodes, (H, W, 3); above ``MOST``, average, conserving flux."""
     across, down = min(columns, MOST[0]), min(rows, MOST[1])
     solid = quadrature(rows)
     flux, weight = np.zeros((down, across, 3)), np.zeros(down)
@@ -107,10 +101,7 @@ def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
 
 
 def quadrature(rows: int) -> np.ndarray:
-    """Return (rows,) Clenshaw-Curtis weights for the integral over cos(theta).
-
-    Exact for polynomials in cos(theta) up to degree rows - 1, on the nodes j pi / (rows - 1).
-    """
+    """Return (rows,) Clenshaw-Curtis weights in cos(theta) of the nodes j pi / (rows - 1)."""
     n = rows - 1
     j = np.arange(rows)
     k = np.arange(1, n // 2 + 1)

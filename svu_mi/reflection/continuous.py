@@ -1,13 +1,8 @@
-"""Reflection by light that was filtered once for all texels, at any roughness: for rendering.
+"""Reflection by prefiltered light at any roughness per lane, for rendering; traces nothing.
 
-No photographs are needed, unlike for the paper's SH model (``fitted.py``); nothing is traced here.
-
-``narrow.py`` looks a few levels of roughness up for all lanes; here every lane has its own.
-What it needs of a level is interpolated linearly in roughness between two levels: the light
-under the lobe, and how much a lobe reflects. Seen obliquely, a lobe is narrower across the plane
-of incidence, where turning the half vector turns the reflected direction by 2 cos theta_h of
-that angle instead of 2; here its light is that of a round lobe of the same solid angle, of width
-alpha sqrt(cos theta_h). How parts of the light are mixed is in ``principled.py``.
+Light under the lobe, and its albedo, are interpolated linearly between two levels of roughness.
+An oblique lobe is replaced by a round one of the same solid angle, of width
+alpha sqrt(cos theta_h).
 """
 
 from __future__ import annotations
@@ -41,13 +36,12 @@ NARROWEST = 1e-3  # cosine: more grazing views are treated like this one
 
 @dataclass(frozen=True)
 class Continuous:
-    """The light, and what lobes of any roughness make of it.
+    """Light, and its reflection by lobes of any roughness.
 
     Attributes:
-        switches: which model.
         light: R levels, uniform in roughness on [0, 1].
         albedo: (R * ALBEDO_NODES * 4,) Float: A and B of the split sum, D of a dielectric, 0.
-        narrow: whether lobes seen obliquely are narrower; not so in Eq. 6.
+        narrow: whether oblique lobes are narrower; not so in Eq. 6.
     """
 
     switches: AngularPreset

@@ -2,10 +2,8 @@
 
     B(omega_o) = Kd / pi E + F(theta_o) G1(theta_o; alpha) [S_alpha * G1(theta_i; alpha) L](omega_o)
 
-Light is parametrised by the direction that it is mirrored to, so that L(omega_o) is what arrives
-from the mirror direction of omega_o, and theta_i = theta_o where it is sampled. Texel by texel,
-G1(theta_i) L is expanded to degree l* from the directions of its photographs (Eq. 12), and the
-convolution multiplies degree l by exp(-(alpha l)^2).
+L(omega_o) is the light from the mirror direction of omega_o. G1(theta_i) L is expanded to degree l*
+for each texel (Eq. 12); the convolution multiplies degree l by exp(-(alpha l)^2).
 """
 
 from __future__ import annotations
@@ -32,11 +30,9 @@ class FittedLobes:
     """Lobes of a few widths, the same for all texels.
 
     Attributes:
-        fresnel: which Fresnel term.
         alpha: (K,) float64 widths.
         values: (K n C S,) Float, n = (l* + 1)^2: coefficients of S_alpha * G1 L, of the width, then
-            l*l + l + m, then channel, one per lane, in radiance; 0 for a texel that no view sees.
-        light: what they were fitted to, of S texels.
+            l*l + l + m, then channel, one per lane, in radiance; 0 where unseen.
     """
 
     fresnel: Fresnel
@@ -88,9 +84,7 @@ class Convolved:
     """Light under a lobe of every texel's own width.
 
     Attributes:
-        values: (2 n C S,) Float: of the coefficient, then value and derivative for roughness, then
-            channel, one per lane.
-        light: what they were fitted to, of S texels.
+        values: (2 n C S,) Float: coefficient, then value and roughness derivative, then channel.
     """
 
     values: Any
@@ -163,8 +157,7 @@ def _decay(square: Any, row: int) -> Any:
 def _evaluate(
     values: Any, direction: Any, degree: int, place: Any, advance: Any, columns: list[Any]
 ) -> list[Any]:
-    """Evaluate expansions: the sum over coefficients of Y_lm(direction) times each of some columns.
-    """
+    """Return the sum of Y_lm(direction) times each of some columns over all coefficients."""
     number = (degree + 1) ** 2
     basis = dr.alloc_local(mi.Float, number)
     for k, y in enumerate(harmonics.basis(mi.Vector3f(direction), degree)):

@@ -29,12 +29,10 @@ _U, _V = 64, 16  # stratified samples of visible normals per table entry
 
 
 def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
-    """Weight of light at an angle theta from the centre of a lobe, up to a factor.
+    """Return a lobe's unnormalised weight at an angle theta from its centre.
 
-    ``gaussian`` is the function on the sphere whose degree l is exp(-(alpha l)^2) times that of
-    a direction (Eq. 6); wide ones have a negative part. ``ggx`` is D(theta / 2) G1(theta), the
-    lobe seen along the normal, where the half vector turns by half the angle
-    [Walter et al. 2007].
+    ``gaussian`` scales degree l by exp(-(alpha l)^2) (Eq. 6). ``ggx`` is D(theta / 2) G1(theta),
+    the lobe along the normal [Walter et al. 2007].
     """
     if lobe == "gaussian":
         if alpha < FLAT:  # the sphere is flat under it
@@ -60,10 +58,7 @@ def profile_of(lobe: Lobe) -> Callable[[float, np.ndarray], np.ndarray]:
 
 
 def smith_g1(cosine: Any, alpha: Any) -> Any:
-    """G1 = 1 / (1 + Lambda), Lambda = (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Eq. 6).
-
-    Written without the tangent, which is infinite where the direction grazes.
-    """
+    """Return G1 = 2 / (1 + sqrt(1 + alpha^2 tan^2 theta)) (Eq. 6), without the tangent."""
     root = _root(cosine)(cosine * cosine * (1 - alpha * alpha) + alpha * alpha)
     return 2 * cosine / (cosine + root)
 
@@ -81,14 +76,10 @@ def ggx(cosine: Any, alpha: Any) -> Any:
 
 
 def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> list[Any]:
-    """D G1 of light that comes from a disk: ``ggx`` times ``smith_g1``, averaged over it.
+    """Return D G1 averaged over a disk of light, one value for each width.
 
-    Half vectors turn by half the angle. With s = sin^2 theta_h + alpha^2 cos^2 theta_h, D goes with
-    1 / s^2, whose mean over a disk of radius rho differs from its value at the centre by the
-    part (rho^2 / s) (1 / 2 - 3 alpha^2 / 4 s), to first order: less at the peak, more around it.
-
-    Returns:
-        One value for each width.
+    To first order, D changes by (rho^2 / s) (1 / 2 - 3 alpha^2 / 4 s) of itself, for the radius rho
+    and s = sin^2 theta_h + alpha^2 cos^2 theta_h.
     """
     squares = [alpha * alpha for alpha in widths]
     s = [dr.fma(up * (a - 1), up, 1) for a in squares]
@@ -138,11 +129,7 @@ def _root(like: Any) -> Any:
 
 
 def dominance(alpha: Any) -> Any:
-    """How far a lobe points from the normal (0) to the mirror direction (1).
-
-    Rough lobes lean towards the normal: (1 - alpha) (sqrt(1 - alpha) + alpha)
-    [Lagarde and de Rousiers, Moving Frostbite to PBR, 2014, Sec. 4.9.3].
-    """
+    """Return a lobe's direction between normal (0) and mirror (1) [Lagarde, de Rousiers 2014]."""
     if not dr.is_array_v(alpha):
         return (1 - alpha) * (np.sqrt(np.maximum(1 - alpha, 0)) + alpha)
     # The root has no derivative at alpha = 1, the product has.
@@ -166,10 +153,7 @@ def _albedo(alpha: float) -> np.ndarray:
 
 
 def split_sum(alpha: np.ndarray) -> np.ndarray:
-    """Return A and B of the albedo R0 A + B of GGX [Karis 2013]: (R, ALBEDO_NODES, 2).
-
-    Nodes are at cos theta_o = (i + 0.5) / ALBEDO_NODES.
-    """
+    """Return A and B of GGX's albedo R0 A + B [Karis 2013], (R, ALBEDO_NODES, 2), even cosines."""
     return np.stack([_albedo(float(a))[:2].T for a in alpha])
 
 
@@ -179,10 +163,7 @@ def mean_albedo(alpha: np.ndarray) -> np.ndarray:
 
 
 def dielectric_albedo(alpha: np.ndarray) -> np.ndarray:
-    """Return the albedo D of a dielectric's GGX lobe, exact Fresnel: (R, ALBEDO_NODES).
-
-    Up to a quarter more than 0.04 A + B between 45 and 60 degrees.
-    """
+    """Return the albedo of a dielectric's GGX lobe with exact Fresnel: (R, ALBEDO_NODES)."""
     return np.stack([_albedo(float(a))[2] for a in alpha])
 
 

@@ -1,9 +1,7 @@
-"""The reflection model (Eq. 6): what texels reflect, at every level of roughness.
+"""Reflection model (Eq. 6): radiance of texels at every level of roughness.
 
-Four parts of the light, e, p, q and d, of which parameters say how much there is
-(``principled.py``): what photographs are compared with, in every part of svu_mi. Narrow lobes look
-filtered light up, wide ones sum cells of it; the preset ``fast`` looks all of them up and traces
-nothing, ``paper`` expands the light that each texel mirrors in spherical harmonics.
+Four parts of the light, e, p, q and d, are mixed by the parameters (``principled.py``). Narrow
+lobes look up filtered light, wide ones sum cells; ``fast`` only looks up, ``paper`` fits harmonics.
 """
 
 from __future__ import annotations
@@ -29,10 +27,7 @@ from svu_mi.visibility.reach import Reach
 
 @dataclass(frozen=True)
 class Arriving:
-    """Light in 3 channels, or 1 for their mean, and what of it arrives at texels.
-
-    ``reach`` is None if nothing hides any; ``mirrored`` is None without a fit at every texel.
-    """
+    """Light in 3 channels or 1, ``reach`` (None: unoccluded), ``mirrored`` (None: no fit)."""
 
     lighting: Lighting
     reach: Reach | None
@@ -42,16 +37,14 @@ class Arriving:
 
 @dataclass(frozen=True)
 class Model:
-    """What S texels reflect, at R levels of roughness.
+    """Reflection of S texels at R levels of roughness.
 
     Attributes:
         roughness: (R,) float64 of the levels, ascending.
-        surface: the texels.
-        switches: which model.
-        narrow: the lobes of the first levels, or None.
+        narrow: lobes of the first levels, or None.
         wide: those of the others, or None.
-        fitted: all of them, where light is fitted at every texel; or None.
-        moments: of the diffuse light that arrives, 8 Floats (S,) for each of C channels.
+        fitted: all lobes, if light is fitted per texel; or None.
+        moments: of diffuse light (``Reach.diffuse``), 8 Floats (S,) per channel.
     """
 
     roughness: np.ndarray

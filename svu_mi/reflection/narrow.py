@@ -33,13 +33,12 @@ from svu_mi.visibility.observe import mirror_direction
 
 @dataclass(frozen=True)
 class NarrowLobes:
-    """Light as lobes of a few widths see it.
+    """Lobes of K widths as look-ups of filtered light.
 
     Attributes:
-        alpha, levels: K lobe widths, and light filtered for each.
         albedo: (K * ALBEDO_NODES * 2,) Float, the split-sum pair.
-        dielectric: (K * ALBEDO_NODES,) Float, the albedo with exact dielectric reflectance.
-        sun: cells of a sun's disk that is not part of the filtered light, or None.
+        dielectric: (K * ALBEDO_NODES,) Float, albedo with exact dielectric reflectance.
+        sun: cells of a sun's disk that is not in the filtered light, or None.
     """
 
     switches: AngularPreset

@@ -1,12 +1,8 @@
-"""Principled parameters and what the reflection model makes of them (Sec. 3.2 of the paper).
+"""Principled parameters in the reflection model (Sec. 3.2 of the paper).
 
-Plain arithmetic: works on floats, NumPy arrays and Dr.Jit arrays alike. All quantities are
-dimensionless; colours are linear. ``specular`` is 0.5, an index of refraction of 1.5.
-
-What a texel reflects is a sum of parts of the light (``reflection/model.py``): e is diffuse
-shading, d the lobe of a dielectric, and p and q are what R0 = c scales of a metal's lobe and what
-Fresnel adds to it. How much there is of each is affine in the base colour c, and in every other
-parameter by itself; this is the one place that says how:
+Plain arithmetic for floats, NumPy and Dr.Jit arrays; dimensionless, linear colours, index of
+refraction 1.5. Radiance mixes parts of the light (``reflection/model.py``): diffuse shading e, a
+dielectric's lobe d, and p and q, which R0 = c scales and Fresnel adds in a metal's lobe:
 
     r = (1 - m) (c e + d) + m (c p + q).
 """
@@ -40,10 +36,7 @@ def alpha_from_roughness(roughness: Any) -> Any:
 
 
 def columns(e: Any, p: Any, q: Any, d: Any, observed: Any = 0) -> tuple[Any, ...]:
-    """Return what r - b is a sum of, for an observed radiance b: the fewest combinations of parts.
-
-    The last, which b is subtracted from, counts once (see ``Mixture``).
-    """
+    """Return the columns whose mixture is r - b, with radiance b in the last (``Mixture``)."""
     return e, p, q - d, d - observed
 
 
@@ -52,11 +45,9 @@ COLUMNS = len(columns(0, 0, 0, 0))
 
 @dataclass(frozen=True)
 class Mixture:
-    """How often each column counts, at a base colour c: x = scaled c + constant.
+    """Coefficients of ``COLUMNS`` columns at a base colour c: x = scaled c + constant.
 
-    Attributes:
-        scaled, constant: a coefficient of each of ``COLUMNS`` columns. What is always 0 or 1 is a
-            number, which Dr.Jit leaves out of kernels.
+    Constants 0 and 1 are Python numbers, which Dr.Jit omits from kernels.
     """
 
     scaled: tuple[Any, ...]

@@ -64,19 +64,15 @@ def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
 def diffuse_shading(
     model: Diffuse, moments: list[Any], direction: Any, cosine: Any
 ) -> tuple[Any, Any]:
-    """Radiance of a white diffuse surface, as a + roughness b.
+    """Return (a, b): radiance a + roughness b of a white diffuse surface.
 
-    Disney's model [Burley 2015], as Mitsuba's ``principled`` has it, with Schlick weights
+    Disney's model [Burley 2015] as in Mitsuba's ``principled``, with Schlick weights
     F = (1 - cos)^5 of the incident (i) and outgoing (o) direction:
 
         f = ((1 - F_o / 2) (1 - F_i / 2) + R (F_o + F_i + F_o F_i (R - 1))) / pi,
         R = roughness (1 + w_i . w_o).
 
-    The term R^2 F_o F_i, which is of any size only where both directions graze, is left out;
-    what is left is linear in four moments of the light (``visibility.Reach``).
-
-    Returns:
-        (a, b), radiance.
+    Without R^2 F_o F_i, it is linear in four moments of the light (``visibility.Reach``).
     """
     c0, m0, c1, m1 = moments[0], moments[1:4], moments[4], moments[5:8]
     if model == "lambert":

@@ -1,13 +1,10 @@
-"""What a surface point sees of its light, by two rays: for images, where points do not stay.
+"""Shadows of surface points by two rays, for images.
 
-The part of light that is visible is estimated as 1 or 0, in a direction drawn by its share of
-what is reflected. A few directions are drawn from the light, and a few from the specular lobe;
-of all of them, one is chosen for either kind of reflection by its share of the integral that
-it stands for (resampled importance sampling [Talbot et al. 2005], with balance heuristic).
-Multiplied by the integral without shadows, which is known, the estimate has little variance,
-none where nothing hides the light, and is never negative. Dividing by the sum of so few weights
-biases it towards one: more samples do not help, and a surface whose brightest light is hidden
-comes out up to 10 % too bright.
+A few directions are drawn from the light and from the specular lobe; one is chosen for diffuse and
+one for specular reflection (resampled importance sampling [Talbot et al. 2005], balance heuristic).
+Its visibility, 0 or 1, multiplies the known unshadowed integral: low variance, never negative.
+Normalising few weights is biased: a surface whose brightest light is hidden is up to 10 % too
+bright, with any number of samples.
 """
 
 from __future__ import annotations

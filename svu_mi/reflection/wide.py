@@ -1,15 +1,9 @@
-"""Wide lobes, by summing cells of the light.
+"""Wide lobes, by summing cells of the light with the exact BRDF and traced visibility.
 
-Pre-filtered light is exact for a mirror. The lobe of a rough surface is neither symmetric nor
-centred where a mirror's is, and part of its light is hidden: under a sun, brushed metal comes
-out wrong by half its radiance. A sum over cells of the light has the exact BRDF and traced
-visibility, and is as good as the light itself where cells are small against the lobe.
-
-They need not be small where the lobe is flat. Over a cell of radius rho the half vector turns
-by up to rho / (2 cos theta_d), with theta_d the angle between it and either direction, and GGX
-falls off as 1 / s^2 with s = sin^2 theta_h + alpha^2 cos^2 theta_h. So a cell is too large where
-rho^2 / (s cos^2 theta_d) is: near the mirror direction, the more so in grazing views. Such
-cells are replaced by the smaller ones that they are made of; all others are summed as they are.
+Over a cell of radius rho the half vector turns by up to rho / (2 cos theta_d), with theta_d the
+angle between it and either direction, and GGX falls off as 1 / s^2 with s = sin^2 theta_h +
+alpha^2 cos^2 theta_h. Cells where rho^2 / (s cos^2 theta_d) is too large (near the mirror
+direction, mostly in grazing views) are replaced by their smaller ones.
 """
 
 from __future__ import annotations
@@ -36,8 +30,7 @@ Lobe = list[tuple[Any, Any, Any]]
 
 
 class _Look(NamedTuple):
-    """Radius of a cell and its square; cosines between normal and light, normal and half vector,
-    light and half vector: Floats."""
+    """A cell's radius and its square; cosines of (normal, light), (normal, half), (light, half)."""
 
     radius: Any
     square: Any
@@ -47,24 +40,14 @@ class _Look(NamedTuple):
 
 
 class Sums:
-    """Sums of cells under lobes of K widths; a plain class, so that loops leave it alone.
-
-    Args:
-        alpha: (K,) lobe widths, ascending.
-        channels: C, 3, or 1 for the mean of R, G and B.
-        normal: Vector3f, shading normals.
-        direction: unit Vector3f to the camera.
-    """
+    """Sums of cells under lobes of K ascending widths; a plain class, opaque to loops."""
 
     def __init__(self, alpha: np.ndarray, channels: int, normal: Any, direction: Any) -> None:
         self.alpha, self.channels = alpha.tolist(), channels
         self.normal, self.direction = normal, direction
 
     def over(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
-        """Return the lobes of all cells: ``add(cell, sums)`` returns the next cell, and sums.
-
-        Sums are in local memory: every branch would copy variables, which doubles the time.
-        """
+        """Return the lobes of all cells; ``add(cell, sums)`` returns the next cell, and sums."""
         size = 3 * self.channels
         sums = dr.alloc_local(mi.Float, size * len(self.alpha))
         for k in range(size * len(self.alpha)):
@@ -112,13 +95,7 @@ class Sums:
 
 @dataclass(frozen=True)
 class WideLobes:
-    """Lobes that are summed over what S texels see of the light.
-
-    Attributes:
-        reach: what they see, of which cells.
-        alpha: (K,) float64 lobe widths, ascending.
-        channels: 3, or 1 for the mean of R, G and B.
-    """
+    """Lobes of (K,) ascending widths, summed over the visible light of S texels."""
 
     reach: Reach
     alpha: np.ndarray

@@ -29,8 +29,7 @@ def start(lane: Any, rows: Any) -> Any:
 
 
 def scattered(kind: Any, columns: list[Any], count: int, beside: Any = ()) -> Any:
-    """Write the values of all lanes, in the kernel that computes them; returns them evaluated, as
-    are other arrays (S,) beside them, which may come from the same kernel."""
+    """Write the values of all lanes and evaluate them, with ``beside`` in the same kernel."""
     target = cleared(kind, len(columns), count)
     place = start(dr.arange(mi.UInt32, count), len(columns))
     target = scatter_strided(target, columns, place, mi.UInt32(BLOCK))
@@ -39,8 +38,7 @@ def scattered(kind: Any, columns: list[Any], count: int, beside: Any = ()) -> An
 
 
 def cleared(kind: Any, rows: int, count: int) -> Any:
-    """Return memory for N rows of S values, of which only the last block is cleared: all others
-    are written by whoever asks, and to touch fresh memory takes longer than to compute."""
+    """Return memory for N rows of S values; only the last block is cleared."""
     values = dr.empty(kind, size(rows, count))
     if count % BLOCK:
         last = dr.opaque(mi.UInt32, size(rows, count) - rows * BLOCK)
@@ -98,14 +96,7 @@ def _lane_and_row(place: Any, rows: int) -> tuple[Any, Any]:
 
 
 class Reader:
-    """Reads values of the texels of a launch.
-
-    Args:
-        values: in blocks.
-        rows: N.
-        lane: UInt32, which texels; all in order by default.
-        count: S.
-    """
+    """Reads N rows of values of the texels ``lane``, of S; by default all in order."""
 
     def __init__(self, values: Any, rows: int, count: int, lane: Any | None = None) -> None:
         self._values = values

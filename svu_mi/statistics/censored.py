@@ -1,18 +1,13 @@
-"""Clipped samples: at least this bright.
+"""Saturated samples: lower bounds of radiance (censored normal [Tobin 1958]).
 
-Of a channel that is clipped at b we know that the photograph, r + noise, is no less. Where the
-model stays below b, that is an error; where it is above, it says nothing. The logarithm of that
-probability, log Phi(z) with z = (r - b) / sigma, is not quadratic, but statistics are. So it is
-replaced, around a model r' that is known already, by the parabola with the same slope and
-curvature there (a censored normal [Tobin 1958] by re-weighted least squares [Green 1984]),
+For a channel saturated at b, the likelihood Phi(z), z = (r - b) / sigma, is replaced around a known
+model r' by the parabola of the same slope and curvature (re-weighted least squares [Green 1984]),
 
     -log Phi(z) ~ h (r - t)^2 / (2 sigma^2),   t = r' + sigma / (lambda + z'),
     h = lambda (lambda + z'),                  lambda = phi(z') / Phi(z'):
 
-a sample of radiance t that counts h; b and 1 where the model is far below, none where it is far
-above. Such samples are summed up by themselves, and added to what is not clipped. Roughness levels
-have sums of their own, so each has a parabola around its own best model: that one of them explains
-a highlight does not excuse the others.
+a sample of radiance t and weight h; b and 1 where the model is far below, weight 0 where it is far
+above. Each roughness level has its own sums, and a parabola around its own best model.
 """
 
 from __future__ import annotations
@@ -48,13 +43,11 @@ BELOW, ABOVE = 3.0, 5.0  # standard deviations below b where lambda is its bound
 
 @dataclass(frozen=True)
 class Models:
-    """The best model of every texel at every level of roughness.
+    """Best model of every texel at every level of roughness.
 
     Attributes:
-        values: (S * R * (M + C),) Float: of each level what mixes the columns, and base colours.
-        sigma: (S,) Float, standard deviation of a sample that counts 1.
-        channels: C.
-        samples: which samples have clipped channels (``gather.clipped_samples``).
+        values: (S * R * (M + C),) Float: mixing parameters and base colours of each level.
+        sigma: (S,) Float, standard deviation of a sample of weight 1.
     """
 
     values: Any
@@ -123,8 +116,7 @@ def best_models(statistics: Statistics) -> Models:
 
 
 def _best_color(mean: list[list[Any]], mixed: np.ndarray) -> tuple[list[Any], Any]:
-    """Return the base colour of each channel that has the least error, and the sum of that over
-    channels, given what mixes the columns and the weighted means of their products."""
+    """Return the base colours of least error, and its sum over channels, from weighted means."""
     start = mixture(*mixed).at(0.0)
     slope = [float(b - a) for a, b in zip(start, mixture(*mixed).at(1.0), strict=True)]
     colors, error = [], mi.Float64(0)

@@ -1,14 +1,12 @@
-"""The sums in square-root form, which single precision is enough for.
+"""Square-root form of the statistics, accurate enough in single precision.
 
-The triangular factor U of a texel's sums, as a QR factorisation of its samples would give it:
-the weighted mean squared error of parameters that mix the columns by x (``Mixture``) is
+U is the triangular factor of a texel's weighted samples (QR). The weighted mean squared error of
+parameters that mix the columns by x (``Mixture``) is
 
     |U x|^2,
 
-never negative, neither by rounding nor where factors of two levels are interpolated, and exact
-to rounding of *radiance*, where one taken from the sums would be to rounding of its square. The
-square of the last entry is what no parameters explain; what no roughness of a channel explains
-either is kept apart, in double precision until then: it would drown differences.
+never negative, also between interpolated levels, and exact to the rounding of radiance. The square
+of its last entry is the residual; the part that no roughness explains is kept apart (``least``).
 """
 
 from __future__ import annotations
@@ -32,21 +30,17 @@ TINY = 1e-13  # part of its diagonal below which a pivot is nothing but rounding
 
 @dataclass(frozen=True)
 class Factors:
-    """The factors U of S texels at R levels of roughness and in C channels.
+    """Factors U of S texels at R levels of roughness and in C channels.
 
-    What belongs to a texel lies together, and begins at multiples of four values, which kernels
-    read at once: lanes may read of different levels then, and that takes a third of the time of
-    reading value by value.
+    Values of a texel are contiguous and aligned to four, which kernels read at once.
 
     Attributes:
-        values: (S * ``stride``,) Float, for every texel: for each level, U of all channels, an
-            entry for each of P pairs of columns, in radiance; the last of them ``floor``, squared
-            radiance, its square less the ``least`` of its channel. Then least of every channel,
-            and the sum of the weights that U was divided by. Levels are padded by zeros.
-        views: (S,) UInt32, how many views see each texel.
-        texel: (S,) UInt32, which of all texels each is.
+        values: (S * ``stride``,) Float, for every texel: for each level, U of all channels, P
+            entries in radiance, the last (``floor``) squared and less the channel's ``least``. Then
+            least of every channel, and the sum of weights of U. Levels are zero-padded.
+        views: (S,) UInt32, number of views of each texel.
+        texel: (S,) UInt32, number among all texels.
         roughness: (R,) float64 of the levels.
-        channels: C.
     """
 
     values: Any
@@ -95,8 +89,7 @@ class Factors:
 
     @staticmethod
     def joined(parts: Iterable[Factors], count: int) -> Factors:
-        """Return the factors of texels that come part by part, of which only one is held beside
-        the result."""
+        """Concatenate parts of ``count`` texels; holds one part besides the result."""
         values, views, texel, done, part = mi.Float(), [], [], 0, None
         for part in parts:
             if not done:
@@ -128,8 +121,7 @@ class Factors:
         return lanes
 
     def unexplained(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean squared error that nothing explains, the sum over channels, and the sum
-        of the weights: (S,) float64 both."""
+        """Return squared residuals, summed over channels, and sums of weights: (S,) float64."""
         reader = self.at()
         least, weight = sum(mi.Float64(x) for x in reader.least), mi.Float(reader.weight)
         dr.eval(least, weight)
@@ -223,8 +215,7 @@ def _filled(values: list[Any]) -> list[Any]:
 
 
 def _cholesky(sums: list[Any]) -> list[Any]:
-    """Return the entries of U row by row, the last squared, from those of U^T U; dependent
-    columns give zeros."""
+    """Return U by rows, the last entry squared, from U^T U; dependent columns give zeros."""
     left = dict(zip(PAIRS, sums, strict=True))  # what the rows above leave of the products
     U: dict[tuple[int, int], Any] = {}
     for i in range(COLUMNS - 1):

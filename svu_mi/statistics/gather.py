@@ -34,17 +34,14 @@ Values = dict[str, list[Any]]
 
 @dataclass(frozen=True)
 class Weighting:
-    """How much samples count.
+    """Weights of samples.
 
     Attributes:
-        kappa: radiance around which they begin to count less (see ``Statistics``).
-        edges: how much less those on edges of a photograph count (``noise_weight``).
-        models: of the texels, that clipped channels are compared with (``censored``); nothing but
-            those channels counts then. Without any, all others do.
-        current: parameters of the texels. Samples then also count less the more these are off,
-            by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977]. Sums that
-            are weighted so never add to others: their kappa is NaN. Levels must be uniform on
-            [0, 1], between which r is interpolated.
+        kappa: radiance where weights begin to fall (see ``Statistics``).
+        edges: reduction at edges of a photograph (``noise_weight``).
+        models: reference for saturated channels (``censored``), which alone count then.
+        current: parameters of the texels, for weights 1 / |r - b|: absolute errors [Holland and
+            Welsch 1977]. Kappa of such sums is NaN. Levels must be uniform on [0, 1].
     """
 
     kappa: float = inf
@@ -60,19 +57,9 @@ def gather(
     views: Views, found: Survey, model: Model, mirrors: Mirrors | None,
     channels: int | None = None, weighting: Weighting = ALIKE,
 ) -> Gathered:  # fmt: skip
-    """Collect the statistics of the texels of a model.
+    """Collect the statistics of a model's texels in C channels, 3 or 1.
 
-    Args:
-        views: the packed capture.
-        found: visibility of all texels.
-        model: the reflection model of S texels.
-        mirrors: what stands in the mirror direction of a sample; None if nothing does.
-        channels: C of the photographs, 3 or 1; the model's by default. A model of one channel,
-            under grey light, stands for all.
-        weighting: how much samples count; all alike by default.
-
-    Raises:
-        OptionError: ``current`` without a finite kappa, or in grey.
+    A one-channel model (grey light) serves all C; ``mirrors`` None: mirror directions unoccluded.
     """
     surface, kappa, channels = model.surface, weighting.kappa, channels or model.channels
     samples = _sample_model(weighting, channels)
@@ -121,10 +108,8 @@ class Sample(NamedTuple):
 
     Attributes:
         lobes: (R,) lists of the model's parts by channel of the light.
-        radiance: C Floats; lower bounds where the photograph is saturated.
+        radiance: C Floats; lower bounds where saturated.
         saturated: C Bools; None if no photograph is.
-        weight: Float.
-        lane: UInt32, of the launch.
     """
 
     lobes: list[list[Parts]]
@@ -213,8 +198,7 @@ def _sample_model(weighting: Weighting, channels: int) -> SampleModel:
 
 
 def clipped_samples(views: Views, found: Survey, surface: Surface) -> Bits:
-    """Return which samples of S texels have channels that are clipped: a bit per number of a view
-    in ``found.order`` and lane."""
+    """Return bits of samples with saturated channels, by number in ``found.order`` and lane."""
     bits = Bits.clear(views.number, surface.count)
 
     def consume(seen: Observation, slot: Any, found: Any) -> tuple[Any]:
@@ -260,10 +244,7 @@ def _products(columns: tuple[Any, ...], part: Any) -> list[Any]:
 def rounding_sums(
     views: Views, found: Survey, surface: Surface, weighting: Weighting
 ) -> np.ndarray | None:
-    """Return the variance by rounding of samples of weight 1, summed: (S,), squared radiance.
-
-    None where no photograph is of integers.
-    """
+    """Return summed rounding variances of weight 1, (S,), squared radiance; None for floats."""
     if views.rounding is None:
         return None
     first, slope = views.rounding

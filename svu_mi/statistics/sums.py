@@ -1,16 +1,12 @@
-"""Statistics that add: sums over the views of a texel, P per level of roughness and channel.
+"""Additive statistics: sums over the views of a texel, P per level of roughness and channel.
 
-At one roughness a photograph b is off what the reflection model says by r - b, a sum of a few
-columns (``reflection/principled.py``): for base colour c and metallic m
+At one roughness, the residual for base colour c and metallic m is a sum of columns
 
-    r - b = c (1 - m) e + c m p + m (q - d) + (d - b).
+    r - b = c (1 - m) e + c m p + m (q - d) + (d - b),
 
-So the squared error of all parameters follows from the products of P pairs of columns, 10 of
-these four, summed over the views with their weights. Nothing is divided by,
-and nothing subtracted, so the sums of two sets of views are those of both together, in any
-order; after this pass no photograph is needed any more.
-
-In double precision: errors are small differences of these sums. ``Factors`` keep them in single.
+so the squared error of all parameters follows from P products of pairs of columns (10 of these
+four), summed over the views with their weights. Sums of two sets of views add. They are in double
+precision, as errors are small differences of them; ``Factors`` are in single.
 """
 
 from __future__ import annotations
@@ -36,22 +32,18 @@ PARTLY = 0.01  # part of a view that sums of parts may lack to be a whole one
 
 
 def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = EDGES) -> Any:
-    """w = 1 / (1 + (b / kappa)^2 + eta v / kappa^2): the variance of an error grows with radiance
-    b, as the errors of model and photographs do, and with the variance v of the pixels around:
-    on an edge, a little beside is something else. Floats, NumPy and Dr.Jit arrays alike."""
+    """Return w = 1 / (1 + (b / kappa)^2 + eta v / kappa^2), v the variance of nearby pixels."""
     relative = radiance / kappa
     return 1 / (1 + relative * relative + edges * (contrast / kappa / kappa))
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """Statistics that only the kernel has which computes them; whoever asks for them twice has all
-    of them computed twice.
+    """Unevaluated statistics. Evaluating twice runs the kernel twice.
 
     Attributes:
-        columns: Float64s (S,), not evaluated: those of ``Statistics.sums``, but sum w.
-        weight: Float64 (S,), sum w, nor is that.
-        counts, texel, roughness, channels, kappa, edges: see ``Statistics``.
+        columns: Float64s (S,): those of ``Statistics.sums``, but sum w.
+        weight: Float64 (S,), sum w.
     """
 
     columns: list[Any]
@@ -72,8 +64,7 @@ class Gathered:
         )
 
     def factor(self) -> Factors:
-        """Return their square-root form alone, without half a kilobyte per texel and more of sums
-        in memory that nobody has touched."""
+        """Return the square-root form alone, without the sums in memory."""
         return factorize(
             self.columns, self.weight, whole_views(self.counts), self.texel, self.roughness,
             self.channels,
@@ -82,19 +73,17 @@ class Gathered:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What the photographs say of S texels.
+    """Statistics of S texels.
 
     Attributes:
         sums: (ceil(S / 16) * (R * C * P + 1) * 16,) Float64, squared radiance, in blocks (see
             ``blocks``): for level, channel and pair of columns, sum w x y. Then sum w.
-        counts: (S,) Float, how many views see each texel; one in which channels are clipped counts
-            in part.
-        texel: (S,) UInt32, which of all texels each is.
+        counts: (S,) Float, number of views of each texel; partly saturated ones count in part.
+        texel: (S,) UInt32, number among all texels.
         roughness: (R,) float64 of the levels.
-        channels: C.
-        kappa: radiance around which samples begin to count less (``noise_weight``); infinite if
-            all count alike, NaN if they were also weighted by what they are off.
-        edges: eta of the weights; of no matter where kappa is infinite.
+        kappa: radiance where weights begin to fall (``noise_weight``); infinite if all are equal,
+            NaN if they also depend on residuals.
+        edges: eta of the weights; ignored if kappa is infinite.
     """
 
     sums: Any
@@ -218,7 +207,6 @@ class Statistics:
 
 
 def whole_views(counts: Any) -> Any:
-    """Return how many views see texels, UInt32: those that count in part add up to whole ones, and
-    if any says something of a texel, that is seen. Not evaluated."""
+    """Return the number of views, UInt32, partial ones added up; at least 1 if any is positive."""
     some = dr.select(counts > 0, mi.UInt32(1), 0)
     return dr.maximum(mi.UInt32(counts + PARTLY), some)

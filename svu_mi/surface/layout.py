@@ -95,12 +95,7 @@ class Texels:
 
 @dataclass(frozen=True)
 class Places:
-    """Where T texels are in a texture: all that drawing them takes, for any thread.
-
-    Attributes:
-        resolution: (W, H) of the texel grid.
-        index: (T,) uint32, flat row-major texel index.
-    """
+    """Layout of T texels in a texture, without Dr.Jit: usable in any thread."""
 
     resolution: tuple[int, int]
     index: np.ndarray

@@ -25,13 +25,12 @@ MOST = 8  # neighbours of one texel; a coarse chart may border on a finer one
 
 @dataclass(frozen=True, kw_only=True)
 class Neighbors:
-    """The neighbourhood of T texels on the surface, of P undirected pairs.
+    """Neighbourhood of T texels on the surface, P undirected pairs.
 
     Attributes:
-        pairs: two (P,) UInt32 of texel numbers in [0, T), the lower one first, each pair once.
-        around: K arrays (T,) UInt32: the neighbours of each texel, and its own number in the last
-            ones where it has fewer than K. Symmetric: i is around j if, and only if, j is around i.
-        seams: number of pairs that lie across a seam.
+        pairs: two (P,) UInt32 of texel numbers, the lower one first, each pair once.
+        around: K arrays (T,) UInt32, neighbours of each texel, padded by its own number; symmetric.
+        seams: number of pairs across a seam.
     """
 
     pairs: tuple[Any, Any]
@@ -74,13 +73,10 @@ class Neighbors:
 
 
 def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
-    """Find the neighbours of every texel on the surface.
+    """Find the neighbours of every texel on the surface, also across seams.
 
-    Two texels side by side in the UV map are neighbours unless they lie apart in space, as
-    those of two charts that touch in the map do. Where there is no neighbour in the map, the
-    position one texel further on is extrapolated, and the texel nearest to it across the seam
-    takes its place. Texels whose normals are opposite (the two sides of a sheet) never are
-    neighbours, nor are any two further apart than two texels.
+    Texels adjacent in the UV map are neighbours, unless they are over two texels apart in space or
+    have opposite normals. At chart edges, the texel nearest to the extrapolated position is used.
     """
     right, down = _in_the_map(texels)
     if mesh is None:
@@ -123,12 +119,10 @@ def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state:
 
 @dataclass(frozen=True)
 class _Surface:
-    """Positions, normals and steps of texels, in double precision.
+    """Positions, normals and steps of texels, in float64.
 
     Attributes:
-        position: (T, 3).
-        normal: (T, 3) unit face normals.
-        steps: two (T, 3): the way to the next texel along u and along v on the texel's face.
+        steps: two (T, 3): offsets to the next texel along u and v on the face.
     """
 
     position: np.ndarray
@@ -301,8 +295,7 @@ def grouped(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
 def means(
     values: np.ndarray, weights: np.ndarray, owner: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted means of values (N, T) over groups, and the sums of the weights (N, T), which
-    are positive: (N, G) each."""
+    """Return weighted means of (N, T) values over groups, and sums of weights: (N, G) each."""
     total = sums(weights, owner)
     return sums(weights * values, owner) / total, total
 

@@ -1,9 +1,7 @@
-"""Rasterise UV triangles: which face covers each texel centre, and how many do.
+"""Rasterise UV triangles: the face and number of faces at each texel centre; extend textures.
 
-One lane per face walks the texels of its bounding box. Edge functions are evaluated in
-double precision from one canonical direction per edge, with the top-left rule, so a texel
-centre on a shared edge belongs to exactly one of its two faces and a count above one means
-charts that really overlap. Also extends textures beyond their charts (``dilate``).
+One lane per face walks its bounding box. Double precision edge functions of one canonical direction
+and the top-left rule assign a centre on a shared edge to one face: counts above 1 are overlaps.
 """
 
 from __future__ import annotations
@@ -21,11 +19,7 @@ from svu_mi.interop import owned
 
 
 def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the face under every texel centre, -1 for none, and how many: (H * W,) int64 each.
-
-    Texel (i, j) has its centre at ((j + 0.5) / W, (i + 0.5) / H). Of overlapping faces the
-    one with the highest index is kept.
-    """
+    """Return the last face at every texel centre, -1 for none, and counts: (H * W,) int64."""
     width, height = resolution
     if len(uvs) == 0:
         empty = np.zeros(width * height, np.int64)
