@@ -44,14 +44,12 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
         pixels = np.array(tensor)
         images[name] = (pixels, LINEAR) if CHANNELS[name] == 1 else (srgb(pixels), SRGB)
     images["orm"] = (packed(asset), PACKED)
-    if asset.entropy is not None:
-        images["entropy"] = (asset.entropy, "linear in [0, 1], 1 = nothing known")
-    if asset.coverage is not None:
-        most = max(float(asset.coverage.max()), 1.0)
-        images["coverage"] = (asset.coverage / most, f"linear: white is {most:g} views")
     for name, image in asset.maps.items():
-        if name not in VALUES:
-            images[name] = (image, f"linear in [0, 1]: {SD_OF}")
+        if name == "coverage":
+            most = max(float(image.max()), 1.0)
+            images[name] = (image / most, f"linear: white is {most:g} views")
+        else:
+            images[name] = (image, f"linear {VALUES.get(name, f'in [0, 1]: {SD_OF}')}")
     written = []
     for name, (image, values) in images.items():
         file = f"{TEXTURES}/{name}.png"

@@ -167,19 +167,20 @@ def _deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
         return {}
     found = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
     for name, image in found.items():
-        if bad := bad_values(image, 1):
-            raise CaptureError(
-                f"{path}: {bad} values of {name} are NaN or outside [0, 1]; run svu recover again."
-            )
+        _require_values(path, image, 1, f" of {name}")
     return found
 
 
 def _map(path: Path, most: float) -> np.ndarray | None:
     """Return an (H, W) map, None if there is no such file."""
     image = read_map(path)
-    bad = 0 if image is None else bad_values(image, most)
-    if bad:
-        raise CaptureError(
-            f"{path}: {bad} values are NaN or outside [0, {most:g}]; compute it again."
-        )
+    if image is not None:
+        _require_values(path, image, most)
     return image
+
+
+def _require_values(path: Path, image: np.ndarray, most: float, what: str = "") -> None:
+    if bad := bad_values(image, most):
+        raise CaptureError(
+            f"{path}: {bad} values{what} are NaN or outside [0, {most:g}]; compute it again."
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -88,40 +88,27 @@ class Comparison:
         return np.where(self.inside[..., None], image, np.float32(1))
 
 
-def explain(
-    capture: Capture,
-    textures: Textures,
-    chosen: Sequence[int],
-    spp: int = SAMPLES,
-    side: int = SIDE,
-) -> list[Comparison]:
-    """Render the object in some textures as the ``chosen`` sensors saw it.
+def compare(
+    capture: Capture, textures: Textures, chosen: Sequence[int], spp: int = SAMPLES,
+    side: int = SIDE, *, relit: bool = True,
+) -> list[Comparison]:  # fmt: skip
+    """Render the object in textures as the ``chosen`` sensors saw it, and under ``novel_light``.
 
-    ``side`` is the longer side of the pictures, in pixels.
+    ``side`` is the longer side of the pictures, in pixels; the other light only if ``relit``.
     """
     sensors = [scaled_sensor(capture.sensors[view], side) for view in chosen]
     covered = Pictures(sensors).covered(capture.scene, capture.shape)
     inside = [part == 1 for part in covered]
-    renders = relight(capture, textures, None, sensors, spp, pixels=inside)
+    under, lit = [None, novel_light(capture)] if relit else [None], []
+    for light in under:
+        lit.append(relight(capture, textures, light, sensors, spp, pixels=inside))
     return [
         Comparison(
-            view=view,
-            photograph=resized(capture.images[view], film_size(sensor)),
-            render=render, inside=mask,
+            view=view, photograph=resized(capture.images[view], film_size(sensor)),
+            inside=mask, render=renders[0], relit=renders[1] if relit else None,
         )
-        for view, sensor, render, mask in zip(chosen, sensors, renders, inside, strict=True)
+        for view, sensor, mask, *renders in zip(chosen, sensors, inside, *lit, strict=True)
     ]  # fmt: skip
-
-
-def compare(
-    capture: Capture, textures: Textures, chosen: Sequence[int], spp: int = SAMPLES
-) -> list[Comparison]:
-    """Render as ``explain`` does, and under ``novel_light``."""
-    explained = explain(capture, textures, chosen, spp)
-    sensors = [scaled_sensor(capture.sensors[view], SIDE) for view in chosen]
-    light, inside = novel_light(capture), [c.inside for c in explained]
-    relit = relight(capture, textures, light, sensors, spp, pixels=inside)
-    return [replace(c, relit=image) for c, image in zip(explained, relit, strict=True)]
 
 
 def write_relit(comparisons: Sequence[Comparison], path: str | Path) -> None:

@@ -124,9 +124,9 @@ def title(axes: Axes, text: str, pad: float = 6) -> None:
     axes.set_title(text, loc="left", y=1.0, size=11.5, color=INK, pad=pad, parse_math=False)
 
 
-def caption(axes: Axes, text: str, size: float = 10, pad: float = 4) -> None:
+def caption(axes: Axes, text: str) -> None:
     """Write a smaller title over the middle of axes."""
-    axes.set_title(text, loc="center", y=1.0, size=size, color=INK, pad=pad, parse_math=False)
+    axes.set_title(text, loc="center", y=1.0, size=10, color=INK, pad=4, parse_math=False)
 
 
 def labels(axes: Axes, across: str = "", up: str = "", size: float = TEXT) -> None:

@@ -12,40 +12,22 @@ from svu_mi.output.result import areas, is_seen, known, words
 
 ROUGHLY = 0.15  # half-width of an interval up to which a parameter counts as roughly known
 STEEP = 0.5  # mean sine of elevation from which a part of the surface faces up, or down
-# What is skipped: for one, and for several. {unseen} is the entropy of the prior.
+# {unseen} is the entropy of the prior.
 SKIPPED = {
-    "texels outside the charts": (
-        "One point of the texture lies outside its UV charts.",
-        "{n} points of the texture lie outside its UV charts.",
-    ),
-    "texels on overlapping charts": (
-        "One point is on several charts (they overlap) and was left out.",
-        "{n} points are on several charts (they overlap) and were left out.",
-    ),
-    "texels never seen": (
-        "One point of the surface is in no photograph; its entropy is {unseen}.",
-        "{n} points of the surface are in no photograph; nothing was computed for them, and "
-        "their entropy is {unseen}.",
-    ),
-    "views left out": ("One photograph was left out.", "{n} photographs were left out."),
-    "views that show no texel": (
-        "One photograph does not show the object; check its camera.",
-        "{n} photographs do not show the object; check their cameras.",
-    ),
-    "channels of the light equal to another": (
-        "The light is grey: one colour channel was used for all three.",
-    ) * 2,
-    "channels of the photographs equal to another": (
-        "The photographs are grey: one colour channel was used for all three.",
-    ) * 2,
-    "roughness levels that the prior excludes": (
-        "One roughness is excluded by the prior and was not tried.",
-        "{n} values of roughness are excluded by the prior and were not tried.",
-    ),
-    "parameters known": (
-        "One parameter was taken as known: {known}.",
-        "{n} parameters were taken as known: {known}.",
-    ),
+    "texels outside the charts": "Points of the texture outside its UV charts: {n}.",
+    "texels on overlapping charts": "Points on several charts (they overlap), left out: {n}.",
+    "texels never seen": "Points of the surface in no photograph: {n}. Nothing was computed for "
+    "them, and their entropy is {unseen}.",
+    "views left out": "Photographs left out: {n}.",
+    "views that show no texel": "Photographs that do not show the object: {n}; check their "
+    "cameras.",
+    "channels of the light equal to another":
+    "The light is grey: one colour channel was used for all three.",
+    "channels of the photographs equal to another":
+    "The photographs are grey: one colour channel was used for all three.",
+    "roughness levels that the prior excludes":
+    "Values of roughness excluded by the prior, and not tried: {n}.",
+    "parameters known": "Parameters taken as known: {known}.",
 }  # fmt: skip
 
 
@@ -82,6 +64,7 @@ def skipped(estimate: Any) -> list[str]:
         "known": ", ".join(f"{words(n)} = {value:g}" for n, value in known(estimate).items()),
     }
     return [
-        SKIPPED.get(name, (f"{name}: {{n}}.",) * 2)[number != 1].format(n=grouped(number), **about)
-        for name, number in estimate.skipped.items() if number
-    ]  # fmt: skip
+        SKIPPED.get(name, f"{name}: {{n}}.").format(n=grouped(number), **about)
+        for name, number in estimate.skipped.items()
+        if number
+    ]

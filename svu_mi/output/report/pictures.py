@@ -224,7 +224,7 @@ def _compare(
 ) -> list[Comparison]:
     """Compare views in pictures of some size: pixels of their longer side, and samples of each."""
     side, spp = size
-    compared = relit.explain(capture, textures, chosen, spp, side)
+    compared = relit.compare(capture, textures, chosen, spp, side, relit=False)
 
     def brightness(image: np.ndarray) -> np.ndarray:
         return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)

@@ -139,9 +139,15 @@ def examples(
             "name": name, "picture": frames[number] if place else None, "x": 100 * x, "y": 100 * y,
             "sentence": f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
             f"photograph{'s' if count != 1 else ''}; column {column}, row {row} of the texture.",
-            "plots": [(words(n), _marginal_of(estimate.posterior, n, marginals[n]),
+            "plots": [(words(n), _marginal(estimate.posterior, n, _table(marginals[n])),
                        _interval_words(intervals, n)) for n in open_axes(estimate)],
         }  # fmt: skip
+
+
+def _table(marginal: Any) -> np.ndarray:
+    """Return the marginal of a single texel, (nodes, 1) or (nodes, 3)."""
+    p = np.array(marginal, np.float64)
+    return p.reshape(p.shape[1], -1)
 
 
 def _interval_words(intervals: Intervals, name: str) -> str:
@@ -149,11 +155,6 @@ def _interval_words(intervals: Intervals, name: str) -> str:
     low, high = (end[0] for end in intervals.ends(name))
     told = [f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True)]
     return told[0] if len(told) == 1 else ", ".join(map(" ".join, zip("RGB", told, strict=True)))
-
-
-def _marginal_of(posterior: Any, name: str, marginal: Any) -> Plot:
-    p = np.array(marginal, np.float64)
-    return _marginal(posterior, name, p.reshape(p.shape[1], -1))
 
 
 def _marginal(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import mitsuba as mi
@@ -70,22 +69,13 @@ class Turntable:
 
         Returns (h, w, 4) screen colours and opacity, cut to ``window``.
         """
-        look = self._front if number == 0 else self._look(number)
-        image = look.painted(texture)
+        image = Look.of(self.scene, self.sensors[number]).painted(texture)
         alpha = image[..., 3:]
         # Over white it is c = a x + 1 - a; a page may be dark.
         color = np.clip((image[..., :3] + alpha - 1) / np.maximum(alpha, EMPTY), 0, 1)
         # Colour and coverage are sampled apart, so that a silhouette keeps some of the white.
         color = dilate(color, image[..., 3] == 1, EDGE)
         return views.crop(np.dstack([color, alpha]), self.window)
-
-    @cached_property
-    def _front(self) -> Look:
-        """What maps are shown on, one after the other."""
-        return self._look(0)
-
-    def _look(self, number: int) -> Look:
-        return Look.of(self.scene, self.sensors[number])
 
     def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
         """Return the one of some texels (t,) that is shown best: its index, frame, x and y.
