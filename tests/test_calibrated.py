@@ -381,6 +381,10 @@ def test_the_colour_of_a_row_is_one_that_its_prior_allows() -> None:
     cell = np.clip(np.searchsorted(edges, colors, "right") - 1, 0, 7)
     some = prior.reshape(64, 8).any(axis=1)
     assert (np.take_along_axis(p, cell[:, :, None], axis=2) > 0)[:, some].mean() > 0.99
+    masses, same = found.kernel.rows(np.arange(7))
+    assert np.allclose(same, colors, atol=1e-6)
+    masses = masses / masses.sum(axis=1, keepdims=True)
+    assert np.allclose(masses, p[..., 0].sum(axis=2), atol=1e-6)
 
 
 def test_known_parameters_leave_the_grid() -> None:

@@ -120,18 +120,21 @@ def _angular(
 
 
 def _rows(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return row probabilities (t, rows), and each row's base colour if true, (t, rows, C)."""
+    """Return row masses (t, rows), and each row's base colour if true, (t, rows, C)."""
     kernel, nodes = posterior.kernel, posterior.grid.axes["base_color"]
-    masses, colors = [], []
-    for span in kernel.chunks(len(texels)):
-        p = np.array(posterior.probabilities_of(texels[span]))
+    if not isinstance(kernel, CalibratedKernel):
+        p = np.array(posterior.probabilities_of(texels))
         p = p.reshape(len(p), -1, len(nodes), posterior.groups)[..., :: kernel.problem.copies]
-        masses.append(p[..., 0].sum(axis=2, dtype=np.float64))
-        if isinstance(kernel, CalibratedKernel):
-            colors.append(color_of_rows(p, kernel.problem.edges))
-        else:  # between nodes, no colour might explain what a row shows
-            colors.append(nodes[p.argmax(axis=2)])
-    return np.concatenate(masses), np.concatenate(colors)
+        # Between nodes, no colour might explain what a row shows.
+        return p[..., 0].sum(axis=2, dtype=np.float64), nodes[p.argmax(axis=2)]
+    prior = posterior.prior.astype(np.float32).reshape(1, -1, len(nodes), 1)
+    masses = np.repeat(prior[..., 0].sum(axis=2, dtype=np.float64), len(texels), axis=0)
+    colors = np.empty((*masses.shape, kernel.problem.factors.channels))
+    colors[:] = color_of_rows(prior, kernel.problem.edges)
+    seen = np.flatnonzero(posterior.observed[texels])
+    for span in kernel.chunks(len(seen)):
+        masses[seen[span]], colors[seen[span]] = kernel.rows(texels[seen[span]])
+    return masses, colors
 
 
 def _variance(

@@ -162,6 +162,11 @@ class CalibratedKernel(Kernel):
         p = np.repeat(p, self.problem.copies, -1) if self.problem.copies > 1 else p
         return p.reshape(len(p), *self.grid.shape, -1)
 
+    def rows(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return masses and colours of cells of all other parameters (``calibrated_kernel.rows``),
+        of a few texels."""
+        return kernel.rows(self.problem, self.lane[texels])
+
     def best(self, texels: np.ndarray) -> np.ndarray:
         """Return the most probable nodes (see ``Kernel``)."""
         found, lanes = self.summary, self.lane[texels]
@@ -189,6 +194,18 @@ class CalibratedKernel(Kernel):
         found = [of(level, lanes[first : first + SPAN]) for first in range(0, len(lanes), SPAN)]
         low, high = (np.concatenate([ends[k] for ends in found]) for k in range(2))
         return low, high
+
+    def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
+        """Return half the widths of intervals (see ``Kernel``)."""
+        problem = self.problem
+        alone = problem.factors.channels == 1 or problem.given is not None or any(self.common)
+        if name != "base_color" or alone:
+            return super().half_widths(name, level, texels)
+        widest = self.moments(name, texels)[1].argmax(axis=1)
+        parts = uniform_axis(self.grid.axes[name], COLOR_PARTS)
+        (masses,) = kernel.color_masses(problem, parts, self.lane[texels], widest)
+        low, high = shortest(masses, parts, len(texels), level)
+        return (np.array(high) - np.array(low)) / 2
 
     def _ends_of_nodes(self, name: str, level: float, lanes: np.ndarray) -> Pair:
         masses = kernel.node_masses(self.problem, name, lanes)

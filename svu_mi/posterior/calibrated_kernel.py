@@ -14,6 +14,7 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.parameters import MIXED
+from svu_mi.posterior.cells import color_of_rows
 from svu_mi.posterior.nodes import Axis
 from svu_mi.posterior.problem import Problem
 from svu_mi.posterior.walk import Node, Walker
@@ -247,6 +248,16 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
     return np.moveaxis(found, 3, 4)
 
 
+def rows(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the masses of ``tables`` summed over base colour, not normalised, (t, R M) float64;
+    and the colour that stands for each (``color_of_rows``), (t, R M, C) float64."""
+    shape = (len(chosen), -1, problem.factors.channels, problem.shape[2])
+    found = _cell_masses(problem, chosen).numpy().reshape(shape)
+    # All channels have the same masses.
+    masses = np.einsum("trk->tr", found[:, :, 0], dtype=np.float64)
+    return masses, color_of_rows(np.moveaxis(found, 2, 3), problem.edges)
+
+
 def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
     """Return the masses of all cells of some texels, not normalised: (t R M C K,) Float."""
     masses, first = _walked(problem, chosen)
@@ -294,10 +305,15 @@ def node_masses(problem: Problem, name: str, chosen: np.ndarray) -> Any:
     return _in_blocks(masses, number, len(chosen))
 
 
-def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]:
-    """Return the masses of K parts of base colour, (see ``node_masses``), for each channel."""
-    walker = Walker(problem, owned(mi.UInt32, chosen), np.append(parts.low, parts.high[-1]))
-    K, channels = parts.count, problem.factors.channels
+def color_masses(
+    problem: Problem, parts: Axis, chosen: np.ndarray, channel: np.ndarray | None = None
+) -> list[Any]:
+    """Return the masses of K parts of base colour (see ``node_masses``), for each channel, or for
+    one of each texel, ``channel`` (t,) int64, where the prior leaves colours alike."""
+    edges = np.append(parts.low, parts.high[-1])
+    only = None if channel is None else owned(mi.UInt32, channel.astype(np.uint32))
+    walker = Walker(problem, owned(mi.UInt32, chosen), edges, only)
+    K, channels = parts.count, problem.factors.channels if only is None else 1
 
     def visit(node: Node, masses: Any) -> tuple[Any]:
         for number, color in enumerate(node.colors):

@@ -39,12 +39,14 @@ class Node:
 
 
 class Walker:
-    """Walks over nodes of texels ``lane``; ``edges`` are cells of colours (default: the grid's)."""
+    """Walks over nodes of texels ``lane``; ``edges`` are cells of colours (default: the grid's),
+    of the one channel of each texel in ``only`` (UInt32, not under a prior of colours) or all."""
 
     def __init__(
-        self, problem: Problem, lane: Any | None = None, edges: np.ndarray | None = None
-    ) -> None:
-        self.problem, self.nodes = problem, problem.nodes
+        self, problem: Problem, lane: Any | None = None, edges: np.ndarray | None = None,
+        only: Any | None = None,
+    ) -> None:  # fmt: skip
+        self.problem, self.nodes, self._only = problem, problem.nodes, only
         everything = dr.arange(mi.UInt32, problem.factors.count)
         self.lane = everything if lane is None else lane
         self.edges = problem.edges if edges is None else edges
@@ -201,12 +203,24 @@ class Walker:
             c = dr.opaque(mi.Float, float(self.problem.edges[0]))
             one = Integrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
             return Node(row, column, weight, [one] * self.problem.factors.channels)
+        if self._only is not None:
+            return self._node_of_one(row, column, weight, parts)
         edges = self.edges.tolist()
         found = [Channel(*one).integrate(edges) for one in parts]
         for one in found:
             for _ in range(self.problem.copies):
                 weight *= one.mass
         return Node(row, column, weight, found)
+
+    def _node_of_one(self, row: Any, column: Any, weight: Any, parts: list[Any]) -> Node:
+        """The same with the colours of one channel, for intervals: in single precision."""
+        for one in parts:
+            weight *= Channel(*one).masses([0.0, 1.0])[0] ** self.problem.copies
+        own = parts[0]
+        for number, other in enumerate(parts[1:], 1):
+            own = dr.select(self._only == number, other, own)
+        mass, cells = Channel(*own).masses(self.edges.tolist())
+        return Node(row, column, weight, [Integrals(mass, cells, mi.Float(0), mi.Float(0))])
 
     def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:
         """Density of every channel's base colour in every cell of ``edges``, given a node."""

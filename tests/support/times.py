@@ -1,17 +1,19 @@
 """Whether this checkout computes as fast as another one, in pairs of runs.
 
-    python tests/support/times.py OTHER [--pairs 3] [--side 512] [--views 60] [--commands]
+    python tests/support/times.py OTHER [--pairs 3] [--side 512] [--views 60] [--commands | --cpu]
 
 OTHER is the root of another checkout with a ``.venv``. A capture is rendered once; then processes
 of the two checkouts take turns, so that load of the machine meets both. Each process computes
 everything once (cold: kernels come from the cache on disk), then three times (warm), synchronised.
-The ratio is that of medians over all pairs. ``--commands`` times whole commands instead.
+The ratio is that of medians over all pairs. ``--commands`` times whole commands instead, and
+``--cpu`` takes CPU time of computations, where the machine does other work as well.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import resource
 import shutil
 import statistics
 import subprocess
@@ -19,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[2]
@@ -26,7 +29,7 @@ COMMANDS = ("entropy", "recover", "guide", "report")
 WARM = 3
 
 
-def computed(folder: Path, side: int) -> dict[str, list[float]]:
+def computed(folder: Path, side: int, clock: Callable[[], float]) -> dict[str, list[float]]:
     """Return seconds of each computation in this process: the first run, then warm ones."""
     sys.path.insert(0, str(Path.cwd()))
     import drjit as dr
@@ -54,16 +57,23 @@ def computed(folder: Path, side: int) -> dict[str, list[float]]:
         seconds[name] = []
         for _ in range(1 + WARM):
             dr.sync_thread()
-            start = time.perf_counter()
+            start = clock()
             run()
             dr.sync_thread()
-            seconds[name].append(time.perf_counter() - start)
+            seconds[name].append(clock() - start)
     return seconds
 
 
-def child(root: Path, folder: Path, side: int) -> dict[str, list[float]]:
+def cpu_time() -> float:
+    """Seconds that all threads of this process have computed."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def child(root: Path, folder: Path, side: int, cpu: bool) -> dict[str, list[float]]:
     """Run ``computed`` in a process of another checkout."""
     words = [root / ".venv/bin/python", __file__, "--measure", folder, "--side", side]
+    words += ["--cpu"] if cpu else []
     done = subprocess.run(
         list(map(str, words)), cwd=root, capture_output=True, text=True, check=True
     )
@@ -103,10 +113,12 @@ def main() -> int:
     parser.add_argument("--side", type=int, default=512)
     parser.add_argument("--views", type=int, default=60)
     parser.add_argument("--commands", action="store_true")
+    parser.add_argument("--cpu", action="store_true", help="CPU time, not wall time")
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
+    clock = cpu_time if given.cpu else time.perf_counter
     if given.measure:
-        print(json.dumps(computed(given.measure, given.side)))
+        print(json.dumps(computed(given.measure, given.side, clock)))
         return 0
     base = Path(tempfile.mkdtemp())
     folder = rendered(base / "capture", given.views)
@@ -115,7 +127,10 @@ def main() -> int:
     }
     for _ in range(given.pairs):
         for side, root in (("before", given.other.resolve()), ("after", HERE)):
-            run = commanded(root, folder) if given.commands else child(root, folder, given.side)
+            if given.commands:
+                run = commanded(root, folder)
+            else:
+                run = child(root, folder, given.side, given.cpu)
             for name, seconds in run.items():
                 sides[side][name].append(seconds)
     shutil.rmtree(base)
