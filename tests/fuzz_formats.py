@@ -240,7 +240,7 @@ def _transforms(folder: Path) -> None:
 
 
 def _distorted(folder: Path) -> None:
-    lens = Lens((-0.1, 0.05, -0.01, 0.004), (1e-3, -2e-3))
+    lens = Lens(-0.1, 0.05, -0.01, 0.004, 1e-3, -2e-3)
     write_transforms(folder / "transforms.json", _source(folder, lens=lens).frames)
 
 

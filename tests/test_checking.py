@@ -29,8 +29,10 @@ from svu_mi.checking.decisions import LIGHT_GAIN, judge_light, judge_poses, judg
 from svu_mi.checking.light import LightScore, score_light
 from svu_mi.checking.pose_scores import check_views, score_poses
 from svu_mi.checking.run import find_mistakes
-from svu_mi.checking.sky import DIRECTIONS, Sky, emitter_of
 from svu_mi.checking.surface_samples import (
+    DIRECTIONS,
+    Sky,
+    emitter_of,
     look,
     open_cosines,
     read_texture,

@@ -203,7 +203,7 @@ def test_lenses_of_opencvs_model_are_straightened_by_the_import(tmp_path, model)
     parameters = (*focal, 4.0, 3.0, *BENT[model].values(), *rest)
     camera = replace(CAMERA, model=model, parameters=parameters)
     (frame,) = read_colmap(put(tmp_path, camera=camera)).frames
-    assert frame.lens == Lens.of(BENT[model]) and frame.center == (4.0, 3.0)
+    assert frame.lens == Lens(**BENT[model]) and frame.center == (4.0, 3.0)
     assert frame.focal == (focal[0], focal[-1])
 
 

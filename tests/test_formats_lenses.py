@@ -70,14 +70,14 @@ def test_pixels_are_those_of_colmaps_camera():
     known = [name for name, numbers in LENSES.items() if "k4" not in numbers]  # COLMAP has none
     cameras = []
     for name in known:
-        k1, k2, k3, _, p1, p2 = Lens.of(LENSES[name]).record.values()
+        k1, k2, k3, _, p1, p2 = Lens(**LENSES[name]).record.values()
         cameras.append([*FOCAL, *CENTER, k1, k2, p1, p2, k3, 0, 0, 0])
     words = [json.dumps(cameras), json.dumps(points().tolist())]
     done = subprocess.run(
         [sys.executable, "-c", PYCOLMAP, *words], check=True, capture_output=True, text=True
     )
     for name, (pixels, back) in zip(known, json.loads(done.stdout), strict=True):
-        lens = Lens.of(LENSES[name])
+        lens = Lens(**LENSES[name])
         np.testing.assert_allclose(lens.bent(points()) * FOCAL + CENTER, pixels, atol=PIXEL)
         found = lens.straightened((np.array(pixels) - CENTER) / FOCAL)
         np.testing.assert_allclose(found * FOCAL, np.array(back) * FOCAL, atol=PIXEL)
@@ -85,7 +85,7 @@ def test_pixels_are_those_of_colmaps_camera():
 
 @pytest.mark.parametrize("name", LENSES)
 def test_the_model_is_that_of_the_books_and_its_inverse(name):
-    lens = Lens.of(LENSES[name])
+    lens = Lens(**LENSES[name])
     wanted = oracle.bent(*points().T, lens.record).T
     np.testing.assert_allclose(lens.bent(points()), wanted, atol=1e-14)
     np.testing.assert_allclose(lens.straightened(wanted), points(), atol=1e-11)
@@ -110,7 +110,7 @@ def chequers_of(frame: Frame, field: float = 24.0) -> np.ndarray:
 @pytest.mark.parametrize("name", LENSES)
 def test_chequers_become_straight_again(name):
     """Between four pixels 2 max |f''| / 8 is lost at most, and more where the lens shrinks."""
-    lens = Lens.of(LENSES[name])
+    lens = Lens(**LENSES[name])
     (found,) = unbent([photograph(lens)], frame_of(lens))
     straight = straightened(frame_of(lens))
     assert found.shape == straight.size[::-1] and found.dtype == np.float32
@@ -123,7 +123,7 @@ def test_chequers_become_straight_again(name):
 
 @pytest.mark.parametrize("name", LENSES)
 def test_the_straight_photograph_is_the_largest_without_empty_borders(name):
-    lens = Lens.of(LENSES[name])
+    lens = Lens(**LENSES[name])
     made = straightened(frame_of(lens))
     assert made.lens is None and made.focal == FOCAL
     corners = np.array([(x, y) for x in (0, made.size[0]) for y in (0, made.size[1])], float)
@@ -146,7 +146,7 @@ def test_the_straight_photograph_is_the_largest_without_empty_borders(name):
 def test_a_straight_photograph_is_at_most_twice_as_wide():
     """A lens that shrinks its borders by more than two; beyond, nothing but blur would be added."""
     center, focal = (WIDTH / 2, HEIGHT / 2), (WIDTH / 2 / 0.46,) * 2
-    made = straightened(frame_of(Lens.of({"k1": -1, "k2": 0.46}), focal=focal, center=center))
+    made = straightened(frame_of(Lens(**{"k1": -1, "k2": 0.46}), focal=focal, center=center))
     assert made.size[0] == 2 * WIDTH and HEIGHT < made.size[1] < 2 * HEIGHT
     assert made.center[0] == pytest.approx(WIDTH)
 
@@ -155,12 +155,12 @@ def test_a_straight_photograph_is_at_most_twice_as_wide():
                                      {"k4": 1e300}, {"k3": -1e30}])  # fmt: skip
 def test_a_lens_that_folds_over_is_refused(numbers):
     with pytest.raises(CaptureError, match=r"t.json: frame 0: the lens \(.*\) folds over inside"):
-        straightened(frame_of(Lens.of(numbers)))
+        straightened(frame_of(Lens(**numbers)))
 
 
 def test_numbers_of_an_action_camera_that_hold_in_the_middle_only():
     """Real ones do that at the corners: it is not called impossible, and a crop is taken."""
-    lens = Lens.of({"k1": -0.26, "k2": 0.09, "k3": -0.015})
+    lens = Lens(**{"k1": -0.26, "k2": 0.09, "k3": -0.015})
     focal = (0.4 * WIDTH, 0.4 * WIDTH)
     sentence = re.escape(
         "the lens (k1 -0.26, k2 0.09, k3 -0.015) folds over inside the photograph, so its numbers "
@@ -175,7 +175,7 @@ def test_numbers_of_an_action_camera_that_hold_in_the_middle_only():
 
 
 def test_photographs_of_floats_and_of_bytes_are_straightened_in_linear_light(tmp_path):
-    lens = Lens.of(LENSES["barrel"])
+    lens = Lens(**LENSES["barrel"])
     ramp = np.broadcast_to(np.linspace(0, 8, WIDTH, dtype=np.float32), (HEIGHT, WIDTH)).copy()
     write_exr(tmp_path / "a.exr", {"RGB": np.stack([ramp] * 3, axis=-1)})
     frame = frame_of(lens, tmp_path / "a.exr")
@@ -197,7 +197,7 @@ def test_photographs_of_floats_and_of_bytes_are_straightened_in_linear_light(tmp
 
 
 def test_masks_and_pixels_that_cannot_be_used_go_along(tmp_path):
-    lens = Lens.of(LENSES["telephone"])
+    lens = Lens(**LENSES["telephone"])
     pixels = np.ones((HEIGHT, WIDTH, 3), np.float32)
     pixels[40, 60] = -3
     write_exr(tmp_path / "a.exr", {"RGB": pixels})
@@ -232,7 +232,7 @@ def written(folder: Path, **changes: object) -> Path:
 ])  # fmt: skip
 def test_a_distorted_transforms_json_is_read(tmp_path, changes):
     (frame,) = read_transforms(written(tmp_path, **changes)).frames
-    assert frame.lens == Lens.of(LENSES["nerfstudio"])
+    assert frame.lens == Lens(**LENSES["nerfstudio"])
     write_transforms(tmp_path / "again.json", [frame])
     assert read_transforms(tmp_path / "again.json").frames[0].lens == frame.lens
     assert read_transforms(written(tmp_path, k1=0.0, p2=0)).frames[0].lens is None
@@ -250,5 +250,5 @@ def test_lenses_of_another_kind(tmp_path, changes, sentence):
 
 def test_a_distorted_camera_makes_no_sensor_and_a_straight_candidate(tmp_path):
     with pytest.raises(CaptureError, match="the lens is distorted; .* import it with svu import"):
-        frame_of(Lens.of(LENSES["barrel"])).sensor()
+        frame_of(Lens(**LENSES["barrel"])).sensor()
     assert Candidates.read(written(tmp_path, k1=-0.1)).count == 1

@@ -18,7 +18,6 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.estimate import World
 from svu_mi.illumination.exposure import equalized, estimate_gains, updated, without_gains
 from svu_mi.illumination.light_summary import gain_sentences
-from svu_mi.illumination.materials import Moments, columns_of, materials_of
 from svu_mi.illumination.prior import prior_of
 from svu_mi.illumination.record import FoundGains
 from svu_mi.illumination.refine import (
@@ -31,7 +30,7 @@ from svu_mi.illumination.refine import (
     system_of,
 )
 from svu_mi.illumination.resolve_light import illuminated
-from svu_mi.illumination.transport import Transport
+from svu_mi.illumination.transport import Moments, Transport, columns_of, materials_of
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.observed import observe
 from svu_mi.posterior.object_prior import shared

@@ -27,8 +27,7 @@ from svu_mi.checking.exposure import (
 )
 from svu_mi.checking.record import Finding
 from svu_mi.checking.run import find_gains
-from svu_mi.checking.sky import Sky, emitter_of
-from svu_mi.checking.surface_samples import Sightings, look, scatter_points
+from svu_mi.checking.surface_samples import Sightings, Sky, emitter_of, look, scatter_points
 from svu_mi.checking.thumbnails import Frames, reduced
 from svu_mi.light.environment import directions, read_environment
 from svu_mi.scenes import lights
@@ -235,9 +234,9 @@ def test_what_is_seen_from_one_side_only_is_not_judged(lit_ball, degrees, judged
 
 
 def test_a_few_bright_points_are_not_a_gain():
-    assert Excess(0.09, 3.0).sentence is None
-    assert Excess(0.4, 1.15).sentence is None  # the whitest paint there can be
-    assert TOO_BRIGHT.fullmatch(Excess(0.12, 1.6).sentence)
+    assert Excess(0.09, 3.0).sentence() is None
+    assert Excess(0.4, 1.15).sentence() is None  # the whitest paint there can be
+    assert TOO_BRIGHT.fullmatch(Excess(0.12, 1.6).sentence())
 
 
 def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():

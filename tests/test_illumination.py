@@ -15,11 +15,18 @@ from oracle.cells import gains
 import svu_mi as svu
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.light_summary import likeness
-from svu_mi.illumination.materials import Moments, columns_of, materials_of
 from svu_mi.illumination.prior import SD, Looks, prior_of
 from svu_mi.illumination.refine import ALIKE, FREEDOM, LARGEST, STEP, Fit, Known, system_of
 from svu_mi.illumination.samples import FACING, FEWEST, Samples
-from svu_mi.illumination.transport import WIDENED, Columns, Materials, Transport
+from svu_mi.illumination.transport import (
+    WIDENED,
+    Columns,
+    Materials,
+    Moments,
+    Transport,
+    columns_of,
+    materials_of,
+)
 from svu_mi.illumination.uncertainty import (
     level_of,
     sample_lights,

@@ -188,16 +188,14 @@ def judge_gains(excess: Excess | None, gains: Gains | None, names: Sequence[str]
         gains: of V photographs, against each other; None if they are too few.
         names: of those.
     """
-    said = [] if excess is None or excess.sentence is None else [excess.sentence]
-    if gains is not None and gains.odd.any():
-        said.append(_odd_gains(gains, names))
+    odd = _odd_gains(gains, names) if gains is not None and gains.odd.any() else None
+    said = list(filter(None, (excess and excess.sentence(), odd)))
     if said:
         return Finding(question="gain", verdict="unclear", sentence=" ".join(said))
     if gains is None:
         return unknown("gain", f"there are fewer than {VIEWS}")
     if not gains.known.any():
-        reason = "reflections are too sharp, poses too rough, or points too few"
-        return unknown("gain", reason)
+        return unknown("gain", "reflections are too sharp, poses too rough, or points too few")
     some = "" if gains.known.all() else f", of {gains.known.sum()} that can be compared"
     sentence = f"All photographs have the same gain, to about 20 %{some}."
     return Finding(question="gain", verdict="fits", sentence=sentence)
@@ -205,7 +203,7 @@ def judge_gains(excess: Excess | None, gains: Gains | None, names: Sequence[str]
 
 def gains_found(excess: Excess | None, gains: FoundGains, said: Iterable[str]) -> Finding:
     """Return the finding about estimated gains, with sentences about them."""
-    too_bright = [] if excess is None or excess.sentence is None else [excess.sentence]
+    too_bright = list(filter(None, [excess and excess.sentence()]))
     odd = bool(gains.odd.any())
     even = not odd and float(np.abs(gains.logarithm).max(initial=0)) <= ALIKE
     if even:

@@ -28,8 +28,17 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.checking.sky import COARSE, DIRECTIONS, Sky, read_cells
-from svu_mi.checking.surface_samples import Points, Sightings, look, open_cosines, scatter_points
+from svu_mi.checking.surface_samples import (
+    COARSE,
+    DIRECTIONS,
+    Points,
+    Sightings,
+    Sky,
+    look,
+    open_cosines,
+    read_cells,
+    scatter_points,
+)
 from svu_mi.checking.thumbnails import Frames
 from svu_mi.errors import SvuWarning
 from svu_mi.interop import fibonacci, owned
@@ -103,27 +112,23 @@ class Excess(NamedTuple):
     part: float
     factor: float
 
-    @property
-    def sentence(self) -> str | None:
-        """Problem and remedy, None without a problem."""
+    def sentence(self, *, found: bool = False) -> str | None:
+        """Return problem and remedy, None without a problem.
+
+        ``found``: the light was estimated from these photographs, up to its scale.
+        """
         if self.part <= MOST or self.factor <= WHITEST:
             return None
+        part = f"{100 * self.part:.0f} % of the surface reflects more than all the light that"
+        if found:
+            return (
+                f"{part} was found, which is too dark by a factor of {self.factor:.1f} or more; "
+                "fix its brightness with --grey-card, --mean-albedo or --light-scale of svu light."
+            )
         return (
-            f"{100 * self.part:.0f} % of the surface reflects more than all the light that reaches "
-            f"it: the photographs are too bright for this light, by a factor of {self.factor:.1f} "
-            "or more; check their gain (svu import --exposures, or divide the "
+            f"{part} reaches it: the photographs are too bright for this light, by a factor of "
+            f"{self.factor:.1f} or more; check their gain (svu import --exposures, or divide the "
             "photographs) and the light's (--environment-scale, or scale in the scene)."
-        )
-
-    @property
-    def of_found_light(self) -> str | None:
-        """The same for light that was estimated from these photographs, up to its scale."""
-        if self.sentence is None:
-            return None
-        return (
-            f"{100 * self.part:.0f} % of the surface reflects more than all the light that was "
-            f"found, which is too dark by a factor of {self.factor:.1f} or more; fix its "
-            "brightness with --grey-card, --mean-albedo or --light-scale of svu light."
         )
 
 
@@ -170,9 +175,7 @@ def too_bright(estimate: Estimate) -> str | None:
     light = seen.lighting.environment, seen.cells(CELLS).fine
     arriving = Arriving.of(seen.capture.scene, points, *light)
     found = excess(sightings, points, arriving, 1.0)
-    if found is None:
-        return None
-    return found.sentence if seen.capture.found_light is None else found.of_found_light
+    return found and found.sentence(found=seen.capture.found_light is not None)
 
 
 def warn_if_too_bright(estimate: Estimate) -> None:

@@ -23,13 +23,13 @@ import numpy as np
 import scipy
 
 from svu_mi.checking.axis_hypotheses import FEWER, Hypothesis, light_hypotheses
-from svu_mi.checking.sky import Sky
 from svu_mi.checking.surface_samples import (
     DARK,
     FEWEST,
     SHADING_DEGREE,
     Points,
     Sightings,
+    Sky,
     Texture,
 )
 from svu_mi.formats.fixes import turn_of
@@ -81,24 +81,22 @@ def score_light(
         sky: the light.
         points: on the object.
         sightings: of the points.
-        cosines: (N, K), ``open_cosines`` of ``sky.DIRECTIONS``.
+        cosines: (N, K), ``open_cosines`` of ``surface_samples.DIRECTIONS``.
         texture: of the object, None if it has none.
         step: called with (hypotheses done, total).
     """
     shown, known = sightings.typical()
     if known.sum() < FEWEST:
         return ()
-    shading = _Shading.of(points.position[known], shown[known], _features(shown, texture, known))
-    highlights = _Highlights.of(points, sightings)
+    shading = _shading(points.position[known], shown[known], _features(shown, texture, known))
+    mirror, highlights = _highlights(points, sightings)
     hypotheses = light_hypotheses()
     scores = []
     for index, hypothesis in enumerate(hypotheses):
         turn = turn_of(hypothesis.fixes, "light")
         irradiance = cosines[known] @ sky.arriving(turn)
-        reflected = sky.reflected(highlights.mirror, turn)
-        scores.append(
-            LightScore(hypothesis, *shading.explained(irradiance), highlights.explained(reflected))
-        )
+        explained = highlights(sky.reflected(mirror, turn))
+        scores.append(LightScore(hypothesis, *shading(irradiance), explained))
         step(index + 1, len(hypotheses))
     return tuple(sorted(scores, key=lambda score: -score.total))
 
@@ -119,32 +117,29 @@ def _features(shown: np.ndarray, texture: Texture | None, known: np.ndarray) -> 
     return left[:, size > 1e-6 * size[0]]
 
 
-@dataclass(frozen=True)
-class _Shading:
-    """Clipped differences (P, 3) of log radiance between pairs (P, 2) of neighbouring points, with
-    and without (``bare``) the part that orthonormal features (M, F) explain."""
+def _shading(
+    position: np.ndarray, shown: np.ndarray, features: np.ndarray
+) -> Callable[[np.ndarray], tuple[float, float]]:
+    """Return a function that correlates irradiance with the radiance of M points, both (M, 3).
 
-    pairs: np.ndarray
-    features: np.ndarray
-    differences: np.ndarray
-    bare: np.ndarray
+    It compares clipped differences of logarithms between neighbours, with and without the part
+    that orthonormal features (M, F) explain.
+    """
+    pairs = neighbors_of(position)
 
-    @staticmethod
-    def of(position: np.ndarray, shown: np.ndarray, features: np.ndarray) -> _Shading:
-        pairs, logs = neighbors_of(position), np.log(shown + DARK)
-        return _Shading(
-            pairs, features, clipped_differences(logs, pairs),
-            clipped_differences(logs - features @ (features.T @ logs), pairs),
-        )  # fmt: skip
+    def differences(values: np.ndarray) -> list[np.ndarray]:
+        logs = np.log(values)
+        bare = logs - features @ (features.T @ logs)
+        return [clipped_differences(each, pairs) for each in (logs, bare)]
 
-    def explained(self, irradiance: np.ndarray) -> tuple[float, float]:
-        """Return both correlations for (M, 3) predicted irradiance."""
-        logs = np.log(irradiance + DARK * irradiance.mean() + 1e-300)
-        bare = logs - self.features @ (self.features.T @ logs)
-        return (
-            _correlation(clipped_differences(logs, self.pairs), self.differences),
-            _correlation(clipped_differences(bare, self.pairs), self.bare),
-        )
+    measured = differences(shown + DARK)
+
+    def explained(irradiance: np.ndarray) -> tuple[float, float]:
+        predicted = differences(irradiance + DARK * irradiance.mean() + 1e-300)
+        whole, bare = map(_correlation, predicted, measured)
+        return whole, bare
+
+    return explained
 
 
 def neighbors_of(position: np.ndarray) -> np.ndarray:
@@ -170,50 +165,41 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float((a * b).sum() / product) if product > 1e-12 else 0.0
 
 
-@dataclass(frozen=True)
-class _Highlights:
-    """Differences between views of one point.
+def _highlights(
+    points: Points, sightings: Sightings
+) -> tuple[np.ndarray, Callable[[np.ndarray], float]]:
+    """Return mirrored directions (V N, 3), and a function of the light (L, V N, 3) from there.
 
-    Attributes:
-        mirror: (V N, 3) mirrored directions, in the frame of the mesh.
-        seen: (V, N, 1) bool, of points that several views see.
-        weight: (N, 1), one over the point's brightness.
-        changes: (V, N, 3) weighted radiance less the point's mean, 0 where not seen.
+    It returns the part of the differences between views of one point that the best of L lobes
+    explains, relative to the brightness of the point.
     """
+    _, mirror = sightings.mirrored(points)
+    seen = (sightings.seen & (sightings.seen.sum(axis=0) >= 2))[..., None]
+    count = np.maximum(seen.sum(axis=0), 1)
 
-    mirror: np.ndarray
-    seen: np.ndarray
-    weight: np.ndarray
-    changes: np.ndarray
+    def means(values: np.ndarray) -> np.ndarray:
+        return np.where(seen, values, 0).sum(axis=0) / count
 
-    @staticmethod
-    def of(points: Points, sightings: Sightings) -> _Highlights:
-        shown, (_, mirror) = sightings.radiance, sightings.mirrored(points)
-        seen = (sightings.seen & (sightings.seen.sum(axis=0) >= 2))[..., None]
-        mean = _means(shown, seen).mean(axis=1, keepdims=True)
-        unit = float(mean.mean(where=seen.any(axis=0))) if seen.any() else 1.0
-        weight = 1 / (mean + SPECIAL * unit + 1e-12)
-        return _Highlights(mirror.reshape(-1, 3), seen, weight, weight * _changes(shown, seen))
+    mean = means(sightings.radiance).mean(axis=1, keepdims=True)
+    unit = float(mean.mean(where=seen.any(axis=0))) if seen.any() else 1.0
+    weight = 1 / (mean + SPECIAL * unit + 1e-12)
 
-    def explained(self, reflected: np.ndarray) -> float:
-        """Return the part of the changes that the best of L lobes (L, V N, 3) explains."""
-        whole = (self.changes**2).sum()
+    def changes(values: np.ndarray) -> np.ndarray:
+        return weight * np.where(seen, values - means(values), 0)
+
+    measured = changes(sightings.radiance)
+
+    def explained(reflected: np.ndarray) -> float:
         best = 0.0
-        for light in reflected.reshape(len(reflected), *self.changes.shape):
-            predicted = self.weight * _changes(light, self.seen)
-            product = (predicted * self.changes).sum(axis=(0, 2))
+        for light in reflected.reshape(-1, *measured.shape):
+            predicted = changes(light)
+            product = (predicted * measured).sum(axis=(0, 2))
             square = (predicted**2).sum(axis=(0, 2))
             part = np.maximum(product, 0) ** 2 / np.where(square > 0, square, 1)
-            best = max(best, float(part.sum() / max(whole, 1e-12)))
+            best = max(best, float(part.sum() / max((measured**2).sum(), 1e-12)))
         return best
 
-
-def _means(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    return np.where(seen, values, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-
-
-def _changes(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    return np.where(seen, values - _means(values, seen), 0)
+    return mirror.reshape(-1, 3), explained
 
 
 def indistinguishable(

@@ -10,11 +10,13 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.checking.axis_hypotheses import FEWER, Hypothesis, pose_hypotheses
 from svu_mi.checking.record import ViewCheck
-from svu_mi.checking.sky import DIRECTIONS, Sky, emitter_of
 from svu_mi.checking.surface_samples import (
+    DIRECTIONS,
     Points,
+    Sky,
     Texture,
     agreement,
+    emitter_of,
     look,
     open_cosines,
     read_texture,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -85,14 +85,11 @@ class Summary:
     @staticmethod
     def of(views: tuple[ViewCheck, ...]) -> Summary:
         """Average over views."""
-
-        def mean(name: str) -> float | None:
+        means = {}
+        for name in (each.name for each in fields(Summary)):
             values = [v for v in (getattr(view, name) for view in views) if v is not None]
-            return float(np.mean(values)) if values else None
-
-        return Summary(
-            overlap=mean("overlap"), contrast=mean("contrast"), color_error=mean("color_error")
-        )
+            means[name] = float(np.mean(values)) if values else None
+        return Summary(**means)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -118,12 +115,8 @@ class Check:
     @property
     def fixes(self) -> tuple[str, ...]:
         """Names of all corrections that are suggested without reservation."""
-        return tuple(
-            name
-            for finding in self.findings
-            if finding.verdict == "wrong"
-            for name in finding.fixes
-        )
+        wrong = (finding for finding in self.findings if finding.verdict == "wrong")
+        return tuple(name for finding in wrong for name in finding.fixes)
 
     @property
     def fits(self) -> bool:

@@ -18,10 +18,13 @@ from svu_mi.checking.axis_hypotheses import apply_fixes
 from svu_mi.checking.light import facing, score_light
 from svu_mi.checking.pose_scores import check_views, score_poses
 from svu_mi.checking.record import Check, Finding
-from svu_mi.checking.sky import DIRECTIONS, Sky, emitter_of, is_even
 from svu_mi.checking.surface_samples import (
+    DIRECTIONS,
     Points,
     Sightings,
+    Sky,
+    emitter_of,
+    is_even,
     look,
     open_cosines,
     read_texture,
@@ -139,11 +142,14 @@ def _find_mistakes(capture: Capture, progress: Progress) -> tuple[Findings, np.n
         return (poses, decisions.unknown("light", "the capture has none"), flip), axes
     cosines = open_cosines(capture.scene, points, DIRECTIONS)
     if is_even(emitter):
-        return (poses, decisions.judge_even(facing(points, seen, cosines)), flip), axes
-    with progress.stage("Trying lights") as stage:
-        sky = Sky.of(emitter, turn_of(chosen.hypothesis.fixes, "mesh"))
-        tried = score_light(sky, points, seen, cosines, texture, stage.update)
-        return (poses, decisions.judge_light(tried), flip), axes
+        light = decisions.judge_even(facing(points, seen, cosines))
+    else:
+        with progress.stage("Trying lights") as stage:
+            sky = Sky.of(emitter, turn_of(chosen.hypothesis.fixes, "mesh"))
+            light = decisions.judge_light(
+                score_light(sky, points, seen, cosines, texture, stage.update)
+            )
+    return (poses, light, flip), axes
 
 
 def _contradict(axial: Sequence[Finding]) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import scipy
 
 from svu_mi.capture import Capture
 from svu_mi.capture.rays import RAY_FLOATS, film_ray
@@ -160,13 +161,7 @@ def overlap(seen: np.ndarray, mask: np.ndarray) -> float:
 
 def outline(seen: np.ndarray) -> np.ndarray:
     """Return the pixels (h, w) of an object with a neighbour outside of it."""
-    edge = np.zeros_like(seen)
-    down, right = seen[1:] != seen[:-1], seen[:, 1:] != seen[:, :-1]
-    edge[1:] |= down
-    edge[:-1] |= down
-    edge[:, 1:] |= right
-    edge[:, :-1] |= right
-    return edge & seen
+    return np.asarray(seen & ~scipy.ndimage.binary_erosion(seen, border_value=1))
 
 
 def contrast(radiance: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from svu_mi.settings import require_known
 Kind = Literal["camera", "mesh", "light", "texture", "winding"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Fix:
     """One correction.
 
@@ -48,40 +48,35 @@ def turned(axis: Literal["x", "y", "z"], degrees: float) -> np.ndarray:
 
 
 FIXES = {fix.name: fix for fix in (
-    Fix(name="camera-x180", kind="camera", matrix=turned("x", 180),
-        cause="OpenCV camera axes were read as OpenGL's, or the other way round"),
-    Fix(name="camera-y180", kind="camera", matrix=turned("y", 180),
-        cause="OpenGL camera axes were read as Mitsuba's, or the other way round"),
-    Fix(name="camera-z180", kind="camera", matrix=turned("z", 180),
-        cause="OpenCV camera axes were read as Mitsuba's, or the photographs are upside down"),
-    Fix(name="camera-inverse", kind="camera",
-        cause="the poses are world-to-camera, not camera-to-world"),
-    Fix(name="mesh-x90", kind="mesh", matrix=turned("x", 90),
-        cause="the mesh has +Y up, the poses have +Z up"),
-    Fix(name="mesh-x270", kind="mesh", matrix=turned("x", 270),
-        cause="the mesh has +Z up, the poses have +Y up"),
-    Fix(name="mesh-x180", kind="mesh", matrix=turned("x", 180),
-        cause="the mesh is upside down relative to the poses"),
-    Fix(name="mesh-mirror", kind="mesh", matrix=np.diag([-1.0, 1.0, 1.0]),
-        cause="the mesh comes from a left-handed program"),
-    Fix(name="light-turn-90", kind="light", matrix=turned("y", 90),
-        cause="the centre of the environment map is elsewhere"),
-    Fix(name="light-turn-180", kind="light", matrix=turned("y", 180),
-        cause="the centre and the seam of the environment map are exchanged"),
-    Fix(name="light-turn-270", kind="light", matrix=turned("y", 270),
-        cause="the centre of the environment map is elsewhere"),
-    Fix(name="light-mirror", kind="light", matrix=np.diag([-1.0, 1.0, 1.0]),
-        cause="the environment map was saved as seen from outside: left and right are exchanged"),
-    Fix(name="light-flip", kind="light", matrix=turned("z", 180),
-        cause="the environment map is upside down"),
-    Fix(name="light-x90", kind="light", matrix=turned("x", 90),
-        cause="the environment map has another axis up than the world"),
-    Fix(name="light-x270", kind="light", matrix=turned("x", 270),
-        cause="the environment map has another axis up than the world"),
-    Fix(name="texture-flip-v", kind="texture",
-        cause="V of the texture coordinates is flipped"),
-    Fix(name="mesh-inside-out", kind="winding",
-        cause="the faces of the mesh are wound the wrong way"),
+    Fix("camera-x180", "camera",
+        "OpenCV camera axes were read as OpenGL's, or the other way round", turned("x", 180)),
+    Fix("camera-y180", "camera",
+        "OpenGL camera axes were read as Mitsuba's, or the other way round", turned("y", 180)),
+    Fix("camera-z180", "camera",
+        "OpenCV camera axes were read as Mitsuba's, or the photographs are upside down",
+        turned("z", 180)),
+    Fix("camera-inverse", "camera", "the poses are world-to-camera, not camera-to-world"),
+    Fix("mesh-x90", "mesh", "the mesh has +Y up, the poses have +Z up", turned("x", 90)),
+    Fix("mesh-x270", "mesh", "the mesh has +Z up, the poses have +Y up", turned("x", 270)),
+    Fix("mesh-x180", "mesh", "the mesh is upside down relative to the poses", turned("x", 180)),
+    Fix("mesh-mirror", "mesh",
+        "the mesh comes from a left-handed program", np.diag([-1.0, 1.0, 1.0])),
+    Fix("light-turn-90", "light",
+        "the centre of the environment map is elsewhere", turned("y", 90)),
+    Fix("light-turn-180", "light",
+        "the centre and the seam of the environment map are exchanged", turned("y", 180)),
+    Fix("light-turn-270", "light",
+        "the centre of the environment map is elsewhere", turned("y", 270)),
+    Fix("light-mirror", "light",
+        "the environment map was saved as seen from outside: left and right are exchanged",
+        np.diag([-1.0, 1.0, 1.0])),
+    Fix("light-flip", "light", "the environment map is upside down", turned("z", 180)),
+    Fix("light-x90", "light",
+        "the environment map has another axis up than the world", turned("x", 90)),
+    Fix("light-x270", "light",
+        "the environment map has another axis up than the world", turned("x", 270)),
+    Fix("texture-flip-v", "texture", "V of the texture coordinates is flipped"),
+    Fix("mesh-inside-out", "winding", "the faces of the mesh are wound the wrong way"),
 )}  # fmt: skip
 
 

@@ -16,11 +16,14 @@ from PIL import Image, UnidentifiedImageError
 
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
-from svu_mi.formats import gltf
 from svu_mi.formats.normals import repaired
 from svu_mi.formats.source_files import inside
 from svu_mi.formats.textures import (
+    FREE,
+    GLTF,
     Textures,
+    check_gltf,
+    ignored_gltf,
     ignored_of,
     is_textured,
     load_pictures,
@@ -99,9 +102,9 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
 
 def _about_ignored(path: Path, parts: Sequence[_Part]) -> list[str]:
     names = [name for part in parts for name in ignored_of(part.visual)]
-    if path.suffix.lower() in gltf.SUFFIXES:
+    if path.suffix.lower() in GLTF:
         with _damage_of(path):
-            names = gltf.ignored(path)
+            names = ignored_gltf(path)
     listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
     return [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
 
@@ -203,11 +206,11 @@ def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:
     if held > MAX_BYTES:
         raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
     with _damage_of(path):
-        if path.suffix.lower() in gltf.SUFFIXES:
-            held = gltf.check_gltf(path, geometry_only=geometry_only)
+        if path.suffix.lower() in GLTF:
+            held = check_gltf(path, geometry_only=geometry_only)
         scene = trimesh.load_scene(path, resolver=files, process=False)
         placed = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-        if sum(len(part.vertices) for part in placed) > max(gltf.FREE, held):
+        if sum(len(part.vertices) for part in placed) > max(FREE, held):
             raise MeshError(f"{path}: has too many instances of parts; bake them into one mesh.")
         parts = [_Part.of(scene, node) for node in scene.graph.nodes_geometry]
         parts = [part for part in parts if len(part.mesh.faces) > 0]

@@ -129,7 +129,9 @@ class ImportPlan:
 def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
     """Find all files of an import, and read their headers (see ``import_capture``)."""
     require_variant()
-    fixes = _fixes(options)
+    up = {("y", "z"): ["mesh-x90"], ("z", "y"): ["mesh-x270"]}
+    between = up.get((options.mesh_up or "", options.world_up or ""), [])
+    fixes = fixes_named([*between, *options.fixes])
     there, left_out = _there(source, options)
     frames = _frames(there, source, options, fixes)
     return ImportPlan(source, options, fixes, frames, *_mesh_and_light(source, options), left_out)
@@ -152,12 +154,6 @@ def _at_a_time(frames: Sequence[Frame]) -> int:
     """Return the number of photographs that are converted at a time."""
     largest = max(frame.size[0] * frame.size[1] for frame in frames)
     return max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
-
-
-def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
-    up = {("y", "z"): "mesh-x90", ("z", "y"): "mesh-x270"}
-    between = up.get((options.mesh_up or "", options.world_up or ""))
-    return (*([] if between is None else [FIXES[between]]), *fixes_named(options.fixes))
 
 
 def _there(source: Source, options: ImportOptions) -> tuple[list[Frame], list[str]]:

@@ -12,8 +12,7 @@ OpenCV calls another number so, of a fraction that nobody writes to ``transforms
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -25,26 +24,24 @@ FRACTIONS = np.linspace(0, 1, 33)[1:]  # of the way from the centre, that is loo
 
 @dataclass(frozen=True)
 class Lens:
-    """Coefficients of a lens: k1, k2, k3, k4, and p1, p2."""
+    """Coefficients of a lens."""
 
-    radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    tangential: tuple[float, float] = (0.0, 0.0)
-
-    @staticmethod
-    def of(record: Mapping[str, float]) -> Lens:
-        """Return the lens of numbers by name, see ``COEFFICIENTS``; others are 0."""
-        k1, k2, k3, k4, p1, p2 = (float(record.get(name, 0)) for name in COEFFICIENTS)
-        return Lens((k1, k2, k3, k4), (p1, p2))
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
 
     @property
     def record(self) -> dict[str, float]:
         """The numbers by name, see ``COEFFICIENTS``."""
-        return dict(zip(COEFFICIENTS, (*self.radial, *self.tangential), strict=True))
+        return asdict(self)
 
     def bent(self, points: np.ndarray) -> np.ndarray:
         """Return where points are seen: (..., 2) float64 of (..., 2), both as in the model."""
         x, y = np.moveaxis(points, -1, 0)
-        p1, p2 = self.tangential
+        p1, p2 = self.p1, self.p2
         square, factor, _ = self._radial(x, y)
         return np.stack([
             x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x),
@@ -84,14 +81,14 @@ class Lens:
     def _radial(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return r^2, d, and the derivative of d by r^2."""
         square = x * x + y * y
-        k1, k2, k3, k4 = self.radial
+        k1, k2, k3, k4 = self.k1, self.k2, self.k3, self.k4
         factor = 1 + square * (k1 + square * (k2 + square * (k3 + square * k4)))
         return square, factor, k1 + square * (2 * k2 + square * (3 * k3 + square * 4 * k4))
 
     def _slopes(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return dx'/dx, dx'/dy, which dy'/dx equals, and dy'/dy."""
         x, y = np.moveaxis(points, -1, 0)
-        p1, p2 = self.tangential
+        p1, p2 = self.p1, self.p2
         _, factor, slope = self._radial(x, y)
         return (
             factor + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x,

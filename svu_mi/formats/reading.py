@@ -1,8 +1,9 @@
 """Registry of formats: recognise and read a capture of another tool.
 
 A format is a module of this package with two functions: ``recognises(path, split)`` says
-whether a path is such a capture, and ``read(path, options)`` makes a ``Source`` of it. Modules are
-imported when they are asked, since the command line reads this table at its start.
+whether a path is such a capture (a split may have a file of its own), and ``read(path, options)``
+makes a ``Source`` of it. Modules are imported when they are asked, since the command line reads
+this table at its start.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.settings import require_known
@@ -36,16 +37,6 @@ TABLES = ("llff", "idr")  # those that are a file among others, which may have b
 
 if not TYPE_CHECKING:
     Format: Any = Literal[(AUTO, *FORMATS)]
-
-
-class Reader(Protocol):
-    """What the module of a format has."""
-
-    def recognises(self, path: Path, split: str) -> bool:
-        """Whether a file or folder is a capture of this format; a split may have its own file."""
-
-    def read(self, path: Path, options: ReadOptions) -> Source:
-        """Read it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,44 +74,36 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         OptionError: an unknown format, or folders that it has no use for.
     """
     path, options = Path(path), options or ReadOptions()
-    # Nothing at all means the same from Python.
-    kind = AUTO if options.format is None else options.format
+    kind = options.format or AUTO  # None means the same from Python
     require_known([kind], (AUTO, *FORMATS), "format")
     if not path.exists():
         raise CaptureError(f"{path}: no such file or folder; give a capture to import.")
-    kind = _recognised(path, options.split) if kind == AUTO else kind
+    recognised = kind == AUTO
+    if recognised:
+        kind = next((name for name in FORMATS if _is_of(name, path, options.split)), AUTO)
+    if kind == AUTO:
+        raise CaptureError(
+            f"{path}: not a known kind of capture; expected transforms.json, a COLMAP model, "
+            "poses_bounds.npy, cameras_sphere.npz, Stanford-ORB or Objects with Lighting: choose "
+            "one with --format."
+        )
     if kind not in FOLDERS and (options.images or options.masks):
         raise OptionError(
             f"--images and --masks are for COLMAP, LLFF and IDR, but {path} is read as {kind}, "
             "which names its photographs and masks itself."
         )
-    source = _reader(kind).read(path, options)
-    others = _others(path, kind, options.split) if options.format in (None, AUTO) else []
-    return replace(source, notes=[*source.notes, *others]) if others else source
-
-
-def _others(path: Path, kind: str, split: str) -> list[str]:
-    """Return notes about tables in a folder that is read as something else."""
-    if kind in TABLES:
-        return []
-    found = [name for name in TABLES if _reader(name).recognises(path, split)]
-    return [
+    source: Source = _reader(kind).read(path, options)
+    others = [
         f"{path}: is read as {kind}, but has poses of {name}, too; --format {name} reads these."
-        for name in found
+        for name in (TABLES if recognised and kind not in TABLES else ())
+        if _is_of(name, path, options.split)
     ]
+    return replace(source, notes=[*source.notes, *others])
 
 
-def _recognised(path: Path, split: str) -> str:
-    for name in FORMATS:
-        if _reader(name).recognises(path, split):
-            return name
-    raise CaptureError(
-        f"{path}: not a known kind of capture; expected transforms.json, a COLMAP model, "
-        "poses_bounds.npy, cameras_sphere.npz, Stanford-ORB or Objects with Lighting: choose one "
-        "with --format."
-    )
+def _is_of(name: str, path: Path, split: str) -> bool:
+    return bool(_reader(name).recognises(path, split))
 
 
-def _reader(name: str) -> Reader:
-    module: Any = importlib.import_module(f"svu_mi.formats.{FORMATS[name]}")
-    return module
+def _reader(name: str) -> Any:
+    return importlib.import_module(f"svu_mi.formats.{FORMATS[name]}")

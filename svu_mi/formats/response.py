@@ -37,15 +37,12 @@ class Response:
     def __str__(self) -> str:
         return f"{self.name} says"
 
-    def decode(self, encoded: np.ndarray, channel: int) -> np.ndarray:
-        """Return linear values (float32) of a channel's encoded ones in [0, 1], of any shape."""
-        return np.interp(encoded, self.codes, self.values[:, channel]).astype(np.float32)
-
 
 def linear(encoded: np.ndarray, transfer: Transfer | Response, channel: int) -> np.ndarray:
     """Return linear values (float32) of one channel's encoded ones in [0, 1], of any shape."""
     if isinstance(transfer, Response):
-        return transfer.decode(encoded, channel)
+        values = transfer.values[:, channel]
+        return np.interp(encoded, transfer.codes, values).astype(np.float32)
     return decoded(encoded, transfer)
 
 

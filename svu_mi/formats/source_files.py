@@ -29,15 +29,16 @@ def inside(root: Path, name: Any, label: str) -> Path:
             itself, or is not valid in a file system.
     """
     if not isinstance(name, str):
-        raise CaptureError(f"{label}: a file's name must be text, got {_shown(name)}.")
+        raise CaptureError(f"{label}: a file's name must be text, got a {type(name).__name__}.")
+    shown = excerpt(ascii(name), SHOWN)
     parts = PurePosixPath(os.path.normpath(name.replace("\\", "/"))).parts
     if PureWindowsPath(name).drive or name.startswith(("/", "\\")) or ".." in parts[:1]:
         raise CaptureError(
-            f"{label}: {_shown(name)} lies outside {root}; move the file into it and give its "
+            f"{label}: {shown} lies outside {root}; move the file into it and give its "
             "path relative to that folder."
         )
     if not name or not parts or not _is_usable(parts):
-        raise CaptureError(f"{label}: {_shown(name)} is not a valid file name; rename the file.")
+        raise CaptureError(f"{label}: {shown} is not a valid file name; rename the file.")
     return root.joinpath(*parts)
 
 
@@ -54,11 +55,6 @@ def _is_usable(parts: tuple[str, ...]) -> bool:
         return False
     fits = max(sizes) <= LONGEST and sum(sizes) + len(sizes) <= LONGEST_PATH
     return fits and CONTROL.search("".join(parts)) is None
-
-
-def _shown(name: Any) -> str:
-    text = ascii(name) if isinstance(name, str) else f"a {type(name).__name__}"
-    return text if len(text) <= SHOWN else text[:SHOWN] + "..."
 
 
 def folder_of(kind: str, asked: Path | None, places: Iterable[Path]) -> Path | None:

@@ -204,7 +204,7 @@ def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
         )
     if not any(numbers):
         return None
-    return Lens.of(dict(zip(COEFFICIENTS, numbers, strict=True)))
+    return Lens(**dict(zip(COEFFICIENTS, numbers, strict=True)))
 
 
 def _size(known: Mapping[str, Any], image: Path, usual: tuple[int, int] | None) -> tuple[int, int]:

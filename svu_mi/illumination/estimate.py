@@ -1,7 +1,7 @@
 """Light estimated from photographs, coarse to fine, jointly with the materials.
 
 For given light the posterior of a texel's parameters is closed-form on our statistics
-(``materials``); for given materials radiance is linear in the light (``transport``). They
+(``transport``); for given materials radiance is linear in the light (``transport``). They
 alternate, with the materials eliminated from the normal equations of the light (``refine``).
 Directions that the photographs do not determine keep their prior (``prior``).
 
@@ -17,13 +17,21 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.illumination.exposure import starting_gains, updated, without_gains
-from svu_mi.illumination.materials import COOLING, HEAT, Moments, columns_of, misfit_of, tempered
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.prior import BACKGROUND_SD, Looks, prior_of, refined
 from svu_mi.illumination.record import FoundGains, LightEstimate
 from svu_mi.illumination.refine import Fit, Known, system_of
 from svu_mi.illumination.samples import Samples
-from svu_mi.illumination.transport import Columns, Transport
+from svu_mi.illumination.transport import (
+    COOLING,
+    HEAT,
+    Columns,
+    Moments,
+    Transport,
+    columns_of,
+    misfit_of,
+    tempered,
+)
 from svu_mi.illumination.uncertainty import (
     Level,
     level_of,

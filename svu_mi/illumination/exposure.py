@@ -15,12 +15,11 @@ from svu_mi.capture import Capture
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
-from svu_mi.illumination.materials import COOLING, HEAT, Moments, columns_of, tempered
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import NINETY, FoundGains
 from svu_mi.illumination.refine import System, system_of
 from svu_mi.illumination.samples import Samples
-from svu_mi.illumination.transport import Transport
+from svu_mi.illumination.transport import COOLING, HEAT, Moments, Transport, columns_of, tempered
 from svu_mi.illumination.uncertainty import level_of
 from svu_mi.light.cells import even_radiance
 from svu_mi.observed import Observed

@@ -11,11 +11,10 @@ import numpy as np
 import scipy
 
 from svu_mi.errors import CaptureError
-from svu_mi.illumination.materials import materials_of
 from svu_mi.illumination.prior import CellLooks, Prior
 from svu_mi.illumination.record import FoundGains
 from svu_mi.illumination.samples import Samples
-from svu_mi.illumination.transport import Materials, Transport
+from svu_mi.illumination.transport import Materials, Transport, materials_of
 from svu_mi.posterior import CalibratedKernel, Posterior
 from svu_mi.posterior.object_prior import shared
 from svu_mi.reflection.principled import slope
@@ -123,9 +122,19 @@ def system_of(
     if gains is not None:
         J = np.concatenate([J, _of_gains(transport.samples, found, len(gains))], axis=2)
         matrix, gradient = _with_gains(matrix, gradient, gains)
-    texels = _Texels(posterior, materials, slopes)
-    prior = System(matrix, gradient.ravel(), found)
-    return _eliminated(prior, transport.samples, J, texels, overdispersion)
+    samples = transport.samples
+    w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * overdispersion)
+    root, off = np.sqrt(w), samples.radiance - found
+    J *= root.astype(np.float32)[:, None]
+    for c, block in enumerate(_channels(J.shape[2])):
+        matrix[block, block] += J[c].T @ J[c]
+        gradient[c] -= J[c].T @ (root * off[:, c])
+    own, pull = _of_materials(materials, samples, slopes, off * w[:, None], w)
+    inverse = np.linalg.inv(np.linalg.cholesky(own))  # (n, P, P)
+    taken = _taken(samples, J, root[:, None, None] * slopes, inverse)
+    matrix -= taken.T @ taken
+    flat = gradient.ravel() + np.einsum("tmk,tk->tm", inverse, pull).ravel() @ taken
+    return System(matrix, flat, found)
 
 
 def _of_gains(samples: Samples, found: np.ndarray, views: int) -> np.ndarray:
@@ -147,33 +156,6 @@ def _with_gains(
     whole[:, place, :, place] = own
     size = 3 * (number + views)
     return whole.reshape(size, size), np.concatenate([gradient, own @ gains.T], axis=1)
-
-
-class _Texels(NamedTuple):
-    """Posterior and materials of n texels, and derivatives (S, 3, P) of samples by these."""
-
-    posterior: Posterior[CalibratedKernel]
-    materials: Materials
-    slopes: np.ndarray
-
-
-def _eliminated(
-    prior: System, samples: Samples, J: np.ndarray, texels: _Texels, overdispersion: float
-) -> System:
-    """Add samples with derivatives J (3, S, M), which are overwritten, and eliminate materials."""
-    w = samples.weight / (texels.posterior.kernel.noise[samples.owner] ** 2 * overdispersion)
-    root, off = np.sqrt(w), samples.radiance - prior.found
-    J *= root.astype(np.float32)[:, None]
-    matrix, gradient = prior.matrix, prior.gradient.reshape(3, -1).copy()
-    for c, block in enumerate(_channels(J.shape[2])):
-        matrix[block, block] += J[c].T @ J[c]
-        gradient[c] -= J[c].T @ (root * off[:, c])
-    own, pull = _of_materials(texels.materials, samples, texels.slopes, off * w[:, None], w)
-    inverse = np.linalg.inv(np.linalg.cholesky(own))  # (n, P, P)
-    taken = _taken(samples, J, root[:, None, None] * texels.slopes, inverse)
-    matrix -= taken.T @ taken
-    flat = gradient.ravel() + np.einsum("tmk,tk->tm", inverse, pull).ravel() @ taken
-    return System(matrix, flat, prior.found)
 
 
 def _taken(samples: Samples, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray) -> np.ndarray:

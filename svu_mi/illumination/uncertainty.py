@@ -21,12 +21,18 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from svu_mi.illumination.materials import Moments, columns_of, materials_of, noise_of
 from svu_mi.illumination.prior import COLOR, SD
 from svu_mi.illumination.record import NINETY, UNANCHORED
 from svu_mi.illumination.refine import Fit
 from svu_mi.illumination.samples import Samples
-from svu_mi.illumination.transport import Columns, Transport
+from svu_mi.illumination.transport import (
+    Columns,
+    Moments,
+    Transport,
+    columns_of,
+    materials_of,
+    noise_of,
+)
 from svu_mi.options import AngularPreset
 from svu_mi.parameters import NAMES
 from svu_mi.reflection.principled import diffuse_from_principled

@@ -15,7 +15,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import tone_mapped
 from svu_mi.checking.axis_hypotheses import apply_fixes
 from svu_mi.checking.record import Check, Finding, Summary
-from svu_mi.checking.sky import emitter_of
+from svu_mi.checking.surface_samples import emitter_of
 from svu_mi.checking.thumbnails import Frames, outline, reduced, silhouettes
 from svu_mi.formats.fixes import fixes_named
 from svu_mi.light.environment import nearest_node, read_environment

@@ -81,7 +81,7 @@ class Camera:
         names = BENT.get(self.model, ())
         if not names or any(self.bends[len(names) :]):
             return None
-        return Lens.of(dict(zip(names, self.bends, strict=False)))
+        return Lens(**dict(zip(names, self.bends, strict=False)))
 
 
 @dataclass(frozen=True)

@@ -74,9 +74,9 @@ def undistort(
             mask = _checked(cameras[view.camera], file, found)
             if mask is not None:
                 masked.append(replace(view, name=f"{view.name}.png"))
-                place = scratch / MASKS / masked[-1].name
-                place.parent.mkdir(parents=True, exist_ok=True)
-                Image.fromarray(mask).save(place)
+                file = scratch / MASKS / masked[-1].name
+                file.parent.mkdir(parents=True, exist_ok=True)
+                Image.fromarray(mask).save(file)
         straight = _straightened(cameras, views, project.images, scratch / "photographs")
         (straight / IMAGES).rename(made / IMAGES)
         (straight / "sparse").rename(made / "sparse")
