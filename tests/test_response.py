@@ -22,7 +22,7 @@ from svu_mi.cli.import_ import import_again
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.photographs import CRUSHED, about, convert, with_response
-from svu_mi.formats.response import LARGEST, read_response
+from svu_mi.formats.response import LARGEST, linear, read_response
 from svu_mi.formats.source import OPENGL, Frame
 from svu_mi.formats.transforms import write_transforms
 
@@ -186,7 +186,7 @@ def test_files_that_are_no_text_are_a_sentence(tmp_path):
 def test_numbers_that_single_precision_cannot_hold_decode_to_numbers(tmp_path):
     path = tmp_path / "curve.txt"
     path.write_text("0 0\n1e-40 1e-300\n1e-30 1e307\n1 1.7e308\n")
-    found = read_response(path).decode(np.linspace(0, 1, 256, dtype=np.float32), 0)
+    found = linear(np.linspace(0, 1, 256, dtype=np.float32), read_response(path), 0)
     assert np.isfinite(found).all() and found[-1] == 1 and (np.diff(found) >= 0).all()
 
 

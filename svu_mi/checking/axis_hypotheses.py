@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -105,15 +104,13 @@ def _applied(capture: Capture, fix: Fix, camera_axes: np.ndarray) -> Capture:
     if fix.kind == "camera":
         poses = np.array([to_world(sensor) for sensor in capture.sensors]).reshape(-1, 4, 4)
         poses = corrected_poses(poses, fix, camera_axes)
-        moved = zip(capture.sensors, poses, strict=True)
-        return replace(capture, sensors=tuple(_moved(sensor, pose) for sensor, pose in moved))
+        return replace(capture, sensors=tuple(
+            make_sensor({**describe(sensor), "to_world": pose.tolist()}, sensor.id())
+            for sensor, pose in zip(capture.sensors, poses, strict=True)
+        ))  # fmt: skip
     if fix.kind == "light":
         return _lit(capture, fix)
     return _shaped(capture, fix)
-
-
-def _moved(sensor: Any, pose: np.ndarray) -> Any:
-    return make_sensor({**describe(sensor), "to_world": pose.tolist()}, sensor.id())
 
 
 def _shaped(capture: Capture, fix: Fix) -> Capture:

@@ -23,7 +23,7 @@ def exposed(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame
     Raises:
         CaptureError: as ``with_exposures`` and ``with_exif_exposures``.
     """
-    if gains is None or not frames:
+    if gains is None:
         return frames
     return with_exif_exposures(frames) if gains == "exif" else with_exposures(frames, Path(gains))
 

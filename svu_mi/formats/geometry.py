@@ -89,7 +89,8 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
         uvs = mesh.uvs
         if textures or path.suffix.lower() not in V_DOWN:
             uvs = flipped_v(uvs)
-        mesh = replace(mesh, uvs=uvs - _tile(uvs))
+        tile = np.floor((uvs.min(axis=0) + uvs.max(axis=0)) / 2)
+        mesh = replace(mesh, uvs=uvs - tile)
     mesh, notes = repaired(mesh, str(path))
     if files.missing:
         notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which does not exist.")
@@ -141,11 +142,6 @@ def _without_strays(mesh: MeshArrays) -> MeshArrays:
 def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
     there = [array for array in arrays if array is not None]
     return np.concatenate(there) if len(there) == len(arrays) else None
-
-
-def _tile(uvs: np.ndarray) -> np.ndarray:
-    """Return the integer offset of the tile that UVs lie in."""
-    return np.floor((uvs.min(axis=0) + uvs.max(axis=0)) / 2)
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,13 @@ def repaired(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
         notes.append(f"{label}: the surface was inside out; its triangles are flipped.")
         mesh = replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1]))
         welded.invert()
-    if mesh.normals is not None and _agreement(mesh) >= AGREE:  # NaN fails, too
-        smooth = np.array(welded.vertex_normals)[inverse]
-        return replace(mesh, normals=_unit(mesh.normals, smooth)), notes
     if mesh.normals is not None:
+        cross = mesh.crosses
+        cosines = np.einsum("fi,fi->", cross, mesh.normals[mesh.faces].mean(axis=1))
+        twice_area = np.linalg.norm(cross, axis=1).sum()
+        if cosines >= AGREE * max(twice_area, 1e-300):  # NaN fails, too
+            smooth = np.array(welded.vertex_normals)[inverse]
+            return replace(mesh, normals=_unit(mesh.normals, smooth)), notes
         notes.append(f"{label}: its normals contradict its triangles; they are computed again.")
     shaded, is_noisy = _shaded(mesh, welded)
     if is_noisy:
@@ -130,12 +133,3 @@ def _unit(normals: np.ndarray, instead: np.ndarray) -> np.ndarray:
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), other)
     return normals
-
-
-def _agreement(mesh: MeshArrays) -> float:
-    """Return the mean cosine, by area, between faces and the normals of their corners."""
-    assert mesh.normals is not None
-    cross = mesh.crosses
-    mean = mesh.normals[mesh.faces].mean(axis=1)
-    twice_area = np.linalg.norm(cross, axis=1).sum()
-    return float(np.einsum("fi,fi->", cross, mean) / max(twice_area, 1e-300))

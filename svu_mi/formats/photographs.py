@@ -75,7 +75,7 @@ def with_response(frames: Sequence[Frame], response: str | Path | None) -> Seque
         CaptureError: the file, or the header of a photograph, cannot be read.
         OptionError: all photographs are linear.
     """
-    if response is None or not frames:
+    if response is None:
         return frames
     if not any(open_picture(frame.image).bits for frame in frames):
         raise OptionError(

@@ -98,7 +98,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         for name in (TABLES if recognised and kind not in TABLES else ())
         if _is_of(name, path, options.split)
     ]
-    return replace(source, notes=[*source.notes, *others])
+    return replace(source, notes=[*source.notes, *others]) if others else source
 
 
 def _is_of(name: str, path: Path, split: str) -> bool:

@@ -73,23 +73,25 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
     """
     path = Path(path)
     record, frames = read_poses(path)
-    applied = _applied(record, path)
+    try:
+        applied = _matrix(record.get("applied_transform", np.eye(4)))
+    except (TypeError, ValueError) as error:
+        raise CaptureError(f"{path}: applied_transform must be 3 x 4 numbers.") from error
     before = np.linalg.inv(applied) if original_world else np.eye(4)
     usual = _usual_size(path, record, frames)
-    kept = not original_world and not np.allclose(applied, np.eye(4))
-    note = (
+    notes = [] if original_world or np.allclose(applied, np.eye(4)) else [
         f"{path}: has an applied_transform; poses are used as they are, in the world after it. "
         "If the mesh is in the world before it, import with --original-world."
-    )
+    ]  # fmt: skip
     return Source(
         format="transforms",
         root=path.parent,
-        frames=tuple(
+        frames=[
             parse_frame(record, frame, path.parent, f"{path}: frame {index}", before, usual)
             for index, frame in enumerate(frames)
-        ),
+        ],
         camera_axes=OPENGL,
-        notes=(note,) if kept else (),
+        notes=notes,
     )
 
 
@@ -124,15 +126,6 @@ def _record(frame: Frame, root: Path) -> dict[str, Any]:
         **({} if frame.lens is None else frame.lens.record),
         "transform_matrix": (frame.to_world @ OPENGL).tolist(),
     }  # fmt: skip
-
-
-def _applied(record: Mapping[str, Any], path: Path) -> np.ndarray:
-    """Return nerfstudio's ``applied_transform`` as a (4, 4) matrix."""
-    given = record.get("applied_transform", np.eye(4)[:3].tolist())
-    try:
-        return _matrix(given)
-    except (TypeError, ValueError) as error:
-        raise CaptureError(f"{path}: applied_transform must be 3 x 4 numbers.") from error
 
 
 def _matrix(value: Any) -> np.ndarray:

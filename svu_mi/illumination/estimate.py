@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
@@ -113,12 +114,10 @@ def _found(
     first, *finer = options.depths
     total = len(worlds) * first[1] + sum(rounds for _, rounds in finer)
     with progress.stage("Finding the light", total) as stage:
-        done = 0
+        done = count(1)
 
         def told() -> None:
-            nonlocal done
-            done += 1
-            stage.update(done, total)
+            stage.update(next(done), total)
 
         coarse = {moves: world.light((first,), told=told) for moves, world in worlds.items()}
         still, moving = (coarse[m].misfit if m in coarse else np.nan for m in (False, True))

@@ -86,6 +86,7 @@ def light_record(estimate: LightEstimate) -> dict[str, Any]:
     """Return what records say of light that was found, under ``light``: plain values."""
     low, high = estimate.scale_interval
     still, moving = (None if math.isnan(value) else float(value) for value in estimate.misfit)
+    gains = estimate.gains
     return {
         "light": {
             "found": True,
@@ -96,7 +97,10 @@ def light_record(estimate: LightEstimate) -> dict[str, Any]:
             "widening": float(estimate.widening),
             "cells": estimate.cells, "texels": int(estimate.texels),
             "remarks": list(estimate.remarks),
-            "gains": None if estimate.gains is None else estimate.gains.record(),
+            "gains": None if gains is None else {
+                "factor": gains.factor.tolist(), "noise": gains.noise.tolist(),
+                "left_out": np.flatnonzero(gains.odd).tolist(),
+            },
         }
     }  # fmt: skip
 

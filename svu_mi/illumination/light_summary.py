@@ -18,18 +18,17 @@ from svu_mi.light.environment import (
     read_environment,
 )
 from svu_mi.light.lighting import degrees
-from svu_mi.parameters import CHANNELS
 
 BLUR = 15.0  # degrees, full width at half maximum, at which light is compared
 DEGREE = 48  # beyond which that leaves nothing
 POINTS = 2048  # even directions
 STANDS_OUT = 2.0  # times the mean, from which a direction is called bright
-UP = (0.0, 1.0, 0.0)
+UP = np.array([0.0, 1.0, 0.0])
 NOTED = 0.08  # log gain: twice the error with few photographs
 FEWEST = 3  # photographs in each quarter, to detect drift
 OF_MEDIAN = 1.25 * 1.48  # standard error of a median, by the median deviation of one value
 CERTAIN = 4.5  # standard errors of a drift
-LETTERS = "RGB"[: CHANNELS["base_color"]]
+LETTERS = "RGB"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +82,8 @@ def likeness(estimate: LightEstimate, emitter: Any) -> Likeness:
         SceneError: as ``read_environment``.
     """
     world = fibonacci(POINTS)
-    truth, found = (blurred(one, world)
-                    for one in (read_environment(emitter), environment_of(estimate)))  # fmt: skip
+    truth = blurred(read_environment(emitter), world)
+    found = blurred(environment_of(estimate), world)
     scale = truth.mean(axis=0) / np.maximum(found.mean(axis=0), 1e-30)
     low, high = estimate.scale_interval
     grey = truth.mean(axis=1), found.mean(axis=1)
@@ -100,7 +99,7 @@ def likeness(estimate: LightEstimate, emitter: Any) -> Likeness:
 def sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> Iterator[str]:
     """Yield sentences about an estimate; elevations count from ``up`` (3,), +Y by default."""
     yield f"Of the light from all directions, photographs tell {100 * estimate.known_part:.0f} %."
-    yield direction_sentence(estimate, np.array(UP) if up is None else up)
+    yield direction_sentence(estimate, UP if up is None else up)
     yield scale_sentence(estimate)
     if estimate.moves:
         yield "It turns with the camera: a turntable, or a lamp on the camera."
@@ -182,9 +181,7 @@ def _balance(gains: FoundGains) -> Iterator[str]:
 
 def likeness_sentence(found: Likeness) -> str:
     """Return a sentence that compares the light with the capture's own."""
-    factors = ", ".join(
-        f"{value:.2f} ({letter})" for letter, value in zip(LETTERS, found.scale, strict=True)
-    )
+    factors = ", ".join(f"{x:.2f} ({c})" for c, x in zip(LETTERS, found.scale, strict=True))
     where = "" if found.inside is None else f", {'in' if found.inside else 'out'}side the interval"
     return (
         f"Against the capture's own light: correlation {found.correlation:.2f} at 15 degrees; that "

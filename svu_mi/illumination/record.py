@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy
@@ -39,13 +38,6 @@ class FoundGains:
     def factor(self) -> np.ndarray:
         """(V, 3) the gains."""
         return np.asarray(np.exp(self.logarithm))
-
-    def record(self) -> dict[str, Any]:
-        """Return plain values for a file."""
-        return {
-            "factor": self.factor.tolist(), "noise": self.noise.tolist(),
-            "left_out": np.flatnonzero(self.odd).tolist(),
-        }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -117,7 +109,7 @@ class LightEstimate:
     @property
     def known_part(self) -> float:
         """Mean of ``known`` over all directions."""
-        return float((self.known * self._solid).sum() / self._solid.sum())
+        return float(np.average(self.known, weights=self._solid))
 
     @property
     def scale_interval(self) -> tuple[np.ndarray, np.ndarray]:

@@ -108,11 +108,12 @@ def system_of(
         known: prior of the light; None if the light is given.
         gains: (V, 3) logarithms that samples were divided by, which are unknowns, too.
     """
+    samples = transport.samples
     # With the shared prior: independent uncertain texels would bias the light.
     materials = materials_of(shared(posterior))
     slopes, found = _slopes_and_samples(transport, light, materials)
     if known is None:
-        J = np.zeros((3, transport.samples.count, 0), np.float32)
+        J = np.zeros((3, samples.count, 0), np.float32)
         matrix, gradient = np.zeros((0, 0)), np.zeros((3, 0))
     else:
         J = transport.matrix(materials)
@@ -120,9 +121,10 @@ def system_of(
         found = J.sum(axis=2).T.astype(np.float64)
         matrix, gradient = known.start(np.log(light))
     if gains is not None:
-        J = np.concatenate([J, _of_gains(transport.samples, found, len(gains))], axis=2)
+        by_gain = np.zeros((3, samples.count, len(gains)), np.float32)
+        by_gain[:, np.arange(samples.count), samples.view] = found.T
+        J = np.concatenate([J, by_gain], axis=2)
         matrix, gradient = _with_gains(matrix, gradient, gains)
-    samples = transport.samples
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * overdispersion)
     root, off = np.sqrt(w), samples.radiance - found
     J *= root.astype(np.float32)[:, None]
@@ -135,13 +137,6 @@ def system_of(
     matrix -= taken.T @ taken
     flat = gradient.ravel() + np.einsum("tmk,tk->tm", inverse, pull).ravel() @ taken
     return System(matrix, flat, found)
-
-
-def _of_gains(samples: Samples, found: np.ndarray, views: int) -> np.ndarray:
-    """Return the derivatives (3, S, V) by log gains, given the predicted samples (S, 3)."""
-    J = np.zeros((3, samples.count, views), np.float32)
-    J[:, np.arange(samples.count), samples.view] = found.T
-    return J
 
 
 def _with_gains(

@@ -60,9 +60,10 @@ class Camera:
     height: int
     parameters: tuple[float, ...]
 
-    def pinhole(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Return focal lengths and principal point, None if straight lines are bent."""
-        return self.intrinsics if self.model in FOCAL_LENGTHS and not any(self.bends) else None
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether straight lines stay straight."""
+        return self.model in FOCAL_LENGTHS and not any(self.bends)
 
     @property
     def intrinsics(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -77,9 +78,9 @@ class Camera:
         return self.parameters[FOCAL_LENGTHS[self.model] + 2 :]
 
     def lens(self) -> Lens | None:
-        """Return the lens if it is of our model, else None."""
+        """Return the lens if it bends lines and is of our model, else None."""
         names = BENT.get(self.model, ())
-        if not names or any(self.bends[len(names) :]):
+        if not names or self.is_pinhole or any(self.bends[len(names) :]):
             return None
         return Lens(**dict(zip(names, self.bends, strict=False)))
 
@@ -188,13 +189,13 @@ class _Records:
     def skip(self, size: int) -> int:
         """Go on by a number of bytes and return where they start."""
         start, self._at = self._at, self._at + size
-        if self._at > len(self._data):
+        if self.left < 0:
             raise ValueError("the file ends too early")
         return start
 
-    def finish(self) -> None:
-        if self._at != len(self._data):
-            raise ValueError(f"the file has {len(self._data) - self._at} bytes too many")
+    @property
+    def left(self) -> int:
+        return len(self._data) - self._at
 
 
 @contextlib.contextmanager
@@ -211,7 +212,8 @@ def _records(path: Path) -> Iterator[_Records]:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         records = _Records(data)
         yield records
-        records.finish()
+        if records.left:
+            raise ValueError(f"the file has {records.left} bytes too many")
 
 
 def _read_cameras(path: Path) -> dict[int, Camera]:

@@ -63,12 +63,10 @@ def read(path: Path, options: ReadOptions) -> Source:
     """
     project = read_project(path, options.images, options.masks, partly=True)
     frames = []
-    for view, photograph, mask in zip(
-        project.views, project.photographs, project.masks, strict=True
-    ):
+    for view, image, mask in zip(project.views, project.photographs, project.masks, strict=True):
         camera = project.cameras[view.camera]
-        lens = None if camera.pinhole() else camera.lens()
-        if lens is None and not camera.pinhole():
+        lens = camera.lens()
+        if lens is None and not camera.is_pinhole:
             raise CaptureError(
                 f"{project.model}: camera {view.camera}: the lens is distorted ({camera.model}); "
                 "svu import undistorts the photographs with --undistort."
@@ -76,7 +74,7 @@ def read(path: Path, options: ReadOptions) -> Source:
         focal, center = camera.intrinsics
         frames.append(Frame(
             label=_label(project.model, view),
-            image=photograph,
+            image=image,
             mask=mask,
             to_world=_to_world(view),
             focal=focal,

@@ -136,7 +136,7 @@ def _straightened(
             f"{pictures}: COLMAP cannot undistort these ({reason[-LONGEST:]}); check the cameras."
         )
     for camera in read_model(output / "sparse")[0].values():
-        if camera.pinhole() is None:
+        if not camera.is_pinhole:
             raise CaptureError(
                 f"{pictures}: COLMAP cannot undistort cameras of model {camera.model}; undistort "
                 "the photographs first."
