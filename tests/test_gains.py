@@ -220,7 +220,7 @@ def test_what_is_brighter_than_white_is_counted(lit_ball, albedo, part):
     found = excess(seen, points, arriving, 250.0)
     assert found.part == pytest.approx(part, abs=0.01)
     assert found.factor == pytest.approx(albedo, rel=0.04)
-    assert (found.sentence is None) == (albedo < 1.2)  # paint is a little brighter at times
+    assert (found.sentence() is None) == (albedo < 1.2)  # paint is a little brighter at times
 
 
 @pytest.mark.parametrize(("degrees", "judged"), [(10, False), (30, True)])
