@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from svu_mi.checking.exposure import VIEWS, Excess, Gains
-from svu_mi.checking.light import Facing, LightScore, indistinguishable
+from svu_mi.checking.light import Facing, LightScore
 from svu_mi.checking.pose_scores import PoseScore, certain, simplest
 from svu_mi.checking.record import Finding, Hypothesis, Question, Verdict
 from svu_mi.formats.fixes import FIXES
@@ -143,8 +143,7 @@ def judge_light(scores: Sequence[LightScore]) -> Finding:
     table, names, figures = _table(scores), best.hypothesis.names, _light_figures(current)
     found = partial(Finding, question="light", hypotheses=table)
     gain = best.total - current.total
-    near = indistinguishable(scores, best, LIGHT_MARGIN)
-    alternatives = tuple(score.hypothesis.names for score in near)
+    alternatives = tuple(score.hypothesis.names for score in _indistinguishable(scores, best))
     if best.total - min(score.total for score in scores) < LIGHT_RANGE:
         return unknown("light", "it is even, or the object shows too little of it", table)
     is_supported = _support(best, current) >= 2
@@ -153,7 +152,7 @@ def judge_light(scores: Sequence[LightScore]) -> Finding:
         either = _either((names, *alternatives))
         return unknown("light", f"{either} would fit better, but only by one cue of three", table)
     if gain <= LIGHT_GAIN or not is_supported:
-        as_good = indistinguishable(scores, current, LIGHT_MARGIN)
+        as_good = _indistinguishable(scores, current)
         others = tuple(s.hypothesis.names for s in as_good if len(s.hypothesis.fixes) == 1)
         sentence = f"The light fits the photographs ({figures}{_also(others)})."
         return found(verdict="fits", alternatives=others, sentence=sentence)
@@ -165,6 +164,11 @@ def judge_light(scores: Sequence[LightScore]) -> Finding:
         )  # fmt: skip
     sentence = f"{_causes(names)}: {_light_figures(best)} instead of {figures}."
     return found(verdict="wrong", fixes=names, sentence=sentence)
+
+
+def _indistinguishable(scores: Sequence[LightScore], best: LightScore) -> list[LightScore]:
+    """Return the other hypotheses that explain the photographs as well as ``best``."""
+    return [s for s in scores if s is not best and s.total > best.total - LIGHT_MARGIN]
 
 
 def judge_even(found: Facing | None) -> Finding:

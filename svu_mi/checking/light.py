@@ -16,7 +16,7 @@ least 0.11 and 0.50; for the overcast sky, which differs little from it, 0.01 an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -200,13 +200,6 @@ def _highlights(
         return best
 
     return mirror.reshape(-1, 3), explained
-
-
-def indistinguishable(
-    scores: Sequence[LightScore], best: LightScore, margin: float
-) -> list[LightScore]:
-    """Return the other hypotheses whose score is that of ``best``, to a margin."""
-    return [s for s in scores if s is not best and s.total > best.total - margin]
 
 
 @dataclass(frozen=True)

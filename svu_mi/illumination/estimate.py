@@ -26,7 +26,6 @@ from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import (
     COOLING,
     HEAT,
-    Columns,
     Moments,
     Transport,
     columns_of,
@@ -74,11 +73,18 @@ def estimate_light(
     observed = observed_of(source, texels, progress)
     with progress.stage("Choosing texels"):
         samples = Samples.of(observed, switches, options.texels)
-    worlds = _worlds(observed.capture, samples, switches, options)
+    worlds = {}
+    for moves in (False, True) if options.moves is None else (options.moves,):
+        is_seen = options.background == "distant"
+        looks = Looks.of(observed.capture, moves=moves) if is_seen else None
+        worlds[moves] = World(samples, switches, looks, moves, options.gains)
     fit, misfit = _found(worlds, options, progress)
     with progress.stage("Asking what else the light may be"):
         columns = columns_of(fit.transport, np.exp(fit.x), switches)
-        level = _level(fit, columns, switches)
+        if fit.seen:  # background pixels show the level directly
+            level = Level(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)
+        else:
+            level = level_of(fit.transport.samples, columns, switches)
         found = sample_lights(fit, options.draws, options.seed)
         widening = widening_of(fit.transport, columns, found.draws, level, switches)
     return LightEstimate(
@@ -87,24 +93,6 @@ def estimate_light(
         moves=fit.transport.moves, texels=samples.texels, remarks=remarks_of(level, found.cell_sd),
         gains=fit.gains,
     )  # fmt: skip
-
-
-def _level(fit: Fit, columns: Columns, switches: AngularPreset) -> Level:
-    """Return the distribution of the level, which background pixels show directly."""
-    if fit.seen:
-        return Level(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)
-    return level_of(fit.transport.samples, columns, switches)
-
-
-def _worlds(
-    capture: Capture, samples: Samples, switches: AngularPreset, options: LightOptions
-) -> dict[bool, World]:
-    """Return a problem for light that stands still, for light that moves, or both."""
-    found = {}
-    for moves in (False, True) if options.moves is None else (options.moves,):
-        looks = None if options.background == "none" else Looks.of(capture, moves=moves)
-        found[moves] = World(samples, switches, looks, moves, options.gains)
-    return found
 
 
 def _found(
@@ -163,7 +151,12 @@ class World:
             everything = Transport.of(self.samples, number, self.moves)
             # Light of the wrong shape could not be too dim, so its level is free at first.
             leveled = start is not None and seen is None
-            x = _even(self.samples, number) if fit is None else refined(fit.x, number)
+            if fit is None:  # constant light of the photographs' colour
+                mean = self.samples.radiance.mean(axis=0, dtype=np.float64)
+                least = 1e-3 * self.samples.unit
+                x = np.tile(np.log(np.maximum(mean, least) / ALBEDO), (number, 1))
+            else:
+                x = refined(fit.x, number)
             for _ in range(rounds):
                 fit = self._round(everything, known, (x, gains, heat), leveled)
                 x, gains, heat = fit.x, fit.gains, max(heat * COOLING, 1.0)
@@ -194,9 +187,3 @@ class World:
         misfit = misfit_of(posterior, self.samples.unit)
         left = without_gains(everything, gains)
         return Fit(left, x, system, misfit, known.seen is not None, gains)
-
-
-def _even(samples: Samples, number: int) -> np.ndarray:
-    """Return the logarithms (number, 3) of constant light of the photographs' colour."""
-    mean = samples.radiance.mean(axis=0, dtype=np.float64)
-    return np.tile(np.log(np.maximum(mean, 1e-3 * samples.unit) / ALBEDO), (number, 1))
