@@ -87,9 +87,6 @@ def read_photographs(
         windows: what to keep of each of the V photographs.
         exposures: V gains of the photographs; pixels are divided by them.
         memory: bytes that they may take, beyond which they lie in a file.
-
-    Raises:
-        CaptureError: one is unreadable, or there is not enough memory for all.
     """
     sizes = [windows[view].size for view in pictures]
     if pictures and STORED * sum(width * height for width, height in sizes) <= memory:

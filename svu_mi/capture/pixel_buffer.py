@@ -51,11 +51,7 @@ class PixelBuffer:
 
     @staticmethod
     def allocate(sizes: Sequence[Size], memory: float = math.inf) -> PixelBuffer:
-        """Make a buffer of zeros; beyond ``memory`` bytes of pixels, it lies in files.
-
-        Raises:
-            CaptureError: there is no room for a file, or too many are open.
-        """
+        """Make a buffer of zeros; beyond ``memory`` bytes of pixels, it lies in files."""
         counts = np.array([width * height for width, height in sizes], np.int64)
         count, file = int(counts.sum()), None
         parts: list[tuple[int, Any]] = [(3 * count, np.float32), (count, bool), (count, np.uint8)]

@@ -168,10 +168,6 @@ def sphere_sensors(
         distance: from that centre, in scene units; by default the object just fits.
         up: where the top of the sphere is; need not have unit length.
         lowest: sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
-
-    Raises:
-        OptionError: fewer than one sensor, too many, an empty film, no direction, or nothing of
-            the sphere.
     """
     if count < 1 or min(resolution) < 1:
         raise OptionError(

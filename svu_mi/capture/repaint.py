@@ -1,5 +1,4 @@
-"""The object's material: its constant parameters, and scenes with another one in its place.
-"""
+"""The object's material: its constant parameters, and scenes with another one in its place."""
 
 from __future__ import annotations
 

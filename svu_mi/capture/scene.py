@@ -59,11 +59,6 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
         path: the XML file.
         defines: values for the scene's ``<default>`` parameters.
         trust: load the scene's own libraries, too, from ``plugins`` beside it.
-
-    Raises:
-        SceneError: the file is missing, Mitsuba refuses it (the sentence is Mitsuba's own last
-            one, with the file's name), it would load a library, a mesh is damaged, or there are
-            too many sensors.
     """
     if not path.is_file():
         raise SceneError(f"{path}: no such scene file; give the path of a Mitsuba XML scene.")

@@ -92,11 +92,7 @@ def _text(values: Any) -> str:
 
 
 def write_document(root: Element, path: Path) -> None:
-    """Write a scene file, indented, atomically; an id that is taken gets a number.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Write a scene file, indented, atomically; an id that is taken gets a number."""
     taken: set[str] = set()
     for node in sorted(root.iterfind(".//*[@id]"), key=lambda node: node.tag != "shape"):
         name, number = node.attrib["id"], 1  # the first shape keeps its id
@@ -141,11 +137,7 @@ def bitmap(name: str, file: str, *, id: str | None = None, raw: bool = True) -> 
 
 
 def mesh(source: MeshArrays, folder: Path, file: str, name: str) -> Element:
-    """Return a mesh, and write it as PLY; ``file`` is relative to the scene file's ``folder``.
-
-    Raises:
-        OutputError: the mesh cannot be written.
-    """
+    """Return a mesh, and write it as PLY; ``file`` is relative to the scene file's ``folder``."""
     write_ply(folder / file, name, source)
     node = plugin("shape", "ply", id=name, filename=file)
     # Mitsuba would compute smooth normals where the file has none.

@@ -82,9 +82,6 @@ def reduced(capture: Capture, side: int) -> Capture:
     Factors are whole numbers. A pixel is the mean over the usable ones of a block, NaN without any;
     incomplete blocks at the borders are dropped. Radiance is divided by the median of pixels that
     are not black, which is multiplied to the exposures. Unused photographs stay as they are.
-
-    Raises:
-        CaptureError: no photograph is used.
     """
     if not any(capture.used):
         raise CaptureError(

@@ -18,11 +18,7 @@ EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
 
 
 def exposed(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame]:
-    """Return frames with the gains of a list, of ``exif``, or (None) those that they have.
-
-    Raises:
-        CaptureError: as ``with_exposures`` and ``with_exif_exposures``.
-    """
+    """Return frames with the gains of a list, of ``exif``, or (None) those that they have."""
     if gains is None:
         return frames
     return with_exif_exposures(frames) if gains == "exif" else with_exposures(frames, Path(gains))
@@ -33,10 +29,6 @@ def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
 
     A line is ``NAME GAIN``, such as ``IMG_0012.jpg 0.25`` or ``left/IMG_0012.jpg 0.25``; empty
     lines and comments (``#``) are ignored.
-
-    Raises:
-        CaptureError: it cannot be read, a line is wrong, or a photograph is not named, or by a name
-            that several have.
     """
     gains = {}
     for number, text in lines_of(path, "a list of exposures", "write lines NAME GAIN"):
@@ -63,9 +55,6 @@ def with_exif_exposures(frames: Sequence[Frame]) -> list[Frame]:
     """Return frames with gains of time * ISO / aperture^2, relative to the median photograph.
 
     A missing aperture (a lens without contacts) is taken to be the same in all.
-
-    Raises:
-        CaptureError: a photograph has no exposure time.
     """
     gains = [_exif_gain(frame.image) for frame in frames]
     middle = median(gains)

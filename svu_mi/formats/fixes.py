@@ -81,11 +81,7 @@ FIXES = {fix.name: fix for fix in (
 
 
 def fixes_named(names: Sequence[str]) -> tuple[Fix, ...]:
-    """Return corrections by name.
-
-    Raises:
-        OptionError: a name is unknown.
-    """
+    """Return corrections by name."""
     require_known(names, FIXES, "fix")
     return tuple(FIXES[name] for name in names)
 

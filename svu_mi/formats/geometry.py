@@ -65,10 +65,6 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
         path: GLB, glTF, OBJ, PLY or STL. Parts are placed by the file's own transformations and
             merged; V runs as in the format, in PLY as in Mitsuba, or upwards with a texture.
         geometry_only: ignore UVs, textures and the number of materials.
-
-    Raises:
-        MeshError: the file is missing, damaged or of another kind, has no triangle, or several
-            materials with textures.
     """
     path = Path(path)
     files = _Inside(path.parent)

@@ -52,11 +52,6 @@ def read(path: Path, options: ReadOptions) -> Source:
     """Read cameras, in the order of the photographs' names.
 
     Masks belong to photographs by their order, too; both are next to the file by default.
-
-    Raises:
-        CaptureError: the file is not such an archive, a matrix is missing or no camera, or there
-            are more photographs or masks than cameras, or fewer.
-        OptionError: normalized poses of a file without ``scale_mat``.
     """
     found = (path / name for name in FILES if (path / name).is_file())
     file = next(found, path / FILES[0]) if path.is_dir() else path
@@ -143,9 +138,6 @@ def decomposed(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         K (3, 3), upper triangular with positive focal lengths and K[2, 2] = 1, and the pose
         (4, 4), camera to world in OpenCV's axes, with a rotation.
-
-    Raises:
-        CaptureError: it is singular or mirrored, or its pixels are skewed.
     """
     left = matrix[:, :3] / max(np.abs(matrix[:, :3]).max(), 1 / LARGEST)
     values = np.linalg.svd(left, compute_uv=False)

@@ -20,12 +20,7 @@ MIRROR = np.diag([-1.0, 1.0, 1.0])  # of the envmap's frame: u becomes 1 - u
 
 
 def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Write a map as EXR; return the emitter's ``to_world`` (4, 4), a rotation, and notes.
-
-    Raises:
-        CaptureError: as ``read_environment_map``.
-        OutputError: it cannot be written.
-    """
+    """Write a map as EXR; return the emitter's ``to_world`` (4, 4), a rotation, and notes."""
     pixels, matrix, notes = read_environment_map(light)
     write_exr(path, {"RGB": pixels}, {ROWS: POLES})
     return matrix, notes
@@ -43,10 +38,6 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
         (N, W, 3) float32 radiance, the (4, 4) ``to_world`` of Mitsuba's envmap with these pixels,
         and sentences about the map. Of a file with H rows N is 2 H + 1, every second row as it is,
         or H + 1 if there are more than ``FINE``; it is H if they are Mitsuba's.
-
-    Raises:
-        CaptureError: the map cannot be read, has 8 bits, holds NaN or much that is
-            negative, or is not a lat-long map.
     """
     if light.path.suffix.lower() not in SUFFIXES:
         raise CaptureError(

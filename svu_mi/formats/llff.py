@@ -41,10 +41,6 @@ def read(path: Path, options: ReadOptions) -> Source:
 
     Photographs may have another size than in the file, with the same aspect ratio. Masks have their
     names, with any suffix; both are in folders next to the file by default.
-
-    Raises:
-        CaptureError: the file is not such a table, a pose is none, there are more photographs or
-            fewer, or masks of which none is of a photograph.
     """
     file = path / FILE if path.is_dir() else path
     rows = _rows(file)

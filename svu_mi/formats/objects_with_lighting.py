@@ -52,9 +52,6 @@ def read(path: Path, _: ReadOptions) -> Source:
     """Read the photographs of an object that are for reconstruction, and their light.
 
     ``path``: the object's folder, ``test`` in it, or ``inputs`` in that.
-
-    Raises:
-        CaptureError: a file is missing or damaged, or a camera is not a pinhole.
     """
     inputs = find_inputs(path)
     if inputs is None:
@@ -129,11 +126,7 @@ def _light(test: Path) -> Light | None:
 
 
 def _numbers(path: Path, count: int) -> list[float]:
-    """Read numbers from a text file.
-
-    Raises:
-        CaptureError: it is missing, or holds anything but that many numbers of a sane size.
-    """
+    """Read numbers from a text file."""
     try:
         with path.open(encoding="utf-8") as file:
             numbers = [float(word) for word in file.read(LARGEST_TEXT).split()]

@@ -69,12 +69,7 @@ class Converted:
 
 
 def with_response(frames: Sequence[Frame], response: str | Path | None) -> Sequence[Frame]:
-    """Return frames with a measured response, which ``read_response`` reads; None changes none.
-
-    Raises:
-        CaptureError: the file, or the header of a photograph, cannot be read.
-        OptionError: all photographs are linear.
-    """
+    """Return frames with a measured response, which ``read_response`` reads; None changes none."""
     if response is None:
         return frames
     if not any(open_picture(frame.image).bits for frame in frames):
@@ -97,10 +92,6 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         frame: the photograph with its mask; its size is that of the file.
         path: the EXR file.
         scale: of width and height, as ``squared`` returns it.
-
-    Raises:
-        CaptureError: the photograph or the mask cannot be read, or differ in size.
-        OutputError: the file cannot be written.
     """
     picture = open_picture(frame.image)
     if _serves(picture, frame, scale):

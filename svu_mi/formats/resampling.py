@@ -26,11 +26,7 @@ WIDEST = 2.0  # sides of a straightened photograph, in parts of those it had; as
 
 
 def fitted(frame: Frame, size: tuple[int, int]) -> Frame:
-    """Return the frame for a photograph that was resized to (width, height) after calibration.
-
-    Raises:
-        CaptureError: the photograph has another aspect ratio than the frame.
-    """
+    """Return the frame for a photograph that was resized to (width, height) after calibration."""
     if size == frame.size:
         return frame
     (width, height), (made_width, made_height) = frame.size, size
@@ -55,9 +51,6 @@ def straightened(frame: Frame) -> Frame:
 
     As in COLMAP, the focal length is kept, so that the centre does not change, and the photograph
     becomes the largest one without empty borders, at most twice as wide and high.
-
-    Raises:
-        CaptureError: the lens folds over inside the photograph, or shows nothing of it.
     """
     if frame.lens is None:
         return frame
@@ -115,10 +108,6 @@ def squared(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, floa
     Args:
         frame: as calibrated.
         shrink: factor by which pixels become larger, at least 1.
-
-    Raises:
-        CaptureError: as ``straightened``.
-        OptionError: another factor, or one that leaves no pixel.
     """
     frame = straightened(frame)
     if not (np.isfinite(shrink) and shrink >= 1):

@@ -78,9 +78,6 @@ def read_response(path: Path) -> Response:
     The text file has one line ``ENCODED LINEAR``, or ``ENCODED R G B``, for each sample, with
     blanks or commas between; empty lines and comments (``#``) are ignored. Encoded values ascend
     from 0 to 1, to 255 or to 65535. Linear ones are in any unit, also per channel.
-
-    Raises:
-        CaptureError: it cannot be read, a line is wrong, or codes or values are not such.
     """
     rows: list[list[float]] = []
     for number, text in lines_of(path, "a camera's response", FIX):

@@ -103,11 +103,7 @@ class Frame:
         return abs(self.focal[1] / self.focal[0] - 1) <= SQUARE
 
     def sensor(self, clip: tuple[float, float] = (NEAR, FAR)) -> Any:
-        """Return the ``perspective`` sensor of this camera, with near and far plane.
-
-        Raises:
-            CaptureError: the lens is distorted, or the pixels are not square (``squared``).
-        """
+        """Return the ``perspective`` sensor of this camera, with near and far plane."""
         if self.lens is not None:
             raise CaptureError(
                 f"{self.label}: the lens is distorted; straighten the photograph, or import it "

@@ -23,10 +23,6 @@ def inside(root: Path, name: Any, label: str) -> Path:
 
     ``\`` separates folders, too, as on Windows. Links are followed when the file is opened: they
     were made by the owner of the folder. ``label``: the file and frame, for the message.
-
-    Raises:
-        CaptureError: the name is not text, absolute, leaves the folder by ``..``, names the folder
-            itself, or is not valid in a file system.
     """
     if not isinstance(name, str):
         raise CaptureError(f"{label}: a file's name must be text, got a {type(name).__name__}.")
@@ -58,11 +54,7 @@ def _is_usable(parts: tuple[str, ...]) -> bool:
 
 
 def folder_of(kind: str, asked: Path | None, places: Iterable[Path]) -> Path | None:
-    """Return the folder of ``images`` or ``masks``: the one asked for, or the first of several.
-
-    Raises:
-        CaptureError: the folder asked for does not exist.
-    """
+    """Return the folder of ``images`` or ``masks``: the one asked for, or the first of several."""
     if asked is None:
         return next((place for place in places if place.is_dir()), None)
     if not asked.is_dir():
@@ -82,9 +74,6 @@ def photographs_of_poses(
     """Return the photographs of poses that do not name them, in the order of their names.
 
     They are in the folder ``asked``, or in one of ``names`` next to the poses.
-
-    Raises:
-        CaptureError: there is no such folder, or there are more photographs or fewer.
     """
     folder = folder_of("images", asked, (root / name for name in names))
     if folder is None:
@@ -99,11 +88,7 @@ def photographs_of_poses(
 
 
 def pictures(folder: Path) -> list[Path]:
-    """Return the pictures in a folder in the order of their names, without hidden files.
-
-    Raises:
-        CaptureError: the folder cannot be read.
-    """
+    """Return the pictures in a folder in the order of their names, without hidden files."""
     try:
         files = sorted(folder.iterdir())
     except OSError as error:

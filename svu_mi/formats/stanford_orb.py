@@ -86,10 +86,6 @@ def read_orb(
         environment_view: name of the test photograph, such as ``0003``, whose environment map
             is the light; the first of the file by default. Each photograph has a map of its own,
             since people and clouds move.
-
-    Raises:
-        CaptureError: a file is missing or malformed, or names files outside the data set.
-        OptionError: there are no photographs of this split, or there is no map of this name.
     """
     path = Path(os.path.abspath(path))
     if split in ("train", "test"):

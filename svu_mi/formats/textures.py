@@ -55,9 +55,6 @@ def textures_of(visual: Any, path: Path) -> Textures:
 
     Textures are multiplied by the material's factors (base colour in linear light); normal maps,
     occlusion and emission are ignored. Of an OBJ's material only the diffuse picture is read.
-
-    Raises:
-        MeshError: a texture is damaged.
     """
     material = getattr(visual, "material", None)
     try:
@@ -99,11 +96,7 @@ def load_pictures(visual: Any) -> None:
 
 
 def write_pictures(textures: Textures, folder: Path) -> None:
-    """Write ``base_color.png``, ``roughness.png`` and ``metallic.png``, those that there are.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write ``base_color.png``, ``roughness.png`` and ``metallic.png``, those that there are."""
     from PIL import Image
 
     for name, pixels in textures.items():
@@ -138,12 +131,7 @@ def _rgb(picture: Any) -> np.ndarray:
 
 
 def check_gltf(path: Path, *, geometry_only: bool) -> int:
-    """Return the bytes of a file and its buffers; refuse what trimesh would misread.
-
-    Raises:
-        MeshError: it is compressed or quantised, moves its textures (unless ``geometry_only``), or
-            declares more numbers than its files hold, which would be allocated.
-    """
+    """Return the bytes of a file and its buffers; refuse what trimesh would misread."""
     record = _header(path)
     for name in COMPRESSION:
         if name in record.get("extensionsRequired", ()):

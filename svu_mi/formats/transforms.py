@@ -66,10 +66,6 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
         path: the file.
         original_world: undo nerfstudio's ``applied_transform``, so that poses are those of the
             world before it, which a mesh from the photogrammetry tool is in.
-
-    Raises:
-        CaptureError: the file is not such JSON, a frame lacks something, names a file outside
-            the folder, or its camera is not of a supported model, or its pose mirrored.
     """
     path = Path(path)
     record, frames = read_poses(path)
@@ -143,9 +139,6 @@ def parse_frame(
 
     Files are named relative to ``root``, ``before`` (4, 4) is applied to the pose from the left,
     and ``usual`` is the size of a missing photograph.
-
-    Raises:
-        CaptureError: as ``read_transforms``.
     """
     try:
         known = {**record, **given}

@@ -76,11 +76,7 @@ def brightest(estimate: LightEstimate) -> np.ndarray | None:
 
 
 def likeness(estimate: LightEstimate, emitter: Any) -> Likeness:
-    """Compare an estimate with the ``environment`` of a capture.
-
-    Raises:
-        SceneError: as ``read_environment``.
-    """
+    """Compare an estimate with the ``environment`` of a capture."""
     world = fibonacci(POINTS)
     truth = blurred(read_environment(emitter), world)
     found = blurred(environment_of(estimate), world)

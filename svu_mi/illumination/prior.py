@@ -120,11 +120,7 @@ class Looks:
 
     @staticmethod
     def of(capture: Capture, *, moves: bool = False) -> Looks:
-        """Sample pixels that show no shape; ``moves``: the light turns with the cameras.
-
-        Raises:
-            CaptureError: no pixel shows any background, or all of it is black.
-        """
+        """Sample pixels that show no shape; ``moves``: the light turns with the cameras."""
         used = [k for k in range(capture.count) if capture.used[k]]
         pixels = [_grid(capture, k) for k in used]
         view = np.repeat(np.arange(len(used)), [len(rows) for rows, _ in pixels])

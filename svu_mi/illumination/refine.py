@@ -42,11 +42,7 @@ class System:
     found: np.ndarray
 
     def step(self) -> np.ndarray:
-        """Return the change of the logarithms, (M, 3), no larger than ``LARGEST``.
-
-        Raises:
-            CaptureError: the matrix is not positive definite.
-        """
+        """Return the change of the logarithms, (M, 3), no larger than ``LARGEST``."""
         try:
             factor = scipy.linalg.cho_factor(self.matrix)
         except (np.linalg.LinAlgError, ValueError):

@@ -62,11 +62,7 @@ def with_light(capture: Capture, light: LightEstimate) -> Capture:
 
 
 def with_map(capture: Capture, path: str | Path) -> tuple[Capture, list[str]]:
-    """Return the capture under a lat-long map in the frame of Mitsuba's ``envmap``, and remarks.
-
-    Raises:
-        CaptureError: it is missing, or no such map (``formats.light.read_environment_map``).
-    """
+    """Return the capture under a lat-long map in the frame of Mitsuba's ``envmap``, and remarks."""
     pixels, _, notes = read_environment_map(Light(path=Path(path)))
     return replace(capture, scene=_under(capture, pixels), doubt=None, found_light=None), notes
 
@@ -99,10 +95,6 @@ def illuminated(
         gains: whether the photographs have unknown gains. They are estimated and divided out, and
             outliers are not used. Gains that were estimated together with ``given`` are reused.
         progress: displays the progress.
-
-    Raises:
-        CaptureError: ``given`` is neither, or the photographs do not determine the light.
-        SceneError: the light moves with the cameras.
     """
     progress = progress or Progress()
     lit, known = _lit(capture, given, elsewhere, gains, progress)

@@ -106,11 +106,7 @@ class Samples:
 
     @staticmethod
     def of(observed: Observed, switches: AngularPreset, count: int) -> Samples:
-        """Sample at most ``count`` visible texels, evenly spread over the surface.
-
-        Raises:
-            CaptureError: no texel is seen in enough photographs, or all are black.
-        """
+        """Sample at most ``count`` visible texels, evenly spread over the surface."""
         views, found = observed.views, observed.found
         if not found.scale > 0:
             raise CaptureError(

@@ -41,10 +41,6 @@ def scaled_by_mean(found: LightEstimate, observed: Observed, albedo: float) -> L
 
     The mean is over the visible surface, by area, and over R, G and B, at the texels of
     ``observed``.
-
-    Raises:
-        OptionError: it is no base colour.
-        CaptureError: there is no such light.
     """
     require_albedo(albedo, "The mean base colour")
     seen = observed.coverage > 0
@@ -67,10 +63,6 @@ def scaled_by_card(
         observed: the photographs, at texels that resolve the spot.
         uv: its texture coordinates.
         albedo: base colour of R, G and B there; the card is taken as not metallic.
-
-    Raises:
-        OptionError: it is no base colour, or there are no such texture coordinates.
-        CaptureError: the spot is not seen, or there is no such light.
     """
     require_albedo(albedo, "The grey card")
     chosen = _spot(observed, uv)

@@ -16,10 +16,6 @@ def vector(values: Any, name: str, count: int | None = None) -> np.ndarray:
         values: n finite numbers.
         name: of the argument, for the message.
         count: the n it must have, if that is known.
-
-    Raises:
-        ShapeError: not one-dimensional, empty, or another n.
-        OptionError: NaN or infinite values.
     """
     flat = np.array(values, np.float64)
     if flat.ndim != 1 or not flat.size or count not in (None, len(flat)):
@@ -36,12 +32,7 @@ def pair(**given: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pictures(found: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two (H, W, 3) float64 pictures that are finite in a mask.
-
-    Raises:
-        ShapeError: the shapes differ, or the mask is empty.
-        OptionError: NaN or infinite values in the mask.
-    """
+    """Return two (H, W, 3) float64 pictures that are finite in a mask."""
     a, b = np.array(found, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.shape != (*mask.shape, 3):
         raise ShapeError(
@@ -56,11 +47,7 @@ def pictures(found: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def require_finite(values: np.ndarray, name: str) -> None:
-    """Refuse NaN and infinity.
-
-    Raises:
-        OptionError: there is one; the message counts them.
-    """
+    """Refuse NaN and infinity."""
     bad = np.count_nonzero(~np.isfinite(values))
     if bad:
         raise OptionError(

@@ -21,10 +21,6 @@ def pearson(x: Any, y: Any) -> float:
     """Return Pearson's rho of two (n,) arrays, in [-1, 1].
 
     A constant says nothing about the other map: 0.0 if either is constant, or n is 1.
-
-    Raises:
-        ShapeError: the arrays are empty or their lengths differ.
-        OptionError: NaN or infinite values.
     """
     return _correlation(scipy.stats.pearsonr, x, y)
 
@@ -69,10 +65,6 @@ def mean_over_objects(values: Any, objects: Sequence[str], *, seed: int = 0) -> 
         values: (n,) one figure per cell.
         objects: n names; cells of one name are drawn together.
         seed: of the resampling.
-
-    Raises:
-        ShapeError: the lengths differ or are 0.
-        OptionError: a value is not finite.
     """
     cells = vector(values, "values", len(objects))
     names, owner = np.unique(np.array(objects, str), return_inverse=True)
@@ -134,10 +126,6 @@ def sparsification(error: Any, uncertainty: Any) -> Sparsification:
     Args:
         error: (n,) non-negative errors of an estimate.
         uncertainty: (n,) what was said of them, in any unit; only its order matters.
-
-    Raises:
-        ShapeError: the arrays are empty or their lengths differ.
-        OptionError: negative errors, or values that are not finite.
     """
     errors, said = pair(error=error, uncertainty=uncertainty)
     if (errors < 0).any():

@@ -42,10 +42,6 @@ def nearest_cells(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarr
         axes: nodes of each axis by name, in the order of the grid's axes.
         truth: (T,) true value by name, for every axis; the nearest node is its cell, the
             lower one of two equally near.
-
-    Raises:
-        ShapeError: the lengths differ.
-        OptionError: a value is not finite.
     """
     cells: list[np.ndarray] = []
     for name, nodes in axes.items():
@@ -64,10 +60,6 @@ def credible_coverage(probabilities: Any, cells: Any, level: float) -> Coverage:
         probabilities: (T, *grid) non-negative, each texel's sum 1.
         cells: (T,) flat index of the true cell (``nearest_cells``).
         level: in (0, 1).
-
-    Raises:
-        ShapeError: the shapes do not fit, or a cell is not in the grid.
-        OptionError: the level is outside (0, 1), or probabilities are not distributions.
     """
     if not 0 < level < 1:
         raise OptionError(f"The level of a credible set must be in (0, 1), got {level}.")

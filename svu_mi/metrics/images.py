@@ -27,10 +27,6 @@ def psnr(found: Any, truth: Any) -> float:
     Args:
         found: estimate, any shape.
         truth: of the same shape.
-
-    Raises:
-        ShapeError: the shapes differ, or there is no value.
-        OptionError: NaN or infinite values.
     """
     a, b = np.array(found, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.size == 0:
@@ -52,10 +48,6 @@ def texture_psnr(found: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str
     Args:
         found: (T, C) or (T,) by parameter, in [0, 1].
         truth: the same.
-
-    Raises:
-        ShapeError: other parameters or shapes, or none.
-        OptionError: NaN or infinite values.
     """
     _require_same(found, truth)
     by_name = {name: psnr(found[name], truth[name]) for name in truth}
@@ -68,9 +60,6 @@ def texel_error(found: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarra
     Args:
         found: (T, C) or (T,) by parameter.
         truth: the same.
-
-    Raises:
-        ShapeError: other parameters or numbers of texels, or none.
     """
     _require_same(found, truth)
     off = (np.abs(np.subtract(found[name], true, dtype=float)) for name, true in truth.items())
@@ -112,10 +101,6 @@ def image_error(found: Any, truth: Any, mask: Any) -> ImageError:
         found: (H, W, 3) linear radiance.
         truth: the same.
         mask: (H, W) bool, the object's pixels.
-
-    Raises:
-        ShapeError: the shapes differ, or the mask is empty.
-        OptionError: NaN or infinite values on the object.
     """
     inside = np.array(mask, bool)
     a, b = pictures(found, truth, inside)

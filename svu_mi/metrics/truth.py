@@ -28,9 +28,6 @@ class GroundTruth(ByParameter):
     def grey(self, name: str) -> np.ndarray:
         """Return a parameter, or the ``specular`` of a ``ParameterGrid``, as (T,): the mean over
         channels for a colour.
-
-        Raises:
-            OptionError: there is no such parameter.
         """
         require_known([name], (*NAMES, "specular"), "parameter")
         values: np.ndarray = self.specular if name == "specular" else self[name]
@@ -45,9 +42,6 @@ def ground_truth(capture: Capture, texels: Texels) -> GroundTruth:
     Args:
         capture: its ``shape`` must have a ``principled`` BSDF, and its own UVs.
         texels: T texels of ``capture.mesh``.
-
-    Raises:
-        SceneError: another BSDF, or a mesh that was unwrapped again.
     """
     return GroundTruth(**parameters_at(capture, texels))
 
@@ -68,12 +62,7 @@ class ErrorSummary:
 
 
 def error_summary(estimate: Any, truth: Any) -> ErrorSummary:
-    """Return bias, MAE and RMSE of (n,) estimates.
-
-    Raises:
-        ShapeError: the arrays are empty or their lengths differ.
-        OptionError: NaN or infinite values.
-    """
+    """Return bias, MAE and RMSE of (n,) estimates."""
     found, true = pair(estimate=estimate, truth=truth)
     error = found - true
     return ErrorSummary(

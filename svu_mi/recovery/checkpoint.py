@@ -68,9 +68,6 @@ class Checkpoint:
             content: digests of what the run works on, by words for messages, such as ``sensors``.
             resume: whether a descent starts from what the file holds.
             every: seconds between two states; 0 saves whenever losses are read.
-
-        Raises:
-            OptionError: ``every`` is negative, or a setting cannot be written as JSON.
         """
         if not every >= 0:
             raise OptionError(f"Checkpoint: every must be at least 0 seconds, got {every!r}.")
@@ -91,11 +88,7 @@ class Checkpoint:
         return time.monotonic() - self._saved >= self.every
 
     def save(self, state: State) -> None:
-        """Replace the state that was saved before.
-
-        Raises:
-            OutputError: the file cannot be written.
-        """
+        """Replace the state that was saved before."""
         arrays: dict[str, Any] = {
             "format": FORMAT,
             "settings": _canonical(self.settings),
@@ -113,10 +106,6 @@ class Checkpoint:
 
         Args:
             shapes: of the run's parameters, by name.
-
-        Raises:
-            OutputError: the file is damaged.
-            OptionError: it was saved by another run, or by another version of svu_mi.
         """
         if not self.path.exists():
             return None

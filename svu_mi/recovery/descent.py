@@ -70,11 +70,6 @@ def descend(
         checkpoint: where to save states, and perhaps to go on from. A ``KeyboardInterrupt``
             saves the last whole step before it is raised again.
         progress: a stage that shows steps, loss, rate and time left.
-
-    Raises:
-        OptionError: a checkpoint of other parameters.
-        SvuError: the loss or a gradient is NaN or infinite.
-        OutputError: the checkpoint cannot be read or written.
     """
     run = _Run(objective, start, options)
     if checkpoint is not None and checkpoint.resume:

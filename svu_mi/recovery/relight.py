@@ -65,9 +65,6 @@ def relight(
     Returns:
         One (H, W, 3) float32 picture per sensor, linear radiance, background included;
         0 in pixels that were not asked for.
-
-    Raises:
-        OptionError: less than one sample per pixel.
     """
     require_spp(spp, "relight(): spp")
     scene = capture.scene if textures is None else PathScene.of(capture, textures).scene

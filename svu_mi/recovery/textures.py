@@ -52,11 +52,7 @@ class Textures(ByParameter):
         return width, height
 
     def require_resolution(self, texels: Texels) -> None:
-        """Refuse textures of another resolution than the texels have.
-
-        Raises:
-            ShapeError: they have.
-        """
+        """Refuse textures of another resolution than the texels have."""
         if self.resolution != texels.resolution:
             raise ShapeError(
                 f"The textures have {self.resolution} texels, but {texels.resolution} were "
@@ -76,9 +72,6 @@ def lay_out(texels: Texels, values: Mapping[str, Any]) -> Textures:
         texels: T texels.
         values: base_color (T, 3), and all others (T,) or (T, 1), finite; values outside [0, 1]
             are clipped.
-
-    Raises:
-        OptionError: a parameter is NaN or infinite.
     """
     return Textures.of({name: _texture(texels, values, name) for name in NAMES})
 
@@ -99,9 +92,6 @@ def scene_textures(capture: Capture, texels: Texels) -> Textures:
         capture: its ``shape`` must have a ``principled`` BSDF; if that has bitmap textures, it
             must have UVs of its own, too.
         texels: of ``capture.mesh``.
-
-    Raises:
-        SceneError: another BSDF, or a mesh that was unwrapped again.
     """
     return lay_out(texels, parameters_at(capture, texels))
 

@@ -40,10 +40,6 @@ class Regularizer:
 
         Returns:
             A Float of one value, differentiable in the texture.
-
-        Raises:
-            OptionError: not a float tensor of the active variant.
-            ShapeError: another resolution.
         """
         name, (width, height) = type(self).__name__, self._texels().resolution
         if not isinstance(texture, mi.TensorXf):

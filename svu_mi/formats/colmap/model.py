@@ -105,9 +105,6 @@ def is_model(folder: Path) -> bool:
 
 def read_model(folder: Path) -> tuple[dict[int, Camera], list[View]]:
     """Read cameras by their number, and views by name; ``.bin`` goes before ``.txt``, as in COLMAP.
-
-    Raises:
-        CaptureError: a file is missing or damaged, or an image has no camera or no rotation.
     """
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
     files = folder / f"cameras{suffix}", folder / f"images{suffix}"

@@ -56,10 +56,6 @@ def read(path: Path, options: ReadOptions) -> Source:
     ``path``: the model's folder, the folder ``sparse`` that its ``0`` is in, or a project with
     ``sparse/0``, ``sparse`` or ``dense/sparse``. ``images`` and ``masks`` are next to the model by
     default; a mask is ``NAME.png`` for the image NAME, or of the same stem.
-
-    Raises:
-        CaptureError: there is no model, it is damaged, a lens is of a model that only pycolmap
-            straightens, or a photograph is missing.
     """
     project = read_project(path, options.images, options.masks, partly=True)
     frames = []

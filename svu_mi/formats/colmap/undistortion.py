@@ -42,12 +42,6 @@ def undistort(
 
     ``images`` and ``masks`` are those of ``source.read``; without masks, alpha channels become
     masks. Returns the folder.
-
-    Raises:
-        CaptureError: the model or a picture is missing or damaged, has another size than its
-            camera, or cannot be undistorted.
-        SvuEnvironmentError: pycolmap is not installed.
-        OutputError: the folder cannot be written, or holds other files.
     """
     if importlib.util.find_spec("pycolmap") is None:
         raise SvuEnvironmentError(

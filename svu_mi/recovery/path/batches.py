@@ -61,9 +61,6 @@ class PixelBatches:
             size: pixels per batch, at most all; None for the mean number per used photograph.
             seed: of the order.
             views: those of ``pack_views``, if they were packed already.
-
-        Raises:
-            CaptureError: no photograph shows the object in a usable pixel.
         """
         self.views = views = pack_views(capture) if views is None else views
         self._seed = seed
