@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.poses import LARGEST, describe, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import is_temporary, read_json, write_json
@@ -89,6 +89,11 @@ def read(folder: Path) -> Description | None:
         if key in record and not _fits(record[key], kind, inner):
             raise CaptureError(
                 f"{path}: {key} must be {what}, got {excerpt(repr(record[key]), 60)}."
+            )
+    for name, value in record.get("define", {}).items():
+        if not isinstance(value, str) and abs(value) > LARGEST:
+            raise CaptureError(
+                f"{path}: {excerpt(name)} in define must be at most {LARGEST:g}; correct it."
             )
     require_views(len(record.get("sensors", ())), f"{path}: sensors", CaptureError)
     scene, written = record.get("scene"), Entry.parse(record.get(RESULT))
