@@ -32,10 +32,11 @@ WARM = 3
 def computed(folder: Path, side: int, clock: Callable[[], float]) -> dict[str, list[float]]:
     """Return seconds of each computation in this process: the first run, then warm ones."""
     sys.path.insert(0, str(Path.cwd()))
+    import svu_mi as svu  # first: it chooses the LLVM of Dr.Jit
+
+    # isort: split
     import drjit as dr
     import mitsuba as mi
-
-    import svu_mi as svu
 
     mi.set_variant("llvm_ad_rgb")
     capture = svu.load_capture(folder)
