@@ -153,7 +153,7 @@ def test_bad_input_is_one_line_and_status_2(shot, tmp_path, capsys):
     line = fails(capsys, "entropy", shot, "--resolution", 0, "-o", out)
     assert "--resolution" in line
     assert "-1" in fails(capsys, "entropy", shot, "-t", -1, "-o", out)
-    assert "at most" in fails(capsys, "entropy", shot, "-t", 100000, "-o", out)
+    assert "in [0, 1024]" in fails(capsys, "entropy", shot, "-t", 100000, "-o", out)
     assert "$parallel" in fails(capsys, "entropy", shot, "-D", "parallel=0", "-o", out)
     assert "seed" in fails(capsys, "render", scenes.path("vase"), "--seed", -1, "-o", out)
 
