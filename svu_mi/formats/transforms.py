@@ -87,7 +87,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
             for index, frame in enumerate(frames)
         ],
         camera_axes=OPENGL,
-        notes=notes,
+        notes=tuple(notes),
     )
 
 
