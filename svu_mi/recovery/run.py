@@ -65,6 +65,7 @@ class Run:
     progress: Progress
     asked: bool = field(default=False, init=False)
     found_neighbors: Neighbors | None = field(default=None, init=False)
+    _variations: dict[tuple[str, float], Rule] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self.capture, self.texels = self.observed.capture, self.observed.texels
@@ -205,6 +206,16 @@ class Run:
         in_nats = isinstance(options, ShOptions) and options.loss == "statistics"
         return options.tv * (sqrt(self.texels.count) if in_nats else 1.0)
 
+    def _variation(self, options: ShOptions | PathOptions) -> Rule:
+        """Return total variation; parts of a recovery with the same settings share one."""
+        key = options.tv_space, options.tv_epsilon
+        if key not in self._variations:
+            around = self._neighbors(options)
+            self._variations[key] = each(
+                TotalVariation(self.texels, around, epsilon=options.tv_epsilon)
+            )
+        return self._variations[key]
+
     def _free(self, textures: Textures) -> dict[str, object]:
         return {name: tensor for name, tensor in textures.items() if name in self.names}
 
@@ -227,9 +238,7 @@ class Run:
         fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
         rules = [(options.sharing, sharing)] if sharing else []
         if options.tv:
-            around = self._neighbors(options)
-            variation = TotalVariation(self.texels, around, epsilon=options.tv_epsilon)
-            rules.insert(0, (self._tv(options), each(variation)))
+            rules.insert(0, (self._tv(options), self._variation(options)))
         objective = regularized(data, rules, fixed)
         with self.progress.stage(title, options.descent.steps) as stage:
             descent = descend(
