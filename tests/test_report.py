@@ -159,6 +159,22 @@ def test_parts_are_of_the_area_and_sum_to_1(estimate):
     assert seen == pytest.approx(area.sum() / everywhere.sum(), abs=0.02) and seen < 1
 
 
+def test_all_of_the_surface_is_exactly_all(estimate):
+    """Else it would be called over 99 %, and a page would miss that nothing is seen."""
+    for count in range(60, 160):
+        footprint = mi.Float(np.array(estimate.texels.footprint)[:count])
+        posterior = SimpleNamespace(axes={})
+        some = SimpleNamespace(texels=SimpleNamespace(footprint=footprint), posterior=posterior)
+        for seen in (True, False):
+            some.coverage, some.entropy = np.full(count, int(seen)), np.zeros(count)
+            assert Knowledge.of(some).seen_part == seen
+        some.coverage = np.ones(count)
+        for width in (0.05, 0.15, 0.16):
+            parts = findings.Parts.of(some, np.full(count, width, np.float32))
+            where = (width == 0.05, width == 0.15, width == 0.16)
+            assert (parts.settled, parts.roughly, parts.wide) == where
+
+
 def test_what_is_settled_is_said_from_intervals(estimate, page, monkeypatch):
     banded, seen = Banded(estimate), np.array(estimate.coverage) > 0
     monkeypatch.setattr(report, "picture_intervals", lambda *_: banded)
@@ -174,6 +190,17 @@ def test_what_is_settled_is_said_from_intervals(estimate, page, monkeypatch):
     )
     assert text.count('<div class="parts"') == 3
     assert f"{told[1]} settled, half known to ±0." in text
+
+
+def test_nothing_is_settled_by_its_entropy(capture, estimate, table):
+    """Whatever the entropy is, the same is said of what is settled."""
+    result, intervals, told = Result.of(estimate), Intervals(estimate.posterior), []
+    for entropy in (0, 1):
+        other = replace(result, entropy=np.full_like(result.entropy, entropy))
+        known = Knowledge.of(estimate, intervals)
+        summary = report._summary(capture, estimate, other, intervals, known, table)
+        told.append((summary["settled"], summary["all_settled"]))
+    assert told[0] == told[1] and len(told[0][0]) == 3
 
 
 def test_points_are_shown_with_their_intervals(estimate, table):
@@ -222,6 +249,15 @@ def test_all_that_is_skipped_is_said_in_sentences(estimate):
         assert all(line.endswith(".") for line in lines)
     every.skipped = {**dict.fromkeys(estimate.skipped, 0), "new reason": 3}
     assert findings.skipped(every) == ["new reason: 3."]
+
+
+def test_what_faces_down_is_said_to(estimate):
+    normals = np.array(estimate.texels.normal)
+    up = np.array([0.0, 1.0, 0.0])
+    assert findings.facing(estimate, normals[1] < -0.3, up) == "downwards"
+    assert findings.facing(estimate, normals[1] > 0.3, up) == "upwards"
+    assert findings.facing(estimate, normals[0] > 0, up) is None
+    assert findings.facing(estimate, np.zeros(estimate.texels.count, bool), up) is None
 
 
 # --- The turntable ------------------------------------------------------------------------
