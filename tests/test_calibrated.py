@@ -555,3 +555,17 @@ def test_unseen_texels_have_the_moments_of_the_prior() -> None:
         )
         drawn = np.array(found.draw(1)["roughness"])[0, 8:]
         assert stats.kstest(drawn, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.slow
+def test_draws_obey_a_prior_of_colours() -> None:
+    samples, _ = simulate(32, 1, 0.5)
+    weights = np.zeros((8, 8, 8))
+    weights[..., 4:6] = [1, 3]
+    found = calibrated_posterior(statistics(samples), prior=weights)
+    drawn = np.array(found.draw(300, seed=1)["base_color"])
+    assert drawn.min() >= 3.5 / 7 - 1e-6
+    assert drawn.max() <= 5.5 / 7 + 1e-6
+    p = np.array(found.probabilities, np.float64).sum(axis=(1, 2))
+    assert np.abs((drawn > 4.5 / 7).mean(axis=0) - p[:, 5]).max() < 0.12
+    assert np.abs(drawn.mean(axis=0) - np.array(found.mean("base_color"))).max() < 0.03

@@ -847,3 +847,11 @@ def test_views_that_are_not_read_are_not_used(shot):
     np.testing.assert_array_equal(some.images[5], whole.images[5])
     assert np.isnan(some.images[0]).all() and some.images[0].strides == (0, 0, 0)
     assert not any(load_capture(shot, views=()).used)
+
+
+def test_one_photograph_as_two_files_is_refused(scene):
+    folder = scene.parent / "images"
+    renamed(folder, "DSC{}".format)
+    shutil.copy(folder / "DSC1.exr", folder / "DSC1.hdr")
+    with pytest.raises(CaptureError, match=r"DSC1.exr and DSC1.hdr are the same view; keep one"):
+        load_capture(scene, folder)

@@ -13,6 +13,7 @@ from helpers import fails, last_line, names, run, sensor_xml, write_scene
 
 from svu_mi import scenes
 from svu_mi.cli.common import was_interrupted
+from svu_mi.errors import OutputError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.interrupts import between_steps
 from svu_mi.output.relit_page import files_of
@@ -294,3 +295,16 @@ def test_what_relight_cannot_do_is_said(shot, tmp_path, capsys):
     assert "--draws needs the noise of the photographs" in fails(
         capsys, "recover", shot, "--draws", 2, "--preset", "paper", "-o", tmp_path / "a"
     )
+
+
+@pytest.mark.slow
+def test_a_page_that_cannot_be_drawn_is_an_error_and_leaves_no_result(
+    shot, tmp_path, monkeypatch, capsys
+):
+    def refuse(*_, **__):
+        raise OutputError("relit.png: the disk is full.")
+
+    monkeypatch.setattr("svu_mi.output.recovery.write_relit", refuse)
+    assert recover(shot, tmp_path) == 2
+    assert last_line(capsys) == "svu: relit.png: the disk is full."
+    assert not set(FILES) & set(names(tmp_path))

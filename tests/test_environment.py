@@ -357,3 +357,10 @@ def test_a_map_of_4096_x_2048_costs_no_gigabyte(tmp_path):
     assert done.returncode == 0, done.stderr
     above, kept = map(float, done.stdout.split())
     assert above < 200 and kept < 300, done.stdout
+
+
+def test_synthesis_agrees_with_point_evaluation():
+    c = np.random.default_rng(5511).normal(size=(13**2, 2))
+    grid = synthesize(c, 12, 9)
+    points = basis_at(polar_from_local(directions(12, 9).reshape(-1, 3)), 12) @ c
+    np.testing.assert_allclose(grid.reshape(-1, 2), points, atol=1e-11)

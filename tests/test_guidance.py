@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from functools import cache
 
 import drjit as dr
@@ -14,6 +15,7 @@ from oracle import guidance as oracle
 from scipy import stats
 
 import svu_mi as svu
+from svu_mi import scenes
 from svu_mi.capture.poses import directions_of, sphere_sensors
 from svu_mi.capture.scene import to_world
 from svu_mi.guidance import prospect as prospects
@@ -21,7 +23,7 @@ from svu_mi.guidance import result as results
 from svu_mi.guidance import strategies as baselines
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.forecast import Hypotheses
-from svu_mi.guidance.greedy import Greedy
+from svu_mi.guidance.greedy import GROWTH, Greedy
 from svu_mi.guidance.growing import GrowingForecast
 from svu_mi.guidance.objectives import Colors, Entropy, Variance, prior_tables
 from svu_mi.guidance.prospect import Prospect
@@ -855,6 +857,33 @@ class TestNextBestView:
         paper = estimated(0, 1, method="spectrum", preset="paper")
         with pytest.raises(svu.SvuError, match="error needs"):
             svu.next_best_view(paper, strategy="error")
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("views", [2, 6])
+    def test_gains_grow_by_less_than_is_allowed_for(self, views):
+        """The vase under an overcast sky: where they grew most among our own scenes."""
+        capture = svu.render_capture(
+            scenes.path("vase"), 8, views=views, resolution=(192, 192),
+            defines={"light": "overcast"},
+        )  # fmt: skip
+        estimate = svu.estimate(capture, svu.texels(capture.mesh, 96))
+        around = svu.Candidates.around(capture, 40)
+        known = prospect(estimate, around, lazy=False).greedy
+        gains, order = [], []
+        for _ in range(4):
+            gains.append(known.gains())
+            order.append(int(np.argmax(gains[-1])))
+            known.choose(order[-1])
+        growth = np.concatenate([
+            after[free] / before[free] - 1
+            for before, after in itertools.pairwise(gains) for free in [np.isfinite(after)]
+        ])  # fmt: skip
+        assert 0 < growth.max() < GROWTH
+        lazy = prospect(estimate, around).greedy
+        for candidate in order:
+            assert np.argmax(lazy.gains()) == candidate
+            lazy.choose(candidate)
+        assert lazy.evaluated < known.evaluated
 
 
 class TestCandidates:

@@ -114,3 +114,10 @@ def test_a_coarse_grid_knows_no_better_than_its_cells():
     assert found.known_part == {"roughness": 0, "metallic": 1, "base_color": 1}
     assert found.cell_width == pytest.approx({"roughness": 1 / 7, "metallic": 1 / 7})
     assert found.sentence().endswith("(90 % intervals; the grid's cells are up to 0.14 wide).")
+
+
+def test_nothing_seen_is_said_and_nothing_computed(posterior):
+    found = Knowledge.of(estimate_of(posterior, coverage=(0,) * 5))
+    assert (found.seen_part, found.known_part, found.all_known_part) == (0, {}, 0)
+    assert found.sentence() == "Nothing is known: no photograph shows the surface."
+    assert posterior.asked == []

@@ -101,3 +101,23 @@ def test_the_package_uses_nothing_of_the_tests(root):
             if isinstance(node, ast.ImportFrom):
                 names = [node.module or ""]
             assert not ours & {name.split(".")[0] for name in names}, path
+
+
+def test_the_check_itself_sees_what_it_should(tmp_path):
+    """Upward, relative and plugin imports are found, also in functions; typing ones are not."""
+    files = {
+        "surface/good.py": "from svu_mi.errors import SvuError\nimport svu_mi.capture.mesh\n",
+        "surface/upward.py": "def f():\n    from svu_mi import posterior\n",
+        "surface/relative.py": "from . import layout\n",
+        "surface/plugin.py": "import svu_mi.plugins.registry\n",
+        "surface/typing_only.py": "if TYPE_CHECKING:\n    from svu_mi.cli import main\n",
+        "surface/otherwise.py": "if TYPE_CHECKING:\n    x = 1\nelse:\n    import svu_mi.cli\n",
+        "cli/plugin.py": "import svu_mi.plugins\n",
+        "novelty.py": "",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    names = [text.split(":")[0] for text in complaints(tmp_path)]
+    wrong = ("otherwise", "plugin", "relative", "upward")
+    assert names == ["novelty.py", *(f"surface/{name}.py" for name in wrong)]

@@ -202,3 +202,12 @@ def test_a_column_is_as_bright_wherever_it_stands(alpha):
         energy.append((level[..., 0].mean(axis=1) * quadrature(len(level))).sum())
     exact = quadrature(257)[128] / 512
     np.testing.assert_allclose(energy, exact, rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("rows", [*ROWS, 33])
+def test_a_constant_stays_what_it_is(rows, kind):
+    grid = np.full((rows, 2 * (rows - 1), 2), 3.7)
+    for alpha in (1e-3, 0.02, 0.1, 0.5, 1.0):
+        level = convolve(grid, alpha, partial(zonal_profile, kind, alpha))
+        np.testing.assert_allclose(level, 3.7, rtol=1e-12)

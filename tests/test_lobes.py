@@ -191,3 +191,13 @@ def test_fresnel_is_that_of_snells_angles():
 
 def float_array(values):
     return mi.Float(np.ascontiguousarray(values.ravel(), np.float32))
+
+
+def test_no_surface_reflects_more_than_it_receives():
+    A, B = np.moveaxis(split_sum(np.array(WIDTHS)), -1, 0)
+    assert (A >= 0).all()
+    assert (B >= 0).all()
+    assert (A + B <= 1 + 1e-12).all()
+    # R0 = 1 under a white sky: only masking takes away, and the more the wider the lobe.
+    assert (np.diff((A + B)[:, 4:], axis=0) < 1e-3).all()
+    assert (A + B)[0].min() > 0.99

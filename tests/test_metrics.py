@@ -326,3 +326,15 @@ def test_pictures_are_compared_on_the_object_only_and_at_any_exposure():
     assert brighter.ssim == pytest.approx(error.ssim)
     with pytest.raises(ShapeError, match="empty"):
         image_error(truth, truth, np.zeros((16, 16), bool))
+
+
+def test_sparsification_does_not_depend_on_units_or_order(rng):
+    error, said = rng.exponential(size=200), rng.integers(0, 20, 200)
+    order = rng.permutation(200)
+    first = metrics.sparsification(error, said)
+    other = metrics.sparsification(7 * error[order], np.exp(said[order] / 3))
+    assert other.ause == pytest.approx(first.ause)
+
+
+def test_without_any_error_psnr_is_a_number():
+    assert psnr([0.5], [0.5]) == CEILING_DB

@@ -12,7 +12,7 @@ import svu_mi.errors
 import svu_mi.scenes
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.surface import Neighbors, Texels, neighbors, texels
-from svu_mi.surface.neighbors import MOST, lanes_of, over_neighbors
+from svu_mi.surface.neighbors import MOST, OPPOSITE, REACH, lanes_of, over_neighbors
 
 
 def quad(origin, along_u, along_v, uv) -> MeshArrays:
@@ -175,3 +175,27 @@ def test_a_neighbour_behind_a_texels_own_number_is_refused():
     pairs = mi.UInt32([0, 1]), mi.UInt32([1, 2])
     with pytest.raises(svu_mi.errors.ShapeError, match="texel 2 has a neighbour behind its own"):
         Neighbors(pairs=pairs, around=around, seams=0)
+
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize("name", ["knot", "vase", "planes", "spheres"])
+@pytest.mark.parametrize("resolution", [128, (96, 160)])
+def test_neighbours_are_near_and_face_the_same_way(name, resolution):
+    scene = mi.load_file(str(svu_mi.scenes.path(name)), optimize=False)
+    mesh = next(shape for shape in scene.shapes() if shape.is_mesh())
+    where = texels(mesh, resolution)
+    found = neighbors(where, mesh)
+    check_consistent(found, where.count)
+    position, normal, cell = spread(where)
+    first, second = (column.numpy() for column in found.pairs)
+    assert ((normal[first] * normal[second]).sum(axis=1) > OPPOSITE).all()
+    # No longer than the longest step in the map allows; stretched charts have long ones.
+    apart = np.linalg.norm(position[first] - position[second], axis=1)
+    in_map = np.abs(cell[first] - cell[second]).sum(axis=1) == 1
+    longest = np.zeros(where.count)
+    for side in (first, second):
+        np.maximum.at(longest, side[in_map], apart[in_map])
+    assert (apart <= 2 * REACH * np.maximum(longest[first], longest[second])).all()
+    if name in ("knot", "vase"):  # closed around the axis: hardly anyone has a loose end
+        degree = (found.table() != np.arange(where.count)).sum(axis=0)
+        assert (degree >= 4).mean() > 0.97

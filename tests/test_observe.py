@@ -6,12 +6,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import ball_scene, memory_capture, sensor_xml, write_scene
+from helpers import ball, ball_scene, memory_capture, sensor_xml, write_scene
 
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
 from svu_mi.surface import texels
-from svu_mi.visibility import Surface, observe, over_views, pack_views
+from svu_mi.visibility import Surface, observe, over_views, pack_views, survey
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 
@@ -151,3 +151,20 @@ def test_silhouette_pixels_do_not_mix_in_the_background(tmp_path):
         (low,),
     )
     assert float(dr.min(low)[0]) > 0.99
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_visibility_does_not_depend_on_the_scale_of_the_scene(tmp_path, scale):
+    flat = ball()
+    path = write_scene(tmp_path, positions=flat.positions * scale, sensors=sensor_xml(1))
+    scene = load_scene(path)
+    shape = scene.shapes()[0]
+    sensors = sphere_sensors(shape, 6, (64, 64))
+    capture = memory_capture(scene, [np.ones((64, 64, 3))] * 6, sensors)
+    found = texels(shape, 48)
+    seen = survey(pack_views(capture), Surface.of(found))
+    count, per_view = seen.coverage, seen.per_view
+    assert int(count.numpy().sum()) == int(per_view.sum())
+    # A camera 3.5 radii away sees 36 % of a sphere, and grazing pixels are not used.
+    assert 0.2 < count.numpy().mean() / 6 < 0.36
+    assert (count.numpy() > 0).mean() > 0.97

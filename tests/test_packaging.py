@@ -10,6 +10,8 @@ import tomllib
 
 import pytest
 
+import svu_mi
+
 HEAVY = ("mitsuba", "drjit", "numpy", "matplotlib", "torch", "scipy", "rich", "OpenEXR")
 IMPORT_BUDGET_MS = 50  # Mitsuba 3.10 imports svu_mi for everybody who has it installed
 
@@ -80,3 +82,8 @@ def test_import_sets_no_variant():
 def test_import_of_plugins_sets_no_variant():
     code = "import svu_mi.plugins, mitsuba; print(mitsuba.variant())"
     assert in_fresh_process(code).stdout.split() == ["None"]
+
+
+def test_every_public_name_has_a_home():
+    """``import *`` would fail on a name in ``__all__`` that cannot be loaded."""
+    assert set(svu_mi.__all__) == set(svu_mi._HOME)

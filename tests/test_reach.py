@@ -344,3 +344,29 @@ def test_mirror_bits_are_those_of_one_ray_after_the_other(tmp_path):
         np.testing.assert_array_equal(ours[on], free.numpy()[on])
         assert not ours[~on].any()
     assert observed.mirrors is observed.mirrors  # traced once
+
+
+def turns():
+    """A white sky whose cells lie differently every time."""
+    return [environment(white, rotation(seed)) for seed in range(16)]
+
+
+def root_mean_square(errors):
+    return np.sqrt(np.mean(np.square(errors)))
+
+
+@pytest.mark.slow
+def test_a_plate_overhead_takes_its_form_factor():
+    heights, surface = (0.5, 1.0, 3.0), points(np.zeros(3), UP)
+    plates = [rectangle(mi.ScalarTransform4f().translate([0, 0, h])) for h in heights]
+    found = []
+    for sky in turns():
+        cells, lighting = tree(sky, 2048), band_limit(sky, 16)
+        reached = (trace_reach(scene_of(plate=plate), surface, cells) for plate in plates)
+        found.append([irradiance(reach.diffuse(surface, lighting, 3)) for reach in reached])
+    for height, ours in zip(heights, np.moveaxis(found, 1, 0), strict=True):
+        # A parallel square over one of its corners, four times [Howell, B-4].
+        x = 1 / height
+        root = np.sqrt(1 + x * x)
+        lost = 4 / (2 * np.pi) * 2 * x / root * np.arctan(x / root)
+        assert root_mean_square(ours / np.pi - (1 - lost)) < 0.01

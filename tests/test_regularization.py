@@ -459,3 +459,12 @@ def test_seeds_are_of_different_materials():
     estimate = an_estimate(energies, np.ones(where.count, bool), where)
     found = find_seeds(estimate, neighbors(where, mesh), 2)
     assert sorted(left[found]) == [False, True]
+
+
+@pytest.mark.parametrize("epsilon", [1e-2, 0.0])
+def test_constant_textures_have_no_variation(epsilon):
+    where, mesh = sphere()
+    loss, gradient = differentiated(
+        TotalVariation(where, mesh, epsilon=epsilon), np.full((16, 24, 3), 0.37, "f4")
+    )
+    assert loss == 0 and not gradient.any()

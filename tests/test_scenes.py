@@ -143,3 +143,17 @@ def test_a_copy_replaces_nothing(tmp_path, capsys):
     assert fails(capsys, "scenes", "teapot", "-o", tmp_path) == (
         "svu: There is no scene 'teapot'; use one of planes, spheres, vase, knot or object."
     )
+
+
+def _volume(corners):
+    """Signed volume inside (F, 3, 3) triangles; positive if they face outwards."""
+    return (corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+
+
+@pytest.mark.parametrize("name", scenes.NAMES)
+def test_winding_agrees_with_the_normals_and_points_outwards(name):
+    mesh = arrays(load_scene(scenes.path(name), SMALL).shapes()[0])
+    corners = mesh.positions[mesh.faces]
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((face * mesh.normals[mesh.faces].sum(axis=1)).sum(axis=1) > 0).mean() > 0.999
+    assert name == "planes" or _volume(corners) > 0.05

@@ -421,3 +421,24 @@ def test_statistics_of_some_lanes_and_back(count):
     np.testing.assert_array_equal(
         statistics.replaced(nothing, statistics.at(nothing)).table(), table
     )
+
+
+@pytest.mark.slow
+@pytest.mark.few(1)
+@pytest.mark.parametrize("kappa", [np.inf, 0.8], ids=["plain", "kappa"])
+def test_statistics_of_two_captures_are_those_of_one_with_all_views(scene, kappa):
+    """Through rays, photographs and kernels; and in halves, a shuffle and single views."""
+    texels, places = svu.texels(noise_capture(scene, [0]).mesh, 8), 9
+    switches = angular(channels="joint")
+    order = np.random.default_rng(6).permutation(places).tolist()
+    per_view = observe(noise_capture(scene, range(places), places=places), texels).found.per_view
+    able = np.flatnonzero(per_view)[:4]  # some look at the back of the wall
+    for groups in ([range(4), range(4, 9)], [order[:2], order[2:]], [[k] for k in able]):
+        whole, *parts = parts_of(
+            scene, [[k for group in groups for k in group], *groups], texels, switches, kappa,
+            places,
+        )  # fmt: skip
+        total = parts[0]
+        for part in parts[1:]:
+            total = total + part
+        assert_same(total, whole)

@@ -156,3 +156,19 @@ def test_texels_interpolated_some_at_a_time_are_the_same(monkeypatch, vase):
         np.testing.assert_array_equal(one, other)
     for one, other in zip(parts.sides, whole.sides, strict=True):
         np.testing.assert_array_equal(np.array(one), np.array(other))
+
+
+def test_footprints_add_up_to_the_area_of_the_surface():
+    found = texels(make("ball", ball(192, 96)), 256)
+    area = float(dr.sum(dr.square(found.footprint))[0])
+    assert area == pytest.approx(4 * np.pi, rel=5e-3)  # the polyhedron is a little smaller
+
+
+def test_mirrored_triangles_are_rasterised_alike():
+    corners = np.array([[[0.1, 0.1], [0.9, 0.2], [0.3, 0.8]]])
+    owner, count = rasterize(corners, (40, 30))
+    mirrored, mirrored_count = rasterize(corners[:, ::-1], (40, 30))
+    np.testing.assert_array_equal(owner, mirrored)
+    area = 0.5 * (0.8 * 0.7 - 0.1 * 0.2)
+    assert abs(count.sum() / 1200 - area) < 0.02
+    np.testing.assert_array_equal(count, mirrored_count)
