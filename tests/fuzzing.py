@@ -218,9 +218,7 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY,) * 2)
 
 
-def main(
-    folder: str, count: str, seed: str = str(SEED), first: str = "0", name: str = ""
-) -> None:
+def main(folder: str, count: str, seed: str = str(SEED), first: str = "0", name: str = "") -> None:
     """Fuzz, and write the report."""
     import mitsuba as mi
 

@@ -170,9 +170,7 @@ def write_scene(
     return path
 
 
-def memory_capture(
-    scene: Any, images: list[np.ndarray], sensors: Any, **changes: Any
-) -> Capture:
+def memory_capture(scene: Any, images: list[np.ndarray], sensors: Any, **changes: Any) -> Capture:
     """Put a capture together without files."""
     count = len(images)
     shape = scene.shapes()[0]
@@ -293,6 +291,8 @@ def projected(frame: Frame, points: np.ndarray) -> np.ndarray:
     sample, _ = square.sensor().sample_direction(interaction, mi.Point2f(0.5))
     assert (np.array(sample.pdf) > 0).all()
     return np.array(sample.uv).T / scale
+
+
 def lettered(width: int, height: int) -> Textures:
     """Textures that show which way is up and right: a letter F, dark to bright, dull to shiny."""
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)

@@ -44,9 +44,9 @@ def some_views(samples, counts):
 
 def statistics_of(texels):
     """``Statistics`` of stored samples, texel by texel."""
-    table = np.stack([
-        np.moveaxis(oracle.products(w, (e, p, q, d), b), 0, -1) for w, e, p, q, d, b in texels
-    ])  # (T, R, C, 10)
+    table = np.stack(
+        [np.moveaxis(oracle.products(w, (e, p, q, d), b), 0, -1) for w, e, p, q, d, b in texels]
+    )  # (T, R, C, 10)
     weight, views = np.array([[w.sum(), len(w)] for w, *_ in texels]).T
     levels = np.linspace(0, 1, table.shape[1])
     return Statistics.of(np.moveaxis(table, 0, -1), weight, views, levels)
@@ -83,9 +83,7 @@ def brute_force(switches, samples, prior=None):
     for c in range(len(b)):
         own = [x[:, c] for x in columns]
         if switches.parameters == "principled":
-            d = oracle.principled_errors(
-                w, *own, b[c], np.linspace(0, 1, 3), np.linspace(0, 1, 4)
-            )
+            d = oracle.principled_errors(w, *own, b[c], np.linspace(0, 1, 3), np.linspace(0, 1, 4))
         else:
             nodes = oracle_posterior.nodes(5, 6, "dielectric")[1]
             d = oracle.specular_errors(w, *own[:3], b[c], nodes)

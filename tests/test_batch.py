@@ -257,7 +257,6 @@ def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
     assert shelf.work(item, again).made == 1 and again.lines[0][-1] == "--resume"
 
 
-
 def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path):
     item = Item("a", shelf_of("a") / "a")
     shelf = BatchRunner(output=tmp_path / "out", steps=["recover"])
@@ -283,6 +282,7 @@ def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch
     out = tmp_path / "out"
     out.mkdir()
     (out / "file").write_text("a file")
+
     def written(folder, done):
         if folder.name == "full" and "report" in done:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/full/batch.json")

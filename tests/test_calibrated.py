@@ -39,7 +39,11 @@ def columns(rng: np.random.Generator, count: int, views: int, at: np.ndarray) ->
 
 
 def simulate(
-    count: int, views: int, noise: float, seed: int = 0, exposure: float = 1.0,
+    count: int,
+    views: int,
+    noise: float,
+    seed: int = 0,
+    exposure: float = 1.0,
     materials: int | None = None,
 ) -> tuple[oracle.Samples, dict[str, np.ndarray]]:
     """Draw parameters from the prior, and photographs from the likelihood; those of a few texels,
@@ -82,9 +86,7 @@ def switches(**changed: object) -> svu.AngularPreset:
 def setting() -> tuple[svu.Posterior, oracle.Truth]:
     samples, _ = simulate(96, 12, 0.05)
     weight, views = samples.w.sum(axis=1), np.full(96, 12)
-    truth = oracle.posterior(
-        samples.sums(), weight, views, tau=3.5, nu=4, r=PARTS[0], m=PARTS[1]
-    )
+    truth = oracle.posterior(samples.sums(), weight, views, tau=3.5, nu=4, r=PARTS[0], m=PARTS[1])
     return calibrated_posterior(statistics(samples)), truth
 
 
@@ -397,7 +399,7 @@ def test_known_parameters_leave_the_grid() -> None:
             table = table[[4]]
         source = Statistics.of(table, samples.w.sum(axis=1), np.full(200, 12), levels, 0.5)
         found = calibrated_posterior(source, grid)
-        (name, value), = known.items()
+        ((name, value),) = known.items()
         assert np.allclose(np.array(found.mean(name)), value)
         assert np.allclose(np.array(found.sd(name)), 0, atol=1e-3)
         entropy = np.array(found.entropy())
@@ -537,9 +539,7 @@ def test_a_prior_of_one_cell_leaves_nothing_open() -> None:
 def test_levels_that_nothing_can_be_interpolated_between_are_refused(levels: list[float]) -> None:
     samples, _ = simulate(8, 4, 0.1)
     table = samples.sums()[: len(levels)]
-    source = Statistics.of(
-        table, samples.w.sum(axis=1), np.full(8, 4), np.array(levels), 0.5
-    )
+    source = Statistics.of(table, samples.w.sum(axis=1), np.full(8, 4), np.array(levels), 0.5)
     with pytest.raises(ShapeError, match="even levels from 0 to 1"):
         calibrated_posterior(source)
 

@@ -169,8 +169,7 @@ def test_what_has_nothing_to_do_with_photographs_is_refused_before_they_are_read
         "'fixed' is one of method 'angular'."
     )
     assert fails(capsys, "entropy", *words, "-m", "cuda") == (
-        "svu: This Mitsuba has no variant 'cuda'; leave -m out, or use cuda_ad_rgb or "
-        "llvm_ad_rgb."
+        "svu: This Mitsuba has no variant 'cuda'; leave -m out, or use cuda_ad_rgb or llvm_ad_rgb."
     )
     monkeypatch.setattr("drjit.has_backend", lambda backend: backend.name != "CUDA")
     assert fails(capsys, "entropy", *words, "-m", "cuda_ad_rgb") == (
@@ -194,9 +193,7 @@ def test_a_scene_without_sensors_is_told_of_commands_that_place_some(tmp_path, c
 
 
 @pytest.mark.parametrize("command", ["entropy", "recover", "guide", "report", "check"])
-def test_memory_is_announced_before_any_pixel_is_read(
-    shot, tmp_path, capsys, monkeypatch, command
-):
+def test_memory_is_announced_before_any_pixel_is_read(shot, tmp_path, capsys, monkeypatch, command):
     monkeypatch.setattr("svu_mi.capture.images._read_photograph", None)
     monkeypatch.setattr("svu_mi.memory.free_memory", lambda: 10**11)
     words = (command, shot, "-o", tmp_path / "out.html")

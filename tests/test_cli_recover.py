@@ -98,9 +98,7 @@ def test_textures_that_are_not_asked_for_stay(shot, tmp_path, no_pictures):
 
 
 @pytest.mark.slow
-def test_a_scene_that_recover_renders_is_rendered_once(
-    tmp_path, capsys, monkeypatch, no_pictures
-):
+def test_a_scene_that_recover_renders_is_rendered_once(tmp_path, capsys, monkeypatch, no_pictures):
     path = write_scene(tmp_path, sensors=sensor_xml(4, 32, 32))
     words = ("recover", path, "-o", tmp_path / "out", "--resolution", 24, "--render", "--spp", 2,
              "--steps", 20)  # fmt: skip

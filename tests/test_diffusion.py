@@ -222,9 +222,7 @@ def by_quarter(painted: SimpleNamespace) -> tuple[Filled, Truth]:
     """By a model that says 0.25 of everything, of texels that are less sure than others, too."""
     limit = float(np.quantile(painted.field.sds[:, painted.shown].max(axis=0), 0.7))
     model = Truth(painted, always=0.25)
-    found = fill_by_diffusion(
-        painted.capture, painted.field, painted.shown, model, limit, OPTIONS
-    )
+    found = fill_by_diffusion(painted.capture, painted.field, painted.shown, model, limit, OPTIONS)
     return found, model
 
 

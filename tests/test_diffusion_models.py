@@ -43,9 +43,7 @@ def _one_thread() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Weights of each family. Read only."""
-    return {
-        name: write_model(tmp_path_factory.mktemp("weights") / name, name) for name in FAMILIES
-    }
+    return {name: write_model(tmp_path_factory.mktemp("weights") / name, name) for name in FAMILIES}
 
 
 @pytest.fixture(scope="module")

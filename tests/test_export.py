@@ -87,9 +87,10 @@ def test_the_record_names_every_file(exported, result):
     assert record["name"] == "ball"
     assert record["textures"]["resolution"] == [WIDTH, HEIGHT]
     spaces = {each["file"]: each["values"] for each in record["files"]}
-    assert "sRGB" in spaces["textures/base_color.png"] and "white is 3" in spaces[
-        "textures/coverage.png"
-    ]
+    assert (
+        "sRGB" in spaces["textures/base_color.png"]
+        and "white is 3" in spaces["textures/coverage.png"]
+    )
 
 
 IMAGES = ("base_color", "roughness", "metallic", "orm", "entropy", "coverage")
@@ -181,7 +182,7 @@ def test_gutters_hold_the_nearest_value(asset):
 
 def test_trimesh_reads_the_glb(exported, asset):
     scene = trimesh.load_scene(exported / "asset.glb", process=False)
-    (name, mesh), = scene.geometry.items()
+    ((name, mesh),) = scene.geometry.items()
     assert name == "ball"
     np.testing.assert_allclose(mesh.vertices, asset.mesh.positions, atol=1e-6)
     np.testing.assert_allclose(mesh.vertex_normals, asset.mesh.normals, atol=1e-6)
@@ -262,7 +263,7 @@ def test_a_flat_two_sided_mesh_stays_so(tmp_path):
         assert ("NORMAL" in tree["meshes"][0]["primitives"][0]["attributes"]) == (name == "smooth")
         lines = (tmp_path / name / "mesh.obj").read_text().splitlines()
         assert any(line.startswith("vn ") for line in lines) == (name == "smooth")
-        shape, = mi.load_file(str(tmp_path / name / "object.xml")).shapes()
+        (shape,) = mi.load_file(str(tmp_path / name / "object.xml")).shapes()
         assert "TwoSided" in shape.bsdf().class_name()
         assert shape.has_vertex_normals() == (name == "smooth")
 
@@ -347,8 +348,8 @@ def test_materialx_is_valid_and_becomes_a_shader(exported, library):
     document.importLibrary(library)
     valid, message = document.validate()
     assert valid, message
-    material, = document.getMaterialNodes()
-    surface, = mx.getShaderNodes(material)
+    (material,) = document.getMaterialNodes()
+    (surface,) = mx.getShaderNodes(material)
     assert surface.getNodeDef().getName() == "ND_standard_surface_surfaceshader"
     inputs = {"base_color": "srgb_texture", "specular_roughness": "", "metalness": ""}
     for name, space in inputs.items():

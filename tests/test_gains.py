@@ -117,9 +117,7 @@ def test_gains_wait_for_axes(vase):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "light"), [("vase", "studio"), ("knot", "clear")]
-)
+@pytest.mark.parametrize(("name", "light"), [("vase", "studio"), ("knot", "clear")])
 def test_gains_of_our_own_scenes(name, light):
     """Of 24 photographs, twice as bright and single gains are found; never one that is not."""
     all_of_it = svu.render_capture(

@@ -228,7 +228,7 @@ class TestRankOne:
         directions /= np.linalg.norm(directions, axis=2, keepdims=True)
         light = rng.gamma(1.0, 0.3, (views, count, switches.colors))
         table = np.concatenate([np.abs(directions[..., 2:]), directions, light], axis=2)
-        table *= (rng.random((views, count, 1)) < 0.7)
+        table *= rng.random((views, count, 1)) < 0.7
         table = table.astype(np.float32)
         p = posteriors(rng, count, 12)
         forecast = SpectrumForecast(
@@ -396,6 +396,7 @@ class TestHypotheses:
                 assert (np.abs(10 * shares - exact) < 1 + 1e-5).all()
                 total[t, cells[: counts[t], t]] += shares / 400
         assert np.abs(total - p).max() < 0.02
+
 
 class GrowingGains:
     """A forecast of one texel, that one photograph and four candidates see, some of which are worth
@@ -608,7 +609,8 @@ class TestNextBestView:
         few = [svu.next_best_view(estimate, around, texels=300, seed=seed) for seed in range(5)]
         z = [
             (g.gains[p.candidate] - every.gains[p.candidate]) / p.error
-            for g in few for p in g.proposals
+            for g in few
+            for p in g.proposals
         ]
         assert np.abs(z).max() < 4 and 0.2 < np.sqrt(np.mean(np.square(z))) < 1.5
         assert all(0 < g.proposals[0].error < 0.02 for g in few)
@@ -703,7 +705,8 @@ class TestNextBestView:
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             svu.next_best_view(other, svu.Candidates.around(capture, 23), 4, texels=333)
         compiled = [
-            k for k in dr.kernel_history()
+            k
+            for k in dr.kernel_history()
             if k["type"] == dr.KernelType.JIT and not k["cache_hit"] and not k["cache_disk"]
         ]
         assert not compiled

@@ -45,9 +45,7 @@ def test_profile_is_the_lobe_up_to_a_factor(kind, alpha):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    "alpha", [pytest.param(0.015, marks=pytest.mark.slow), 0.1, 0.49, 1.0]
-)
+@pytest.mark.parametrize("alpha", [pytest.param(0.015, marks=pytest.mark.slow), 0.1, 0.49, 1.0])
 def test_gaussian_degrees_fall_off_as_in_equation_6(alpha):
     x, weight = np.polynomial.legendre.leggauss(1200)
     profile = zonal_profile("gaussian", alpha, x)

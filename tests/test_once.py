@@ -165,6 +165,4 @@ def test_models_and_weights_that_cannot_be_are_refused(capture, layout):
         observed.model(np.array([0.9, 0.1]), switches, 1)
     with pytest.raises(svu.SvuError, match="current needs a finite kappa"):
         zeros = as_values(np.zeros((5, len(observed.seen))))
-        observed.statistics(
-            np.linspace(0, 1, 4), switches, 3, weighting=Weighting(current=zeros)
-        )
+        observed.statistics(np.linspace(0, 1, 4), switches, 3, weighting=Weighting(current=zeros))

@@ -77,9 +77,7 @@ def test_every_rule_agrees_with_brute_force(switches, with_prior):
     rng = np.random.default_rng(20250)
     S_L, S_B = spectra(rng, 12)
     prior = rng.random((5, 4)) * (rng.random((5, 4)) > 0.3) if with_prior else None
-    posterior = spectrum_posterior(
-        S_L, S_B, GRID, preset=switches, prior=prior, prefilter=0.3
-    )
+    posterior = spectrum_posterior(S_L, S_B, GRID, preset=switches, prior=prior, prefilter=0.3)
     p, H = np.array(posterior.probabilities), np.array(posterior.entropy())
     for t in range(12):
         truth = brute_force(
@@ -295,9 +293,7 @@ def test_probabilities_that_do_not_fit_name_the_way_out():
 
 def test_no_texels_is_an_empty_posterior():
     for switches in RULES:
-        posterior = spectrum_posterior(
-            np.zeros((0, 4, 3)), np.zeros((0, 4, 3)), preset=switches
-        )
+        posterior = spectrum_posterior(np.zeros((0, 4, 3)), np.zeros((0, 4, 3)), preset=switches)
         assert posterior.count == 0
         assert posterior.entropy().shape == (0,)
         assert posterior.probabilities.shape[0] == 0

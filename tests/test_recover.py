@@ -130,9 +130,7 @@ def test_sharing_tells_materials_that_repeat_apart(
 
 
 @pytest.mark.slow
-def test_recovery_goes_on_from_an_estimate(
-    known: svu.Estimate, alone: svu.Recovery
-) -> None:
+def test_recovery_goes_on_from_an_estimate(known: svu.Estimate, alone: svu.Recovery) -> None:
     """The same as from the capture; of other presets and methods, too."""
     found, again = known, svu.recover(known)
     assert again.estimate is found
@@ -251,7 +249,9 @@ def test_the_likelihood_is_that_of_the_posterior(known: svu.Estimate, grid: Texe
     posterior, observed, switches = known.posterior, known.observed, known.preset
     levels = posterior.kernel.problem.factors.roughness
     sums = observed.statistics(
-        levels, switches, 3,
+        levels,
+        switches,
+        3,
         weighting=Weighting(switches.kappa(observed.unit), switches.edges),
     )
     m, c = 0.25, 0.5
@@ -261,9 +261,7 @@ def test_the_likelihood_is_that_of_the_posterior(known: svu.Estimate, grid: Texe
     tensors = {n: mi.TensorXf(np.full((SIZE, SIZE, 3 if n == "base_color" else 1), v, np.float32))
                for n, v in constant.items()}  # fmt: skip
     # Errors that no parameters explain are in both.
-    assert float(Likelihood.of(posterior, grid)(tensors)[0]) == pytest.approx(
-        nats.mean(), rel=1e-3
-    )
+    assert float(Likelihood.of(posterior, grid)(tensors)[0]) == pytest.approx(nats.mean(), rel=1e-3)
 
 
 def test_a_pull_is_that_of_the_moments(known: svu.Estimate, grid: Texels) -> None:
@@ -286,9 +284,7 @@ def test_known_parameters_stay_as_the_scene_has_them(
 ) -> None:
     found = svu.recover(capture, grid, parameters=["base_color"])
     for name in ("roughness", "metallic"):
-        np.testing.assert_allclose(
-            found.textures.at(grid, name), truth.at(grid, name), atol=1e-5
-        )
+        np.testing.assert_allclose(found.textures.at(grid, name), truth.at(grid, name), atol=1e-5)
     color = [((t.at(grid, "base_color") - truth.at(grid, "base_color")) ** 2).mean()
              for t in (found.textures, uniform(grid))]  # fmt: skip
     assert color[0] < 0.2 * color[1]
@@ -308,12 +304,8 @@ def test_a_brighter_exposure_changes_nothing(capture: Capture, grid: Texels) -> 
     options = replace(ShOptions(), descent=DescentOptions(steps=20))
     bright = dict(sky(), scale=4.0)
     emitter = mi.load_dict(bright)
-    scene = mi.load_dict(
-        {"type": "scene", "light": emitter, "ball": capture.shape}, optimize=False
-    )
-    scaled = replace(
-        capture, scene=scene, images=tuple(4 * image for image in capture.images)
-    )
+    scene = mi.load_dict({"type": "scene", "light": emitter, "ball": capture.shape}, optimize=False)
+    scaled = replace(capture, scene=scene, images=tuple(4 * image for image in capture.images))
     first = svu.recover(capture, grid, sh=options)
     second = svu.recover(scaled, grid, sh=options)
     for name, tensor in first.textures.items():
@@ -373,9 +365,7 @@ def brief() -> ShOptions:
     return replace(SH_PRESETS["default"], smoothing=steps, descent=steps)
 
 
-def test_a_checkpoint_of_another_estimate_is_refused(
-    known: svu.Estimate, tmp_path: Path
-) -> None:
+def test_a_checkpoint_of_another_estimate_is_refused(known: svu.Estimate, tmp_path: Path) -> None:
     kept = tmp_path / "checkpoint.npz"
     svu.recover(known, sh=brief(), checkpoint=kept)
     svu.recover(known, sh=brief(), checkpoint=kept, resume=True)

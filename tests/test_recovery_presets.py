@@ -231,9 +231,7 @@ def test_the_paper_s_presets_share_as_printed(seen, grid, told, method, name, so
 
 
 def test_sharing_goes_on_from_power_spectra_that_are_there(seen, told):
-    own = svu.estimate(
-        seen.observed, method="spectrum", preset=preset("paper", sigma=0.05)
-    )
+    own = svu.estimate(seen.observed, method="spectrum", preset=preset("paper", sigma=0.05))
     found = svu.recover(own, preset="paper", sharing=True)
     assert told.sharing[0].estimate is own
     assert found.settings["sharing"]["posterior"]["sigma"] == 0.05

@@ -341,9 +341,7 @@ def test_seeds_pull_and_are_not_pulled():
 
 def test_nothing_seen_shares_nothing():
     where, mesh = sphere()
-    unseen = an_estimate(
-        np.zeros((where.count, *GRID.shape)), np.zeros(where.count, bool), where
-    )
+    unseen = an_estimate(np.zeros((where.count, *GRID.shape)), np.zeros(where.count, bool), where)
     sharing = GlobalSharing(unseen, mesh)
     assert len(sharing.seeds) == 0 and not sharing.image().any()
     loss, gradient = differentiated(sharing, a_texture(5))

@@ -88,6 +88,7 @@ def table(capture):
 @pytest.fixture
 def page(capture, estimate, tmp_path, monkeypatch):
     """Write a page without renders, changed in some way, and return its text."""
+
     def page(capture=capture, estimate=estimate, compared=0, **options):
         monkeypatch.setattr(pictures, "COMPARED", compared)
         svu.write_report(capture, estimate, tmp_path / "page.html", **options)

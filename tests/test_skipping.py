@@ -32,6 +32,7 @@ TEXTURE = {
 
 def material(**changes):
     """Grey, with textures for all but the metallic."""
+
     def texture():
         return {**TEXTURE, "data": mi.TensorXf(TEXTURE["data"])}
 
@@ -84,6 +85,7 @@ PRIOR = np.array([0, 0, 1, 1, 2, 1, 1, 0.0])  # of roughness
 @pytest.fixture(scope="module")
 def found(grey):
     """Return the estimate by a rule, with some work left out."""
+
     @functools.cache
     def estimated(method, rule, skip):
         switches = preset(rule, method=method, channels=COLOURED[method])
@@ -150,9 +152,7 @@ def test_work_is_really_left_out(grey, name):
 
 
 def test_one_channel_stands_for_three(grey):
-    one, three = (
-        estimate(*grey, "spectrum", "paper", skip=skip) for skip in (Skip(), NOTHING)
-    )
+    one, three = (estimate(*grey, "spectrum", "paper", skip=skip) for skip in (Skip(), NOTHING))
     assert one.skipped["channels of the photographs equal to another"] == 2
     np.testing.assert_allclose(entropy(one), entropy(three), atol=TOLERANCE)
 

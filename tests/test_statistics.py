@@ -22,11 +22,11 @@ from svu_mi.statistics.gather import Weighting
 
 # --- gathered, against the samples ----------------------------------------------------------
 
+
 def products(factors: Factors) -> np.ndarray:
     """U^T U of every texel, (R, C, 10, S) float64."""
     U = dict(zip(PAIRS, np.moveaxis(factors.table().astype(np.float64), 2, 0), strict=True))
     return np.stack([sum(U[k, i] * U[k, j] for k in range(i + 1)) for i, j in PAIRS], axis=2)
-
 
 
 @pytest.fixture(scope="module")
@@ -324,9 +324,7 @@ def test_factor_is_that_of_a_qr_factorisation(texels):
     samples[0][:] = np.maximum(samples[0], 0.05)
     factors = summed(samples, np.arange(14)).factor()
     np.testing.assert_allclose(factors.table(), upper(samples), rtol=2e-5, atol=1e-6)
-    np.testing.assert_allclose(
-        factors.at().weight.numpy(), samples[0].sum(axis=0), rtol=1e-6
-    )
+    np.testing.assert_allclose(factors.at().weight.numpy(), samples[0].sum(axis=0), rtol=1e-6)
 
 
 def test_the_least_that_nothing_explains_is_kept_apart():

@@ -149,9 +149,7 @@ def test_pixels_that_are_judged_later_are_those_of_whole_films():
     target = next(shape for shape in scene.shapes() if shape.is_mesh())
     sensors = sphere_sensors(target, 6, (96, 80))
     surface = Surface.of(texels(target, resolution=128))
-    at_once, later = (
-        pack_sensors(scene, target, sensors, later=value) for value in (False, True)
-    )
+    at_once, later = (pack_sensors(scene, target, sensors, later=value) for value in (False, True))
     assert later.usable is None
     for view in range(6):
         seen = [observe(v, surface, dr.opaque(mi.UInt32, view)).seen.numpy()

@@ -136,9 +136,7 @@ def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.Monke
     exact = direct(reach.cells.leaves, leaves, normal, view)
     ours = found_by(reach, surface, view)
     # A cell whose disk lies below the horizon is left out with its leaves.
-    np.testing.assert_allclose(
-        ours[1:], exact[1:], rtol=2e-3, atol=1e-4 * float(exact[1:].max())
-    )
+    np.testing.assert_allclose(ours[1:], exact[1:], rtol=2e-3, atol=1e-4 * float(exact[1:].max()))
 
 
 @pytest.mark.parametrize("name", ["spotted", "studio-like"])

@@ -41,9 +41,7 @@ def capture_of(cell: Cell, sizes: Sizes, folder: Path, progress: Progress) -> Ca
         SceneError: the scene cannot be rendered.
         OutputError: the folder cannot be written.
     """
-    key = key_of(
-        contents(cell), cell.defines, sizes.views, sizes.film, sizes.spp, sizes.seed
-    )
+    key = key_of(contents(cell), cell.defines, sizes.views, sizes.film, sizes.spp, sizes.seed)
     store = Store(folder)
     if store.load(MARK, key) is not None and is_as_written(folder, capture_folder.FILE):
         with progress.stage(f"Loading {cell.title}"):

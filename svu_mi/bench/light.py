@@ -135,9 +135,7 @@ def _lost(name: str) -> Any:
 
 
 def _both(name: str) -> Any:
-    return lambda row: " -> ".join(
-        f"{row[one][name]['psnr']:.1f}" for one in ("known", "unknown")
-    )
+    return lambda row: " -> ".join(f"{row[one][name]['psnr']:.1f}" for one in ("known", "unknown"))
 
 
 def _holds(cell: Record) -> float:

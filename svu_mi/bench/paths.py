@@ -1,5 +1,4 @@
-"""``svu bench paths``: how agreement with path tracing changes with indirect light and the noise.
-"""
+"""``svu bench paths``: how agreement with path tracing changes with indirect light and the noise."""
 
 from __future__ import annotations
 

@@ -62,9 +62,7 @@ class Photograph:
     rounding: Rounding | None = None
 
 
-def open_photographs(
-    paths: Sequence[Path | None], films: Sequence[Size]
-) -> dict[int, Picture]:
+def open_photographs(paths: Sequence[Path | None], films: Sequence[Size]) -> dict[int, Picture]:
     """Read the headers of photographs, by view; views without a path are left out."""
     pictures: dict[int, Picture] = {}
     for view, (path, film) in enumerate(zip(paths, films, strict=True)):

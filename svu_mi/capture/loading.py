@@ -296,7 +296,7 @@ def _light(scene: Any, description: Description, light: Light, folder: Path) -> 
             return None
         if description.imported:
             raise SceneError(
-                f"{folder}: was imported without a light; load it with light=\"optional\", and "
+                f'{folder}: was imported without a light; load it with light="optional", and '
                 "find one with svu.estimate_light(capture, texels), or import it again with "
                 "--environment, the map of the light that the photographs were taken under.",
                 shell=f"{folder}: was imported without a light; find it in the photographs with "
@@ -319,9 +319,7 @@ def _chosen(paths: Sequence[Path | None], views: Iterable[int] | None) -> list[P
     count = len(paths)
     chosen = frozenset(range(count) if views is None else views)
     for view in sorted(chosen - set(range(count))):
-        raise OptionError(
-            f"load_capture(): there is no view {view}; there are {count}, from 0 on."
-        )
+        raise OptionError(f"load_capture(): there is no view {view}; there are {count}, from 0 on.")
     return [path if view in chosen else None for view, path in enumerate(paths)]
 
 

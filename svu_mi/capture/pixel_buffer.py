@@ -61,9 +61,7 @@ class PixelBuffer:
             files = [_unnamed_file(size * np.dtype(kind).itemsize) for size, kind in parts]
             pixels, masked, clipped = map(np.frombuffer, files, [kind for _, kind in parts])
             file = files[0]
-        return PixelBuffer(
-            pixels, masked, clipped, tuple(sizes), np.cumsum(counts) - counts, file
-        )
+        return PixelBuffer(pixels, masked, clipped, tuple(sizes), np.cumsum(counts) - counts, file)
 
     @staticmethod
     def of(images: Sequence[np.ndarray]) -> PixelBuffer:

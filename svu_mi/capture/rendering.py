@@ -164,8 +164,7 @@ class RenderPlan:
     def _key(self) -> str:
         """Return 16 hexadecimal digits that depend on everything that is rendered."""
         cameras = [
-            [describe(each), str(each.film()), each.sampler().class_name()]
-            for each in self.sensors
+            [describe(each), str(each.film()), each.sampler().class_name()] for each in self.sensors
         ]
         what = scene_key(self.scene, self.target), integrator_key(self.scene)
         version = svu_mi.__version__, mi.__version__, mi.variant()

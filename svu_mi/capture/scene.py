@@ -95,7 +95,7 @@ def _refusal(path: Path, message: str) -> str:
         return f"{path}: {last_sentence(message)}"
     file, line = places[-1].groups()
     included = "" if Path(file).resolve() == path.resolve() else f" {excerpt(Path(file).name)},"
-    return f"{path}:{included} line {line}: {last_sentence(message[places[-1].end():])}"
+    return f"{path}:{included} line {line}: {last_sentence(message[places[-1].end() :])}"
 
 
 def last_sentence(message: str) -> str:

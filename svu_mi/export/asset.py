@@ -88,9 +88,9 @@ class Asset:
             textures=recovery.textures,
             entropy=entropy,
             coverage=padded(seen, np.asarray(seen.coverage).astype(np.float32), fill=0),
-            deviations={} if field is None else {
-                name: padded(field, worst(field.sd(name)), fill=0) for name in field.names
-            },
+            deviations={}
+            if field is None
+            else {name: padded(field, worst(field.sd(name)), fill=0) for name in field.names},
             two_sided=is_two_sided(capture.shape.bsdf()),
             up=nearest_axis(upright(capture)),
             source=capture.source,

@@ -161,9 +161,7 @@ def forward(lower: list[Any], solution: list[Any], blocks: Any, size: int) -> li
         block = load(solution, bi)
         bk = mi.UInt32(0)
         while bk < bi:
-            block = _subtract_applied(
-                block, load(lower, row + bk), load(solution, bk), size, False
-            )
+            block = _subtract_applied(block, load(lower, row + bk), load(solution, bk), size, False)
             bk += 1
         diagonal = load(lower, row + bi)
         store(solution, bi, _substitute(block, diagonal, size, False))

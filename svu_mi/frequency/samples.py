@@ -119,8 +119,9 @@ class Job:
             samples = Samples(
                 self.observed, surface, self.occluded, self.channels, self.light_channels, masking
             )
-            yield group.selection, fit_lanes(
-                samples.at, self.observed.found.count, system, group.capacity
+            yield (
+                group.selection,
+                fit_lanes(samples.at, self.observed.found.count, system, group.capacity),
             )
 
 

@@ -168,9 +168,7 @@ class _Launch:
             found.append(columns_of(*self._responses.read(view, level * self._lobes + lobe)))
         return found
 
-    def products(
-        self, sums: list[Any], lobes: Lobes, mixed: Any, shown: Shown | None
-    ) -> list[Any]:
+    def products(self, sums: list[Any], lobes: Lobes, mixed: Any, shown: Shown | None) -> list[Any]:
         """Add w slope^2, w slope rest, w rest^2 of every channel, in a view (or None) of a row."""
         if shown is None:
             return sums

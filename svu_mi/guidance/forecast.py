@@ -117,9 +117,7 @@ class Forecast(ABC):
             result[seen] = self._evaluate(views, None, np.flatnonzero(seen))[0]
         return result
 
-    def expected(
-        self, views: np.ndarray, candidates: np.ndarray, texels: np.ndarray
-    ) -> np.ndarray:
+    def expected(self, views: np.ndarray, candidates: np.ndarray, texels: np.ndarray) -> np.ndarray:
         """Return E[H] with views and one candidate (Eq. 13): (A, L); NaN where it does not see."""
         if not len(candidates) or not len(texels):
             return np.empty((len(candidates), len(texels)), np.float32)

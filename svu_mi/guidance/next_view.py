@@ -1,8 +1,8 @@
 """Capture guidance: which photograph to take next (Sec. 5.1). The file to read first.
 
-    estimate + candidates -> prospect of some texels -> gain of every candidate -> the best view
-                                   ^                                                   |
-                                   +---------------- as if photographed ---------------+
+estimate + candidates -> prospect of some texels -> gain of every candidate -> the best view
+                               ^                                                   |
+                               +---------------- as if photographed ---------------+
 """
 
 from __future__ import annotations
@@ -167,16 +167,19 @@ def _choices(
             entropy = float(greedy.entropy.mean())  # in the light of this step
         entropy -= float(change.mean())
         sees = seen[known.photographs + best]
-        yield Proposal(
-            candidate=best,
-            name=known.candidates.names[best],
-            sensor=known.candidates.sensors[best],
-            gain=float(change.mean()),
-            error=_standard_error(change, left_out),
-            entropy=entropy,
-            sees=float(sees.mean()),
-            new=float((sees & ~covered).mean()),
-        ), gains
+        yield (
+            Proposal(
+                candidate=best,
+                name=known.candidates.names[best],
+                sensor=known.candidates.sensors[best],
+                gain=float(change.mean()),
+                error=_standard_error(change, left_out),
+                entropy=entropy,
+                sees=float(sees.mean()),
+                new=float((sees & ~covered).mean()),
+            ),
+            gains,
+        )
         free[best] = False
         covered |= sees
         judge.choose(best)

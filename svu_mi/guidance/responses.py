@@ -127,9 +127,7 @@ def collect(
     return responses
 
 
-def cosines(
-    surface: Surface, photographed: tuple[Views, Survey] | None, candidates: Views
-) -> Any:
+def cosines(surface: Surface, photographed: tuple[Views, Survey] | None, candidates: Views) -> Any:
     """Return (V T,) Float cosines of every view and texel, 0 where not seen, evaluated."""
     photographs = photographed[0].number if photographed else 0
     _require_room(surface.count, photographs + candidates.number, 1)

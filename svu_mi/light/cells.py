@@ -132,9 +132,7 @@ def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
     label, flux, pull = label[leaf], flux[leaf], pull[leaf]
     below = _cells(_sum(label, flux, fine), _sum(label, pull, fine), environment)
     upper = np.cumsum(np.diff(of_coarse[order], prepend=-1) != 0) - 1  # of every fine cell
-    above = _cells(
-        _sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment
-    )
+    above = _cells(_sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment)
     starts = np.searchsorted(upper, np.arange(coarse + 1))
     edges = _edges(of_group[order][starts[:-1]])
     grey = below.flux.numpy().reshape(-1, 4)[:, 3]
@@ -225,9 +223,7 @@ def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> Cell
     )
 
 
-def _split(
-    points: np.ndarray, weight: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _split(points: np.ndarray, weight: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Split the widest cluster again and again; return clusters of points, and their parents."""
     label, parent = np.zeros(len(points), np.int64), np.zeros(count, np.int64)
     heap = [_Cluster.of(0, points, weight, np.arange(len(points)))]

@@ -47,8 +47,11 @@ class Levels:
 
 
 def filter_light(
-    lighting: Lighting, widths: Sequence[float], profile: Callable[[float, np.ndarray], np.ndarray],
-    grey: bool = False, disk: bool = True,
+    lighting: Lighting,
+    widths: Sequence[float],
+    profile: Callable[[float, np.ndarray], np.ndarray],
+    grey: bool = False,
+    disk: bool = True,
 ) -> Levels:
     """Convolve the light with lobes of given widths alpha, with or without a sun's disk; cached."""
     kept = lighting.lobes

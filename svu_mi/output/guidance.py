@@ -63,9 +63,7 @@ def write_guidance(
         run.progress(2, 4)
         if pictures:
             looks = looks_of(capture, guidance)
-            write_guidance_overview(
-                capture, estimate, guidance, maps, looks, target / PAGE, up
-            )
+            write_guidance_overview(capture, estimate, guidance, maps, looks, target / PAGE, up)
             thumbnails = gain_pictures(looks, guidance, maps, gain_limit(maps))
             _write_thumbnails(thumbnails, prepare_folder(target / THUMBNAILS))
         run.progress(3, 4)

@@ -128,9 +128,7 @@ def _histogram(axes: Axes, result: Result) -> None:
     style.labels(axes, up="% of texels")
 
 
-def _marginal(
-    axes: Axes, estimate: Estimate, name: str, means: Any, knowledge: Knowledge
-) -> None:
+def _marginal(axes: Axes, estimate: Estimate, name: str, means: Any, knowledge: Knowledge) -> None:
     """Draw the mean marginal of the texels seen, and of those of the lowest entropy."""
     style.plain(axes)
     if means is None:

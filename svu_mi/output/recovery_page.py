@@ -78,9 +78,7 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
     ]
 
 
-def _maps(
-    recovery: Recovery, estimate: Estimate | None, field: TextureField | None
-) -> list[Panel]:
+def _maps(recovery: Recovery, estimate: Estimate | None, field: TextureField | None) -> list[Panel]:
     """Return the textures, their standard deviations and the entropy, in the texture's layout."""
     inside, everywhere = recovery.texels.inside(), all_seen(recovery.texels)
     color = np.where(inside[..., None], srgb(np.clip(recovery.image("base_color"), 0, 1)), OUTSIDE)
@@ -139,9 +137,7 @@ def _compared(comparison: Comparison) -> list[Panel]:
             for title, image in zip(titles, images, strict=False)]  # fmt: skip
 
 
-def _parameters(
-    look: Look, recovery: Recovery, _: Comparison, __: Estimate | None
-) -> list[Panel]:
+def _parameters(look: Look, recovery: Recovery, _: Comparison, __: Estimate | None) -> list[Panel]:
     """Return the three parameters on the object."""
     return [
         (title, partial(draw_look, look=look, colors=texture_colors(

@@ -35,8 +35,9 @@ def far_apart(
         return used
     center, _ = bounding_sphere(capture.mesh)
     first = 0 if seen_per_view is None else int(np.argmax(seen_per_view))
-    chosen = farthest(directions_of((capture.sensors[index] for index in used), center),
-                      [first], count - 1)
+    chosen = farthest(
+        directions_of((capture.sensors[index] for index in used), center), [first], count - 1
+    )
     return [used[index] for index in chosen]
 
 

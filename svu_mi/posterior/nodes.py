@@ -67,9 +67,7 @@ class Axis:
     def only(self, cells: np.ndarray) -> Axis:
         """Return the parts of some cells, (cells,) bool."""
         kept = cells[self.cell]
-        return Axis(
-            self.low[kept], self.high[kept], self.cell[kept], self.mass[kept], self.cells
-        )
+        return Axis(self.low[kept], self.high[kept], self.cell[kept], self.mass[kept], self.cells)
 
 
 @dataclass(frozen=True)

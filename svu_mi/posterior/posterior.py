@@ -238,9 +238,7 @@ class Posterior(Generic[K]):
         """Return the standard deviation of a parameter: TensorXf (T,) or (T, 3), as ``mean``."""
         return self._shaped(name, self._mean_and_sd(name)[1])
 
-    def interval(
-        self, name: str, level: float = 0.9, chosen: Any | None = None
-    ) -> tuple[Any, Any]:
+    def interval(self, name: str, level: float = 0.9, chosen: Any | None = None) -> tuple[Any, Any]:
         """Return the shortest interval that holds a parameter with a probability.
 
         It is made of parts of the parameter's range (cells of the grid, or finer), and goes to

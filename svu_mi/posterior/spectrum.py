@@ -220,9 +220,7 @@ def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarra
     return mean_albedo(alpha_from_roughness(grid.roughness_nodes))
 
 
-def decay(
-    switches: Preset, grid: ParameterGrid | PrincipledGrid, prefilter: float
-) -> np.ndarray:
+def decay(switches: Preset, grid: ParameterGrid | PrincipledGrid, prefilter: float) -> np.ndarray:
     """(R,) q = exp(-2 alpha^2) of each roughness; degree l falls off as q^(l^2) (Eq. 11)."""
     width = _alpha(switches, grid) ** 2
     if switches.undo_prefilter:

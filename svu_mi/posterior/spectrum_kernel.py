@@ -186,9 +186,7 @@ def row_distances(squares: list, products: Products, decay: list) -> list[Any]:
         curve = dr.fma(e * e, light, curve)
     slope = -2 * slope
     # Rounding may leave a perfect match a hair below zero.
-    return [
-        dr.maximum(dr.fma(dr.fma(curve, K, slope), K, products.observed), 0) for K in squares
-    ]
+    return [dr.maximum(dr.fma(dr.fma(curve, K, slope), K, products.observed), 0) for K in squares]
 
 
 def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

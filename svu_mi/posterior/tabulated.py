@@ -52,9 +52,7 @@ def tabulated_posterior(
     """Return the posterior of (T, *grid) float64 energies, finite where ``observed`` (T,)."""
     shape = (len(observed), *grid.shape)
     if energies.shape != shape:
-        raise ShapeError(
-            f"tabulated_posterior(): energies must be {shape}, got {energies.shape}."
-        )
+        raise ShapeError(f"tabulated_posterior(): energies must be {shape}, got {energies.shape}.")
     finite = np.isfinite(energies).reshape(len(observed), -1).all(axis=1)
     if not finite[observed].all():
         texel = int(np.flatnonzero(observed & ~finite)[0])

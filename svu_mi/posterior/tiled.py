@@ -94,9 +94,7 @@ class TiledKernel(Kernel):
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
         """Return the ends of intervals (see ``Kernel``)."""
-        ends = self._joined(
-            texels, lambda tile, own: np.stack(tile.ends(name, level, own), axis=1)
-        )
+        ends = self._joined(texels, lambda tile, own: np.stack(tile.ends(name, level, own), axis=1))
         return ends[:, 0], ends[:, 1]
 
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:

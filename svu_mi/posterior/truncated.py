@@ -175,7 +175,8 @@ class Channel:
         part, low, high = (mi.Float64(x) for x in (part, low, high))
         part = dr.select(self.mirrored, 1 - part, part)
         low, high = (
-            dr.select(self.mirrored, 1 - high, low), dr.select(self.mirrored, 1 - low, high)
+            dr.select(self.mirrored, 1 - high, low),
+            dr.select(self.mirrored, 1 - low, high),
         )
         best = dr.clip(mi.Float64(self.mu), low, high)
         wanted = part * self._between(low, high, best)[0]
@@ -216,9 +217,7 @@ class Channel:
         mean = mi.Float(dr.clip(mean, 0, 1))
         return Integrals(
             mass=mass,
-            cells=[
-                dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)
-            ],
+            cells=[dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)],
             mean=dr.select(self.mirrored, 1 - mean, mean),
             variance=mi.Float(variance),
         )

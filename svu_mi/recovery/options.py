@@ -195,7 +195,10 @@ PATH_PRESETS: dict[str, PathOptions] = {
     "default": PathOptions(),
     "paper": _PAPER_PATH,
     "polish": PathOptions(
-        epochs=1.0, pixels_per_batch=1 << 14, spp=4, tv=0.5,
+        epochs=1.0,
+        pixels_per_batch=1 << 14,
+        spp=4,
+        tv=0.5,
         descent=DescentOptions(learning_rate=0.005, beta_2=0.99),
     ),
     "paper_polish": replace(_PAPER_PATH, epochs=1.0, spp=16),

@@ -56,9 +56,7 @@ class Printed:
         }  # fmt: skip
         return {"seeds": SEEDS, **PRINTED, "posterior": posterior}
 
-    def sharing(
-        self, observed: Observed, around: Neighbors, progress: Progress
-    ) -> GlobalSharing:
+    def sharing(self, observed: Observed, around: Neighbors, progress: Progress) -> GlobalSharing:
         """Find the most certain texels by the posterior of Eq. 11."""
         certain = self._spectra()
         if certain is None:

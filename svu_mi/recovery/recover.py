@@ -1,8 +1,8 @@
 """SVBRDF recovery: photographs in, textures out. The file to read first.
 
-    sh:       capture -> estimate -> posterior means -> smoothed -> descent
-    path:     capture -> batches of rays -> prb (Mitsuba)        -> descent
-    sh+path:  the first, then one epoch of the second
+sh:       capture -> estimate -> posterior means -> smoothed -> descent
+path:     capture -> batches of rays -> prb (Mitsuba)        -> descent
+sh+path:  the first, then one epoch of the second
 """
 
 from __future__ import annotations

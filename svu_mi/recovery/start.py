@@ -96,13 +96,16 @@ def _reweighted(found: Estimate, observed: Observed) -> Posterior[CalibratedKern
     means, _ = moments(posterior)
     texels = factors.texel.numpy()
     texels = texels[observed.coverage[texels] > 0]  # clipped samples are not weighted again
-    weighting = Weighting(
-        switches.kappa(observed.unit), switches.edges, values_of(means, texels)
-    )
+    weighting = Weighting(switches.kappa(observed.unit), switches.edges, values_of(means, texels))
     sums = observed.factors(factors.roughness, switches, 3, weighting=weighting, texels=texels)
     return calibrated_posterior(
-        sums, posterior.kernel.grid, observed.unit, switches, prior=found.prior,
-        texels=posterior.count, doubt=observed.capture.doubt,
+        sums,
+        posterior.kernel.grid,
+        observed.unit,
+        switches,
+        prior=found.prior,
+        texels=posterior.count,
+        doubt=observed.capture.doubt,
     )
 
 

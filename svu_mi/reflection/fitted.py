@@ -172,9 +172,7 @@ def _evaluate(
     return sums
 
 
-def _add(
-    sums: list[Any], factor: Any, values: Any, place: Any, columns: list[Any]
-) -> list[Any]:
+def _add(sums: list[Any], factor: Any, values: Any, place: Any, columns: list[Any]) -> list[Any]:
     return [
         dr.fma(factor, dr.gather(mi.Float, values, place + column), total)
         for column, total in zip(columns, sums, strict=True)

@@ -69,9 +69,7 @@ class Model:
         if light.mirrored is not None:
             lobes = FittedLobes.of(light.mirrored, alpha, switches)
         elif split > 0:
-            narrow = NarrowLobes.of(
-                lighting, alpha[:split], switches, channels, disk=reach is None
-            )
+            narrow = NarrowLobes.of(lighting, alpha[:split], switches, channels, disk=reach is None)
         if reach is not None and split < len(alpha):
             wide = WideLobes(reach, alpha[split:], channels)
         if reach is None:

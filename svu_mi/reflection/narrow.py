@@ -58,9 +58,7 @@ class NarrowLobes:
         return NarrowLobes(
             switches=switches,
             alpha=alpha,
-            levels=filter_light(
-                lighting, alpha.tolist(), profile, grey=channels == 1, disk=disk
-            ),
+            levels=filter_light(lighting, alpha.tolist(), profile, grey=channels == 1, disk=disk),
             albedo=owned(mi.Float, split_sum(alpha).ravel()),
             dielectric=owned(mi.Float, dielectric_albedo(alpha).ravel()),
             sun=None if disk else disk_cells(lighting.environment),

@@ -71,8 +71,7 @@ def lobe_mixture(specular: Any) -> Mixture:
 def slope(values: Sequence[Any], which: int) -> Mixture:
     """Return the derivative of ``mixture`` for one of its values, exactly: it is affine in it."""
     low, high = (
-        mixture(*(end if k == which else value for k, value in enumerate(values)))
-        for end in (0, 1)
+        mixture(*(end if k == which else value for k, value in enumerate(values))) for end in (0, 1)
     )
     return Mixture(_less(high.scaled, low.scaled), _less(high.constant, low.constant))
 

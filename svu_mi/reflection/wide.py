@@ -69,9 +69,7 @@ class Sums:
             up=dr.dot(self.normal, half), across=dr.dot(toward, half),
         )  # fmt: skip
 
-    def lit(
-        self, cells: Cells, cell: Any, look: _Look, free: Any, sums: Any
-    ) -> tuple[Any]:
+    def lit(self, cells: Cells, cell: Any, look: _Look, free: Any, sums: Any) -> tuple[Any]:
         """Add what one cell contributes to every width, if it is seen."""
         _, square, incident, up, across = look
 

@@ -74,7 +74,8 @@ class Factors:
         values = mi.Float()
         if len(chosen):
             place, of_texel = (
-                dr.arange(mi.UInt32, self.stride * len(chosen)), dr.opaque(mi.UInt32, self.stride)
+                dr.arange(mi.UInt32, self.stride * len(chosen)),
+                dr.opaque(mi.UInt32, self.stride),
             )
             lane = place // of_texel
             source = dr.gather(mi.UInt32, lanes, lane) * of_texel + (place - lane * of_texel)

@@ -83,8 +83,10 @@ def gather(
                 number = number + dr.select(seen.seen, part, 0)
             weight, w = weight + mi.Float64(part * w), mi.Float64(w)
             added = [product for one in found for product in _products(*one)]
-            return weight, number, *(
-                dr.fma(w, new, old) for old, new in zip(state, added, strict=True)
+            return (
+                weight,
+                number,
+                *(dr.fma(w, new, old) for old, new in zip(state, added, strict=True)),
             )
 
         return dr.if_stmt(sums, found.asked(seen.seen), add, lambda *state: state)

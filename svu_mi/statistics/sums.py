@@ -148,9 +148,7 @@ class Statistics:
     def _factors(self) -> Factors:
         reader = Reader(self.sums, self.rows, self.count)
         *columns, weight = (reader.read(row) for row in range(self.rows))
-        return factorize(
-            columns, weight, self.views, self.texel, self.roughness, self.channels
-        )
+        return factorize(columns, weight, self.views, self.texel, self.roughness, self.channels)
 
     @property
     def weight(self) -> np.ndarray:
@@ -172,9 +170,7 @@ class Statistics:
         counts = mi.Float(self.counts)
         dr.scatter(counts, others.counts, chosen)
         dr.eval(counts)
-        return replace(
-            self, sums=put(self.sums, self.rows, chosen, others.sums), counts=counts
-        )
+        return replace(self, sums=put(self.sums, self.rows, chosen, others.sums), counts=counts)
 
     def table(self) -> np.ndarray:
         """Return the sums as (R, C, P, S) float64."""

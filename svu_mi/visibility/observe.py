@@ -63,7 +63,10 @@ class Surface:
             return dr.gather(type(values), values, lane)
 
         return Surface(
-            take(self.position), take(self.normal), take(self.geometric_normal), self.offset,
+            take(self.position),
+            take(self.normal),
+            take(self.geometric_normal),
+            self.offset,
             texel=dr.gather(mi.UInt32, self.index, lane),
             sides=None if self.sides is None else (take(self.sides[0]), take(self.sides[1])),
         )

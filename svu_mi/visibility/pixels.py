@@ -179,9 +179,7 @@ def _cover(
         spans = [(mi.Float(0), mi.Float(0))] * 2
     else:
         spans = [_span(camera, side, middle) for side in sides]
-    steps = [
-        dr.clip(dr.ceil(dr.sqrt(a * a + b * b) / SPACING), 1, MOST_TAPS) for a, b in spans
-    ]
+    steps = [dr.clip(dr.ceil(dr.sqrt(a * a + b * b) / SPACING), 1, MOST_TAPS) for a, b in spans]
     return middle.x, middle.y, spans, steps
 
 

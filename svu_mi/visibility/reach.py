@@ -86,9 +86,7 @@ class Reach:
         return result
 
 
-def trace_reach(
-    scene: Any, surface: Surface, cells: LightCells, *, occluded: bool = True
-) -> Reach:
+def trace_reach(scene: Any, surface: Surface, cells: LightCells, *, occluded: bool = True) -> Reach:
     """Trace the cells of the light from every texel of a launch."""
     lane, count = surface.lane, surface.count
     coarse = Bits.clear(cells.coarse.number, count)
@@ -159,9 +157,7 @@ def trace_mirrors(views: Views, surface: Surface, found: Survey, lane: Any) -> M
         free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
         return (bits.push(word, slot, place, free),)
 
-    found.over_views(
-        views, surface, trace, (dr.zeros(mi.UInt32, surface.count),), clipped=True
-    )
+    found.over_views(views, surface, trace, (dr.zeros(mi.UInt32, surface.count),), clipped=True)
     dr.eval(bits)
     return Mirrors(bits, lane)
 
@@ -173,9 +169,7 @@ def mirror_free(scene: Any, surface: Surface, seen: Observation, asked: Any) -> 
     return seen.seen & is_open(scene, surface, mirror, free, coherent=False)
 
 
-def is_open(
-    scene: Any, surface: Surface, direction: Any, active: Any, *, coherent: bool
-) -> Any:
+def is_open(scene: Any, surface: Surface, direction: Any, active: Any, *, coherent: bool) -> Any:
     """Return which active texels see the sky in a direction."""
     origin = surface.position + surface.offset * surface.geometric_normal
     ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])

@@ -274,9 +274,7 @@ def _views(scene: Any, poses: Sequence[_Pose], offset: np.ndarray) -> Views:
     )
 
 
-def _tiles(
-    target: Any, poses: Sequence[_Pose], masks: Sequence[np.ndarray | None]
-) -> np.ndarray:
+def _tiles(target: Any, poses: Sequence[_Pose], masks: Sequence[np.ndarray | None]) -> np.ndarray:
     cameras = np.array([pose.camera for pose in poses]).reshape(-1, CAMERA_FLOATS)
     bounds = target.bbox()
     return find_tiles(

@@ -11,6 +11,8 @@ FOUND = re.compile(
     r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* of the "
     r"surface seen, metallic on .*, base colour on .* \(90 % intervals\)\."
 )
+
+
 @pytest.mark.slow
 def test_the_last_lines_say_what_was_found(desk):
     """Where people look: not only where it was written."""

@@ -46,6 +46,7 @@ def spectral(S_L, S_B, switches):
 
 # --- entropy is a number in [0, 1] ----------------------------------------------------------
 
+
 def radiances(most):
     return st.one_of(
         st.sampled_from([0.0, 1e-30, 1e-6, 1.0, 1e5, 1e9]), st.floats(0, 100), st.floats(0, most)

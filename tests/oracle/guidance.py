@@ -27,9 +27,7 @@ def expected(
         distances: (N, N) between photographs of psi_0 and those of psi, over 2 sigma^2.
         prior: (N,), uniform by default.
     """
-    return sum(
-        p * entropy(d, prior) for p, d in zip(posterior, distances, strict=True) if p > 0
-    )
+    return sum(p * entropy(d, prior) for p, d in zip(posterior, distances, strict=True) if p > 0)
 
 
 def spectrum_distances(

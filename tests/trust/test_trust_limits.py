@@ -92,8 +92,11 @@ def test_films_that_no_kernel_takes_are_not_rendered(tmp_path):
 
 def test_forty_films_of_20000_pixels_are_not_rendered(monkeypatch, tmp_path):
     free(monkeypatch, 24 * 10**9)
-    with pytest.raises(CaptureError, match=r"40 photographs of up to 20000 x 20000 pixels take at "
-                                           r"least 296 GB of memory, but only 24 GB are free; m"):
+    with pytest.raises(
+        CaptureError,
+        match=r"40 photographs of up to 20000 x 20000 pixels take at "
+        r"least 296 GB of memory, but only 24 GB are free; m",
+    ):
         render_capture(huge(tmp_path, 20_000, 40), 1)
 
 

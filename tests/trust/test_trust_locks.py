@@ -128,6 +128,7 @@ def test_a_draft_that_a_stranger_has_laid_is_not_followed(tmp_path, out, lay):
 
 def test_results_are_written_where_locks_do_not_work(out, monkeypatch):
     said = []
+
     def unknown(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 

@@ -69,9 +69,7 @@ def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
     assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8.")
 
 
-def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(
-    monkeypatch, shot
-):
+def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(monkeypatch, shot):
     machine(monkeypatch, 4e9)
 
     need = partial(Need, "recover", resolution=(1024, 1024), model="default")

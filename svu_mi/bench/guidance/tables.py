@@ -200,9 +200,7 @@ def draw_guidance(found: Record) -> Figure:
     return figure
 
 
-def _curves(
-    axes: Axes, runs: list[Record], sizes: GuidanceSizes, name: str, label: str
-) -> None:
+def _curves(axes: Axes, runs: list[Record], sizes: GuidanceSizes, name: str, label: str) -> None:
     """Mean over objects, and its standard error as a band."""
     places = [0, *sizes.marks]
     for k, strategy in enumerate(sizes.strategies):

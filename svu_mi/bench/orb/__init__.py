@@ -51,8 +51,15 @@ class OrbRow(Row):
 # Those of the paper's Table 1: SH model, power spectrum, SH and one epoch of paths, Mitsuba.
 ROWS = tuple(
     OrbRow(row.label, row.method, row.sh, row.path, row.sharing)
-    for row in (ways.SH, ways.SH_PATH, ways.PATH, ways.SH_PAPER, ways.SPECTRUM,
-                ways.SH_PAPER_PATH, ways.PATH_PAPER)
+    for row in (
+        ways.SH,
+        ways.SH_PATH,
+        ways.PATH,
+        ways.SH_PAPER,
+        ways.SPECTRUM,
+        ways.SH_PAPER_PATH,
+        ways.PATH_PAPER,
+    )
 )
 
 

@@ -89,9 +89,7 @@ class Timing(OnCell):
         scaled = [v for v in self.variants if v.label.endswith((" default", " fixed"))]
         return {variant.label: curve(self, variant) for variant in scaled}
 
-    def point(
-        self, value: int, run: Callable[[], Any], reference: Any = None
-    ) -> Record:
+    def point(self, value: int, run: Callable[[], Any], reference: Any = None) -> Record:
         """Return a point of a scaling curve: ``value``, ``seconds`` and ``pearson``."""
         reference = reference or self.reference
         # Half as many as for the table of run times: there are many points.

@@ -86,8 +86,9 @@ class Plot:
     def polylines(self) -> Iterator[tuple[str, str]]:
         """Yield style and points of each line, as SVG has them."""
         for style, across, up in self.lines:
-            yield style, " ".join(
-                f"{self.x(a)},{self.y(b)}" for a, b in zip(across, up, strict=True)
+            yield (
+                style,
+                " ".join(f"{self.x(a)},{self.y(b)}" for a, b in zip(across, up, strict=True)),
             )
 
 

@@ -122,7 +122,8 @@ def _light(capture: Capture) -> dict[str, Any] | None:
     if found is None:
         return None
     return {
-        "maps": pictures.light_maps(found), "sentences": list(sentences(found, upright(capture)))
+        "maps": pictures.light_maps(found),
+        "sentences": list(sentences(found, upright(capture))),
     }
 
 

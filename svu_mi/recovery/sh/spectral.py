@@ -117,9 +117,7 @@ class SpectralObjective:
         return dr.lerp(low, high, place - first)
 
 
-def spectral_objective(
-    observed: Observed, switches: Preset, domain: Domain
-) -> SpectralObjective:
+def spectral_objective(observed: Observed, switches: Preset, domain: Domain) -> SpectralObjective:
     """Fit the photographs, and prepare the loss."""
     found, lighting, texels = observed.found, observed.lighting, observed.texels
     light = 1 if lighting.environment.grey else 3
@@ -137,9 +135,7 @@ def spectral_objective(
         domain=domain,
         coefficients=fitted,
         power=power,
-        irradiance=[
-            dr.gather(mi.Float, E, lanes) for E in observed.irradiance(switches, light)
-        ],
+        irradiance=[dr.gather(mi.Float, E, lanes) for E in observed.irradiance(switches, light)],
         texel=texel,
         place=dr.gather(mi.UInt32, texels.index, texel),
         prefilter=dr.opaque(mi.Float, undone),
