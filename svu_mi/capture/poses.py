@@ -198,6 +198,24 @@ def sphere_sensors(
     )
 
 
+def sensors_like(
+    used: Sequence[Any], shape: Any, count: int, *, distance: float | None = None,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0), lowest: float = -1.0,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Place sensors around an object with film and lens of the first of ``used``.
+
+    ``distance`` is by default their median; the others are those of ``sphere_sensors``.
+    """
+    if distance is None:
+        center, _ = bounding_sphere(shape)
+        offsets = [to_world(sensor)[:3, 3] - center for sensor in used]
+        distance = float(np.median(np.linalg.norm(offsets, axis=1)))
+    size, x_fov = film_size(used[0]), cropped_fov(used[0])
+    wide = max(1.0, size[0] / size[1])
+    fov = 2 * np.degrees(np.arctan(np.tan(np.radians(x_fov) / 2) / wide))
+    return sphere_sensors(shape, count, size, float(fov), distance=distance, up=up, lowest=lowest)
+
+
 def _rotation(up: Sequence[float]) -> np.ndarray:
     """Return the rotation (3, 3) that takes +Y to a direction the shortest way."""
     length = np.linalg.norm(up)

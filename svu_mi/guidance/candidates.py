@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.capture import folder as capture_folder
-from svu_mi.capture.poses import bounding_sphere, cropped_fov, film_size, sphere_sensors
-from svu_mi.capture.scene import check_sensor, find_sensors, load_scene, to_world
+from svu_mi.capture.poses import sensors_like
+from svu_mi.capture.record import Capture
+from svu_mi.capture.scene import check_sensor, find_sensors, load_scene
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.files import read_json
 from svu_mi.formats.resampling import squared
@@ -109,16 +109,7 @@ class Candidates:
                 "one with svu.load_capture(path)."
             )
         used = capture.used_sensors or capture.sensors
-        center, _ = bounding_sphere(capture.shape)
-        if distance is None:
-            offsets = [to_world(sensor)[:3, 3] - center for sensor in used]
-            distance = float(np.median(np.linalg.norm(offsets, axis=1)))
-        size, x_fov = film_size(used[0]), cropped_fov(used[0])
-        wide = max(1.0, size[0] / size[1])
-        fov = 2 * np.degrees(np.arctan(np.tan(np.radians(x_fov) / 2) / wide))
-        sensors = sphere_sensors(
-            capture.shape, count, size, float(fov), distance=distance, up=up, lowest=lowest
-        )
+        sensors = sensors_like(used, capture.shape, count, distance=distance, up=up, lowest=lowest)
         return Candidates.of(sensors)
 
     @staticmethod

@@ -19,10 +19,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
-from svu_mi.capture.poses import film_size, scaled_sensor, windowed_sensor
+from svu_mi.capture.poses import film_size, scaled_sensor, sensors_like, windowed_sensor
+from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import Look, alone, exposure, resized
-from svu_mi.guidance.candidates import Candidates
 from svu_mi.inpaint.diffusion.model_interface import Picture
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
@@ -30,9 +29,8 @@ from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface.raster import dilate
-from svu_mi.visibility import Surface, Views, observe, pack_sensors
-from svu_mi.visibility.observe import look
-from svu_mi.visibility.views import LARGEST_FILM
+from svu_mi.visibility.observe import Surface, look, observe
+from svu_mi.visibility.views import LARGEST_FILM, Views, pack_sensors
 
 AROUND = 100  # views on a sphere, of which some are rendered
 STEEPEST = 0.3  # cosine to the camera, below which a view does not show a texel well
@@ -61,11 +59,18 @@ class Shots:
     photographs: tuple[int, ...] | None = None
 
     @cached_property
-    def places(self) -> Candidates:
+    def sensors(self) -> tuple[Any, ...]:
         """Where pictures can be had from."""
+        capture = self.capture
         if self.photographs is None:
-            return Candidates.around(self.capture, AROUND)
-        return Candidates.at(self.capture, self.photographs)
+            return sensors_like(capture.used_sensors or capture.sensors, capture.shape, AROUND)
+        return tuple(capture.sensors[view] for view in self.photographs)
+
+    def name(self, place: int) -> str:
+        """Return the name of one of ``sensors``."""
+        if self.photographs is None:
+            return str(self.sensors[place].id())
+        return self.capture.names[self.photographs[place]]
 
     def cover(self, wanted: np.ndarray, most: int) -> list[int]:
         """Return the numbers of some places that together show what is wanted: each adds more
@@ -74,7 +79,7 @@ class Shots:
         texels = np.flatnonzero(wanted)
         texels = texels[:: -(-len(texels) // JUDGED) or 1]
         surface = Surface.of(self.field.texels, owned(mi.UInt32, texels.astype(np.uint32)))
-        views = pack_sensors(self.capture.scene, self.capture.shape, self.places.sensors)
+        views = pack_sensors(self.capture.scene, self.capture.shape, self.sensors)
         shown = np.array([_shown(views, surface, k) for k in range(views.number)])
         chosen: list[int] = []
         while len(chosen) < most:
@@ -120,7 +125,7 @@ class Shots:
     def _framed(self, place: int) -> tuple[Any, tuple[slice, slice]]:
         """Return a sensor that sees a square around the object, of which a model sees more then,
         and the rows and columns of these pixels in a photograph."""
-        sensor, rendered = self.places.sensors[place], self.photographs is None
+        sensor, rendered = self.sensors[place], self.photographs is None
         small = scaled_sensor(sensor, LARGEST_FILM)  # as ``cover`` has looked at it
         shown = self._usable(small)
         columns, rows = (np.flatnonzero(shown.any(axis=axis)) for axis in (0, 1))

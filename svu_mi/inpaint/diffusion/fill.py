@@ -23,7 +23,7 @@ from typing import get_args
 
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.inpaint.cross_validation import hidden_parts
 from svu_mi.inpaint.diffusion.conditioning_views import Shots
 from svu_mi.inpaint.diffusion.load_weights import load_model
@@ -155,7 +155,7 @@ class _Object:
             likeness = [(t.values, at) for t, (_, at) in zip(trials, guesses, strict=True)]
             values, reached = ask(task, chosen, len(trials))
         return Answer(
-            source, tuple(shots.places.names[place] for place in chosen), reached,
+            source, tuple(shots.name(place) for place in chosen), reached,
             self._errors(guesses), self._errors(likeness),
         ), values  # fmt: skip
 
