@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 from svu_mi import _llvm, limits
 
 if TYPE_CHECKING:
-    from svu_mi.capture import Capture, load_capture, render_capture
+    from svu_mi.capture.loading import load_capture
+    from svu_mi.capture.record import Capture
+    from svu_mi.capture.rendering import render_capture
     from svu_mi.checking.record import Check
     from svu_mi.checking.run import check
     from svu_mi.errors import SvuError, SvuWarning
@@ -23,7 +25,8 @@ if TYPE_CHECKING:
     from svu_mi.formats.importing import ImportOptions, import_capture
     from svu_mi.formats.reading import read_source
     from svu_mi.formats.source import Light
-    from svu_mi.frequency import fit_sh, power_spectrum
+    from svu_mi.frequency.fit import fit_sh
+    from svu_mi.frequency.harmonics import power_spectrum
     from svu_mi.guidance.candidates import Candidates
     from svu_mi.guidance.next_view import next_best_view
     from svu_mi.guidance.options import GuidanceOptions
@@ -42,57 +45,50 @@ if TYPE_CHECKING:
     from svu_mi.output.compare import Comparison, compare
     from svu_mi.output.report.report import write_report
     from svu_mi.pipeline import Estimate, estimate
-    from svu_mi.posterior import (
-        ParameterGrid,
-        Posterior,
-        PrincipledGrid,
-        angular_posterior,
-        calibrated_posterior,
-        spectrum_posterior,
-    )
+    from svu_mi.posterior.angular import angular_posterior
+    from svu_mi.posterior.calibrated import calibrated_posterior
+    from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+    from svu_mi.posterior.posterior import Posterior
+    from svu_mi.posterior.spectrum import spectrum_posterior
     from svu_mi.recovery.options import DescentOptions, PathOptions, ShOptions
     from svu_mi.recovery.recover import Recovery, recover
-    from svu_mi.reference import Reference, reference_posterior
-    from svu_mi.regularization import GlobalSharing, TotalVariation
-    from svu_mi.surface import Texels, texels
+    from svu_mi.reference.posterior import reference_posterior
+    from svu_mi.reference.record import Reference
+    from svu_mi.regularization.sharing import GlobalSharing
+    from svu_mi.regularization.tv import TotalVariation
+    from svu_mi.surface.layout import Texels, texels
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "Capture": "capture", "load_capture": "capture", "render_capture": "capture",
-    "Texels": "surface", "texels": "surface",
+    "Capture": "capture.record", "load_capture": "capture.loading",
+    "render_capture": "capture.rendering", "Texels": "surface.layout", "texels": "surface.layout",
     "ImportOptions": "formats.importing", "import_capture": "formats.importing",
-    "read_source": "formats.reading", "Light": "formats.source",
-    "fit_sh": "frequency", "power_spectrum": "frequency",
-    "ParameterGrid": "posterior", "PrincipledGrid": "posterior", "Posterior": "posterior",
-    "angular_posterior": "posterior", "calibrated_posterior": "posterior",
-    "spectrum_posterior": "posterior",
-    "AngularPreset": "options", "Fit": "options", "Preset": "options", "Skip": "options",
-    "preset": "options",
-    "Check": "checking.record", "check": "checking.run",
-    "Candidates": "guidance.candidates", "Guidance": "guidance.result",
+    "read_source": "formats.reading", "Light": "formats.source", "fit_sh": "frequency.fit",
+    "power_spectrum": "frequency.harmonics", "ParameterGrid": "posterior.grid",
+    "PrincipledGrid": "posterior.grid", "Posterior": "posterior.posterior",
+    "angular_posterior": "posterior.angular", "calibrated_posterior": "posterior.calibrated",
+    "spectrum_posterior": "posterior.spectrum", "AngularPreset": "options", "Fit": "options",
+    "Preset": "options", "Skip": "options", "preset": "options", "Check": "checking.record",
+    "check": "checking.run", "Candidates": "guidance.candidates", "Guidance": "guidance.result",
     "GuidanceOptions": "guidance.options", "next_best_view": "guidance.next_view",
-    "Estimate": "pipeline", "estimate": "pipeline",
-    "LightEstimate": "illumination.record", "LightOptions": "illumination.options",
-    "FoundGains": "illumination.record", "estimate_gains": "illumination.exposure",
-    "equalized": "illumination.exposure",
+    "Estimate": "pipeline", "estimate": "pipeline", "LightEstimate": "illumination.record",
+    "LightOptions": "illumination.options", "FoundGains": "illumination.record",
+    "estimate_gains": "illumination.exposure", "equalized": "illumination.exposure",
     "estimate_light": "illumination.estimate", "with_light": "illumination.resolve_light",
     "load_light": "illumination.folder", "save_light": "illumination.folder",
     "Comparison": "output.compare", "compare": "output.compare",
-    "write_report": "output.report.report",
-    "Reference": "reference", "reference_posterior": "reference",
-    "Recovery": "recovery.recover", "recover": "recovery.recover",
-    "TextureField": "recovery.field.field", "texture_field": "recovery.field.field",
-    "Filled": "inpaint.fill_result", "fill": "inpaint.fill",
-    "DiffusionOptions": "inpaint.diffusion.model_interface",
-    "fill_by_diffusion": "inpaint.diffusion.fill",
-    "RelitView": "recovery.relight", "relight_draws": "recovery.relight",
-    "DescentOptions": "recovery.options", "PathOptions": "recovery.options",
-    "ShOptions": "recovery.options",
-    "GlobalSharing": "regularization", "TotalVariation": "regularization",
-    "Asset": "export.asset", "ExportOptions": "export.export",
-    "export_asset": "export.export", "load_asset": "export.reading",
-    "SvuError": "errors", "SvuWarning": "errors",
+    "write_report": "output.report.report", "Reference": "reference.record",
+    "reference_posterior": "reference.posterior", "Recovery": "recovery.recover",
+    "recover": "recovery.recover", "TextureField": "recovery.field.field",
+    "texture_field": "recovery.field.field", "Filled": "inpaint.fill_result",
+    "fill": "inpaint.fill", "DiffusionOptions": "inpaint.diffusion.model_interface",
+    "fill_by_diffusion": "inpaint.diffusion.fill", "RelitView": "recovery.relight",
+    "relight_draws": "recovery.relight", "DescentOptions": "recovery.options",
+    "PathOptions": "recovery.options", "ShOptions": "recovery.options",
+    "GlobalSharing": "regularization.sharing", "TotalVariation": "regularization.tv",
+    "Asset": "export.asset", "ExportOptions": "export.export", "export_asset": "export.export",
+    "load_asset": "export.reading", "SvuError": "errors", "SvuWarning": "errors",
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use

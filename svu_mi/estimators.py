@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.repaint import constant_parameters
 from svu_mi.errors import OptionError
 from svu_mi.frequency.gather import fit_spectra
@@ -24,19 +24,15 @@ from svu_mi.limits import MAX_LANES
 from svu_mi.memory import TILE
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset, Skip
-from svu_mi.posterior import (
-    ParameterGrid,
-    Posterior,
-    PrincipledGrid,
-    angular_posterior,
-    calibrated_posterior,
-    spectrum_posterior,
-)
+from svu_mi.posterior.angular import angular_posterior
+from svu_mi.posterior.calibrated import calibrated_posterior
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.spectrum import spectrum_posterior
 from svu_mi.posterior.streaming import IMPOSSIBLE
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.progress import Progress, Stage
-from svu_mi.statistics import Factors
-from svu_mi.statistics.factors import stride
+from svu_mi.statistics.factors import Factors, stride
 from svu_mi.statistics.gather import Weighting
 
 log = logging.getLogger(__name__)

@@ -16,23 +16,26 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
 from svu_mi.frequency.samples import MirroredLight
 from svu_mi.interop import owned
-from svu_mi.light import LightCells, Lighting, light, light_cells
+from svu_mi.light.cells import LightCells, light_cells
+from svu_mi.light.lighting import Lighting, light
 from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
 from svu_mi.reflection.model import Arriving, Model
-from svu_mi.statistics import Factors, Statistics, gather
 from svu_mi.statistics.censored import PASSES, best_models
-from svu_mi.statistics.gather import ALIKE, Weighting, clipped_samples, rounding_sums
-from svu_mi.statistics.sums import Gathered
-from svu_mi.surface import Texels
-from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
+from svu_mi.statistics.factors import Factors
+from svu_mi.statistics.gather import ALIKE, Weighting, clipped_samples, gather, rounding_sums
+from svu_mi.statistics.sums import Gathered, Statistics
+from svu_mi.surface.layout import Texels
+from svu_mi.visibility.observe import Surface
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors, Reach, trace_mirrors, trace_reach
+from svu_mi.visibility.survey import Survey, survey
+from svu_mi.visibility.views import Views, pack_views
 
 log = logging.getLogger(__name__)
 

@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.errors import OptionError
 from svu_mi.estimators import (
@@ -33,17 +33,14 @@ from svu_mi.interop import owned
 from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset, AnyPreset, Method, Skip
 from svu_mi.options import preset as find_preset
-from svu_mi.posterior import (
-    ParameterGrid,
-    Posterior,
-    PrincipledGrid,
-    angular_grid,
-    spectrum_grid,
-)
+from svu_mi.posterior.angular import angular_grid
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.spectrum import spectrum_grid
 from svu_mi.posterior.streaming import log_prior
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.progress import Progress
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -12,15 +12,15 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from svu_mi.output.textures import write_textures
-from svu_mi.posterior import CalibratedKernel, calibrated_posterior
+from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
 from svu_mi.reflection.principled import (
     columns,
     diffuse_from_principled,
     specular_from_principled,
 )
 from svu_mi.scenes import FOLDER
-from svu_mi.statistics import Statistics
 from svu_mi.statistics.factors import PAIRS
+from svu_mi.statistics.sums import Statistics
 
 TEXELS, VIEWS = 5, 12
 EDGES = np.array([0, 0.25, 0.75, 1])  # of the cells of a grid of three nodes

@@ -23,7 +23,7 @@ from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.files import write_json, write_text
 from svu_mi.illumination.folder import load_light, save_light
 from svu_mi.npz import DIGEST, write_arrays
-from svu_mi.posterior import PrincipledGrid
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.checkpoint import Checkpoint, State
 from svu_mi.reference import cache
 from svu_mi.reference.options import ReferenceOptions

@@ -19,9 +19,9 @@ from PIL import Image
 
 from svu_mi import scenes
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture import render_capture
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.record import Capture
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
@@ -39,7 +39,7 @@ from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.results.transaction import writing
 from svu_mi.scenes import meshes
 from svu_mi.statistics.gather import Values
-from svu_mi.surface import texels
+from svu_mi.surface.layout import texels
 
 SPHERE_XML = """<scene version="3.0.0">
   <integrator type="direct"/>

@@ -12,7 +12,7 @@ from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Materials, Transport
 from svu_mi.interop import fibonacci, owned
 from svu_mi.options import preset
-from svu_mi.visibility import Surface
+from svu_mi.visibility.observe import Surface
 
 SWITCHES = preset("default", method="angular")
 

@@ -14,8 +14,9 @@ from walled import Samples, angular, noise_capture, seen_in, walled_ball
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
-from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
-from svu_mi.statistics import Statistics
+from svu_mi.posterior.angular import angular_posterior
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.statistics.sums import Statistics
 
 
 @pytest.fixture(scope="module")

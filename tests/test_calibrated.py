@@ -10,13 +10,14 @@ from scipy import stats
 
 import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.posterior import calibrated_posterior, object_prior
+from svu_mi.posterior import object_prior
+from svu_mi.posterior.calibrated import calibrated_posterior
 from svu_mi.posterior.cells import color_of_rows
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.truncated import Channel, erfcx
 from svu_mi.posterior.walk import energy_at
 from svu_mi.reflection.principled import mixture
-from svu_mi.statistics import Statistics
+from svu_mi.statistics.sums import Statistics
 
 LEVELS = np.linspace(0, 1, 8)
 PARTS = oracle.even(42), oracle.mixed(14, 0.8)

@@ -13,14 +13,15 @@ import pytest
 from helpers import ball, fails, names, run, sensor_xml, write_scene
 from PIL import Image
 
-from svu_mi.capture import load_capture, render_capture, rendering
+from svu_mi.capture import rendering
 from svu_mi.capture.folder import Description
 from svu_mi.capture.load_warnings import ignored
-from svu_mi.capture.loading import plan_photographs
+from svu_mi.capture.loading import load_capture, plan_photographs
 from svu_mi.capture.matching import NoPhotographsError
 from svu_mi.capture.mesh import arrays, make
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.errors import (
@@ -35,7 +36,7 @@ from svu_mi.exr import read_exr, read_header, write_exr
 from svu_mi.pipeline import estimate
 from svu_mi.results.exchange import DRAFT, beside
 from svu_mi.results.provenance import RUN
-from svu_mi.surface import texels
+from svu_mi.surface.layout import texels
 
 
 def write_images(folder, count, shape=(24, 24), value=0.5):

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from svu_mi.errors import OptionError
-from svu_mi.metrics import GroundTruth
+from svu_mi.metrics.truth import GroundTruth
 from svu_mi.output.figures import (
     all_seen,
     draw_map,
@@ -19,7 +19,9 @@ from svu_mi.output.figures import (
     draw_posterior,
 )
 from svu_mi.output.style import OUTSIDE, UNSEEN
-from svu_mi.posterior import ParameterGrid, Posterior, PrincipledGrid, tabulated_posterior
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.tabulated import tabulated_posterior
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,11 @@ from helpers import ball_scene, memory_capture
 from scipy.ndimage import map_coordinates
 
 from svu_mi.capture.poses import sphere_sensors
-from svu_mi.surface import texels
-from svu_mi.visibility import Surface, pack_views, survey
-from svu_mi.visibility.observe import look
+from svu_mi.surface.layout import texels
+from svu_mi.visibility.observe import Surface, look
 from svu_mi.visibility.pixels import SPACING
+from svu_mi.visibility.survey import survey
+from svu_mi.visibility.views import pack_views
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 FILM = 200

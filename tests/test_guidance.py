@@ -33,7 +33,7 @@ from svu_mi.guidance.strategies import STRATEGIES, TABLE
 from svu_mi.interop import owned
 from svu_mi.local import padded
 from svu_mi.options import preset
-from svu_mi.posterior import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.nodes import cell_edges
 
 SUN = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0.4, 0.8, 0.45]}

@@ -21,9 +21,10 @@ from svu_mi.exr import read_exr, read_header
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.output import Run, guidance_page
 from svu_mi.output import directions as sky
+from svu_mi.output import guidance_page
 from svu_mi.output.guidance import file_names, write_guidance, write_sensors
+from svu_mi.output.manifest import Run
 from svu_mi.output.views import facing
 
 RNG_SEED = 1630517742

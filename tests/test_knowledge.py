@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from svu_mi.output.knowledge import Knowledge
-from svu_mi.posterior import PrincipledGrid, tabulated_posterior
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import spread
+from svu_mi.posterior.tabulated import tabulated_posterior
 
 AXES = {"roughness": np.linspace(0, 1, 21), "base_color": np.linspace(0, 1, 21)}
 # Five texels, the last of them unseen: their sides, and ends of their intervals.

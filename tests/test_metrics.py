@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 from helpers import ball_scene, memory_capture
 
-from svu_mi import metrics
-from svu_mi.capture import render_capture
 from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.rendering import render_capture
 from svu_mi.errors import OptionError, SceneError, ShapeError
-from svu_mi.metrics import image_error, psnr, texel_error, texture_psnr
-from svu_mi.metrics.images import CEILING_DB, ssim_map
+from svu_mi.metrics.correlation import (
+    Interval,
+    mean_over_objects,
+    pearson,
+    sparsification,
+    spearman,
+)
+from svu_mi.metrics.credible import credible_coverage, nearest_cells
+from svu_mi.metrics.images import CEILING_DB, image_error, psnr, ssim_map, texel_error, texture_psnr
+from svu_mi.metrics.truth import error_summary, ground_truth
 from svu_mi.scenes import path
-from svu_mi.surface import texels
+from svu_mi.surface.layout import texels
 
 SEED = 90417
 
@@ -28,17 +35,17 @@ def rng():
 
 def test_pearson_by_hand():
     """x = 0 1 2, y = 0 1 4: covariance 2 / 1.0, deviations sqrt(2) and sqrt(26/3)."""
-    assert metrics.pearson([0, 1, 2], [0, 1, 4]) == pytest.approx(4 / np.sqrt(2 * 26 / 3))
-    assert metrics.pearson([0, 1, 2], [2, 1, 0]) == pytest.approx(-1)
+    assert pearson([0, 1, 2], [0, 1, 4]) == pytest.approx(4 / np.sqrt(2 * 26 / 3))
+    assert pearson([0, 1, 2], [2, 1, 0]) == pytest.approx(-1)
 
 
 def test_spearman_sees_only_the_order():
-    assert metrics.spearman([0, 1, 2, 3], [0, 1, 10, 1000]) == pytest.approx(1)
+    assert spearman([0, 1, 2, 3], [0, 1, 10, 1000]) == pytest.approx(1)
     # Ties share their mean rank: 1.5 1.5 3 against 1 2 3.
-    assert metrics.spearman([5, 5, 9], [1, 2, 3]) == pytest.approx(np.sqrt(3) / 2)
+    assert spearman([5, 5, 9], [1, 2, 3]) == pytest.approx(np.sqrt(3) / 2)
 
 
-@pytest.mark.parametrize("rho", [metrics.pearson, metrics.spearman])
+@pytest.mark.parametrize("rho", [pearson, spearman])
 @pytest.mark.parametrize("constant", [[0.0] * 4, [0.1] * 4, [1e9] * 4, [0.3 + 1e-17, 0.3] * 2])
 def test_a_constant_correlates_with_nothing(rho, constant):
     assert rho(constant, [1, 2, 3, 5]) == 0
@@ -46,8 +53,8 @@ def test_a_constant_correlates_with_nothing(rho, constant):
     assert rho([1.0], [2.0]) == 0
 
 
-@pytest.mark.parametrize("function", [metrics.pearson, metrics.spearman, metrics.sparsification,
-                                      metrics.error_summary])  # fmt: skip
+@pytest.mark.parametrize("function", [pearson, spearman, sparsification,
+                                      error_summary])  # fmt: skip
 def test_shapes_and_numbers_are_checked(function):
     with pytest.raises(ShapeError, match=r"\(3,\) array, got \(2,\)"):
         function([1, 2, 3], [1, 2])
@@ -64,8 +71,8 @@ def test_shapes_and_numbers_are_checked(function):
 
 def test_objects_are_resampled_not_cells():
     """Thirty equal cells of three objects tell no more than one cell of each."""
-    few = metrics.mean_over_objects([0.2, 0.5, 0.8], ["a", "b", "c"])
-    many = metrics.mean_over_objects(np.repeat([0.2, 0.5, 0.8], 10), np.repeat(["a", "b", "c"], 10))
+    few = mean_over_objects([0.2, 0.5, 0.8], ["a", "b", "c"])
+    many = mean_over_objects(np.repeat([0.2, 0.5, 0.8], 10), np.repeat(["a", "b", "c"], 10))
     assert few.mean == pytest.approx(0.5)
     # All three draws the same: 1 in 27, above 2.5 %; t with 2 degrees of freedom is 4.303.
     assert few.low == pytest.approx(0.5 - 0.3 * np.sqrt(3 / 2) * 4.3027 / 1.95996, abs=1e-4)
@@ -82,17 +89,17 @@ def test_the_interval_covers_the_mean_as_often_as_it_says(rng, count):
     held = 0
     for index in range(200):
         cells = np.repeat(rng.normal(0.7, 0.1, count), 3) + rng.normal(0, 0.02, 3 * count)
-        found = metrics.mean_over_objects(cells, names, seed=index)
+        found = mean_over_objects(cells, names, seed=index)
         held += found.low <= 0.7 <= found.high
     assert 0.9 <= held / 200 <= 0.995
 
 
 def test_one_or_two_objects_have_a_mean_and_no_interval():
     for objects, count in ((["a", "a"], 1), (["a", "b"], 2)):
-        found = metrics.mean_over_objects([0.5, 0.7], objects)
-        assert found == metrics.Interval(pytest.approx(0.6), None, None, count)
+        found = mean_over_objects([0.5, 0.7], objects)
+        assert found == Interval(pytest.approx(0.6), None, None, count)
     with pytest.raises(ShapeError, match=r"\(1,\) array"):
-        metrics.mean_over_objects([0.5, 0.7], ["a"])
+        mean_over_objects([0.5, 0.7], ["a"])
 
 
 # --- sparsification -----------------------------------------------------------------------
@@ -101,7 +108,7 @@ def test_one_or_two_objects_have_a_mean_and_no_interval():
 def test_sparsification_by_hand():
     """Errors 1 2 3 (mean 2). The oracle removes 3, then 2: 1, 3/4, 1/2. The uncertainty removes
     1, then 2: 1, 5/4, 3/2. The area between: trapezoids of 0, 1/2, 1 with step 1/3."""
-    found = metrics.sparsification([1, 2, 3], [0.9, 0.5, 0.1])
+    found = sparsification([1, 2, 3], [0.9, 0.5, 0.1])
     np.testing.assert_allclose(found.removed, [0, 1 / 3, 2 / 3])
     np.testing.assert_allclose(found.oracle, [1, 3 / 4, 1 / 2])
     np.testing.assert_allclose(found.by_uncertainty, [1, 5 / 4, 3 / 2])
@@ -111,21 +118,21 @@ def test_sparsification_by_hand():
 
 def test_a_perfect_order_has_no_area_and_no_order_is_chance(rng):
     error = rng.exponential(size=500)
-    assert metrics.sparsification(error, error**3).ause == 0
-    constant = metrics.sparsification(error, np.full(500, 0.3))
+    assert sparsification(error, error**3).ause == 0
+    constant = sparsification(error, np.full(500, 0.3))
     np.testing.assert_allclose(constant.by_uncertainty, 1)
     assert constant.relative == pytest.approx(1)
-    noise = [metrics.sparsification(error, rng.random(500)).relative for _ in range(20)]
+    noise = [sparsification(error, rng.random(500)).relative for _ in range(20)]
     assert np.mean(noise) == pytest.approx(1, abs=0.15)
 
 
 def test_sparsification_without_errors():
     for error in ([0.0, 0.0, 0.0], [0.5, 0.5, 0.5], [2.0]):
-        found = metrics.sparsification(error, np.arange(len(error)))
+        found = sparsification(error, np.arange(len(error)))
         assert (found.ause, found.relative) == (0, 0)
         np.testing.assert_allclose(found.by_uncertainty, 1)
     with pytest.raises(OptionError, match="negative"):
-        metrics.sparsification([-1, 1], [0, 1])
+        sparsification([-1, 1], [0, 1])
 
 
 # --- credible sets ------------------------------------------------------------------------
@@ -134,23 +141,23 @@ def test_sparsification_without_errors():
 def test_the_truth_falls_into_the_nearest_cell():
     axes = {"roughness": [0, 0.5, 1], "specular": [0, 1]}
     truth = {"roughness": [0.1, 0.26, 0.9], "specular": [0.2, 0.9, 0.5], "other": [1, 2, 3]}
-    np.testing.assert_array_equal(metrics.nearest_cells(axes, truth), [0, 3, 4])
+    np.testing.assert_array_equal(nearest_cells(axes, truth), [0, 3, 4])
 
 
 def test_credible_sets_by_hand():
     """0.5 needs the first cell; 0.9 needs 0.6, 0.3 and, to be whole, nothing more."""
     p = np.array([[0.6, 0.3, 0.1]] * 3)
-    half = metrics.credible_coverage(p, np.array([0, 1, 2]), 0.5)
+    half = credible_coverage(p, np.array([0, 1, 2]), 0.5)
     assert (half.plain, half.size) == (pytest.approx(1 / 3), pytest.approx(1 / 3))
     assert half.fractional == pytest.approx(0.5 / 0.6 / 3)
-    most = metrics.credible_coverage(p, np.array([0, 1, 2]), 0.9)
+    most = credible_coverage(p, np.array([0, 1, 2]), 0.9)
     assert (most.plain, most.size) == (pytest.approx(2 / 3), pytest.approx(2 / 3))
     assert most.fractional == pytest.approx(2 / 3)
 
 
 def test_ties_are_taken_in_whole():
     p = np.full((4, 2, 2), 0.25)
-    found = metrics.credible_coverage(p, np.arange(4), 0.5)
+    found = credible_coverage(p, np.arange(4), 0.5)
     assert (found.plain, found.size) == (1, 1)
     assert found.fractional == pytest.approx(0.5)
 
@@ -161,7 +168,7 @@ def test_a_calibrated_posterior_is_covered_as_it_says(rng, level):
     count = 4000
     p = rng.dirichlet(np.full(64, 0.1), count)
     truth = (p.cumsum(axis=1) > rng.random((count, 1))).argmax(axis=1)
-    found = metrics.credible_coverage(p.reshape(count, 8, 8).astype(np.float32), truth, level)
+    found = credible_coverage(p.reshape(count, 8, 8).astype(np.float32), truth, level)
     margin = 4 * np.sqrt(level * (1 - level) / count)
     assert found.fractional == pytest.approx(level, abs=margin)
     assert found.plain >= level - margin
@@ -170,7 +177,7 @@ def test_a_calibrated_posterior_is_covered_as_it_says(rng, level):
 
 def test_a_truth_without_probability_is_not_covered():
     p = np.array([[1.0, 0.0]] * 2)
-    found = metrics.credible_coverage(p, np.array([0, 1]), 0.9)
+    found = credible_coverage(p, np.array([0, 1]), 0.9)
     assert found.plain == 0.5
     assert found.fractional == pytest.approx(0.45)
 
@@ -178,20 +185,20 @@ def test_a_truth_without_probability_is_not_covered():
 def test_what_credible_coverage_refuses():
     p = np.full((2, 4), 0.25)
     with pytest.raises(ShapeError, match=r"must be \(2,\) integers"):
-        metrics.credible_coverage(p, np.array([0]), 0.5)
+        credible_coverage(p, np.array([0]), 0.5)
     with pytest.raises(ShapeError, match="outside the grid of 4"):
-        metrics.credible_coverage(p, np.array([0, 4]), 0.5)
+        credible_coverage(p, np.array([0, 4]), 0.5)
     with pytest.raises(OptionError, match="sums are 2"):
-        metrics.credible_coverage(2 * p, np.array([0, 1]), 0.5)
+        credible_coverage(2 * p, np.array([0, 1]), 0.5)
     with pytest.raises(OptionError, match="level"):
-        metrics.credible_coverage(p, np.array([0, 1]), 1)
+        credible_coverage(p, np.array([0, 1]), 1)
 
 
 # --- errors and truth ---------------------------------------------------------------------
 
 
 def test_errors_by_hand():
-    found = metrics.error_summary([1, 2, 6], [1, 3, 3])
+    found = error_summary([1, 2, 6], [1, 3, 3])
     assert found.bias == pytest.approx(2 / 3)
     assert found.mae == pytest.approx(4 / 3)
     assert found.rmse == pytest.approx(np.sqrt(10 / 3))
@@ -203,7 +210,7 @@ def test_the_truth_of_a_scene_is_its_textures():
 
     capture = render_capture(path("vase"), 1, views=1, resolution=(8, 8))
     grid = texels(capture.mesh, 64)
-    truth = metrics.ground_truth(capture, grid)
+    truth = ground_truth(capture, grid)
     picture = read_exr(path("vase").parent / "metallic.exr")
     pixels = next(iter(picture.values()))
     side = len(pixels) // 64
@@ -233,7 +240,7 @@ def test_uniform_parameters_and_other_materials(tmp_path):
     capture = memory_capture(scene, [np.ones((8, 8, 3), np.float32)],
                              sphere_sensors(scene.shapes()[0], 1, (8, 8)))  # fmt: skip
     grid = texels(capture.mesh, 16)
-    truth = metrics.ground_truth(capture, grid)
+    truth = ground_truth(capture, grid)
     np.testing.assert_allclose(truth.base_color, [[0.25, 0.5, 1.0]] * grid.count, rtol=1e-6)
     np.testing.assert_allclose(truth.roughness, 0.25)
     np.testing.assert_allclose(truth.metallic, 0.75)
@@ -241,7 +248,7 @@ def test_uniform_parameters_and_other_materials(tmp_path):
     capture = memory_capture(scene, [np.ones((8, 8, 3), np.float32)],
                              sphere_sensors(scene.shapes()[0], 1, (8, 8)))  # fmt: skip
     with pytest.raises(SceneError, match="principled"):
-        metrics.ground_truth(capture, grid)
+        ground_truth(capture, grid)
 
 
 # --- textures and pictures -----------------------------------------------------------------
@@ -331,8 +338,8 @@ def test_pictures_are_compared_on_the_object_only_and_at_any_exposure():
 def test_sparsification_does_not_depend_on_units_or_order(rng):
     error, said = rng.exponential(size=200), rng.integers(0, 20, 200)
     order = rng.permutation(200)
-    first = metrics.sparsification(error, said)
-    other = metrics.sparsification(7 * error[order], np.exp(said[order] / 3))
+    first = sparsification(error, said)
+    other = sparsification(7 * error[order], np.exp(said[order] / 3))
     assert other.ause == pytest.approx(first.ause)
 
 

@@ -11,8 +11,16 @@ from helpers import ball
 import svu_mi.errors
 import svu_mi.scenes
 from svu_mi.capture.mesh import MeshArrays, make
-from svu_mi.surface import Neighbors, Texels, neighbors, texels
-from svu_mi.surface.neighbors import MOST, OPPOSITE, REACH, lanes_of, over_neighbors
+from svu_mi.surface.layout import Texels, texels
+from svu_mi.surface.neighbors import (
+    MOST,
+    OPPOSITE,
+    REACH,
+    Neighbors,
+    lanes_of,
+    neighbors,
+    over_neighbors,
+)
 
 
 def quad(origin, along_u, along_v, uv) -> MeshArrays:

@@ -10,8 +10,10 @@ from helpers import ball, ball_scene, memory_capture, sensor_xml, write_scene
 
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
-from svu_mi.surface import texels
-from svu_mi.visibility import Surface, observe, over_views, pack_views, survey
+from svu_mi.surface.layout import texels
+from svu_mi.visibility.observe import Surface, observe, over_views
+from svu_mi.visibility.survey import survey
+from svu_mi.visibility.views import pack_views
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 

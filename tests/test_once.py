@@ -14,7 +14,7 @@ from test_reference import paint, sky
 import svu_mi as svu
 from svu_mi import observed as module
 from svu_mi.bench.captures import chosen_views
-from svu_mi.posterior import PrincipledGrid
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.options import DescentOptions, ShOptions
 from svu_mi.statistics.gather import Weighting
 
@@ -92,7 +92,7 @@ def test_what_goes_on_from_an_estimate_traces_nothing_again(capture, layout, cal
 def test_forecasts_of_seen_texels_trace_no_cell_again(capture, layout, calls, monkeypatch):
     from svu_mi.guidance.forecaster import forecast_of
     from svu_mi.guidance.options import GuidanceOptions
-    from svu_mi.visibility import pack_sensors
+    from svu_mi.visibility.views import pack_sensors
 
     estimate = svu.estimate(capture, layout)
     packed = pack_sensors(capture.scene, capture.shape, capture.sensors[:2])

@@ -18,17 +18,13 @@ import svu_mi as svu
 from svu_mi.capture.shown import tone_mapped
 from svu_mi.errors import OutputError
 from svu_mi.exr import read_exr, read_header
-from svu_mi.output import (
-    Run,
-    views,
-    write_maps,
-    write_outputs,
-    write_overview,
-)
+from svu_mi.output import views
 from svu_mi.output.knowledge import Knowledge
-from svu_mi.output.manifest import write_manifest
-from svu_mi.output.overview import _hatch
+from svu_mi.output.manifest import Run, write_manifest
+from svu_mi.output.maps import write_maps
+from svu_mi.output.overview import _hatch, write_overview
 from svu_mi.output.style import new_figure
+from svu_mi.output.write_entropy import write_outputs
 
 
 def with_entropy(estimate, value):

@@ -28,15 +28,16 @@ from svu_mi.light.environment import directions, quadrature, synthesize
 from svu_mi.light.lighting import lat_long_texture, look_up
 from svu_mi.options import Fit, preset
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import ParameterGrid, PrincipledGrid, tabulated_posterior
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.spectrum import spectrum_grid
+from svu_mi.posterior.tabulated import tabulated_posterior
 from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS
 from svu_mi.recovery.path.objective import l1
 from svu_mi.recovery.sh.angular import angular_objective
 from svu_mi.recovery.sh.spectral import SpectralObjective
 from svu_mi.statistics.gather import flat
-from svu_mi.surface import neighbors
-from svu_mi.visibility import Surface
+from svu_mi.surface.neighbors import neighbors
+from svu_mi.visibility.observe import Surface
 
 L = 6  # l*
 SH = preset("paper", method="angular")

@@ -23,8 +23,8 @@ from svu_mi.recovery.path.batches import PixelBatches
 from svu_mi.recovery.path.objective import FLOOR, LOSSES, path_objective
 from svu_mi.recovery.path.scene import PathScene
 from svu_mi.recovery.textures import Textures, uniform
-from svu_mi.surface import texels as lay_texels
-from svu_mi.visibility import pack_views
+from svu_mi.surface.layout import texels as lay_texels
+from svu_mi.visibility.views import pack_views
 
 
 def light():

@@ -13,16 +13,16 @@ import pytest
 from helpers import render_ball
 
 import svu_mi as svu
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.errors import OptionError, ShapeError, SvuError
-from svu_mi.posterior import CalibratedKernel
 from svu_mi.posterior import calibrated_kernel as kernel
+from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.recovery.options import SH_PRESETS, DescentOptions, ShOptions
 from svu_mi.recovery.sh.objective import Likelihood, Pull, moments, values_of
 from svu_mi.recovery.start import posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, uniform
 from svu_mi.statistics.gather import Weighting
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 
 SIZE = 24
 TRUE: dict[str, Any] = {"base_color": (0.7, 0.4, 0.15), "roughness": 0.5, "metallic": 1.0}

@@ -16,7 +16,6 @@ import pytest
 from helpers import ball, memory_capture, sensor_xml, write_older, write_scene
 
 import svu_mi as svu
-from svu_mi import metrics
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture import scene_xml
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
@@ -24,6 +23,7 @@ from svu_mi.capture.repaint import scene_of
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
 from svu_mi.exr import read_exr, read_header, write_exr
 from svu_mi.light.environment import read_environment
+from svu_mi.metrics.images import psnr
 from svu_mi.output.recovery import write_recovery
 from svu_mi.output.relit import Comparison, compare, write_relit
 from svu_mi.output.textures import read_textures, write_textures
@@ -36,10 +36,10 @@ RNG_SEED = 1186230517
 BETTER_THAN = 40.0  # dB; below what one differing texel of a hundred would leave
 
 
-def psnr(image, truth):
+def scaled_psnr(image, truth):
     """Peak signal-to-noise ratio; the peak is the 99 % quantile of the truth."""
     peak = np.quantile(truth, 0.99)
-    return metrics.psnr(np.array(image) / peak, np.array(truth) / peak)
+    return psnr(np.array(image) / peak, np.array(truth) / peak)
 
 
 def any_textures(height=6, width=10):
@@ -134,7 +134,7 @@ def test_the_scene_shows_what_the_capture_shows(vase, fine, tmp_path):
         sensor = vase.capture.sensors[view]
         own = mi.render(vase.capture.scene, sensor=sensor, spp=32, seed=view)
         assert mine.shape == (36, 48, 3)
-        assert psnr(mine, own) > BETTER_THAN
+        assert scaled_psnr(mine, own) > BETTER_THAN
 
 
 def test_the_scene_has_ids_and_relative_names(vase, fine, tmp_path):
@@ -265,7 +265,7 @@ def test_odd_films_and_neighbours_are_kept(tmp_path):
     for view, image in enumerate(relight(capture, textures, None, spp=16)):
         found = mi.render(written, sensor=view, spp=16, seed=view)
         assert found.shape == image.shape == (30, 40, 3)
-        assert psnr(found, image) > BETTER_THAN
+        assert scaled_psnr(found, image) > BETTER_THAN
 
 
 def test_a_material_that_cannot_be_written_is_said(tmp_path):
@@ -308,7 +308,7 @@ def test_a_mesh_without_uvs_is_written_with_those_of_its_texels(tmp_path):
     assert meshes.has_uvs(written.shapes()[0])
     assert written.shapes()[0].has_vertex_normals() == capture.mesh.has_vertex_normals()
     image = relight(capture, textures, None, spp=16)[1]
-    assert psnr(mi.render(written, sensor=1, spp=16, seed=1), image) > BETTER_THAN
+    assert scaled_psnr(mi.render(written, sensor=1, spp=16, seed=1), image) > BETTER_THAN
 
 
 def test_an_object_open_to_both_sides_stays_so(tmp_path):
@@ -347,9 +347,9 @@ def test_relit_truth_is_truth(vase, fine):
         relight(vase.capture, fine.truth, light, sensors, spp=32), truth, strict=True
     ):
         assert mine.dtype == np.float32 and mine.shape == (36, 48, 3)
-        assert psnr(mine, own) > BETTER_THAN
+        assert scaled_psnr(mine, own) > BETTER_THAN
     own_light = relight(vase.capture, None, None, sensors[:1], spp=32)[0]
-    assert psnr(own_light, truth[0]) < 25  # it is another light indeed
+    assert scaled_psnr(own_light, truth[0]) < 25  # it is another light indeed
 
 
 def test_the_novel_light_is_as_bright_and_stands_upright(vase, tmp_path):

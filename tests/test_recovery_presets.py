@@ -14,7 +14,8 @@ from helpers import render_ball
 import svu_mi as svu
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.options import PRESETS, preset
-from svu_mi.posterior import ParameterGrid, SpectrumKernel
+from svu_mi.posterior.grid import ParameterGrid
+from svu_mi.posterior.spectrum import SpectrumKernel
 from svu_mi.recovery import run as running
 from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import (
@@ -29,8 +30,9 @@ from svu_mi.recovery.options import (
 from svu_mi.recovery.path.objective import PathObjective
 from svu_mi.recovery.sh.angular import AngularObjective
 from svu_mi.recovery.sh.spectral import SpectralObjective
-from svu_mi.regularization import GlobalSharing, TotalVariation
-from svu_mi.surface import neighbors
+from svu_mi.regularization.sharing import GlobalSharing
+from svu_mi.regularization.tv import TotalVariation
+from svu_mi.surface.neighbors import neighbors
 
 SH = {name: asdict(options) for name, options in SH_PRESETS.items()}
 PATH = {name: asdict(options) for name, options in PATH_PRESETS.items()}

@@ -19,12 +19,13 @@ from svu_mi.capture.poses import sphere_sensors
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
 from svu_mi.options import AngularPreset
 from svu_mi.pipeline import estimate
-from svu_mi.posterior import PrincipledGrid
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.progress import Progress
-from svu_mi.reference import pairs, posterior, reference_posterior, trace
+from svu_mi.reference import pairs, posterior, trace
 from svu_mi.reference.deviations import PerTexel, brute, linear
+from svu_mi.reference.posterior import reference_posterior
 from svu_mi.statistics.factors import PAIRS
-from svu_mi.surface import texels
+from svu_mi.surface.layout import texels
 
 GRID = PrincipledGrid(3, 3, 3)
 TRUTH = (1, 2, 1)  # cell of GRID

@@ -13,17 +13,19 @@ import pytest
 from helpers import ball
 from test_neighbors import links, quad, together
 
-from svu_mi import GlobalSharing, TotalVariation
 from svu_mi.capture.mesh import make
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import preset
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import ParameterGrid, Posterior, tabulated_posterior
-from svu_mi.posterior.tabulated import TabulatedKernel
+from svu_mi.posterior.grid import ParameterGrid
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.tabulated import TabulatedKernel, tabulated_posterior
 from svu_mi.regularization.seeds import find_seeds, least_minima
-from svu_mi.regularization.sharing import divergences
-from svu_mi.surface import Texels, neighbors, texels
+from svu_mi.regularization.sharing import GlobalSharing, divergences
+from svu_mi.regularization.tv import TotalVariation
+from svu_mi.surface.layout import Texels, texels
+from svu_mi.surface.neighbors import neighbors
 
 RESOLUTION = (24, 16)
 GRID = ParameterGrid(4, 3)

@@ -25,8 +25,7 @@ from svu_mi.interop import owned
 from svu_mi.observed import observe
 from svu_mi.statistics.gather import Weighting
 from svu_mi.statistics.sums import noise_weight
-from svu_mi.visibility import Surface
-from svu_mi.visibility.observe import look
+from svu_mi.visibility.observe import Surface, look
 from svu_mi.visibility.observe import observe as look_for
 
 DARK = 0.004  # exposure at which the vase is a few steps of 255

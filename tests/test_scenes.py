@@ -16,7 +16,7 @@ from svu_mi.capture.scene import find_environment, find_sensors, find_shape, loa
 from svu_mi.errors import OptionError, OutputError
 from svu_mi.exr import read_exr
 from svu_mi.scenes import make_assets
-from svu_mi.surface import texels
+from svu_mi.surface.layout import texels
 
 SMALL = {"resolution": "16", "spp": "4"}
 

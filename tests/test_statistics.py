@@ -16,9 +16,9 @@ import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.observed import observe
-from svu_mi.statistics import Factors, Statistics
-from svu_mi.statistics.factors import FLOOR, PAIRS
+from svu_mi.statistics.factors import FLOOR, PAIRS, Factors
 from svu_mi.statistics.gather import Weighting
+from svu_mi.statistics.sums import Statistics
 
 # --- gathered, against the samples ----------------------------------------------------------
 

@@ -11,7 +11,8 @@ from helpers import ball
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.unwrap import unwrap, unwrapped
 from svu_mi.errors import MeshError, OptionError, ShapeError
-from svu_mi.surface import layout, texels
+from svu_mi.surface import layout
+from svu_mi.surface.layout import texels
 from svu_mi.surface.raster import rasterize
 
 

@@ -11,15 +11,17 @@ import pytest
 from helpers import ball_scene, memory_capture, write_scene
 
 from svu_mi import scenes
-from svu_mi.capture import load_capture, render_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensors
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError
-from svu_mi.surface import texels
-from svu_mi.visibility import Surface, observe, pack_sensors, pack_views
+from svu_mi.surface.layout import texels
+from svu_mi.visibility.observe import Surface, observe
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.silhouette import MIN_COSINE, SLOPE_MARGIN
+from svu_mi.visibility.views import pack_sensors, pack_views
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 

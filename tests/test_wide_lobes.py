@@ -15,7 +15,7 @@ from svu_mi.light.cells import Cells, light_cells
 from svu_mi.light.environment import Environment, read_environment
 from svu_mi.reflection import wide
 from svu_mi.reflection.wide import WideLobes
-from svu_mi.surface import Texels, texels
+from svu_mi.surface.layout import Texels, texels
 from svu_mi.visibility.observe import Surface
 from svu_mi.visibility.reach import Reach, trace_reach
 

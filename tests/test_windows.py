@@ -24,7 +24,7 @@ from svu_mi.exr import read_exr
 from svu_mi.formats import photographs
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.visibility import pack_views
+from svu_mi.visibility.views import pack_views
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*8-bit:svu_mi.errors.SvuWarning")
 

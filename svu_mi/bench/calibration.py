@@ -22,15 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
 from svu_mi.bench.report import Column, columns, digits, table
 from svu_mi.bench.study import Asked, Study
+from svu_mi.metrics.correlation import pearson, sparsification, spearman
+from svu_mi.metrics.credible import credible_coverage, nearest_cells
 from svu_mi.options import preset
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
-from svu_mi.surface import texels
+from svu_mi.surface.layout import texels
 from svu_mi.surface.material import parameters_at
 
 JUDGED, TRACED, SPP = 1500, 100, 256  # texels; those that are path traced, and paths of each
@@ -103,7 +104,7 @@ class Calibrated(OnCell):
         seen = reference.coverage > 0
         entropy = np.array(estimate(self.capture, self.layout).entropy, np.float64)
         return {
-            "rho": metrics.pearson(entropy[reference.subset][seen], reference.entropy[seen]),
+            "rho": pearson(entropy[reference.subset][seen], reference.entropy[seen]),
             "halves": reference.split_half().correlation,
         }
 
@@ -147,12 +148,12 @@ def figures(posterior: Any, truth: Truths, chosen: np.ndarray) -> Record:
             f"interval {key}": float(inside.mean()), f"settled {key}": float(settled.mean()),
             f"settled {key} holds": float(inside[settled].mean()) if settled.any() else 1.0,
             f"psnr {key}": float(-10 * np.log10(np.mean((mean - mine) ** 2))),
-            f"ause {key}": metrics.sparsification(np.sqrt(error), np.sqrt(variance)).relative,
+            f"ause {key}": sparsification(np.sqrt(error), np.sqrt(variance)).relative,
             f"crps {key}": crps(drawn.reshape(DRAWS, *mine.shape), mine),
         }  # fmt: skip
     error, said = np.sqrt(np.sum(errors, axis=0)), np.sqrt(np.sum(variances, axis=0))
-    return result | {"pearson": metrics.pearson(error, said),
-                     "spearman": metrics.spearman(error, said)}  # fmt: skip
+    return result | {"pearson": pearson(error, said),
+                     "spearman": spearman(error, said)}  # fmt: skip
 
 
 def _columns(values: np.ndarray) -> np.ndarray:
@@ -169,9 +170,7 @@ def sets(p: np.ndarray, truth: Truths) -> Record:
     """
     p = p if p.ndim == 5 else p[..., None]
     cells = {
-        name: np.stack(
-            [metrics.nearest_cells({name: NODES}, {name: x}) for x in truth[name].T], axis=1
-        )
+        name: np.stack([nearest_cells({name: NODES}, {name: x}) for x in truth[name].T], axis=1)
         for name in NAMES
     }
     r, m = cells["roughness"][:, 0], cells["metallic"][:, 0]
@@ -185,8 +184,8 @@ def sets(p: np.ndarray, truth: Truths) -> Record:
     for level in (0.9, 0.5):
         key = f"{100 * level:.0f}"
         for name, (q, own) in of.items():
-            result[f"{key} {name}"] = metrics.credible_coverage(q, own, level).fractional
-        found = [metrics.credible_coverage(q, own, level).fractional for q, own in colors]
+            result[f"{key} {name}"] = credible_coverage(q, own, level).fractional
+        found = [credible_coverage(q, own, level).fractional for q, own in colors]
         result[f"{key} c"] = float(np.mean(found))
     return result
 

@@ -9,21 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.cases import Cell
 from svu_mi.bench.problem_sizes import Sizes
 from svu_mi.bench.result_cache import Store, key_of
-from svu_mi.capture import Capture, load_capture, render_capture
 from svu_mi.capture import folder as capture_folder
+from svu_mi.capture.loading import load_capture
+from svu_mi.capture.record import Capture
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
 from svu_mi.hashing import digest_of_file
 from svu_mi.interop import evenly_spaced
+from svu_mi.metrics.images import texel_error, texture_psnr
+from svu_mi.metrics.truth import ground_truth
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.textures import Textures
 from svu_mi.results.provenance import is_as_written
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
 
@@ -100,16 +103,16 @@ class Truth:
         Raises:
             SceneError: the scene does not know the true parameters.
         """
-        known = metrics.ground_truth(capture, grid)
+        known = ground_truth(capture, grid)
         return cls(grid, {name: getattr(known, name) for name in NAMES})
 
     def psnr(self, textures: Textures, where: np.ndarray) -> dict[str, float]:
         """Return the PSNR of textures, by parameter and ``average``, where (T,) bool says."""
-        return metrics.texture_psnr(*self._both(textures, where))
+        return texture_psnr(*self._both(textures, where))
 
     def error(self, textures: Textures, where: np.ndarray) -> np.ndarray:
         """Return the mean absolute error of every texel where (T,) bool says."""
-        return metrics.texel_error(*self._both(textures, where))
+        return texel_error(*self._both(textures, where))
 
     def _both(self, textures: Textures, where: np.ndarray) -> list[dict[str, np.ndarray]]:
         found = {name: textures.at(self.grid, name) for name in NAMES}

@@ -18,10 +18,10 @@ from svu_mi.bench.captures import capture_of
 from svu_mi.bench.cases import Cell
 from svu_mi.bench.problem_sizes import Sizes
 from svu_mi.bench.result_cache import Store, code_now, key_of
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.progress import Progress
-from svu_mi.surface import Texels, texels
+from svu_mi.surface.layout import Texels, texels
 
 Record = dict[str, Any]
 HEAD = "head"  # file of what holds for all rows of a cell

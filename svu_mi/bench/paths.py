@@ -1,4 +1,4 @@
-"""``svu bench paths``: how agreement with path tracing changes with indirect light and the noise."""
+"""``svu bench paths``: agreement with path tracing under indirect light and other noise."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.estimators import Variant
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
 from svu_mi.bench.report import Column, columns, digits
 from svu_mi.bench.study import Asked, Study
-from svu_mi.capture import Capture
-from svu_mi.surface import Texels, texels
+from svu_mi.capture.record import Capture
+from svu_mi.metrics.correlation import pearson
+from svu_mi.surface.layout import Texels, texels
 
 DEPTH = 4  # of the reference with light between parts of the object
 PHOTOGRAPHS = 6  # depth of the photographs it is compared on
@@ -54,7 +54,7 @@ class Lit(OnCell):
         of all light."""
         one, other = self.references["photographs"], self.references["both"]
         kept = one.posterior.observed & other.posterior.observed
-        rho = metrics.pearson(one.entropy[kept], other.entropy[kept])
+        rho = pearson(one.entropy[kept], other.entropy[kept])
         return {"cell": self.title, "texels": int(kept.sum()), "references": rho}
 
     def measure(self, row: Variant) -> Record:
@@ -65,7 +65,7 @@ class Lit(OnCell):
         for case, reference in self.references.items():
             seen = reference.posterior.observed
             entropy = entropies[id(self.capture_of(case))][reference.subset[seen]]
-            found[case] = metrics.pearson(entropy, reference.entropy[seen])
+            found[case] = pearson(entropy, reference.entropy[seen])
         return found
 
     @cached_property

@@ -20,10 +20,10 @@ from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
 from svu_mi.bench.report import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import allocated_mib, run, spread
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.memory import MODELS
 from svu_mi.pipeline import estimate
-from svu_mi.surface import Texels, texels
+from svu_mi.surface.layout import Texels, texels
 
 STEEPEST, LEAST_R2 = 1.1, 0.95
 MODEL_OF = {"angular": "default", "spectrum": "spectrum"}  # with their default presets

@@ -17,22 +17,22 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.captures import Truth, chosen_views, nearest_to_front, some_views, uneven_views
 from svu_mi.bench.cases import Cell, chosen_cells
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
 from svu_mi.bench.report import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Asked, Study
-from svu_mi.capture import Capture
 from svu_mi.capture.rays import Pictures
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.inpaint.fill import fill
+from svu_mi.metrics.correlation import spearman
 from svu_mi.observed import observe
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import LEVEL, TextureField, texture_field
 from svu_mi.recovery.recover import Recovery, recover
 from svu_mi.recovery.relight import path_length, relight_draws
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 
 RELIT_CELLS, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
 FRONT_VIEWS, BACK_VIEWS = 18, 4
@@ -156,7 +156,7 @@ def held(recovery: Recovery, field: TextureField, truth: Truth) -> Record:
         value = np.asarray(recovery.textures.at(field.texels, name), np.float64)[seen]
         errors.append(np.abs(value - true).ravel())
         sds.append(field.sd(name)[seen].ravel())
-    pooled = metrics.spearman(np.concatenate(sds), np.concatenate(errors))
+    pooled = spearman(np.concatenate(sds), np.concatenate(errors))
     return {"held": found, "spearman": pooled}
 
 
@@ -181,7 +181,7 @@ def pixels_held(found: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
         squares += [(error**2).sum(), ((view.picture - true)[mask] ** 2).sum()]
     return {
         "held": float(np.concatenate(inside).mean()),
-        "spearman": metrics.spearman(np.concatenate(sds), np.concatenate(errors)),
+        "spearman": spearman(np.concatenate(sds), np.concatenate(errors)),
         "psnr_gain": float(10 * np.log10(squares[1] / squares[0])),
     }
 

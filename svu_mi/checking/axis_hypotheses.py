@@ -10,9 +10,9 @@ from itertools import product
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.capture.mesh import arrays, make
 from svu_mi.capture.poses import affine, describe, make_sensor
+from svu_mi.capture.record import Capture
 from svu_mi.capture.repaint import is_same, scene_of
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.formats.fixes import FIXES, Fix, Kind, corrected_mesh, corrected_poses, turn_of

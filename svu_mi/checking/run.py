@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.load_warnings import MOST, has_front_outside, ignored, part_from_behind
 from svu_mi.capture.mesh import arrays
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.checking import decisions, exposure
 from svu_mi.checking.axis_hypotheses import apply_fixes

@@ -11,8 +11,8 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.capture import Capture
 from svu_mi.capture.rays import RAY_FLOATS, film_ray
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError
 from svu_mi.formats.resampling import squared

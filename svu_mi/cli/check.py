@@ -19,7 +19,7 @@ from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
 
 if TYPE_CHECKING:
-    from svu_mi.capture import Capture
+    from svu_mi.capture.record import Capture
     from svu_mi.checking.record import Check
 
 SIDE = 1024  # pixels of large photographs, which are compared in far fewer

@@ -27,7 +27,7 @@ from svu_mi.progress import Progress
 from svu_mi.results.transaction import claimed
 
 if TYPE_CHECKING:
-    from svu_mi.capture import Capture
+    from svu_mi.capture.record import Capture
     from svu_mi.guidance.candidates import Candidates
     from svu_mi.guidance.result import Guidance
     from svu_mi.pipeline import Estimate
@@ -72,8 +72,9 @@ class Guide(EstimateCommand):
 
     def run(self, console: Console) -> int:
         """Judge the candidates, and write the results."""
-        from svu_mi.output import Knowledge, Run
         from svu_mi.output.guidance import write_guidance
+        from svu_mi.output.knowledge import Knowledge
+        from svu_mi.output.manifest import Run
 
         self.check()
         with claimed(self.output, "guide", overwrite=self.overwrite) as place:

@@ -26,7 +26,7 @@ from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
 
 if TYPE_CHECKING:
-    from svu_mi.capture import Capture
+    from svu_mi.capture.record import Capture
 
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE | exif")]

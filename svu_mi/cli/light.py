@@ -18,7 +18,7 @@ from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim
 
 if TYPE_CHECKING:
-    from svu_mi.capture import Capture
+    from svu_mi.capture.record import Capture
     from svu_mi.illumination.record import LightEstimate
 
 Depths = Annotated[tuple[tuple[int, int], ...], tyro.conf.arg(metavar="CELLS ROUNDS ...")]
@@ -99,8 +99,8 @@ class FindLight(CaptureCommand, ResultCommand):
         """Find the light, write it, and say what is known of it."""
         from svu_mi.illumination import light_summary as summary
         from svu_mi.illumination.estimate import estimate_light
-        from svu_mi.output import Run
         from svu_mi.output.light_page import write_light
+        from svu_mi.output.manifest import Run
         from svu_mi.output.views import upright
 
         options, size = self._options(), opt.texel_size(self.resolution)
@@ -130,7 +130,7 @@ class FindLight(CaptureCommand, ResultCommand):
         from svu_mi.illumination.exposure import equalized
         from svu_mi.illumination.scale import scaled_by_card, scaled_by_mean
         from svu_mi.observed import observe
-        from svu_mi.surface import texels
+        from svu_mi.surface.layout import texels
 
         if self.light_scale is not None:
             return found.scaled(self.light_scale)

@@ -15,11 +15,11 @@ from svu_mi.memory import Need, Sizes
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from svu_mi.capture import Capture
+    from svu_mi.capture.record import Capture
     from svu_mi.capture.window import Detail
     from svu_mi.illumination.options import LightOptions
     from svu_mi.pipeline import Estimate
-    from svu_mi.surface import Texels
+    from svu_mi.surface.layout import Texels
 
 EQUATIONS = 26  # memory of six matrices of 3 N x 3 N, in that of a look
 NeedOf = Callable[[Sizes], Need]
@@ -55,7 +55,7 @@ class CaptureCommand(Common):
         from svu_mi.capture.matching import has_photographs
         from svu_mi.capture.rendering import require_rendered
         from svu_mi.capture.window import Detail
-        from svu_mi.surface import texels
+        from svu_mi.surface.layout import texels
 
         photographs = self.capture.photographs
         detail = Detail(texels=size, surroundings=surroundings)

@@ -20,7 +20,7 @@ from svu_mi.recovery.options import PRINTED_PRESETS
 from svu_mi.results.transaction import CHECKPOINT, Claim
 
 if TYPE_CHECKING:
-    from svu_mi.output import Knowledge
+    from svu_mi.output.knowledge import Knowledge
 
 MOST_DRAWS = 1000
 Name = Literal[NAMES]  # type: ignore[valid-type]
@@ -112,7 +112,8 @@ class Recover(CaptureCommand, ResultCommand):
     def _recover(self, progress: Progress, place: Claim) -> Knowledge:
         from svu_mi.checking.exposure import warn_if_too_bright
         from svu_mi.observed import observe
-        from svu_mi.output import Knowledge, Run
+        from svu_mi.output.knowledge import Knowledge
+        from svu_mi.output.manifest import Run
         from svu_mi.output.recovery import Draws, write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.field.field import texture_field

@@ -18,7 +18,7 @@ from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim
 
 if TYPE_CHECKING:
-    from svu_mi.capture import Capture
+    from svu_mi.capture.record import Capture
 
 MOST_PIXELS = 8192  # per side of a picture
 From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]

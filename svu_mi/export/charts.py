@@ -12,8 +12,7 @@ from svu_mi.export.asset import SD, Asset
 from svu_mi.output.maps import GUTTER
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface import texels
-from svu_mi.surface.layout import barycentric
+from svu_mi.surface.layout import barycentric, texels
 from svu_mi.surface.raster import dilate, rasterize
 
 UNKNOWN = {"entropy": 1.0, "coverage": 0.0} | {name + SD: 0.0 for name in NAMES}  # off the surface

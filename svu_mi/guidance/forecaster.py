@@ -22,17 +22,15 @@ from svu_mi.light.lighting import band_limit
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.pipeline import Estimate, observed_of
-from svu_mi.posterior import (
-    AngularKernel,
-    CalibratedKernel,
-    ParameterGrid,
-    Posterior,
-    PrincipledGrid,
-    SpectrumKernel,
-)
+from svu_mi.posterior.angular import AngularKernel
+from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.cells import color_of_rows
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.nodes import cell_edges, cell_widths
-from svu_mi.visibility import Surface, Views
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.spectrum import SpectrumKernel
+from svu_mi.visibility.observe import Surface
+from svu_mi.visibility.views import Views
 
 Look = Callable[[Surface, Respond, int], Responses]
 Draw = Callable[[np.ndarray, np.ndarray], Hypotheses]

@@ -19,9 +19,11 @@ from svu_mi.guidance.responses import cosines
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.observed import Observed
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import CalibratedKernel
+from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.cells import marginals_of
-from svu_mi.visibility import Surface, Survey, Views, pack_sensors
+from svu_mi.visibility.observe import Surface
+from svu_mi.visibility.survey import Survey
+from svu_mi.visibility.views import Views, pack_sensors
 
 LEAST = 1e-4  # of a parameter's variance that others are compared with
 

@@ -17,8 +17,9 @@ import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.local import QUAD, fours, padded
-from svu_mi.visibility import Surface, Survey, Views, over_views
-from svu_mi.visibility.observe import Observation, fold, look
+from svu_mi.visibility.observe import Observation, Surface, fold, look, over_views
+from svu_mi.visibility.survey import Survey
+from svu_mi.visibility.views import Views
 
 Respond = Callable[[Observation], list[Any]]
 """One sample per lane -> its columns, Floats, but for the first, which is the cosine."""

@@ -12,7 +12,7 @@ from svu_mi.errors import OptionError
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.prospect import Prospect
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 from svu_mi.surface.neighbors import squares_of
 
 CHUNK = 8192  # texels whose maps are computed at a time

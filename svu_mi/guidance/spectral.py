@@ -23,13 +23,12 @@ from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.responses import Respond, Responses
 from svu_mi.interop import owned
-from svu_mi.light import Lighting
+from svu_mi.light.lighting import Lighting
 from svu_mi.options import Preset
-from svu_mi.posterior import ParameterGrid
+from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import decay
 from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
-from svu_mi.visibility import Surface
-from svu_mi.visibility.observe import Observation, mirror_direction
+from svu_mi.visibility.observe import Observation, Surface, mirror_direction
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import mirror_free
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.capture.pixel_buffer import PixelBuffer
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
 from svu_mi.illumination.options import LightOptions
@@ -27,7 +27,7 @@ from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.progress import Progress
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 
 CELLS, ROUNDS = 1024, 12
 FAR = np.log(2)  # log gain from which the search starts at the estimate instead of at 0

@@ -13,9 +13,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import photographs_key
-from svu_mi.capture.record import Doubt
+from svu_mi.capture.record import Capture, Doubt
 from svu_mi.capture.repaint import scene_of
 from svu_mi.errors import CaptureError, OutputError, SceneError
 from svu_mi.formats.light import read_environment_map
@@ -29,7 +28,7 @@ from svu_mi.illumination.record import FoundGains, LightEstimate
 from svu_mi.progress import Progress
 from svu_mi.results.provenance import LIGHT
 from svu_mi.results.transaction import claimed
-from svu_mi.surface import texels
+from svu_mi.surface.layout import texels
 
 ID = "found_light"  # of the emitter
 FOLDER = "light"  # in the capture's folder

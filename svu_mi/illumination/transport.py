@@ -19,12 +19,13 @@ from svu_mi.illumination.samples import GRAZING, Samples
 from svu_mi.interop import fibonacci, owned
 from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
-from svu_mi.posterior import CalibratedKernel, Posterior, calibrated_posterior
+from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
 from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns, mixture
 from svu_mi.reflection.shading import diffuse_shading, dot
-from svu_mi.statistics import Statistics
 from svu_mi.statistics.factors import PAIRS
+from svu_mi.statistics.sums import Statistics
 from svu_mi.visibility.observe import fold
 from svu_mi.visibility.reach import is_open
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.poses import bounding_sphere
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import tone_mapped
 from svu_mi.checking.axis_hypotheses import apply_fixes

@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 import scipy
 
-from svu_mi.capture import Capture
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.fingerprint import mesh_key
 from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.mesh import make, read_ply
+from svu_mi.capture.record import Capture
 from svu_mi.capture.window import Detail
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.files import read_json
 from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.limits import require_texels
-from svu_mi.metrics import psnr
+from svu_mi.metrics.images import psnr
 from svu_mi.options import preset as find_preset
 from svu_mi.output.knowledge import median, part, plain_percent
 from svu_mi.output.manifest import RECORD
@@ -38,8 +38,7 @@ from svu_mi.progress import Progress
 from svu_mi.recovery.recover import Recovery
 from svu_mi.results.exchange import restore
 from svu_mi.results.provenance import text_in
-from svu_mi.surface import texels
-from svu_mi.surface.layout import size_of
+from svu_mi.surface.layout import size_of, texels
 
 Source = str | Path | Capture | Estimate | Recovery
 

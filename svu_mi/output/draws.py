@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import Look, alone, srgb
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr, write_exr
@@ -21,7 +21,7 @@ from svu_mi.output.style import GREY, Block
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recover import Recovery
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 
 if TYPE_CHECKING:
     from svu_mi.output.style import Panel

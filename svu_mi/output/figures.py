@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import Look, alone, srgb, tone_mapped
 from svu_mi.errors import OptionError
 from svu_mi.output import style, views
 from svu_mi.output.result import is_seen, prior_marginal, words
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import Posterior
-from svu_mi.surface import Texels
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.surface.layout import Texels
 from svu_mi.surface.raster import dilate
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.image import AxesImage
 
-    from svu_mi.metrics import GroundTruth
+    from svu_mi.metrics.truth import GroundTruth
 
 GUTTER = 3  # texels that charts grow by on the object, so that their borders show no seam
 KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn

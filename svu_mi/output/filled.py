@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import svu_mi
-from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import Look, alone
 from svu_mi.exr import write_exr

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from svu_mi.capture import Capture, scene_xml
+from svu_mi.capture import scene_xml
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
 from svu_mi.capture.poses import describe
+from svu_mi.capture.record import Capture
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, replacing
 from svu_mi.formats.source import frame_of

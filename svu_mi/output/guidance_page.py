@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.capture.poses import film_size, resized_sensor
+from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import SIDE, Look, alone
 from svu_mi.guidance.result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE

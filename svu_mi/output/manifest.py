@@ -19,8 +19,8 @@ import numpy as np
 
 import svu_mi
 from svu_mi import _llvm
-from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import mesh_key
+from svu_mi.capture.record import Capture
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
 from svu_mi.illumination.folder import light_record

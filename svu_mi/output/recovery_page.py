@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import Look, alone, srgb
 from svu_mi.output import style
 from svu_mi.output.draws import texture_colors

@@ -13,9 +13,9 @@ import numpy as np
 from PIL import Image
 
 import svu_mi
-from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
+from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import tone_mapped
 from svu_mi.exr import write_exr
 from svu_mi.files import replacing

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.capture import Capture, scene_xml
+from svu_mi.capture import scene_xml
 from svu_mi.capture.fingerprint import capture_key, mesh_key
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import decoded, open_picture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.repaint import is_same, is_two_sided
 from svu_mi.errors import CaptureError, SvuError, SvuWarning, excerpt
 from svu_mi.exr import read_exr, write_exr

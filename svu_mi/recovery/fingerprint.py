@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import Key, capture_parts
-from svu_mi.posterior import Posterior
+from svu_mi.capture.record import Capture
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.textures import Textures
-from svu_mi.regularization import GlobalSharing
-from svu_mi.surface import Texels
+from svu_mi.regularization.sharing import GlobalSharing
+from svu_mi.surface.layout import Texels
 
 
 def fingerprint(

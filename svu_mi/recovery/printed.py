@@ -16,11 +16,10 @@ from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
 from svu_mi.options import preset
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.posterior import ParameterGrid
+from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.progress import Progress
 from svu_mi.recovery.start import of_roughness
-from svu_mi.regularization import GlobalSharing
-from svu_mi.regularization.sharing import PRINTED, SEEDS
+from svu_mi.regularization.sharing import PRINTED, SEEDS, GlobalSharing
 from svu_mi.surface.neighbors import Neighbors
 
 

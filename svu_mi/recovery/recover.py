@@ -14,7 +14,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
@@ -23,8 +23,8 @@ from svu_mi.progress import Progress
 from svu_mi.recovery.options import Method, PathOptions, ShOptions, options_of
 from svu_mi.recovery.run import Run, require_resolution
 from svu_mi.recovery.textures import Textures
-from svu_mi.regularization import GlobalSharing
-from svu_mi.surface import Texels
+from svu_mi.regularization.sharing import GlobalSharing
+from svu_mi.surface.layout import Texels
 from svu_mi.surface.neighbors import Neighbors
 
 

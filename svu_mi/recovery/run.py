@@ -16,7 +16,8 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import CalibratedKernel, Posterior
+from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent, Objective, descend
@@ -30,8 +31,9 @@ from svu_mi.recovery.sh.objective import Likelihood, Pull, Smoothing
 from svu_mi.recovery.sh.spectral import spectral_objective
 from svu_mi.recovery.start import estimate_for_textures, known_values, posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, scene_textures, uniform
-from svu_mi.regularization import GlobalSharing, TotalVariation
-from svu_mi.surface import Texels
+from svu_mi.regularization.sharing import GlobalSharing
+from svu_mi.regularization.tv import TotalVariation
+from svu_mi.surface.layout import Texels
 from svu_mi.surface.neighbors import Neighbors, neighbors
 
 # Chosen on our own scenes:

@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.errors import OptionError, excerpt
 from svu_mi.options import AngularPreset, Errors
-from svu_mi.posterior import PrincipledGrid
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.reference.deviations import CORNERS
 from svu_mi.settings import require, require_ranges, require_types
 

@@ -12,13 +12,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, Errors
 from svu_mi.pipeline import Estimate, observed_of, subject_of
-from svu_mi.posterior import PrincipledGrid
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.progress import Progress
 from svu_mi.reference import cache as cached
 from svu_mi.reference.deviations import PerTexel, Render, brute, linear, sums
@@ -27,8 +27,8 @@ from svu_mi.reference.pairs import Pairs, visible_pairs
 from svu_mi.reference.record import Reference, Traced
 from svu_mi.reference.trace import UniformScene, trace
 from svu_mi.statistics.sums import noise_weight
-from svu_mi.surface import Texels
-from svu_mi.visibility import Survey
+from svu_mi.surface.layout import Texels
+from svu_mi.visibility.survey import Survey
 
 LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not
 

@@ -8,9 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from svu_mi.options import AngularPreset
-from svu_mi.posterior import Posterior, calibrated_posterior, tabulated_posterior
+from svu_mi.posterior.calibrated import calibrated_posterior
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.tabulated import tabulated_posterior
 from svu_mi.reference.options import ReferenceOptions
-from svu_mi.statistics import Statistics
+from svu_mi.statistics.sums import Statistics
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.light import Lighting
 from svu_mi.light.levels import LightStack, stack
+from svu_mi.light.lighting import Lighting
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.lobes import (
     ALBEDO_NODES,

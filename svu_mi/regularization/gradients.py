@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 from svu_mi.surface.neighbors import Neighbors, neighbors
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.interop import owned
 from svu_mi.regularization.gradients import Regularizer, sign
 from svu_mi.settings import require
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 from svu_mi.surface.neighbors import Neighbors, lanes_of, over_neighbors
 
 EPSILON = 1e-2  # in units of the parameters, all in [0, 1]

@@ -19,10 +19,12 @@ from svu_mi.reflection.shading import Parts, hats, interpolated, radiance
 from svu_mi.statistics.censored import CLIPPED_PART, Models, parabola
 from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.sums import EDGES, Gathered, noise_weight
-from svu_mi.visibility import Observation, Surface, Survey, Views
 from svu_mi.visibility.bits import Bits
+from svu_mi.visibility.observe import Observation, Surface
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors
+from svu_mi.visibility.survey import Survey
+from svu_mi.visibility.views import Views
 
 GRAZING = 1e-3  # cosine: more grazing views are treated like this one
 SMALLEST = 0.05  # error, in units of kappa, from which a sample counts no more than others

@@ -13,7 +13,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 from svu_mi.visibility.pixels import black, interpolated, mean_over_texel, read_camera, taps_at
 from svu_mi.visibility.views import Views
 

@@ -16,10 +16,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture, scene
+from svu_mi.capture import scene
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.capture.rays import ray_floats
+from svu_mi.capture.record import Capture
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.interop import owned
 from svu_mi.visibility.silhouette import Films, Outline, find_tiles, interior

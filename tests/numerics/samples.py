@@ -9,9 +9,11 @@ from oracle.rounded_integrals import calibrated_entropies
 from oracle.rounding import angular_entropy
 
 from svu_mi.options import preset
-from svu_mi.posterior import PrincipledGrid, angular_posterior, calibrated_posterior
-from svu_mi.statistics import Statistics
+from svu_mi.posterior.angular import angular_posterior
+from svu_mi.posterior.calibrated import calibrated_posterior
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.statistics.factors import PAIRS
+from svu_mi.statistics.sums import Statistics
 
 TEXELS = 4
 SCALE = 0.7

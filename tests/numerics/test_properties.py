@@ -23,9 +23,10 @@ from numerics.samples import (
     spectra,
 )
 from numerics.test_statistics import RULES
-from svu_mi.frequency import fit_sh, power_spectrum
+from svu_mi.frequency.fit import fit_sh
+from svu_mi.frequency.harmonics import power_spectrum
 from svu_mi.options import preset
-from svu_mi.posterior import spectrum_posterior
+from svu_mi.posterior.spectrum import spectrum_posterior
 
 SEEDS = st.integers(0, 2**32 - 1)
 PLACES = st.sampled_from(["spread", "in a plane", "on a line", "grazing", "crowded"])

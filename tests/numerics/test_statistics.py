@@ -21,7 +21,7 @@ from numerics.samples import (
     samples,
 )
 from svu_mi.options import preset
-from svu_mi.posterior import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 
 KS = ParameterGrid(8, 8, "dielectric")
 RULES = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.checking.axis_hypotheses import apply_fixes
 from svu_mi.checking.record import Finding
 from svu_mi.formats.fixes import FIXES, Fix, fixes_named, turn_of

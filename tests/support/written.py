@@ -17,10 +17,10 @@ from support.colmap import write_colmap
 from support.owl import write_owl
 from support.photographs import white_of
 from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
-from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
 from svu_mi.capture.picture import quantized, srgb
 from svu_mi.capture.poses import affine
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.checking.surface_samples import base_color
 from svu_mi.exr import read_exr, write_exr

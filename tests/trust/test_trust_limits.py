@@ -12,8 +12,8 @@ import pytest
 from helpers import fails, sensor_xml, write_scene
 
 from svu_mi import limits, scenes
-from svu_mi.capture import render_capture
 from svu_mi.capture.images import open_photographs, read_photographs
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.window import Window
 from svu_mi.errors import CaptureError, OptionError, SceneError

@@ -12,8 +12,8 @@ import pytest
 from helpers import render_ball, sensor_xml, write_scene
 from PIL import Image
 
-from svu_mi.capture import load_capture
 from svu_mi.capture.images import SATURATED
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.picture import decoded, open_picture, read_planes
 from svu_mi.errors import CaptureError, SceneError, SvuWarning
 from svu_mi.exr import read_exr, write_exr
@@ -22,11 +22,11 @@ from svu_mi.formats.photographs import about, convert
 from svu_mi.formats.source import Frame, Light
 from svu_mi.light.environment import read_environment
 from svu_mi.observed import observe
-from svu_mi.output import write_overview
+from svu_mi.output.overview import write_overview
 from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.recover import recover
-from svu_mi.surface import texels
+from svu_mi.surface.layout import texels
 
 SIZE = (20, 30)
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.accuracy.tables import (
     accuracy_tables,
     agreement_lines,
@@ -22,10 +21,13 @@ from svu_mi.bench.estimators import Variant
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import Timed, warm
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.errors import ShapeError
-from svu_mi.reference import reference_posterior
-from svu_mi.surface import Texels
+from svu_mi.metrics.correlation import pearson, sparsification, spearman
+from svu_mi.metrics.credible import credible_coverage, nearest_cells
+from svu_mi.metrics.truth import GroundTruth, error_summary, ground_truth
+from svu_mi.reference.posterior import reference_posterior
+from svu_mi.surface.layout import Texels
 
 DIGITS = 4  # of the entropies that are kept for scatter plots
 
@@ -93,7 +95,7 @@ class Traced:
     reference: Any
     kept: np.ndarray
     entropy: np.ndarray
-    truth: metrics.GroundTruth
+    truth: GroundTruth
 
     @classmethod
     def of(cls, reference: Any, capture: Capture, grid: Texels) -> Traced:
@@ -103,7 +105,7 @@ class Traced:
             reference=reference,
             kept=np.array(reference.subset)[seen],
             entropy=np.array(reference.entropy, np.float64)[seen],
-            truth=metrics.ground_truth(capture, grid),
+            truth=ground_truth(capture, grid),
         )
 
     def figures(self) -> dict[str, Any]:
@@ -166,15 +168,15 @@ LEVELS = (0.5, 0.9)
 def agreement(entropy: np.ndarray, reference: np.ndarray) -> dict[str, float]:
     """Return Pearson's and Spearman's correlation of two (n,) entropies."""
     return {
-        "pearson": metrics.pearson(entropy, reference),
-        "spearman": metrics.spearman(entropy, reference),
+        "pearson": pearson(entropy, reference),
+        "spearman": spearman(entropy, reference),
     }
 
 
 def judge_posterior(
     probabilities: np.ndarray,
     axes: Mapping[str, np.ndarray],
-    truth: metrics.GroundTruth,
+    truth: GroundTruth,
     entropy: np.ndarray,
     texels: np.ndarray,
 ) -> dict[str, Any]:
@@ -202,22 +204,22 @@ def judge_posterior(
     """
     p, channels = _channels(probabilities, axes)
     true = _truth(truth, tuple(axes), texels, channels)
-    cells = metrics.nearest_cells(axes, true)
+    cells = nearest_cells(axes, true)
     shape = tuple(len(nodes) for nodes in axes.values())
     best = np.unravel_index(p.reshape(len(p), -1).argmax(axis=1), shape)
     parameters, curves = {}, {}
     for (name, nodes), index in zip(axes.items(), best, strict=True):
         estimate = np.asarray(nodes, np.float64)[index]
         error = np.abs(estimate - true[name]).reshape(channels, -1).mean(axis=0)
-        curve = metrics.sparsification(error, entropy)
+        curve = sparsification(error, entropy)
         parameters[name] = {
-            **asdict(metrics.error_summary(estimate, true[name])),
-            "entropy_correlation": metrics.pearson(error, entropy),
+            **asdict(error_summary(estimate, true[name])),
+            "entropy_correlation": pearson(error, entropy),
             "ause": curve.ause,
             "ause_relative": curve.relative,
         }
         curves[name] = curve.sampled()
-    levels = [asdict(metrics.credible_coverage(p, cells, level)) for level in LEVELS]
+    levels = [asdict(credible_coverage(p, cells, level)) for level in LEVELS]
     return {
         "credible": {f"{level['level']:g}": level for level in levels},
         "parameters": parameters,
@@ -240,7 +242,7 @@ def _channels(probabilities: np.ndarray, axes: Mapping[str, np.ndarray]) -> tupl
 
 
 def _truth(
-    truth: metrics.GroundTruth, names: tuple[str, ...], texels: np.ndarray, channels: int
+    truth: GroundTruth, names: tuple[str, ...], texels: np.ndarray, channels: int
 ) -> dict[str, np.ndarray]:
     """Return (channels * n,) true values by parameter, in the order of ``_channels``."""
     found = {}

@@ -24,7 +24,7 @@ from svu_mi.guidance.strategies import TABLE, farthest
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.recovery.recover import recover
-from svu_mi.surface import Texels, texels
+from svu_mi.surface.layout import Texels, texels
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.bench.orb.metrics import OrbError, orb_albedo_error, orb_error
-from svu_mi.capture import Capture
 from svu_mi.capture.picture import decoded, read_planes
+from svu_mi.capture.record import Capture
 from svu_mi.errors import CaptureError
 from svu_mi.formats.light import read_environment_map
 from svu_mi.formats.resampling import resampled, squared

@@ -21,14 +21,14 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.captures import Truth, uneven_views
 from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, Row
 from svu_mi.bench.report import Column, columns, digits, table
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
+from svu_mi.metrics.correlation import pearson
 from svu_mi.pipeline import estimate
-from svu_mi.surface import Texels, texels
+from svu_mi.surface.layout import Texels, texels
 
 FILM, DENSE, FRONT, BACK, TEXELS, SPP = 96, 48, 20, 4, 96, 32
 QUICK_FILM, QUICK_TEXELS, QUICK_SPP = 48, 48, 8
@@ -95,7 +95,7 @@ class Table2(OnCell):
         own = self.entropy["paper" if "(paper)" in row.label else "ours"][seen]
         return {
             "seconds": seconds, "psnr": self.truth.psnr(textures, seen),
-            "correlation": metrics.pearson(error, own),
+            "correlation": pearson(error, own),
             "certain": masked(error, np.argsort(paper, kind="stable")),
             "uncertain": masked(error, np.argsort(-paper, kind="stable")),
         }  # fmt: skip

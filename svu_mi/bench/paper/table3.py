@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.report import Column, columns, digits
+from svu_mi.metrics.correlation import pearson
 from svu_mi.options import Fit, Method, preset
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.posterior import tabulated_posterior
+from svu_mi.posterior.tabulated import tabulated_posterior
 
 FULL, QUICK = (400, 64), (60, 8)  # texels and paths of the reference
 SUM, MEAN = 0.4, 0.08  # sigma, as parts of the mean radiance
@@ -164,7 +164,7 @@ class Table3(OnCell):
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
     """Return Pearson's correlation; NaN if either is constant."""
     varied = np.ptp(a) > 0 and np.ptp(b) > 0
-    return metrics.pearson(a, b) if varied else float("nan")
+    return pearson(a, b) if varied else float("nan")
 
 
 def table3_tables(cells: list[Record]) -> list[str]:

@@ -15,8 +15,9 @@ from svu_mi.bench.real.predictors import MEANS, POSTERIOR, WAYS, Score, Way
 from svu_mi.bench.real.tables import draw_real, real_tables
 from svu_mi.bench.report import Bar
 from svu_mi.bench.study import Asked, Study
-from svu_mi.capture import Capture, load_capture
 from svu_mi.capture.fingerprint import capture_key
+from svu_mi.capture.loading import load_capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.estimate import estimate_light
@@ -29,7 +30,7 @@ from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.surface import Texels, texels
+from svu_mi.surface.layout import Texels, texels
 
 RESOLUTION, TEXELS = 128, 6000  # per side; of these, that predictions are made for
 QUICK, QUICK_SEARCH = (64, 600), LightOptions(gains=True, texels=300, depths=((64, 4), (256, 2)))

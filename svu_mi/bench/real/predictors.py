@@ -17,7 +17,7 @@ import scipy
 from svu_mi.bench.experiment import Record
 from svu_mi.capture.picture import srgb
 from svu_mi.metrics.images import WHITE, psnr
-from svu_mi.posterior import CalibratedKernel
+from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.prediction import Prediction, diffuse_seen_from
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.captures import Truth, some_views
 from svu_mi.bench.cases import Cell, chosen_cells
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
@@ -19,16 +18,17 @@ from svu_mi.bench.recovery.methods import Row, choose_rows
 from svu_mi.bench.recovery.tables import draw_recovery, find_bars, recovery_tables
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import Timed, warm
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.metrics import image_error
+from svu_mi.metrics.correlation import pearson
+from svu_mi.metrics.images import image_error
 from svu_mi.pipeline import estimate
 from svu_mi.progress import Progress
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import Textures, lay_out
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 
 BRIEF = 4  # steps after which all kernels are compiled
 
@@ -196,7 +196,7 @@ class Judge:
         return {
             "psnr": self.truth.psnr(textures, seen),
             "psnr_hardly_seen": self.truth.psnr(textures, hardly) if hardly.any() else None,
-            "entropy_correlation": metrics.pearson(error, self.entropy[seen]),
+            "entropy_correlation": pearson(error, self.entropy[seen]),
         }
 
 

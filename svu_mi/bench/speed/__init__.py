@@ -12,7 +12,6 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.cases import Cell
@@ -29,14 +28,16 @@ from svu_mi.bench.speed.kernels import (
 from svu_mi.bench.speed.tables import scaling, speed_tables
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import WARM_UP, in_new_process, once, spread, warm
-from svu_mi.capture import Capture, load_capture
+from svu_mi.capture.loading import load_capture
+from svu_mi.capture.record import Capture
 from svu_mi.memory import Need, Sizes
+from svu_mi.metrics.correlation import pearson
 from svu_mi.observed import observe
-from svu_mi.output import write_maps
+from svu_mi.output.maps import write_maps
 from svu_mi.pipeline import estimate
-from svu_mi.posterior import PrincipledGrid
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.progress import Progress
-from svu_mi.surface import Texels, texels
+from svu_mi.surface.layout import Texels, texels
 
 DEGREES = (2, 3, 4, 5, 6, 8)
 NODES = (4, 6, 8, 12, 16, 24, 32)
@@ -96,7 +97,7 @@ class Timing(OnCell):
         timed = warm(run, (self.bench.sizes.repeats + 1) // 2)
         seen = np.array(reference.coverage) > 0
         entropy = np.array(timed.result.entropy)[np.array(reference.subset)[seen]]
-        rho = metrics.pearson(entropy, np.array(reference.entropy)[seen])
+        rho = pearson(entropy, np.array(reference.entropy)[seen])
         return {"value": value, "seconds": timed.seconds, "pearson": rho}
 
     def points(self, values: Sequence[int]) -> Sequence[int]:
@@ -197,7 +198,7 @@ def by_samples(timing: Timing) -> Record:
             "value": spp,
             "seconds": reference.seconds,
             # The largest agrees with itself; what noise it has is seen in its two halves.
-            "pearson": metrics.pearson(reference.entropy, best) if spp < most else None,
+            "pearson": pearson(reference.entropy, best) if spp < most else None,
         }
         for spp, reference in zip(counts, found, strict=True)
     ]}  # fmt: skip

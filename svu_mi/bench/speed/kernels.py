@@ -20,14 +20,16 @@ import trimesh
 from svu_mi.bench.captures import in_memory
 from svu_mi.bench.experiment import Record
 from svu_mi.bench.timing import MILLISECOND, measure_in_turns
-from svu_mi.capture import Capture
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.record import Capture
 from svu_mi.interop import owned
 from svu_mi.progress import Progress, Stage
 from svu_mi.scenes import meshes
-from svu_mi.surface import texels
-from svu_mi.visibility import Surface, Views, observe, pack_views, survey
+from svu_mi.surface.layout import texels
+from svu_mi.visibility.observe import Surface, observe
+from svu_mi.visibility.survey import survey
+from svu_mi.visibility.views import Views, pack_views
 
 MIN_TRIANGLES = 70_000
 RATIO_BAR = 0.6

@@ -104,7 +104,7 @@ def is_model(folder: Path) -> bool:
 
 
 def read_model(folder: Path) -> tuple[dict[int, Camera], list[View]]:
-    """Read cameras by their number, and views by name; ``.bin`` goes before ``.txt``, as in COLMAP."""
+    """Read cameras by number, and views by name; ``.bin`` goes before ``.txt``, as in COLMAP."""
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
     files = folder / f"cameras{suffix}", folder / f"images{suffix}"
     for path in files:

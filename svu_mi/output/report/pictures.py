@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import shrunk, tone_mapped
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.interop import evenly_spaced

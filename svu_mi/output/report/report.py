@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.illumination.light_summary import sentences
 from svu_mi.output import style
 from svu_mi.output.knowledge import Intervals, Knowledge, picture_intervals

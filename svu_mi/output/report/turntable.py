@@ -8,15 +8,15 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor, projected
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import Look, alone
 from svu_mi.interop import owned
 from svu_mi.output import views
 from svu_mi.output.views import front_and_right, upright
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 from svu_mi.surface.raster import dilate
 
 ELEVATION = 20.0  # degrees

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from svu_mi.capture import Capture
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.capture.poses import film_size, focal_length, principal_point
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import tone_mapped
 from svu_mi.formats.source import OPENCV

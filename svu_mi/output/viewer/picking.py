@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import alone
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
@@ -21,7 +21,7 @@ from svu_mi.output.style import MARK, new_figure
 from svu_mi.output.surface_maps import Scale
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 from svu_mi.surface.raster import dilate
 
 WIDTH, DPI = 3.6, 160  # inches

@@ -14,7 +14,8 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.posterior import CalibratedKernel, Posterior
+from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.sh.energy import information
 from svu_mi.recovery.sh.objective import nats, values_of
 

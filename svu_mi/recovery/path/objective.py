@@ -33,14 +33,14 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.trust import own_plugin
 from svu_mi.recovery.options import PathOptions
 from svu_mi.recovery.path.batches import Batch, PixelBatches
 from svu_mi.recovery.path.scene import PathScene, key_of
 from svu_mi.recovery.textures import Textures, uniform
 from svu_mi.regularization.gradients import known
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 from svu_mi.visibility.views import Views
 
 FLOOR = 0.1  # of the relative loss: radiance, in units of the scale, that counts as dark

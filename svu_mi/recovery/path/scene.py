@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.capture import Capture
+from svu_mi.capture.record import Capture
 from svu_mi.capture.repaint import repaint
 from svu_mi.errors import ShapeError
 from svu_mi.parameters import CHANNELS, NAMES

@@ -30,8 +30,10 @@ from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture,
 from svu_mi.reflection.shading import Parts, diffuse_shading, dot, parts_of, radiance
 from svu_mi.regularization.gradients import sign
 from svu_mi.statistics.gather import GRAZING, Values, mixed_of
-from svu_mi.visibility import Observation, Surface, Survey, Views
+from svu_mi.visibility.observe import Observation, Surface
 from svu_mi.visibility.pixels import as_channels
+from svu_mi.visibility.survey import Survey
+from svu_mi.visibility.views import Views
 
 
 @dataclass(frozen=True, kw_only=True)

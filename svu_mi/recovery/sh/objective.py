@@ -16,15 +16,16 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.posterior import CalibratedKernel, Posterior
+from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.options import DescentOptions
 from svu_mi.recovery.sh.energy import carry, energy, look_up
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization.gradients import known
 from svu_mi.regularization.tv import absolute
-from svu_mi.statistics import Factors
+from svu_mi.statistics.factors import Factors
 from svu_mi.statistics.gather import Values, flat
-from svu_mi.surface import Texels
+from svu_mi.surface.layout import Texels
 from svu_mi.surface.neighbors import Neighbors, over_neighbors
 
 SURE = 1e-2  # standard deviation below which a texel pulls no more: nothing is known better

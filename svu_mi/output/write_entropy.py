@@ -1,0 +1,41 @@
+"""Files of ``svu entropy``: maps, ``overview.png`` and ``run.json``."""
+
+from __future__ import annotations
+
+import os
+
+from svu_mi.capture.fingerprint import capture_key
+from svu_mi.capture.record import Capture
+from svu_mi.output.knowledge import Knowledge
+from svu_mi.output.manifest import RECORD, Run, run_record, write_run
+from svu_mi.output.maps import write_maps
+from svu_mi.output.overview import write_overview
+from svu_mi.pipeline import Estimate
+from svu_mi.results.transaction import writing
+
+
+def write_outputs(
+    capture: Capture,
+    estimate: Estimate,
+    folder: str | os.PathLike[str],
+    run: Run | None = None,
+    *,
+    knowledge: Knowledge | None = None,
+    pictures: bool = True,
+) -> None:
+    """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json`` in one step.
+
+    ``knowledge`` is computed if not given.
+
+    Raises:
+        OutputError: the folder or a file cannot be written.
+    """
+    knowledge = knowledge or Knowledge.of(estimate)
+    # Photographs that are in other processes have no digest here.
+    key = "" if estimate.observed is None else capture_key(capture)
+    with writing(folder, "entropy", RECORD, capture=key) as draft:
+        write_maps(estimate, draft.folder)
+        if pictures:
+            write_overview(capture, estimate, draft.folder / "overview.png", knowledge)
+        record = run_record(capture, estimate, knowledge)
+        write_run(draft, record, run or Run())
