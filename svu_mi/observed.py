@@ -25,7 +25,9 @@ from svu_mi.light.cells import LightCells, light_cells
 from svu_mi.light.lighting import Lighting, light
 from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
+from svu_mi.reflection.fitted import FittedLobes
 from svu_mi.reflection.model import Arriving, Model
+from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.statistics.censored import PASSES, best_models
 from svu_mi.statistics.factors import Factors
 from svu_mi.statistics.gather import ALIKE, Weighting, clipped_samples, gather, rounding_sums
@@ -150,9 +152,11 @@ class Observed:
         surface, reach = self.surface if texels is None else self._lanes(texels), None
         if switches.traced:
             reach = self._reach_of(texels, switches)
-        mirrored = self.mirrored(switches.fit, channels, texels)
-        light = Arriving(self.lighting, reach, channels, mirrored)
-        return Model.of(surface, light, roughness, switches)
+        mirrored, fitted = self.mirrored(switches.fit, channels, texels), None
+        if mirrored is not None:
+            fitted = FittedLobes.of(mirrored, alpha_from_roughness(roughness), switches)
+        light = Arriving(self.lighting, reach, channels)
+        return Model.of(surface, light, roughness, switches, fitted)
 
     def mirrored(
         self, fit: Fit | None, channels: int, texels: np.ndarray | None = None

@@ -7,32 +7,36 @@ lobes look up filtered light, wide ones sum cells; ``fast`` only looks up, ``pap
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.frequency.samples import MirroredLight
 from svu_mi.light.lighting import Lighting, moment_map
 from svu_mi.options import AngularPreset
-from svu_mi.reflection.fitted import FittedLobes
 from svu_mi.reflection.narrow import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.shading import Parts, diffuse_shading
-from svu_mi.reflection.wide import NARROW, WideLobes
+from svu_mi.reflection.wide import NARROW, Lobe, WideLobes
 from svu_mi.visibility.observe import Surface
 from svu_mi.visibility.reach import Reach
 
 
 @dataclass(frozen=True)
 class Arriving:
-    """Light in 3 channels or 1, ``reach`` (None: unoccluded), ``mirrored`` (None: no fit)."""
+    """Light in 3 channels or 1, and what reaches texels of it (None: everything)."""
 
     lighting: Lighting
     reach: Reach | None
     channels: int
-    mirrored: MirroredLight | None = None
+
+
+class FittedLobes(Protocol):
+    """All lobes by a fit of each texel's light (``frequency/sh_lobes.py``)."""
+
+    def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
+        """Reflect light towards a camera: the lobe of each level."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +61,17 @@ class Model:
 
     @staticmethod
     def of(
-        surface: Surface, light: Arriving, roughness: np.ndarray, switches: AngularPreset
-    ) -> Model:
-        """Filter the light, and put together what reaches every texel."""
+        surface: Surface, light: Arriving, roughness: np.ndarray, switches: AngularPreset,
+        fitted: FittedLobes | None = None,
+    ) -> Model:  # fmt: skip
+        """Filter the light, unless its lobes are fitted; put together what reaches every texel."""
         if np.any(np.diff(roughness) <= 0):
             raise OptionError(f"Roughness levels must ascend, got {roughness.tolist()}.")
         lighting, reach, channels = light.lighting, light.reach, light.channels
         alpha = alpha_from_roughness(roughness)
         split = len(alpha) if reach is None else int(np.searchsorted(alpha, NARROW, "right"))
-        narrow, wide, lobes = None, None, None
-        if light.mirrored is not None:
-            lobes = FittedLobes.of(light.mirrored, alpha, switches)
-        elif split > 0:
+        narrow, wide = None, None
+        if fitted is None and split > 0:
             narrow = NarrowLobes.of(lighting, alpha[:split], switches, channels, disk=reach is None)
         if reach is not None and split < len(alpha):
             wide = WideLobes(reach, alpha[split:], channels)
@@ -76,7 +79,7 @@ class Model:
             moments = moment_map(lighting.environment, channels).in_world(surface.normal)
         else:
             moments = reach.diffuse(surface, lighting, channels)
-        return Model(roughness, surface, switches, narrow, wide, lobes, moments)
+        return Model(roughness, surface, switches, narrow, wide, fitted, moments)
 
     @property
     def channels(self) -> int:
