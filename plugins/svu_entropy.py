@@ -6,8 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError, SceneError
-from svu_mi.exr import read_exr
 from svu_mi.plugins.registry import require_variant
 
 # Control points at equal steps over [0, 1], sRGB-encoded; between them is interpolated. The

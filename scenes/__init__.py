@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from svu_mi.core.io.files import prepare_folder, replacing
 from svu_mi.errors import OptionError, OutputError
-from svu_mi.files import prepare_folder, replacing
 
 ABOUT = {
     "planes": "two upright squares of copper, one matt, one glossy, seen from the front",

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from svu_mi.exr import write_exr
+from svu_mi.core.io.exr import write_exr
 from svu_mi.scenes import FOLDER, NAMES, lights, meshes, textures
 
 VIEWS = 24

@@ -1,7 +1,7 @@
 """Uncertainty for SVBRDF acquisition using frequency analysis, on Mitsuba 3 and Dr.Jit.
 
 ``import svu_mi as svu`` is light: it finds a usable LLVM library (``svu_mi._llvm``) and, except on
-one core (``svu_mi.limits``), imports nothing else. Every public name below is loaded on first
+one core (``svu_mi.core.limits``), imports nothing else. Every public name below is loaded on first
 use; no Mitsuba variant is ever set on import.
 """
 
@@ -10,7 +10,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from svu_mi import _llvm, limits
+from svu_mi import _llvm
+from svu_mi.core import limits
 
 if TYPE_CHECKING:
     from svu_mi.capture.loading import load_capture

@@ -17,11 +17,12 @@ import numpy as np
 
 from svu_mi.capture.record import Capture
 from svu_mi.capture.repaint import constant_parameters
+from svu_mi.core.arrays import owned
+from svu_mi.core.limits import MAX_LANES
+from svu_mi.core.memory import TILE
+from svu_mi.core.progress import Progress, Stage
 from svu_mi.errors import OptionError
 from svu_mi.frequency.gather import fit_spectra
-from svu_mi.interop import owned
-from svu_mi.limits import MAX_LANES
-from svu_mi.memory import TILE
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset, Skip
 from svu_mi.posterior.angular import angular_posterior
@@ -31,7 +32,6 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.spectrum import spectrum_posterior
 from svu_mi.posterior.streaming import IMPOSSIBLE
 from svu_mi.posterior.tiled import TiledKernel
-from svu_mi.progress import Progress, Stage
 from svu_mi.statistics.factors import Factors, stride
 from svu_mi.statistics.gather import Weighting
 

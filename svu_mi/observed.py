@@ -18,13 +18,13 @@ import numpy as np
 
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_light
+from svu_mi.core.arrays import owned
+from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.frequency.samples import MirroredLight
-from svu_mi.interop import owned
 from svu_mi.light.cells import LightCells, light_cells
 from svu_mi.light.lighting import Lighting, light
 from svu_mi.options import AngularPreset, Fit, Preset
-from svu_mi.progress import Progress
 from svu_mi.reflection.fitted import FittedLobes
 from svu_mi.reflection.model import Arriving, Model
 from svu_mi.reflection.principled import alpha_from_roughness

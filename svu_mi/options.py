@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields, replace
 from math import inf
 from typing import Any, Literal, overload
 
+from svu_mi.core.validation import require, require_ranges, require_types
 from svu_mi.errors import OptionError
-from svu_mi.settings import require, require_ranges, require_types
 
 Method = Literal["angular", "spectrum"]
 GridSpacing = Literal["uniform", "dielectric"]

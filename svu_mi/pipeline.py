@@ -3,7 +3,7 @@
     capture -> texels -> observed: visibility   -> plan -> statistics of all views   -> posterior
                                                          -> SH fit -> power spectra   -> posterior
 
-``memory.py`` estimates the peak memory; ``posterior/tiled.py`` processes many texels in tiles.
+``core/memory.py`` estimates the peak memory; ``posterior/tiled.py`` processes many texels in tiles.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ import numpy as np
 
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_light, require_variant
+from svu_mi.core.arrays import owned
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.estimators import (
     Run,
@@ -29,7 +31,6 @@ from svu_mi.estimators import (
     widened,
     with_known,
 )
-from svu_mi.interop import owned
 from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset, AnyPreset, Method, Skip
 from svu_mi.options import preset as find_preset
@@ -39,7 +40,6 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.spectrum import spectrum_grid
 from svu_mi.posterior.streaming import log_prior
 from svu_mi.posterior.tiled import TiledKernel
-from svu_mi.progress import Progress
 from svu_mi.surface.layout import Texels
 
 

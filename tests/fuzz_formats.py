@@ -33,8 +33,9 @@ from svu_mi.capture.picture import open_picture
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap, unwrapped
 from svu_mi.cli.main import main
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.output_folder import Draft
 from svu_mi.errors import SvuError
-from svu_mi.exr import write_exr
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.lenses import Lens
@@ -45,7 +46,6 @@ from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
 from svu_mi.formats.textures import write_pictures
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.results.transaction import Draft
 
 WIDTH, HEIGHT = 16, 8  # of all pictures, so that each may be a lat-long map
 

@@ -19,23 +19,23 @@ from helpers import made_up_light
 from mutations import BINARY
 
 from svu_mi.capture import folder as capture_folder
+from svu_mi.core.io.files import write_json, write_text
+from svu_mi.core.io.npz import DIGEST, write_arrays
+from svu_mi.core.io.output_folder import claimed, writing
+from svu_mi.core.io.provenance import entry_of
 from svu_mi.errors import SvuError, SvuWarning
-from svu_mi.files import write_json, write_text
 from svu_mi.illumination.folder import load_light, save_light
-from svu_mi.npz import DIGEST, write_arrays
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.checkpoint import Checkpoint, State
 from svu_mi.reference import cache
 from svu_mi.reference.options import ReferenceOptions
 from svu_mi.reference.record import Traced
-from svu_mi.results.provenance import entry_of
-from svu_mi.results.transaction import claimed, writing
 
 SETTINGS = {"seed": 3, "sh": {"descent": {"steps": 9, "rate": 0.01}, "name": "ball"}, "tv": None}
 CONTENT = {"shapes": "ab" * 16, "light": "cd" * 16, "photographs": "ef" * 16}
 SHAPES = {"base_color": (4, 6, 3), "roughness": (4, 6, 1)}
 OPTIONS = ReferenceOptions(2, PrincipledGrid(2, 2, 2), 0.5, 2, "linear", 0)
-logging.getLogger("svu_mi.results").setLevel(logging.ERROR)  # says what it keeps
+logging.getLogger("svu_mi.core.io").setLevel(logging.ERROR)  # says what it keeps
 REFERENCE = f"reference-{'0a' * 16}.npz"
 
 

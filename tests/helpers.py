@@ -25,18 +25,18 @@ from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
-from svu_mi.exr import write_exr
-from svu_mi.files import write_json
+from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.files import write_json
+from svu_mi.core.io.output_folder import writing
+from svu_mi.core.progress import Progress
 from svu_mi.formats import fixes
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Source
 from svu_mi.illumination.record import LightEstimate
-from svu_mi.interop import fibonacci, owned
 from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import NAMES
-from svu_mi.progress import Progress
 from svu_mi.recovery.textures import Textures, lay_out
-from svu_mi.results.transaction import writing
 from svu_mi.scenes import meshes
 from svu_mi.statistics.gather import Values
 from svu_mi.surface.layout import texels

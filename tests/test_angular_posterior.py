@@ -12,8 +12,8 @@ from oracle import posterior as oracle_posterior
 from unseen import assert_unseen_have_the_prior
 from walled import Samples, angular, noise_capture, seen_in, walled_ball
 
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 from svu_mi.posterior.angular import angular_posterior
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.statistics.sums import Statistics

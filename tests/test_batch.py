@@ -29,8 +29,8 @@ from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.main import Command
 from svu_mi.cli.options import given as options_given
 from svu_mi.cli.options import with_known_repeated
+from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.exr import read_exr
 
 SMALL = ("--resolution", 16, "-t", 2)
 

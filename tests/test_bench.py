@@ -26,9 +26,9 @@ from svu_mi.bench.result_cache import Store, key_of
 from svu_mi.bench.study import Asked, Study, run_bench
 from svu_mi.capture.scene import load_scene
 from svu_mi.cli.main import main
+from svu_mi.core.progress import Progress
 from svu_mi.errors import MeshError, OptionError, SceneError, ShapeError, SvuWarning
 from svu_mi.metrics.truth import GroundTruth
-from svu_mi.progress import Progress
 
 CELLS = own_cells(["vase"], ["window"])
 

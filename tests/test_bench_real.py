@@ -163,7 +163,7 @@ def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
 
 def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
     """What every view shows of some texels: whether it does, and radiance."""
-    from svu_mi.interop import owned
+    from svu_mi.core.arrays import owned
     from svu_mi.visibility.observe import Surface, look, observe
 
     surface = Surface.of(observed.texels, owned(mi.UInt32, number.astype(np.uint32)))

@@ -24,6 +24,9 @@ from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.unwrap import unwrap
+from svu_mi.core.io.exr import read_exr, read_header, write_exr
+from svu_mi.core.io.folder_exchange import DRAFT, beside
+from svu_mi.core.io.provenance import RUN
 from svu_mi.errors import (
     CaptureError,
     OptionError,
@@ -32,10 +35,7 @@ from svu_mi.errors import (
     SvuEnvironmentError,
     SvuWarning,
 )
-from svu_mi.exr import read_exr, read_header, write_exr
 from svu_mi.pipeline import estimate
-from svu_mi.results.exchange import DRAFT, beside
-from svu_mi.results.provenance import RUN
 from svu_mi.surface.layout import texels
 
 

@@ -26,7 +26,7 @@ import svu_mi
 import drjit as dr, mitsuba as mi, numpy as np
 mi.set_variant("llvm_ad_rgb")
 dr.set_thread_count(1)
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import descend
 from svu_mi.recovery.options import DescentOptions

@@ -11,8 +11,8 @@ from helpers import fails, names, overlapping_balls, run, sensor_xml, write_olde
 
 from svu_mi import scenes
 from svu_mi.cli import main
+from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import SvuError
-from svu_mi.exr import read_exr
 
 FILES = ["coverage.exr", "entropy.exr", "overview.png", "run.json"]
 
@@ -195,7 +195,7 @@ def test_a_scene_without_sensors_is_told_of_commands_that_place_some(tmp_path, c
 @pytest.mark.parametrize("command", ["entropy", "recover", "guide", "report", "check"])
 def test_memory_is_announced_before_any_pixel_is_read(shot, tmp_path, capsys, monkeypatch, command):
     monkeypatch.setattr("svu_mi.capture.images._read_photograph", None)
-    monkeypatch.setattr("svu_mi.memory.free_memory", lambda: 10**11)
+    monkeypatch.setattr("svu_mi.core.memory.free_memory", lambda: 10**11)
     words = (command, shot, "-o", tmp_path / "out.html")
     with pytest.raises(TypeError):  # nothing reads the photographs
         run(*words, "-v")

@@ -15,8 +15,8 @@ from helpers import Said, fails, last_line, made_up_light, names, run, write_dar
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.fingerprint import capture_key, photographs_key
+from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, SvuWarning
-from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.illumination import resolve_light

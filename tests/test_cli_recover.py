@@ -13,16 +13,16 @@ from helpers import fails, last_line, names, run, sensor_xml, write_scene
 
 from svu_mi import scenes
 from svu_mi.cli.common import was_interrupted
+from svu_mi.core.interrupts import between_steps
+from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.folder_exchange import DRAFT, beside
+from svu_mi.core.io.output_folder import CHECKPOINT
 from svu_mi.errors import OutputError
-from svu_mi.exr import read_exr, write_exr
-from svu_mi.interrupts import between_steps
 from svu_mi.output.relit_page import files_of
 from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.parameters import NAMES
 from svu_mi.recovery import descent
 from svu_mi.recovery.textures import Textures
-from svu_mi.results.exchange import DRAFT, beside
-from svu_mi.results.transaction import CHECKPOINT
 
 PICTURES = ["recovery.png", "relit.png"]
 NUMBERS = [

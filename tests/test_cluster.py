@@ -15,8 +15,8 @@ from helpers import run
 
 from svu_mi import scenes
 from svu_mi.batch import runner
+from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import SvuError
-from svu_mi.exr import read_exr
 
 SIDE = 32
 

@@ -12,8 +12,8 @@ from PIL import Image
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.picture import quantized, srgb
+from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.exr import read_exr, write_exr
 from svu_mi.output.compare import difference
 from svu_mi.output.compare_page import write_comparison
 from svu_mi.parameters import NAMES

@@ -10,8 +10,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, SvuError
-from svu_mi.interop import owned
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import READ, descend
 from svu_mi.recovery.options import DescentOptions

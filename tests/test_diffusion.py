@@ -288,7 +288,7 @@ def test_a_window_of_a_sensor_sees_the_same(vase: SimpleNamespace) -> None:
 
 @pytest.mark.slow
 def test_files_say_which_texels_are_the_models(painted, by_truth, tmp_path) -> None:
-    from svu_mi.exr import read_exr
+    from svu_mi.core.io.exr import read_exr
 
     found, _ = by_truth
     write_filled(painted.capture, painted.field, found, tmp_path / "out")

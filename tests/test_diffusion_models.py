@@ -15,8 +15,8 @@ from helpers import run
 from tiny_diffusion import write_model
 
 from svu_mi.capture.picture import decoded, srgb
+from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError
-from svu_mi.exr import read_exr
 from svu_mi.inpaint.diffusion.load_weights import load_model
 from svu_mi.inpaint.diffusion.model import Model
 from svu_mi.inpaint.diffusion.model_interface import FAMILIES, Picture

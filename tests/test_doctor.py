@@ -89,10 +89,10 @@ def test_missing_package_is_named():
 
 
 def test_exr_that_reads_back_differently_is_reported(monkeypatch):
-    import svu_mi.exr
+    import svu_mi.core.io.exr
 
     def refuse(*_):
         raise OutputError("channel Y differs")
 
-    monkeypatch.setattr(svu_mi.exr, "write_exr", refuse)
+    monkeypatch.setattr(svu_mi.core.io.exr, "write_exr", refuse)
     assert not doctor.check_exr().ok

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from helpers import python
 
+from svu_mi.core.arrays import fibonacci
+from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError, SceneError
-from svu_mi.exr import write_exr
-from svu_mi.interop import fibonacci
 from svu_mi.light import sampling
 from svu_mi.light.cells import LARGEST, light_cells
 from svu_mi.light.environment import (

@@ -13,10 +13,10 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from svu_mi import exr
+from svu_mi.core.io import exr
+from svu_mi.core.io.exr import read_exr, read_header, write_exr
+from svu_mi.core.io.files import prepare_folder, replacing
 from svu_mi.errors import CaptureError, OutputError, ShapeError
-from svu_mi.exr import read_exr, read_header, write_exr
-from svu_mi.files import prepare_folder, replacing
 
 RGB = np.random.default_rng(717209344).normal(size=(5, 7, 3)).astype(np.float32)
 

@@ -13,8 +13,8 @@ from helpers import as_values
 from test_recovery_statistics import TEXELS, columns, exact, factors_of, parameters, upper
 
 import svu_mi as svu
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field import field as module

@@ -25,8 +25,8 @@ from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import open_picture, read_planes
 from svu_mi.capture.poses import describe, film_size, focal_length
 from svu_mi.capture.scene import to_world
+from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, SceneError
-from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.fixes import FIXES
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture

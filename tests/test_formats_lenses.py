@@ -19,8 +19,8 @@ from PIL import Image
 
 from svu_mi.capture.images import UNUSABLE
 from svu_mi.capture.picture import srgb
+from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError
-from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.lenses import Lens
 from svu_mi.formats.photographs import convert
 from svu_mi.formats.resampling import squared, straightened, unbent

@@ -18,7 +18,7 @@ from svu_mi.capture.load_warnings import has_front_outside, part_from_behind
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.poses import affine
 from svu_mi.capture.repaint import scene_of
-from svu_mi.exr import write_exr
+from svu_mi.core.io.exr import write_exr
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture
 from svu_mi.formats.normals import CREASE, DENSE, repaired

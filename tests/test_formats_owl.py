@@ -13,8 +13,8 @@ from PIL import Image
 from support.owl import write_owl
 
 from svu_mi.capture.picture import read_planes
+from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import CaptureError
-from svu_mi.exr import write_exr
 from svu_mi.formats.light import write_environment
 from svu_mi.formats.objects_with_lighting import find_inputs, read
 from svu_mi.formats.reading import ReadOptions

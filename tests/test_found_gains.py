@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.estimate import World
 from svu_mi.illumination.exposure import equalized, estimate_gains, updated, without_gains
@@ -31,7 +32,6 @@ from svu_mi.illumination.refine import (
 )
 from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.illumination.transport import Moments, Transport, columns_of, materials_of
-from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.observed import observe
 from svu_mi.posterior.object_prior import shared
 

@@ -15,8 +15,9 @@ from helpers import ball_scene, made_up_light, names, render_ball
 import svu_mi as svu
 from svu_mi.capture.fingerprint import capture_key, capture_parts, photographs_key
 from svu_mi.capture.record import Doubt
+from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError
-from svu_mi.exr import read_exr, write_exr
 from svu_mi.illumination import scale
 from svu_mi.illumination.folder import photographs_of
 from svu_mi.illumination.light_summary import (
@@ -28,7 +29,6 @@ from svu_mi.illumination.light_summary import (
 )
 from svu_mi.illumination.record import UNANCHORED
 from svu_mi.illumination.resolve_light import illuminated, with_map
-from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.observed import observe
 
 FIELDS = ("logarithm", "cell_sd", "draws", "scale_sd", "misfit", "widening", "texels", "remarks")

@@ -18,6 +18,8 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.poses import directions_of, sphere_sensors
 from svu_mi.capture.scene import to_world
+from svu_mi.core.arrays import owned
+from svu_mi.core.local_memory import padded
 from svu_mi.guidance import prospect as prospects
 from svu_mi.guidance import result as results
 from svu_mi.guidance import strategies as baselines
@@ -30,8 +32,6 @@ from svu_mi.guidance.prospect import Prospect
 from svu_mi.guidance.responses import Responses
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.guidance.strategies import STRATEGIES, TABLE
-from svu_mi.interop import owned
-from svu_mi.local import padded
 from svu_mi.options import preset
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.nodes import cell_edges

@@ -13,6 +13,7 @@ from made_up_samples import SWITCHES, free_samples, made_up, photographed, refle
 from oracle.cells import gains
 
 import svu_mi as svu
+from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.light_summary import likeness
 from svu_mi.illumination.prior import SD, Looks, prior_of
@@ -32,7 +33,6 @@ from svu_mi.illumination.uncertainty import (
     sample_lights,
     widening_of,
 )
-from svu_mi.interop import fibonacci, owned
 from svu_mi.posterior.object_prior import shared
 from svu_mi.reflection.lobes import ALBEDO_NODES, dielectric_albedo, split_sum
 

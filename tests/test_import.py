@@ -17,7 +17,7 @@ from svu_mi import scenes
 from svu_mi.capture import scene_xml
 from svu_mi.capture.poses import affine, describe, make_sensor
 from svu_mi.capture.scene import to_world
-from svu_mi.exr import read_exr, write_exr
+from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture
 from svu_mi.formats.reading import read_source

@@ -15,7 +15,7 @@ from svu_mi import scenes
 from svu_mi.capture.scene import to_world
 from svu_mi.checking.thumbnails import Frames, silhouettes
 from svu_mi.cli.main import main
-from svu_mi.exr import write_exr
+from svu_mi.core.io.exr import write_exr
 
 LENS = {"k1": -0.42, "k2": 0.06, "k3": 0.0, "k4": 0.0, "p1": 0.004, "p2": -0.003}
 WIDTH, HEIGHT, FOCAL, CENTER = 200, 150, 270.0, (108.0, 70.5)

@@ -13,15 +13,15 @@ import pytest
 from helpers import fails, names, run
 from test_field import square, those_first
 
+from svu_mi.core.arrays import owned
+from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError, ShapeError
-from svu_mi.exr import read_exr
 from svu_mi.inpaint import texel_hierarchy
 from svu_mi.inpaint.combine_predictors import FARTHER, TITLES, spreads
 from svu_mi.inpaint.cross_validation import UNSEEN, Judged, Trial, hidden_parts
 from svu_mi.inpaint.fill import fill
 from svu_mi.inpaint.symmetry_predictors import FEWEST, RULES, Examples, Likeness
 from svu_mi.inpaint.texel_hierarchy import Ground, Pieces, centred, connected
-from svu_mi.interop import owned
 from svu_mi.output.textures import read_textures, settings_of
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField, field_around, weights_of

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.interop import LARGE, owned
+from svu_mi.core.arrays import LARGE, owned
 
 
 @pytest.mark.parametrize("count", [300, LARGE // 4])

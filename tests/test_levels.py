@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from oracle import angular as oracle
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.light import levels as module
 from svu_mi.light.environment import Environment, directions, quadrature, read_environment
 from svu_mi.light.levels import convolve, filter_light, resolved

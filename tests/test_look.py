@@ -13,7 +13,7 @@ from svu_mi.capture import shown as module
 from svu_mi.capture.mesh import positions
 from svu_mi.capture.poses import film_size, make_sensor, projected
 from svu_mi.capture.shown import Look, alone
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 
 
 def sensor(distance: float, *, aside: float = 0.0, **changes: Any) -> Any:

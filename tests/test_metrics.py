@@ -206,7 +206,7 @@ def test_errors_by_hand():
 
 def test_the_truth_of_a_scene_is_its_textures():
     """The vase's band is metal; a lookup by hand in the texture's pixels agrees."""
-    from svu_mi.exr import read_exr
+    from svu_mi.core.io.exr import read_exr
 
     capture = render_capture(path("vase"), 1, views=1, resolution=(8, 8))
     grid = texels(capture.mesh, 64)

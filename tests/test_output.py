@@ -16,8 +16,8 @@ from unseen import blind
 
 import svu_mi as svu
 from svu_mi.capture.shown import tone_mapped
+from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.errors import OutputError
-from svu_mi.exr import read_exr, read_header
 from svu_mi.output import views
 from svu_mi.output.knowledge import Knowledge
 from svu_mi.output.manifest import Run, write_manifest

@@ -21,9 +21,9 @@ from oracle import paper
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.mesh import make
+from svu_mi.core.arrays import owned
 from svu_mi.frequency.gather import Coefficients
 from svu_mi.guidance.prospect import Prospect
-from svu_mi.interop import owned
 from svu_mi.light.environment import directions, quadrature, synthesize
 from svu_mi.light.lighting import lat_long_texture, look_up
 from svu_mi.options import Fit, preset

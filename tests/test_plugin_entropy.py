@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import svu_mi.plugins  # noqa: F401 - registers
-from svu_mi.exr import write_exr
+from svu_mi.core.io.exr import write_exr
 
 SIZE = 24
 

@@ -10,8 +10,8 @@ import mitsuba as mi
 import pytest
 from rich.console import Console
 
-from svu_mi import progress as progress_module
-from svu_mi.progress import COMPILING, Progress
+from svu_mi.core import progress as progress_module
+from svu_mi.core.progress import COMPILING, Progress
 
 
 def console(*, terminal: bool) -> tuple[Console, io.StringIO]:

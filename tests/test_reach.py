@@ -10,7 +10,7 @@ from helpers import write_ball
 from walled import noise_capture, walled_ball
 
 import svu_mi as svu
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.light.cells import light_cells
 from svu_mi.light.environment import Environment, directions, quadrature
 from svu_mi.light.lighting import band_limit

@@ -13,9 +13,9 @@ from oracle import continuous as oracle
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.gather import fit_coefficients, fit_spectra
-from svu_mi.interop import owned
 from svu_mi.light import environment as env
 from svu_mi.light.levels import filter_light
 from svu_mi.light.lighting import moment_map

@@ -20,8 +20,8 @@ from svu_mi.capture import mesh as meshes
 from svu_mi.capture import scene_xml
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.repaint import scene_of
+from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
-from svu_mi.exr import read_exr, read_header, write_exr
 from svu_mi.light.environment import read_environment
 from svu_mi.metrics.images import psnr
 from svu_mi.output.recovery import write_recovery

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import as_values
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.recovery.sh.energy import energy
 from svu_mi.recovery.sh.objective import Likelihood
 from svu_mi.reflection.lobes import dielectric_albedo, dielectric_fresnel, split_sum

@@ -16,11 +16,11 @@ from helpers import ball, ball_scene, memory_capture, render_ball, write_ball
 
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
+from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
 from svu_mi.options import AngularPreset
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.progress import Progress
 from svu_mi.reference import pairs, posterior, trace
 from svu_mi.reference.deviations import PerTexel, brute, linear
 from svu_mi.reference.posterior import reference_posterior

@@ -14,8 +14,8 @@ from helpers import ball
 from test_neighbors import links, quad, together
 
 from svu_mi.capture.mesh import make
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 from svu_mi.options import preset
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.grid import ParameterGrid

@@ -15,7 +15,7 @@ from unseen import blind
 import svu_mi as svu
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
-from svu_mi.exr import write_exr
+from svu_mi.core.io.exr import write_exr
 from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.report import findings, pictures, plots, report
 from svu_mi.output.report.turntable import Turntable

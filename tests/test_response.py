@@ -19,8 +19,8 @@ from svu_mi.capture.mesh import write_ply
 from svu_mi.capture.picture import open_picture, srgb
 from svu_mi.capture.poses import affine
 from svu_mi.cli.import_ import import_again
+from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError
-from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.photographs import CRUSHED, about, convert, with_response
 from svu_mi.formats.response import LARGEST, linear, read_response
 from svu_mi.formats.source import OPENGL, Frame

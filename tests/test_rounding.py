@@ -16,12 +16,12 @@ from svu_mi import scenes
 from svu_mi.capture.fingerprint import capture_key, photographs_key
 from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.capture.quantization import Rounding, variance
+from svu_mi.core.arrays import owned
 from svu_mi.formats.response import Response, steps
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.illumination.exposure import equalized
 from svu_mi.illumination.record import FoundGains
-from svu_mi.interop import owned
 from svu_mi.observed import observe
 from svu_mi.statistics.gather import Weighting
 from svu_mi.statistics.sums import noise_weight

@@ -13,8 +13,8 @@ from oracle import angular as oracle
 from walled import ROUGHNESS, SIZE, Samples, angular, noise_capture, seen_in, walled_ball
 
 import svu_mi as svu
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 from svu_mi.observed import observe
 from svu_mi.statistics.factors import FLOOR, PAIRS, Factors
 from svu_mi.statistics.gather import Weighting

@@ -10,7 +10,7 @@ from helpers import ball
 from oracle import angular as oracle
 
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.light.cells import Cells, light_cells
 from svu_mi.light.environment import Environment, read_environment
 from svu_mi.reflection import wide

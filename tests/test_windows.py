@@ -19,8 +19,8 @@ from svu_mi.capture import pixel_buffer, window
 from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.capture.poses import film_size, make_sensor
 from svu_mi.capture.window import Detail, Window
+from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError
-from svu_mi.exr import read_exr
 from svu_mi.formats import photographs
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms

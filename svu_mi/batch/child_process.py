@@ -14,7 +14,7 @@ import runpy
 import signal
 import sys
 
-from svu_mi.memory import allow
+from svu_mi.core.memory import allow
 
 PR_SET_PDEATHSIG = 1  # of prctl, on Linux
 

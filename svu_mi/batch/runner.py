@@ -21,11 +21,11 @@ from typing import Any, NamedTuple
 
 from svu_mi.batch.capture_list import PATHS, Item
 from svu_mi.batch.steps import STEPS, inputs_key, key_of, read_done, words_of, write_done
+from svu_mi.core.io.files import prepare_folder, read_json
+from svu_mi.core.io.folder_exchange import locked
+from svu_mi.core.limits import FEWEST_THREADS
+from svu_mi.core.memory import free_memory
 from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
-from svu_mi.files import prepare_folder, read_json
-from svu_mi.limits import FEWEST_THREADS
-from svu_mi.memory import free_memory
-from svu_mi.results.exchange import locked
 
 TRIES = 3  # of a command that is killed from outside
 INTERRUPTED = 130  # exit status after Ctrl-C, which reaches the commands, too

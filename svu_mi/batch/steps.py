@@ -11,11 +11,11 @@ from typing import Any
 from svu_mi import __version__
 from svu_mi.batch.capture_list import OPTIONS, Item, places_of, real
 from svu_mi.capture.folder import FILE, read, stamps
+from svu_mi.core.io.files import read_json, write_json
+from svu_mi.core.io.folder_exchange import DRAFT
+from svu_mi.core.io.hashes import Key
+from svu_mi.core.io.output_folder import CHECKPOINT
 from svu_mi.errors import SvuError
-from svu_mi.files import read_json, write_json
-from svu_mi.hashing import Key
-from svu_mi.results.exchange import DRAFT
-from svu_mi.results.transaction import CHECKPOINT
 
 DONE = "batch.json"  # in the folder of a capture's results
 

@@ -17,15 +17,15 @@ from svu_mi.capture.loading import load_capture
 from svu_mi.capture.record import Capture
 from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import to_world
+from svu_mi.core.arrays import evenly_spaced
+from svu_mi.core.io.hashes import digest_of_file
+from svu_mi.core.io.provenance import is_as_written
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.hashing import digest_of_file
-from svu_mi.interop import evenly_spaced
 from svu_mi.metrics.images import texel_error, texture_psnr
 from svu_mi.metrics.truth import ground_truth
 from svu_mi.parameters import NAMES
-from svu_mi.progress import Progress
 from svu_mi.recovery.textures import Textures
-from svu_mi.results.provenance import is_as_written
 from svu_mi.surface.layout import Texels
 
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under

@@ -19,8 +19,8 @@ from svu_mi.bench.cases import Cell
 from svu_mi.bench.problem_sizes import Sizes
 from svu_mi.bench.result_cache import Store, code_now, key_of
 from svu_mi.capture.record import Capture
+from svu_mi.core.progress import Progress
 from svu_mi.errors import SvuError, SvuWarning
-from svu_mi.progress import Progress
 from svu_mi.surface.layout import Texels, texels
 
 Record = dict[str, Any]

@@ -19,12 +19,12 @@ from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
 from svu_mi.bench.report import Bar, Column, columns, digits
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.record import Capture
+from svu_mi.core.arrays import fibonacci
 from svu_mi.illumination.estimate import estimate_light
 from svu_mi.illumination.light_summary import blurred, likeness
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.illumination.resolve_light import with_light
-from svu_mi.interop import fibonacci
 from svu_mi.light.environment import read_environment
 from svu_mi.metrics.images import psnr
 from svu_mi.observed import Observed, observe

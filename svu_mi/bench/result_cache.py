@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 
 import svu_mi
-from svu_mi.files import prepare_folder
+from svu_mi.core.io.files import prepare_folder
 from svu_mi.output.manifest import write_manifest
 
 AROUND = ("bench", "cli", "output")  # parts of svu_mi that no figure depends on

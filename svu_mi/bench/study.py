@@ -14,10 +14,10 @@ from svu_mi.bench.cases import Cell
 from svu_mi.bench.estimators import VARIANTS, Variant
 from svu_mi.bench.experiment import Bench, Experiment, Record
 from svu_mi.bench.report import Bar, bar_table, left_out, save
+from svu_mi.core.io.files import prepare_folder, write_text
+from svu_mi.core.validation import require_known
 from svu_mi.errors import OptionError
-from svu_mi.files import prepare_folder, write_text
 from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.settings import require_known
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,9 +18,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from svu_mi.core.memory import held
+from svu_mi.core.progress import compiled_kernels
 from svu_mi.errors import SvuEnvironmentError
-from svu_mi.memory import held
-from svu_mi.progress import compiled_kernels
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from svu_mi.capture.mesh import crosses_of, unit_vectors
 from svu_mi.capture.poses import describe
 from svu_mi.capture.record import Capture, Doubt
 from svu_mi.capture.repaint import is_same
-from svu_mi.hashing import Key
+from svu_mi.core.io.hashes import Key
 
 ALIKE = 1e-4  # between normals of a file and of the faces around a vertex, beyond rounding
 # Words and single numbers of what Mitsuba prints; arrays are parameters, which are added whole.

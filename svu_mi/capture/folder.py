@@ -10,12 +10,12 @@ from typing import Any
 
 from svu_mi.capture.poses import LARGEST, describe, make_sensor
 from svu_mi.capture.scene import check_sensor
+from svu_mi.core.io.files import is_temporary, read_json, write_json
+from svu_mi.core.io.folder_exchange import restore
+from svu_mi.core.io.output_folder import Draft, is_kept
+from svu_mi.core.io.provenance import RESULT, Entry, entry_of
+from svu_mi.core.limits import require_views
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.files import is_temporary, read_json, write_json
-from svu_mi.limits import require_views
-from svu_mi.results.exchange import restore
-from svu_mi.results.provenance import RESULT, Entry, entry_of
-from svu_mi.results.transaction import Draft, is_kept
 
 FILE = "capture.json"
 FORMAT = "svu-capture"

@@ -15,10 +15,10 @@ from svu_mi.capture.picture import SUFFIXES, Picture, decoded, open_picture, rea
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.quantization import Clipped, Rounding
 from svu_mi.capture.window import Window
+from svu_mi.core.io.provenance import RUN
+from svu_mi.core.limits import require_photographs
+from svu_mi.core.memory import STORED, Size, decoders
 from svu_mi.errors import CaptureError
-from svu_mi.limits import require_photographs
-from svu_mi.memory import STORED, Size, decoders
-from svu_mi.results.provenance import RUN
 
 # Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.
 SATURATED = {8: 0.98, 16: 0.995}

@@ -18,8 +18,8 @@ from svu_mi.capture.images import Photograph
 from svu_mi.capture.mesh import MeshArrays, arrays, faces_at
 from svu_mi.capture.repaint import is_same
 from svu_mi.capture.scene import is_closed, to_world
+from svu_mi.core.arrays import evenly_spaced, owned
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.interop import evenly_spaced, owned
 
 NAMED = 3  # photographs that a sentence names
 # Parameters of ``principled`` that are not estimated, with the value that is assumed of each.

@@ -31,9 +31,9 @@ from svu_mi.capture.scene import (
 )
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
 from svu_mi.capture.window import WHOLE, Detail, Window
+from svu_mi.core.io.provenance import require_no_result
+from svu_mi.core.memory import Size, Sizes
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
-from svu_mi.memory import Size, Sizes
-from svu_mi.results.provenance import require_no_result
 
 Light = Literal["required", "optional"]
 Value = TypeVar("Value")

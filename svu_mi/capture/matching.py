@@ -11,8 +11,8 @@ from typing import Literal
 
 from svu_mi.capture.folder import FILE
 from svu_mi.capture.picture import SUFFIXES
+from svu_mi.core.io.folder_exchange import restore
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.results.exchange import restore
 
 Missing = Literal["refuse", "leave-out"]
 VIEW, MASK = "view_", "mask_"

@@ -16,8 +16,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.io.files import mark_text, replacing
 from svu_mi.errors import MeshError, excerpt
-from svu_mi.files import mark_text, replacing
 
 # What Mitsuba raises for a damaged mesh; the second where it quotes bytes that are not text.
 READING = (RuntimeError, UnicodeDecodeError)

@@ -15,9 +15,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.float_picture import hdr_size, pfm_size, read_hdr, read_pfm
+from svu_mi.core.io.exr import Header, read_header, read_pixels
+from svu_mi.core.io.files import may_hold
 from svu_mi.errors import CaptureError, SvuError, excerpt
-from svu_mi.exr import Header, read_header, read_pixels
-from svu_mi.files import may_hold
 
 FLOATS = {".hdr": (hdr_size, read_hdr), ".pfm": (pfm_size, read_pfm)}  # besides EXR
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")

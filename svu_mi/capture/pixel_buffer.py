@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.core.limits import require_files
+from svu_mi.core.memory import READING, STORED, Size, decoders, free_memory
 from svu_mi.errors import CaptureError
-from svu_mi.limits import require_files
-from svu_mi.memory import READING, STORED, Size, decoders, free_memory
 
 SHARE = 0.5  # of the free memory that photographs take, before they go to a file
 ON_DISK = Path("/var/tmp")  # what is in /tmp is memory on some systems

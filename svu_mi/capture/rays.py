@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.capture.poses import describe, film_size
 from svu_mi.capture.scene import to_world
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 
 RAY_FLOATS = 24  # per view, in groups of four: a kernel reads a group at once
 LAUNCH = 1 << 22  # rays at a time

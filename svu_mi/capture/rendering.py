@@ -30,14 +30,14 @@ from svu_mi.capture.scene import (
     load_scene,
     require_variant,
 )
+from svu_mi.core.interrupts import between_steps
+from svu_mi.core.io.exr import read_header, read_pixels, write_exr
+from svu_mi.core.io.hashes import Key
+from svu_mi.core.io.output_folder import Claim, claimed, writing
+from svu_mi.core.io.provenance import RUN
+from svu_mi.core.limits import require_render, require_spp
+from svu_mi.core.memory import Size, Sizes
 from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError, excerpt
-from svu_mi.exr import read_header, read_pixels, write_exr
-from svu_mi.hashing import Key
-from svu_mi.interrupts import between_steps
-from svu_mi.limits import require_render, require_spp
-from svu_mi.memory import Size, Sizes
-from svu_mi.results.provenance import RUN
-from svu_mi.results.transaction import Claim, claimed, writing
 
 VIEWS = "view_*.exr"  # what an interrupted run leaves to resume
 KEY = 16  # letters of the id of a run

@@ -20,8 +20,8 @@ from svu_mi.capture.trust import (
     require_own_plugins,
     searching,
 )
+from svu_mi.core.limits import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
-from svu_mi.limits import ensure_threads
 
 LONGEST = 400  # letters of what Mitsuba says
 PLACE = re.compile(r"\] (?:Error while loading|At) (.+) \(line (\d+), col \d+\): ")

@@ -17,8 +17,8 @@ from xml.parsers import expat
 import mitsuba as mi
 
 from svu_mi.capture.mesh import READING, missing_corner, refusal
+from svu_mi.core.limits import require_views
 from svu_mi.errors import SceneError, excerpt
-from svu_mi.limits import require_views
 
 DEEPEST = 500  # elements in one another; the parser calls itself for each, and 10 000 are too many
 LONGEST = 300  # letters of a path, in messages

@@ -22,10 +22,10 @@ from svu_mi.capture.mesh import MeshArrays, arrays, write_ply
 from svu_mi.capture.poses import describe
 from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import to_world
+from svu_mi.core.identifiers import xml_id
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.files import mark_text, stamp, write_text
 from svu_mi.errors import SvuWarning
-from svu_mi.exr import write_exr
-from svu_mi.files import mark_text, stamp, write_text
-from svu_mi.names import xml_id
 
 FILTERS = {
     "BoxFilter": "box", "TentFilter": "tent", "GaussianFilter": "gaussian",

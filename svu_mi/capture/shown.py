@@ -13,7 +13,7 @@ from svu_mi.capture import mesh as meshes
 from svu_mi.capture import picture as pictures
 from svu_mi.capture.poses import film_size, projected, scaled_sensor
 from svu_mi.capture.rays import evenly, pixel_rays, table_of
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 
 WHITE = 0.95  # part of the object's pixels that a tone-mapped photograph does not clip
 SIDE = 512  # pixels of the longer side of a picture

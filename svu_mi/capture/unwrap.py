@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, make, read_ply, write_ply
+from svu_mi.core.io.files import clear_temporaries
 from svu_mi.errors import MeshError
-from svu_mi.files import clear_temporaries
 
 log = logging.getLogger(__name__)
 

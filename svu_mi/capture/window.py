@@ -15,7 +15,7 @@ import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, chart_areas, crosses_of
 from svu_mi.capture.poses import film_size, focal_length, projected, windowed_sensor
-from svu_mi.memory import Size
+from svu_mi.core.memory import Size
 
 LARGE = 2**22  # pixels of a photograph from which on it is worth it
 ENOUGH = 0.9  # pixels across a texel: about one (notebooks/design/photographs.md)

@@ -40,8 +40,8 @@ from svu_mi.checking.surface_samples import (
     scatter_points,
 )
 from svu_mi.checking.thumbnails import Frames
+from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.errors import SvuWarning
-from svu_mi.interop import fibonacci, owned
 from svu_mi.light.cells import Cells, light_cells
 from svu_mi.reflection.principled import F0
 from svu_mi.visibility.reach import is_open

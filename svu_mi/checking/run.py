@@ -31,13 +31,13 @@ from svu_mi.checking.surface_samples import (
     scatter_points,
 )
 from svu_mi.checking.thumbnails import Frames, reduced, some
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.formats.fixes import fixes_named, turn_of
 from svu_mi.formats.geometry import LEFT_OUT
 from svu_mi.illumination.light_summary import gain_sentences
 from svu_mi.illumination.record import FoundGains
 from svu_mi.light.environment import read_environment
-from svu_mi.progress import Progress
 
 SIDE = 128  # pixels of the photographs that are compared
 VIEWS = 40  # in which colours are compared

@@ -15,7 +15,7 @@ from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import find_environment
 from svu_mi.checking.thumbnails import Frames, tone
-from svu_mi.interop import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.light.cells import Cells, light_cells
 from svu_mi.light.environment import basis_at, read_environment
 from svu_mi.light.levels import Levels, filter_light

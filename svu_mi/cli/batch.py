@@ -14,10 +14,10 @@ from rich.console import Console
 from svu_mi.cli.common import Common, interruptible
 from svu_mi.cli.options import Output, pair, require_range
 from svu_mi.cli.terminal import say
+from svu_mi.core.io.folder_exchange import locked
+from svu_mi.core.limits import FEWEST_THREADS
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.limits import FEWEST_THREADS
-from svu_mi.progress import Progress
-from svu_mi.results.exchange import locked
 
 if TYPE_CHECKING:
     from svu_mi.batch.runner import BatchRunner, Outcome

@@ -15,8 +15,8 @@ from svu_mi.bench import ALL, BENCHMARKS
 from svu_mi.cli.common import Common
 from svu_mi.cli.options import Output, require_range
 from svu_mi.cli.terminal import say
+from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.bench.cases import Cell
@@ -73,8 +73,8 @@ class Bench(Common):
         from svu_mi.bench.experiment import Bench as Where
         from svu_mi.bench.problem_sizes import FULL, QUICK
         from svu_mi.bench.study import run_bench, study_of
-        from svu_mi.files import prepare_folder
-        from svu_mi.settings import require_known
+        from svu_mi.core.io.files import prepare_folder
+        from svu_mi.core.validation import require_known
 
         require_known([self.what], (*BENCHMARKS, "all"), "benchmark")
         self._check_capture()

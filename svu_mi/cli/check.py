@@ -14,9 +14,9 @@ from svu_mi.cli.import_ import import_again
 from svu_mi.cli.loading import NeedOf, read_capture, with_search
 from svu_mi.cli.options import Output, Overwrite, PhotographOptions, SceneOptions, given
 from svu_mi.cli.terminal import cell, say
-from svu_mi.memory import Need
-from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim, claimed
+from svu_mi.core.io.output_folder import Claim, claimed
+from svu_mi.core.memory import Need
+from svu_mi.core.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.capture.record import Capture

@@ -21,9 +21,9 @@ from svu_mi.cli.options import (
     given,
     texel_size,
 )
-from svu_mi.memory import MODELS, Need
-from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim
+from svu_mi.core.io.output_folder import Claim
+from svu_mi.core.memory import MODELS, Need
+from svu_mi.core.progress import Progress
 
 Result = Annotated[Path, tyro.conf.Positional]
 Preset = Literal["default", "fixed", "fast", "paper"]

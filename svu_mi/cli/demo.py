@@ -14,7 +14,7 @@ from svu_mi.cli.common import Common, Interrupted
 from svu_mi.cli.entropy import Entropy
 from svu_mi.cli.options import CaptureOptions, Output, Overwrite, Resolution, SceneOptions
 from svu_mi.cli.render import Render
-from svu_mi.results.transaction import claimed
+from svu_mi.core.io.output_folder import claimed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -123,7 +123,7 @@ def check_exr() -> Check:
     try:
         import numpy as np
 
-        from svu_mi.exr import write_exr
+        from svu_mi.core.io.exr import write_exr
 
         with tempfile.TemporaryDirectory() as folder:
             write_exr(Path(folder) / "doctor.exr", {"Y": np.eye(3, 4, dtype=np.float32)})

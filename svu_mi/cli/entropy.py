@@ -8,8 +8,8 @@ from pathlib import Path
 from svu_mi.cli import options as opt
 from svu_mi.cli.common import ResultCommand
 from svu_mi.cli.loading import EstimateCommand
-from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim
+from svu_mi.core.io.output_folder import Claim
+from svu_mi.core.progress import Progress
 
 
 @dataclass(frozen=True, kw_only=True)

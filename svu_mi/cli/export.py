@@ -11,9 +11,9 @@ import tyro
 from svu_mi.cli.common import ResultCommand
 from svu_mi.cli.loading import announce
 from svu_mi.cli.options import Output
-from svu_mi.memory import Need, Sizes
-from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim
+from svu_mi.core.io.output_folder import Claim
+from svu_mi.core.memory import Need, Sizes
+from svu_mi.core.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.export.export import ExportOptions

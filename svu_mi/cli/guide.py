@@ -16,15 +16,15 @@ from rich.console import Console
 from svu_mi.cli import options as opt
 from svu_mi.cli.loading import EstimateCommand
 from svu_mi.cli.terminal import cell, say
+from svu_mi.core.io.output_folder import claimed
+from svu_mi.core.limits import require_views
+from svu_mi.core.memory import Need
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.limits import require_views
-from svu_mi.memory import Need
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
-from svu_mi.progress import Progress
-from svu_mi.results.transaction import claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture.record import Capture

@@ -19,11 +19,11 @@ from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.loading import announce
 from svu_mi.cli.options import Output, Overwrite
 from svu_mi.cli.terminal import say
+from svu_mi.core.io.output_folder import Claim, claimed
+from svu_mi.core.memory import Need
+from svu_mi.core.progress import Progress
 from svu_mi.formats.options import ENVIRONMENT_AXES, ImportOptions, Light
 from svu_mi.formats.reading import ReadOptions, read_source
-from svu_mi.memory import Need
-from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim, claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture.record import Capture

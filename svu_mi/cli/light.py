@@ -12,10 +12,10 @@ import tyro
 from svu_mi.cli import options as opt
 from svu_mi.cli.common import ResultCommand, interruptible
 from svu_mi.cli.loading import CaptureCommand, to_find_light
+from svu_mi.core.io.output_folder import Claim
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.illumination.options import LightOptions
-from svu_mi.progress import Progress
-from svu_mi.results.transaction import Claim
 
 if TYPE_CHECKING:
     from svu_mi.capture.record import Capture

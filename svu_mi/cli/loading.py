@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from svu_mi.cli import options as opt
 from svu_mi.cli.common import Common
+from svu_mi.core.memory import Need, Sizes
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.memory import Need, Sizes
-from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.capture.record import Capture

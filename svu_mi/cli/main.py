@@ -37,8 +37,8 @@ from svu_mi.cli.report import Report
 from svu_mi.cli.scenes import Scenes
 from svu_mi.cli.terminal import LogLines, OneLine, forgiving_streams
 from svu_mi.cli.view import View
+from svu_mi.core.memory import require_start
 from svu_mi.errors import OptionError, SvuError, excerpt, printable
-from svu_mi.memory import require_start
 
 COMMANDS = {
     "import": Import, "check": CheckCapture, "light": FindLight, "entropy": Entropy,

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from svu_mi.core.limits import require_spp, require_texels
 from svu_mi.errors import OptionError
-from svu_mi.limits import require_spp, require_texels
 from svu_mi.options import preset as find_preset
 from svu_mi.parameters import NAMES
 
 if TYPE_CHECKING:
     from svu_mi.capture.record import Capture
+    from svu_mi.core.progress import Progress
     from svu_mi.pipeline import Estimate
-    from svu_mi.progress import Progress
     from svu_mi.recovery.textures import Textures
     from svu_mi.surface.layout import Texels
 

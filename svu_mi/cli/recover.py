@@ -12,12 +12,12 @@ import tyro
 from svu_mi.cli import options as opt
 from svu_mi.cli.common import ResultCommand, interruptible
 from svu_mi.cli.loading import CaptureCommand
+from svu_mi.core.io.output_folder import CHECKPOINT, Claim
+from svu_mi.core.memory import Need
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.memory import Need
 from svu_mi.parameters import NAMES
-from svu_mi.progress import Progress
 from svu_mi.recovery.options import PRINTED_PRESETS
-from svu_mi.results.transaction import CHECKPOINT, Claim
 
 if TYPE_CHECKING:
     from svu_mi.output.knowledge import Knowledge

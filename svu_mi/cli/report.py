@@ -12,9 +12,9 @@ from rich.console import Console
 from svu_mi.cli import options as opt
 from svu_mi.cli.loading import EstimateCommand
 from svu_mi.cli.terminal import say
+from svu_mi.core.io.folder_exchange import locked
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.progress import Progress
-from svu_mi.results.exchange import locked
 
 if TYPE_CHECKING:
     from svu_mi.output.knowledge import Knowledge
@@ -45,8 +45,8 @@ class Report(EstimateCommand):
 
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""
-        from svu_mi.files import clear_temporaries, prepare_folder
-        from svu_mi.results.transaction import require_own_page
+        from svu_mi.core.io.files import clear_temporaries, prepare_folder
+        from svu_mi.core.io.output_folder import require_own_page
 
         self.check()
         prepare_folder(self.output.parent)

@@ -10,7 +10,7 @@ from rich.console import Console
 from svu_mi.cli import options as opt
 from svu_mi.cli.loading import EstimateCommand
 from svu_mi.cli.terminal import say
-from svu_mi.progress import Progress
+from svu_mi.core.progress import Progress
 
 SIDE = 512  # texels
 

@@ -11,8 +11,8 @@ import numpy as np
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.repaint import is_two_sided
+from svu_mi.core.identifiers import plain_name
 from svu_mi.errors import MeshError, OptionError, ShapeError
-from svu_mi.names import plain_name
 from svu_mi.output.maps import padded
 from svu_mi.output.views import Axis, nearest_axis, upright
 from svu_mi.recovery.textures import Textures

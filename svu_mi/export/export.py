@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from svu_mi.core.io.files import prepare_folder
+from svu_mi.core.io.output_folder import writing
+from svu_mi.core.validation import require, require_types
 from svu_mi.export import glb, scene_files
 from svu_mi.export.asset import RECORD, TEXTURES, Asset, Written
 from svu_mi.export.charts import at_vertices, with_gutters
 from svu_mi.export.images import write_exr_images, write_png_images
 from svu_mi.export.reading import load_asset
-from svu_mi.files import prepare_folder
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.views import Axis
-from svu_mi.results.transaction import writing
-from svu_mi.settings import require, require_types
 
 FORMAT, VERSION = "svu-asset", 1
 MODEL = "principled, specular 0.5 (F0 = 0.04), alpha = roughness^2: glTF's metallic-roughness"

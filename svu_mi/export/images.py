@@ -9,10 +9,10 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture.picture import quantized, srgb
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.files import replacing
 from svu_mi.errors import OutputError
 from svu_mi.export.asset import TEXTURES, Asset, Written
-from svu_mi.exr import write_exr
-from svu_mi.files import replacing
 from svu_mi.output.textures import FILES, write_textures
 from svu_mi.parameters import CHANNELS
 

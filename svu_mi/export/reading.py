@@ -14,21 +14,21 @@ import numpy as np
 from svu_mi.capture.mesh import MeshArrays, arrays, read_ply
 from svu_mi.capture.scene import last_sentence
 from svu_mi.capture.trust import pin_own_plugins
-from svu_mi.errors import CaptureError, MeshError, SvuWarning
-from svu_mi.export.asset import Asset, bad_values
-from svu_mi.exr import read_header
-from svu_mi.memory import Size
-from svu_mi.output.manifest import RECORD
-from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
-from svu_mi.output.textures import FILES, MESH, SCENE, read_textures
-from svu_mi.output.views import nearest_axis, up_of
-from svu_mi.results.exchange import restore
-from svu_mi.results.provenance import (
+from svu_mi.core.io.exr import read_header
+from svu_mi.core.io.folder_exchange import restore
+from svu_mi.core.io.provenance import (
     are_of_one_capture,
     marks_of,
     require_one_run,
     require_recovery,
 )
+from svu_mi.core.memory import Size
+from svu_mi.errors import CaptureError, MeshError, SvuWarning
+from svu_mi.export.asset import Asset, bad_values
+from svu_mi.output.manifest import RECORD
+from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
+from svu_mi.output.textures import FILES, MESH, SCENE, read_textures
+from svu_mi.output.views import nearest_axis, up_of
 
 HEADER = 4096  # bytes that hold the header of a PLY file
 

@@ -17,10 +17,10 @@ import svu_mi
 from svu_mi.capture import scene_xml
 from svu_mi.capture.mesh import make
 from svu_mi.capture.poses import bounding_sphere, sphere_sensors
+from svu_mi.core.identifiers import materialx_name, obj_name
+from svu_mi.core.io.files import write_text
 from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.export.glb import as_trimesh, upward_uvs
-from svu_mi.files import write_text
-from svu_mi.names import materialx_name, obj_name
 from svu_mi.output.textures import FILES, object_node
 from svu_mi.output.views import DIRECTION, Axis
 from svu_mi.parameters import CHANNELS

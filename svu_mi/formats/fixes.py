@@ -15,7 +15,7 @@ import scipy
 
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.capture.poses import affine
-from svu_mi.settings import require_known
+from svu_mi.core.validation import require_known
 
 Kind = Literal["camera", "mesh", "light", "texture", "winding"]
 

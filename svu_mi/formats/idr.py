@@ -23,10 +23,10 @@ import scipy
 
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.poses import affine
+from svu_mi.core.io.npz import read_foreign_arrays
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.source import LARGEST, OPENCV, RIGID, Frame, Source
 from svu_mi.formats.source_files import folder_of, photographs_of_poses, pictures
-from svu_mi.npz import read_foreign_arrays
 
 if TYPE_CHECKING:
     from svu_mi.formats.reading import ReadOptions

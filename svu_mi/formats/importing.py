@@ -23,6 +23,9 @@ from svu_mi.capture.picture import open_picture
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import unwrap
+from svu_mi.core.io.output_folder import writing
+from svu_mi.core.limits import require_views
+from svu_mi.core.memory import Sizes
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.exposures import exposed
 from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named, turn_of
@@ -34,9 +37,6 @@ from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Source
 from svu_mi.formats.source_files import name_in
 from svu_mi.formats.textures import write_pictures
-from svu_mi.limits import require_views
-from svu_mi.memory import Sizes
-from svu_mi.results.transaction import writing
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with

@@ -9,8 +9,8 @@ import numpy as np
 from svu_mi.capture.picture import open_picture, positive
 from svu_mi.capture.poses import affine
 from svu_mi.capture.scene_xml import POLES, ROWS
+from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import CaptureError
-from svu_mi.exr import write_exr
 from svu_mi.formats.source import Light
 
 SUFFIXES = (".exr", ".hdr", ".pfm")

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svu_mi.capture.poses import affine
+from svu_mi.core.io.npz import read_foreign_array
 from svu_mi.errors import CaptureError
 from svu_mi.formats.source import DOWN_RIGHT_BACK, LARGEST, Frame, Source
 from svu_mi.formats.source_files import folder_of, mask_of, photographs_of_poses
-from svu_mi.npz import read_foreign_array
 
 if TYPE_CHECKING:
     from svu_mi.formats.reading import ReadOptions

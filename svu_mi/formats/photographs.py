@@ -24,8 +24,8 @@ from svu_mi.capture.images import (
 from svu_mi.capture.matching import masks_of
 from svu_mi.capture.picture import Picture, open_picture
 from svu_mi.capture.window import LARGE
+from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError
-from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled, unbent
 from svu_mi.formats.response import Response, linear, read_response, saturation, steps
 from svu_mi.formats.source import Frame

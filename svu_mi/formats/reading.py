@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from svu_mi.core.validation import require_known
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.settings import require_known
 
 if TYPE_CHECKING:
     from svu_mi.formats.source import Source

@@ -18,8 +18,8 @@ import numpy as np
 from trimesh.visual.material import empty_material
 
 from svu_mi.capture.picture import decoded, quantized, srgb
+from svu_mi.core.io.files import replacing
 from svu_mi.errors import MeshError, excerpt
-from svu_mi.files import replacing
 from svu_mi.formats.source_files import inside
 
 MAX_PIXELS = 2**26  # 8192 x 8192

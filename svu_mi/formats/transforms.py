@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.picture import SUFFIXES, open_picture
+from svu_mi.core.io.files import read_json, write_json
 from svu_mi.errors import CaptureError, OptionError, excerpt
-from svu_mi.files import read_json, write_json
 from svu_mi.formats.lenses import COEFFICIENTS, Lens
 from svu_mi.formats.source import OPENGL, Frame, Source
 from svu_mi.formats.source_files import inside, name_in

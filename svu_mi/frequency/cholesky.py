@@ -13,7 +13,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.local import Block, load, store
+from svu_mi.core.local_memory import Block, load, store
 
 
 def packed_count(blocks: Any) -> Any:

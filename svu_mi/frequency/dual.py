@@ -16,9 +16,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from svu_mi.core.local_memory import allocate, load, store
 from svu_mi.frequency import cholesky, harmonics
 from svu_mi.frequency.harmonics import Sample, System, unit
-from svu_mi.local import allocate, load, store
 
 TILE = 4
 """Edge of a tile: 16 double precision values, half of which stay in registers while it is

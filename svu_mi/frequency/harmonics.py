@@ -22,9 +22,9 @@ import drjit as dr
 import mitsuba as mi
 from numpy.polynomial import legendre
 
+from svu_mi.core.arrays import tensor
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import harmonics
-from svu_mi.interop import tensor
 
 MAX_DEGREE = 9
 """The highest degree ``dr.sh_eval`` knows."""

@@ -15,9 +15,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from svu_mi.core.local_memory import allocate, load, store
 from svu_mi.frequency import cholesky
 from svu_mi.frequency.harmonics import Sample, System, power_lanes, unit
-from svu_mi.local import allocate, load, store
 
 
 def fit_primal(sample: Sample, views: Any, system: System) -> list[list[Any]]:

@@ -11,10 +11,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
 from svu_mi.frequency.fit import SolverGroup, fit_lanes, solver_groups
 from svu_mi.frequency.harmonics import System
-from svu_mi.interop import owned
 from svu_mi.light.lighting import Lighting
 from svu_mi.options import Fit, Preset
 from svu_mi.surface.layout import Texels

@@ -21,10 +21,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.local_memory import allocate, load, store
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, Colors, Parts
 from svu_mi.guidance.responses import Respond
-from svu_mi.local import allocate, load, store
 from svu_mi.posterior import streaming
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.reflection.model import Model

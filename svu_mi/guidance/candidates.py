@@ -13,8 +13,8 @@ from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.poses import sensors_like
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import check_sensor, find_sensors, load_scene
+from svu_mi.core.io.files import read_json
 from svu_mi.errors import CaptureError, OptionError, ShapeError
-from svu_mi.files import read_json
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.transforms import read_transforms
 

@@ -16,9 +16,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned
 from svu_mi.guidance.objectives import Measure
 from svu_mi.guidance.responses import Responses
-from svu_mi.interop import owned
 from svu_mi.posterior.grid import Grid
 
 

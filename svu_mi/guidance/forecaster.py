@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
 from svu_mi.guidance import angular, spectral
 from svu_mi.guidance.angular import AngularForecast
@@ -17,7 +18,6 @@ from svu_mi.guidance.objectives import Colors, Entropy, prior_tables
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.responses import Respond, Responses, collect
 from svu_mi.guidance.spectral import SpectrumForecast
-from svu_mi.interop import owned
 from svu_mi.light.lighting import band_limit
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset

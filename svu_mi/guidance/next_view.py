@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.record import Capture
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.forecaster import refuse_growing
@@ -24,7 +25,6 @@ from svu_mi.guidance.prospect import Prospect
 from svu_mi.guidance.result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE, Judge, Strategy
 from svu_mi.pipeline import Estimate, observed_of
-from svu_mi.progress import Progress
 
 AROUND = 100  # candidates that are placed when none are given
 

@@ -18,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.posterior.streaming import nats
 from svu_mi.posterior.truncated import Channel, Integrals
 

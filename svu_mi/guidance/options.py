@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from svu_mi.core.validation import require, require_types
 from svu_mi.guidance.strategies import Name
 from svu_mi.options import AnyPreset, Preset
-from svu_mi.settings import require, require_types
 
 Light = Literal["preset", "photographs", "growing"]
 

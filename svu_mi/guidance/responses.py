@@ -15,8 +15,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.local_memory import QUAD, fours, padded
 from svu_mi.errors import OptionError
-from svu_mi.local import QUAD, fours, padded
 from svu_mi.visibility.observe import Observation, Surface, fold, look, over_views
 from svu_mi.visibility.survey import Survey
 from svu_mi.visibility.views import Views

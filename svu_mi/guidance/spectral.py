@@ -17,12 +17,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned
 from svu_mi.frequency.harmonics import System
 from svu_mi.frequency.primal import extend_lanes
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.responses import Respond, Responses
-from svu_mi.interop import owned
 from svu_mi.light.lighting import Lighting
 from svu_mi.options import Preset
 from svu_mi.posterior.grid import ParameterGrid

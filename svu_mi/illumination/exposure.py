@@ -14,6 +14,7 @@ import numpy as np
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_light
+from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import NINETY, FoundGains
@@ -26,7 +27,6 @@ from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.pipeline import Estimate, observed_of
-from svu_mi.progress import Progress
 from svu_mi.surface.layout import Texels
 
 CELLS, ROUNDS = 1024, 12

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.record import Capture
+from svu_mi.core.arrays import fibonacci
 from svu_mi.illumination.record import FoundGains, LightEstimate
-from svu_mi.interop import fibonacci
 from svu_mi.light.environment import (
     Environment,
     basis_at,

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from numbers import Integral
 from typing import Any, Literal
 
+from svu_mi.core.validation import require, require_ranges, require_types
 from svu_mi.errors import OptionError
-from svu_mi.settings import require, require_ranges, require_types
 
 Background = Literal["none", "distant"]
 

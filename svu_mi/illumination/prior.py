@@ -24,8 +24,8 @@ from svu_mi.capture.poses import film_size
 from svu_mi.capture.rays import evenly, pixel_rays, table_of
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
+from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.errors import CaptureError
-from svu_mi.interop import fibonacci, owned
 from svu_mi.light.cells import nearest_cells
 
 BROAD, NARROW = np.radians(40), np.radians(12)

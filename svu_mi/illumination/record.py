@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from svu_mi.core.arrays import fibonacci
 from svu_mi.illumination.prior import SD
-from svu_mi.interop import fibonacci
 from svu_mi.light.sampling import directions
 
 ROWS, COLUMNS = 129, 256  # of maps

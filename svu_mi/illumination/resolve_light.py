@@ -16,6 +16,9 @@ import numpy as np
 from svu_mi.capture.fingerprint import photographs_key
 from svu_mi.capture.record import Capture, Doubt
 from svu_mi.capture.repaint import scene_of
+from svu_mi.core.io.output_folder import claimed
+from svu_mi.core.io.provenance import LIGHT
+from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OutputError, SceneError
 from svu_mi.formats.light import read_environment_map
 from svu_mi.formats.options import Light
@@ -25,9 +28,6 @@ from svu_mi.illumination.folder import RECORD, load_light, photographs_of, save_
 from svu_mi.illumination.light_summary import gain_sentences, sentences
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import FoundGains, LightEstimate
-from svu_mi.progress import Progress
-from svu_mi.results.provenance import LIGHT
-from svu_mi.results.transaction import claimed
 from svu_mi.surface.layout import texels
 
 ID = "found_light"  # of the emitter

@@ -10,8 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.scene import to_world
+from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError
-from svu_mi.interop import owned
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.statistics.sums import noise_weight

@@ -15,8 +15,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.illumination.samples import GRAZING, Samples
-from svu_mi.interop import fibonacci, owned
 from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior

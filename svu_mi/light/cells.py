@@ -18,8 +18,8 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
+from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.errors import OptionError
-from svu_mi.interop import fibonacci, owned
 from svu_mi.light import environment as env
 from svu_mi.light.environment import Environment
 

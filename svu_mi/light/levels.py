@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.light import environment as env
 from svu_mi.light.environment import Environment, lat_long
 from svu_mi.light.lighting import Lighting, lat_long_texture, look_up

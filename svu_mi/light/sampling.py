@@ -10,10 +10,10 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
+from svu_mi.core.arrays import owned
+from svu_mi.core.limits import require_memory
+from svu_mi.core.memory import light_bytes
 from svu_mi.errors import SceneError, excerpt
-from svu_mi.interop import owned
-from svu_mi.limits import require_memory
-from svu_mi.memory import light_bytes
 
 SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
 FINEST = 130  # columns and rows that resolve degree 64; smaller maps are sampled finer

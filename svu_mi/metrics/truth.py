@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.record import Capture
+from svu_mi.core.validation import require_known
 from svu_mi.metrics.checks import pair
 from svu_mi.parameters import MIXED, NAMES, ByParameter
 from svu_mi.reflection.principled import specular_from_principled
-from svu_mi.settings import require_known
 from svu_mi.surface.layout import Texels
 from svu_mi.surface.material import parameters_at
 

@@ -17,6 +17,7 @@ from svu_mi.checking.axis_hypotheses import apply_fixes
 from svu_mi.checking.record import Check, Finding, Summary
 from svu_mi.checking.surface_samples import emitter_of
 from svu_mi.checking.thumbnails import Frames, outline, reduced, silhouettes
+from svu_mi.core.io.output_folder import writing
 from svu_mi.formats.fixes import fixes_named
 from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.levels import resolved
@@ -24,7 +25,6 @@ from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
 from svu_mi.output.style import AFTER, BEFORE
 from svu_mi.output.views import facing, up_of
-from svu_mi.results.transaction import writing
 
 AXES = ("poses", "light", "texture")  # what corrections are about
 TEMPLATE, RECORD = "check.html", "check.json"

@@ -21,10 +21,13 @@ from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.mesh import make, read_ply
 from svu_mi.capture.record import Capture
 from svu_mi.capture.window import Detail
+from svu_mi.core.io.files import read_json
+from svu_mi.core.io.folder_exchange import restore
+from svu_mi.core.io.provenance import text_in
+from svu_mi.core.limits import require_texels
+from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.files import read_json
 from svu_mi.illumination.resolve_light import illuminated
-from svu_mi.limits import require_texels
 from svu_mi.metrics.images import psnr
 from svu_mi.options import preset as find_preset
 from svu_mi.output.knowledge import median, part, plain_percent
@@ -34,10 +37,7 @@ from svu_mi.output.result import words
 from svu_mi.output.textures import MESH, find_textures, read_texture
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.progress import Progress
 from svu_mi.recovery.recover import Recovery
-from svu_mi.results.exchange import restore
-from svu_mi.results.provenance import text_in
 from svu_mi.surface.layout import size_of, texels
 
 Source = str | Path | Capture | Estimate | Recovery

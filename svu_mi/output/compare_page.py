@@ -10,14 +10,14 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture.shown import srgb
-from svu_mi.exr import write_exr
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style
 from svu_mi.output.compare import AROUND, CERTAIN, Comparison, largest
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import Picture, drawing, write_page
 from svu_mi.output.result import words
 from svu_mi.output.surface_maps import ENDS, ENTROPY
-from svu_mi.results.transaction import writing
 
 TEMPLATE, RECORD = "compare.html", "compare.json"
 SIDE = 384  # pixels of a map

@@ -11,9 +11,9 @@ import numpy as np
 
 from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import Look, alone, srgb
+from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import CaptureError
-from svu_mi.exr import read_exr, write_exr
-from svu_mi.files import prepare_folder
 from svu_mi.output import style
 from svu_mi.output.figures import all_seen, draw_look, map_colors
 from svu_mi.output.result import words

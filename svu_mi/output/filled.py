@@ -15,7 +15,8 @@ from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import Look, alone
-from svu_mi.exr import write_exr
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.output_folder import writing
 from svu_mi.inpaint.fill_result import Filled, Invented
 from svu_mi.output import style
 from svu_mi.output.draws import texture_colors
@@ -28,7 +29,6 @@ from svu_mi.output.style import Block
 from svu_mi.output.textures import write_scene
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import TextureField
-from svu_mi.results.transaction import writing
 
 if TYPE_CHECKING:
     from svu_mi.output.style import Panel

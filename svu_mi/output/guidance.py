@@ -15,8 +15,9 @@ from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
 from svu_mi.capture.poses import describe
 from svu_mi.capture.record import Capture
-from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder, replacing
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.files import prepare_folder, replacing
+from svu_mi.core.io.output_folder import writing
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.result import Guidance
@@ -31,7 +32,6 @@ from svu_mi.output.manifest import RECORD, Run, guidance_record, write_manifest,
 from svu_mi.output.maps import GUTTER, header, padded
 from svu_mi.output.views import UP
 from svu_mi.pipeline import Estimate
-from svu_mi.results.transaction import writing
 
 PLAN, PAGE = "guidance.json", "guidance.png"
 POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"

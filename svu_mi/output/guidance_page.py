@@ -12,9 +12,9 @@ import numpy as np
 from svu_mi.capture.poses import film_size, resized_sensor
 from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import SIDE, Look, alone
+from svu_mi.core.identifiers import plain_name
 from svu_mi.guidance.result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.names import plain_name
 from svu_mi.output import style
 from svu_mi.output.directions import color_range, draw_directions, numbered
 from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors

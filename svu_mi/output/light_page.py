@@ -14,6 +14,7 @@ import numpy as np
 from svu_mi.capture.fingerprint import photographs_key
 from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import srgb
+from svu_mi.core.io.output_folder import writing
 from svu_mi.illumination.folder import COMMAND, RECORD, light_record, write_arrays_of
 from svu_mi.illumination.light_summary import Likeness
 from svu_mi.illumination.record import LightEstimate
@@ -22,7 +23,6 @@ from svu_mi.output import style
 from svu_mi.output.knowledge import plain_percent
 from svu_mi.output.manifest import Run, environment_record, inputs_record, write_manifest
 from svu_mi.output.style import LEFT, RIGHT, Block
-from svu_mi.results.transaction import writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

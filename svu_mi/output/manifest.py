@@ -21,15 +21,15 @@ import svu_mi
 from svu_mi import _llvm
 from svu_mi.capture.fingerprint import mesh_key
 from svu_mi.capture.record import Capture
+from svu_mi.core.io.files import write_text
+from svu_mi.core.io.output_folder import Draft
+from svu_mi.core.io.provenance import RUN_RECORD
+from svu_mi.core.progress import Stage
 from svu_mi.errors import OutputError
-from svu_mi.files import write_text
 from svu_mi.illumination.folder import light_record
 from svu_mi.output.knowledge import Knowledge
 from svu_mi.output.result import is_seen
 from svu_mi.pipeline import Estimate
-from svu_mi.progress import Stage
-from svu_mi.results.provenance import RUN_RECORD
-from svu_mi.results.transaction import Draft
 
 if TYPE_CHECKING:
     from svu_mi.guidance.result import Guidance

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 import svu_mi
+from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError
-from svu_mi.exr import read_exr, write_exr
 from svu_mi.parameters import CHANNELS
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import LEVEL, TextureField

@@ -12,8 +12,9 @@ import numpy as np
 
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.record import Capture
-from svu_mi.exr import write_exr
-from svu_mi.files import write_text
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.files import write_text
+from svu_mi.core.io.output_folder import writing
 from svu_mi.output import views
 from svu_mi.output.draws import SHEET, write_draws, write_sheet
 from svu_mi.output.manifest import RECORD, Run, recovery_record, write_run
@@ -31,7 +32,6 @@ from svu_mi.output.textures import write_scene
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.recover import Recovery
-from svu_mi.results.transaction import writing
 
 LOSSES = "losses.csv"
 PAGE, RELIT = "recovery.png", "relit.png"

@@ -17,13 +17,13 @@ from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
 from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import tone_mapped
-from svu_mi.exr import write_exr
-from svu_mi.files import replacing
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.files import replacing
+from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style, views
 from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
 from svu_mi.output.style import VIEWS_COLORMAP, Block
 from svu_mi.recovery.relight import RelitView
-from svu_mi.results.transaction import writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

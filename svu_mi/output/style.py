@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.files import replacing
+from svu_mi.core.io.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,16 +16,16 @@ from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import decoded, open_picture
 from svu_mi.capture.record import Capture
 from svu_mi.capture.repaint import is_same, is_two_sided
+from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.files import prepare_folder, read_json
+from svu_mi.core.io.folder_exchange import restore
+from svu_mi.core.io.provenance import marks_of, mesh_of, require_one_run, require_recovery
 from svu_mi.errors import CaptureError, SvuError, SvuWarning, excerpt
-from svu_mi.exr import read_exr, write_exr
-from svu_mi.files import prepare_folder, read_json
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import ENTROPY
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.relight import path_length
 from svu_mi.recovery.textures import Textures
-from svu_mi.results.exchange import restore
-from svu_mi.results.provenance import marks_of, mesh_of, require_one_run, require_recovery
 
 FILES = {name: f"{name}.exr" for name in NAMES}
 SCENE, ASSETS = "recovered.xml", "assets"

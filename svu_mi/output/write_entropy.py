@@ -6,12 +6,12 @@ import os
 
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.record import Capture
+from svu_mi.core.io.output_folder import writing
 from svu_mi.output.knowledge import Knowledge
 from svu_mi.output.manifest import RECORD, Run, run_record, write_run
 from svu_mi.output.maps import write_maps
 from svu_mi.output.overview import write_overview
 from svu_mi.pipeline import Estimate
-from svu_mi.results.transaction import writing
 
 
 def write_outputs(

@@ -15,8 +15,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import streaming

@@ -18,8 +18,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.record import Doubt
+from svu_mi.core.arrays import owned
 from svu_mi.errors import ShapeError
-from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.parameters import MIXED, PARAMETERS

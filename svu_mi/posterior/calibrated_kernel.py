@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.cells import color_of_rows
 from svu_mi.posterior.nodes import Axis

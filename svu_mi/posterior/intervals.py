@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.posterior.nodes import Axis
 from svu_mi.statistics.blocks import BLOCK, start
 

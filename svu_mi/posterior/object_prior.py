@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import evenly_spaced, owned
+from svu_mi.core.arrays import evenly_spaced, owned
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
 from svu_mi.posterior.calibrated import CalibratedKernel, prior_tables

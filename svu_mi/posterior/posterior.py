@@ -10,8 +10,8 @@ from typing import Any, Generic, TypeVar
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned, tensor
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned, tensor
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import Kernel
 from svu_mi.posterior.nodes import cell_edges

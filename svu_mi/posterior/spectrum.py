@@ -10,8 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned, tensor
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned, tensor
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import spectrum_kernel as kernel

@@ -14,8 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 
 FAR = 1e4  # exp(-FAR) is 0, FAR * 0 is not NaN
 IMPOSSIBLE = 1e200  # energy of a cell the prior excludes: above any other, and finite

@@ -14,7 +14,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi.memory import AT_WORK
+from svu_mi.core.memory import AT_WORK
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import LEVEL, spread
 from svu_mi.posterior.kernel import Kernel, Pair, Prior

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.posterior.problem import NEAR, Problem
 from svu_mi.posterior.truncated import Channel, Integrals
 from svu_mi.reflection.principled import Mixture, mixture

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.core.io.npz import LARGEST, Field, read_arrays, require_schema, write_arrays
 from svu_mi.errors import OptionError, OutputError, excerpt
-from svu_mi.npz import LARGEST, Field, read_arrays, require_schema, write_arrays
 
 FORMAT = 5  # raised whenever a resumed run would continue otherwise than the one that saved
 LOWEST = -LARGEST  # any finite number

@@ -20,10 +20,10 @@ import mitsuba as mi
 import numpy as np
 from drjit.opt import Adam
 
+from svu_mi.core.arrays import owned
+from svu_mi.core.interrupts import between_steps
+from svu_mi.core.progress import Stage
 from svu_mi.errors import SvuError
-from svu_mi.interop import owned
-from svu_mi.interrupts import between_steps
-from svu_mi.progress import Stage
 from svu_mi.recovery.checkpoint import Checkpoint, State
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, Literal
 
+from svu_mi.core.validation import require, require_types
 from svu_mi.errors import OptionError
-from svu_mi.settings import require, require_types
 
 ShLoss = Literal["statistics", "angular", "coefficients", "spectrum"]
 PathLoss = Literal["l1", "l2", "relative"]

@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
 from svu_mi.options import preset
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior.grid import ParameterGrid
-from svu_mi.progress import Progress
 from svu_mi.recovery.start import of_roughness
 from svu_mi.regularization.sharing import PRINTED, SEEDS, GlobalSharing
 from svu_mi.surface.neighbors import Neighbors

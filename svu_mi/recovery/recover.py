@@ -15,11 +15,11 @@ from typing import Any, get_args
 import numpy as np
 
 from svu_mi.capture.record import Capture
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, observed_of, subject_of
-from svu_mi.progress import Progress
 from svu_mi.recovery.options import Method, PathOptions, ShOptions, options_of
 from svu_mi.recovery.run import Run, require_resolution
 from svu_mi.recovery.textures import Textures

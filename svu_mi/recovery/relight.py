@@ -18,9 +18,9 @@ from svu_mi.capture.rays import Pictures
 from svu_mi.capture.record import Capture
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import find_environment, to_world
+from svu_mi.core.limits import require_spp
 from svu_mi.errors import OptionError
 from svu_mi.light.environment import directions, read_environment
-from svu_mi.limits import require_spp
 from svu_mi.recovery.path.scene import PathScene
 from svu_mi.recovery.textures import Textures
 

@@ -9,8 +9,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.record import Capture
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES, PARAMETERS, ByParameter
 from svu_mi.surface.layout import Texels
 from svu_mi.surface.material import parameters_at

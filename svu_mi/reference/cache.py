@@ -14,10 +14,10 @@ import numpy as np
 import svu_mi
 from svu_mi.capture.fingerprint import capture_parts
 from svu_mi.capture.record import Capture
+from svu_mi.core.io.files import clear_temporaries, prepare_folder
+from svu_mi.core.io.hashes import Key
+from svu_mi.core.io.npz import Field, read_arrays, require_schema, write_arrays
 from svu_mi.errors import SvuError, SvuWarning
-from svu_mi.files import clear_temporaries, prepare_folder
-from svu_mi.hashing import Key
-from svu_mi.npz import Field, read_arrays, require_schema, write_arrays
 from svu_mi.reference.options import ReferenceOptions
 from svu_mi.reference.record import Reference, Traced
 from svu_mi.statistics.factors import PAIRS

@@ -8,11 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from svu_mi.core.validation import require, require_ranges, require_types
 from svu_mi.errors import OptionError, excerpt
 from svu_mi.options import AngularPreset, Errors
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.reference.deviations import CORNERS
-from svu_mi.settings import require, require_ranges, require_types
 
 Method = Literal["linear", "brute"]
 Noise = Literal["relative", "heteroscedastic", "estimated"]

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.light.levels import LightStack, stack
 from svu_mi.light.lighting import Lighting
 from svu_mi.options import AngularPreset

@@ -16,9 +16,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.local_memory import scatter_strided
 from svu_mi.frequency import harmonics
 from svu_mi.frequency.samples import MirroredLight
-from svu_mi.local import scatter_strided
 from svu_mi.options import AngularPreset, Fresnel
 from svu_mi.reflection.lobes import reflected_at_view, smith_g1, smith_g1_slope
 from svu_mi.reflection.principled import alpha_from_roughness

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.light.cells import Cells, disk_cells
 from svu_mi.light.levels import Levels, filter_light
 from svu_mi.light.lighting import Lighting

@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
+from svu_mi.core.validation import require
 from svu_mi.regularization.gradients import Regularizer, sign
-from svu_mi.settings import require
 from svu_mi.surface.layout import Texels
 from svu_mi.surface.neighbors import Neighbors, lanes_of, over_neighbors
 

@@ -12,8 +12,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
-from svu_mi.local import scatter_strided
+from svu_mi.core.arrays import owned
+from svu_mi.core.local_memory import scatter_strided
 
 BLOCK = 16
 

@@ -20,7 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.parameters import MIXED
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.blocks import Reader

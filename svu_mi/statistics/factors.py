@@ -19,8 +19,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
-from svu_mi.local import QUAD, fours, padded, scatter_strided
+from svu_mi.core.arrays import owned
+from svu_mi.core.local_memory import QUAD, fours, padded, scatter_strided
 from svu_mi.reflection.principled import COLUMNS
 
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))

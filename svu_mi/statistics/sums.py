@@ -20,8 +20,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.blocks import Reader, in_blocks, put, rows_of, scattered, taken

@@ -14,8 +14,8 @@ import numpy as np
 from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs, unit_vectors
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_variant
+from svu_mi.core.arrays import owned
 from svu_mi.errors import MeshError, OptionError, ShapeError
-from svu_mi.interop import owned
 from svu_mi.surface.raster import rasterize
 
 OVERLAP_LIMIT = 0.05  # part of the covered texels; below it they are left out, above refused

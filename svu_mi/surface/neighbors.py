@@ -12,8 +12,8 @@ import numpy as np
 import scipy
 
 from svu_mi.capture.mesh import arrays
+from svu_mi.core.arrays import owned
 from svu_mi.errors import ShapeError
-from svu_mi.interop import owned
 from svu_mi.surface.layout import Texels
 
 REACH = 2.0  # longest link, in steps from a texel to the next

@@ -14,8 +14,8 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.interop import owned
 
 
 def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

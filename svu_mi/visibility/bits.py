@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 
 WORD = 32
 

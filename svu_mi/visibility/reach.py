@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.light.cells import LightCells
 from svu_mi.light.lighting import MOMENTS, Lighting
 from svu_mi.visibility.bits import Bits

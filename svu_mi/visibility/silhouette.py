@@ -19,7 +19,7 @@ import numpy as np
 
 from svu_mi.capture.mesh import face_normals
 from svu_mi.capture.rays import film_ray
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 
 TILE = 32  # corners per side, a power of two: lanes of a kernel are split into tiles by shifts
 MARGIN = 1  # pixels around the projected box: its projection is rounded

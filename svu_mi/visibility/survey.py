@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.visibility.bits import Bits
 from svu_mi.visibility.observe import Observation, Surface, asked, fold, look, over_views
 from svu_mi.visibility.pixels import as_channels

@@ -21,8 +21,8 @@ from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.capture.rays import ray_floats
 from svu_mi.capture.record import Capture
+from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError, SvuWarning
-from svu_mi.interop import owned
 from svu_mi.visibility.silhouette import Films, Outline, find_tiles, interior
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip

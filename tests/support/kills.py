@@ -28,20 +28,20 @@ from helpers import ball, foreign_source, names, write_scene
 
 from svu_mi import scenes
 from svu_mi.capture.loading import load_capture
-from svu_mi.exr import read_exr, write_exr
+from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.folder_exchange import restore
+from svu_mi.core.io.output_folder import CHECKPOINT
+from svu_mi.core.io.provenance import RECORDS, entry_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.illumination.folder import load_light
 from svu_mi.output.textures import read_textures
-from svu_mi.results.exchange import restore
-from svu_mi.results.provenance import RECORDS, entry_of
-from svu_mi.results.transaction import CHECKPOINT
 
 SMALL = ("--resolution", "24")
 LIMIT = 300.0  # seconds that a command may take
 TWICE = "is writing there"
 ENTROPY = Path("shot/entropy")  # of a batch
 # Read by Python at its start, in the processes of a batch, too.
-NO_EXCHANGE = "import svu_mi.results.exchange as e\ne._exchange = lambda *_: False\n"
+NO_EXCHANGE = "import svu_mi.core.io.folder_exchange as e\ne._exchange = lambda *_: False\n"
 
 Words = Callable[[Path], tuple[object, ...]]  # of a command, for the folder of one of two captures
 COMMANDS: dict[str, tuple[Words, Callable[[Path], object]]] = {

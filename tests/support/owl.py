@@ -13,8 +13,8 @@ from support.photographs import copy_file
 from svu_mi.capture.images import IN_MASK, SATURATED
 from svu_mi.capture.picture import quantized, read_planes
 from svu_mi.capture.poses import affine
+from svu_mi.core.io.files import prepare_folder, replacing
 from svu_mi.errors import OptionError
-from svu_mi.files import prepare_folder, replacing
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.objects_with_lighting import (
     ENVIRONMENT,

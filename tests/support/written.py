@@ -23,8 +23,8 @@ from svu_mi.capture.poses import affine
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.checking.surface_samples import base_color
-from svu_mi.exr import read_exr, write_exr
-from svu_mi.files import prepare_folder
+from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.files import prepare_folder
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions
 from svu_mi.formats.reading import Format

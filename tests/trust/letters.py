@@ -6,9 +6,9 @@ import json
 import os
 from pathlib import Path
 
-from svu_mi.files import write_json, write_text
-from svu_mi.results.provenance import files_in
-from svu_mi.results.transaction import writing
+from svu_mi.core.io.files import write_json, write_text
+from svu_mi.core.io.output_folder import writing
+from svu_mi.core.io.provenance import files_in
 
 
 def write(

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from svu_mi.bench.result_cache import Store
+from svu_mi.core.io.npz import DIGEST, read_arrays, write_arrays
 from svu_mi.errors import OptionError, OutputError, SvuWarning
-from svu_mi.npz import DIGEST, read_arrays, write_arrays
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.reference import cache
 

@@ -12,8 +12,8 @@ import pytest
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.poses import make_sensor
+from svu_mi.core.limits import MAX_VIEWS, require_views
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.limits import MAX_VIEWS, require_views
 
 
 @pytest.fixture

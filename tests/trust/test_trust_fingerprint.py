@@ -15,8 +15,8 @@ import svu_mi as svu
 from svu_mi.capture.fingerprint import Key, capture_key, capture_parts
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import make
+from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError, SvuWarning
-from svu_mi.exr import write_exr
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import SH_PRESETS, DescentOptions

@@ -13,10 +13,10 @@ from helpers import names
 from support.kills import COMMANDS, Place, killed, met, prepare
 from trust.letters import contents, write
 
-from svu_mi.files import clear_temporaries, write_text
-from svu_mi.results import exchange
-from svu_mi.results.exchange import restore
-from svu_mi.results.transaction import claimed
+from svu_mi.core.io import folder_exchange
+from svu_mi.core.io.files import clear_temporaries, write_text
+from svu_mi.core.io.folder_exchange import restore
+from svu_mi.core.io.output_folder import claimed
 
 KILLED = 9
 STEPS = ("rename", "replace", "unlink", "mkdir", "rmdir")  # of Path, that change a folder
@@ -46,7 +46,7 @@ def killed_at(step: int, work: Callable[[], Any]) -> bool:
         try:
             for name in STEPS:
                 setattr(Path, name, counted(getattr(Path, name)))
-            setattr(exchange, "_exchange", counted(exchange._exchange))  # noqa: B010
+            setattr(folder_exchange, "_exchange", counted(folder_exchange._exchange))  # noqa: B010
             os.unlink = counted(os.unlink)  # what shutil.rmtree removes files with
             work()
         finally:
@@ -61,7 +61,7 @@ def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(
     tmp_path, monkeypatch, next_is, atomic, others
 ):
     if not atomic:
-        monkeypatch.setattr(exchange, "_exchange", lambda *_: False)
+        monkeypatch.setattr(folder_exchange, "_exchange", lambda *_: False)
     old_files, new_files = ("a", "b", "assets/c", "gone"), ("a", "b", "assets/c", "added")
     old = {**dict.fromkeys(old_files, "o"), "run.json": "o"} | ({"mine": "x"} if others else {})
     new = {**dict.fromkeys(new_files, "n"), "run.json": "n"}

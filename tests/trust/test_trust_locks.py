@@ -14,9 +14,9 @@ import pytest
 from helpers import names
 from trust.letters import contents, write
 
+from svu_mi.core.io.folder_exchange import DRAFT, locked
+from svu_mi.core.io.output_folder import claimed
 from svu_mi.errors import OutputError
-from svu_mi.results.exchange import DRAFT, locked
-from svu_mi.results.transaction import claimed
 
 OCCUPIED = "another svu is writing there; wait for it, or choose another folder"
 
@@ -77,7 +77,7 @@ def _in_a_thread(work: Any) -> None:
 def test_a_writer_that_waits_sees_the_exchange(out, monkeypatch, exchange, older):
     """The folder that it waits for becomes the result, which it must not take for its draft."""
     if not exchange:
-        monkeypatch.setattr("svu_mi.results.exchange._exchange", lambda *_: False)
+        monkeypatch.setattr("svu_mi.core.io.folder_exchange._exchange", lambda *_: False)
     if older:
         write(out, "o", ("a", "b"))
     entered, found = threading.Event(), []
@@ -134,7 +134,9 @@ def test_results_are_written_where_locks_do_not_work(out, monkeypatch):
 
     monkeypatch.setattr("fcntl.flock", unknown)
     # Not caplog: tests of commands before this one set up logging.
-    monkeypatch.setattr("svu_mi.results.exchange.log.warning", lambda *words: said.append(words[0]))
+    monkeypatch.setattr(
+        "svu_mi.core.io.folder_exchange.log.warning", lambda *words: said.append(words[0])
+    )
     write(out, "o", ("a",))
     write(out, "n", ("a",))
     assert contents(out)["a"] == "n" and "locks do not work there" in said[0]

@@ -11,13 +11,13 @@ import pytest
 from helpers import ball, fails, lettered, names, run, write_scene
 
 from svu_mi.capture import loading
+from svu_mi.core.io.exr import read_header, write_exr
+from svu_mi.core.io.files import stamp, stamped, write_json
+from svu_mi.core.io.provenance import are_of_one_capture, marks_of, require_one_run
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.export.reading import load_asset
-from svu_mi.exr import read_header, write_exr
-from svu_mi.files import stamp, stamped, write_json
 from svu_mi.output.textures import write_textures
 from svu_mi.output.viewer.viewer import Viewer
-from svu_mi.results.provenance import are_of_one_capture, marks_of, require_one_run
 
 SMALL = ("--resolution", 16)
 

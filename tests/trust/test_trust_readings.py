@@ -15,8 +15,8 @@ from PIL import Image
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.picture import decoded, open_picture, read_planes
+from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, SceneError, SvuWarning
-from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.light import read_environment_map
 from svu_mi.formats.photographs import about, convert
 from svu_mi.formats.source import Frame, Light

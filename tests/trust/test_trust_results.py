@@ -12,12 +12,12 @@ import pytest
 from helpers import names
 from trust.letters import contents, write
 
+from svu_mi.core.io import output_folder
+from svu_mi.core.io.files import clear_temporaries, replacing, write_text
+from svu_mi.core.io.folder_exchange import DRAFT
+from svu_mi.core.io.output_folder import claimed, require_own_page, write_page, writing
+from svu_mi.core.io.provenance import is_inside
 from svu_mi.errors import OutputError, SvuWarning
-from svu_mi.files import clear_temporaries, replacing, write_text
-from svu_mi.results import transaction
-from svu_mi.results.exchange import DRAFT
-from svu_mi.results.provenance import is_inside
-from svu_mi.results.transaction import claimed, require_own_page, write_page, writing
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_a_file_that_is_edited_during_a_run_is_kept(tmp_path, out):
 @pytest.mark.parametrize("exchange", [True, False])
 def test_what_svu_keeps_in_a_folder_outlives_its_result(out, monkeypatch, exchange):
     if not exchange:
-        monkeypatch.setattr("svu_mi.results.exchange._exchange", lambda *_: False)
+        monkeypatch.setattr("svu_mi.core.io.folder_exchange._exchange", lambda *_: False)
     write(out, "o", ("view",), "render")
     (out / "light").mkdir()
     (out / "light" / "light.exr").write_text("found")
@@ -110,7 +110,7 @@ def test_what_killed_runs_have_left_is_cleared(tmp_path, out):
 
 def test_only_temporary_files_of_dead_processes_are_cleared(tmp_path):
     program = (
-        "import os, sys; from svu_mi.files import replacing; from pathlib import Path\n"
+        "import os, sys; from svu_mi.core.io.files import replacing; from pathlib import Path\n"
         "with replacing(Path(sys.argv[1]) / 'page.html'): os._exit(9)"
     )
     subprocess.run([sys.executable, "-c", program, str(tmp_path)], check=False)
@@ -169,7 +169,7 @@ def test_the_working_directory_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("place", ["/", "a disk"])
 def test_a_mounted_folder_is_refused(out, monkeypatch, place):
-    monkeypatch.setattr(transaction, "_mounts", lambda: {str(out)})
+    monkeypatch.setattr(output_folder, "_mounts", lambda: {str(out)})
     with pytest.raises(OutputError, match="cannot be exchanged with a result; choose a folder in"):
         write(Path("/") if place == "/" else out, "n", ("a",))
 

@@ -20,8 +20,8 @@ from rich.table import Table
 from svu_mi.cli import main as program
 from svu_mi.cli.main import main
 from svu_mi.cli.terminal import Forgiving, LogLines, OneLine, forgiving_streams, say
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError, SvuWarning, printable
-from svu_mi.progress import Progress
 
 SECONDS = 120
 NASTY = "a\nb\r\x1b[31mred\x1b]0;title\x07\u202etxt\u2066.\x9b2J\udcff[/bold][link]"
@@ -135,7 +135,7 @@ def test_names_outside_of_ascii_are_escaped(scene, tmp_path):
 def test_a_live_line_on_a_terminal_without_unicode():
     ours, theirs = pty.openpty()
     code = (
-        "from svu_mi.cli.terminal import *; from svu_mi.progress import Progress; import time\n"
+        "from svu_mi.cli.terminal import *; from svu_mi.core.progress import Progress; import time\n"
         "with forgiving_streams():\n"
         "    with Progress(OneLine()).stage('\\xe9'): time.sleep(0.3)"
     )

@@ -27,13 +27,13 @@ from svu_mi.bench.result_cache import Store
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.record import Capture
-from svu_mi.files import prepare_folder
+from svu_mi.core.io.files import prepare_folder
+from svu_mi.core.validation import require_known
 from svu_mi.formats.importing import ImportOptions, import_capture
 from svu_mi.formats.stanford_orb import Split, read_orb, read_views
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.options import PathOptions, ShOptions
 from svu_mi.recovery.textures import Textures, uniform
-from svu_mi.settings import require_known
 from svu_mi.surface.layout import Texels, texels
 
 PLACE = "orb"  # folder of finished results

@@ -27,10 +27,10 @@ from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import affine, describe, make_sensor, sphere_sensors
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_environment, find_shape, load_scene, to_world
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.formats.stanford_orb import SUFFIXES, TRUTH
 from svu_mi.light.environment import directions, radiance_from
-from svu_mi.progress import Progress
 
 LOWEST = -0.4  # sine of the elevation of the lowest camera
 ROLL = 20.0  # degrees, standard deviation

@@ -14,9 +14,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, flipped_v
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.files import prepare_folder, replacing, write_json, write_text
 from svu_mi.errors import MeshError
-from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder, replacing, write_json, write_text
 from svu_mi.formats.source import OPENGL
 from svu_mi.formats.source_files import inside
 from svu_mi.formats.stanford_orb import ALBEDO, ENVIRONMENTS, MESH, SUFFIXES, TRUTH

@@ -14,7 +14,7 @@ from svu_mi.bench.paper.figure9 import Figure9, draw_figure9, figure9_tables
 from svu_mi.bench.paper.table2 import Table2, table2_tables
 from svu_mi.bench.paper.table3 import Table3, table3_tables
 from svu_mi.bench.study import Asked, Study
-from svu_mi.settings import require_known
+from svu_mi.core.validation import require_known
 
 PARTS: dict[str, tuple[Callable[[Bench, Cell], Subject], Callable[[list[Record]], list[str]]]] = {
     "table3": (Table3, table3_tables),

@@ -21,11 +21,11 @@ from svu_mi.bench.timing import Timed, warm
 from svu_mi.capture.record import Capture
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_shape, load_scene
+from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.metrics.correlation import pearson
 from svu_mi.metrics.images import image_error
 from svu_mi.pipeline import estimate
-from svu_mi.progress import Progress
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.surface.layout import Texels

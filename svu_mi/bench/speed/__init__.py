@@ -30,13 +30,13 @@ from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import WARM_UP, in_new_process, once, spread, warm
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.record import Capture
-from svu_mi.memory import Need, Sizes
+from svu_mi.core.memory import Need, Sizes
+from svu_mi.core.progress import Progress
 from svu_mi.metrics.correlation import pearson
 from svu_mi.observed import observe
 from svu_mi.output.maps import write_maps
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.progress import Progress
 from svu_mi.surface.layout import Texels, texels
 
 DEGREES = (2, 3, 4, 5, 6, 8)

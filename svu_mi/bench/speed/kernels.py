@@ -23,8 +23,8 @@ from svu_mi.bench.timing import MILLISECOND, measure_in_turns
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.record import Capture
-from svu_mi.interop import owned
-from svu_mi.progress import Progress, Stage
+from svu_mi.core.arrays import owned
+from svu_mi.core.progress import Progress, Stage
 from svu_mi.scenes import meshes
 from svu_mi.surface.layout import texels
 from svu_mi.visibility.observe import Surface, observe

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.core.io.files import replacing
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.files import replacing
 from svu_mi.formats.lenses import Lens
 
 # Parameters of each camera model, in the order of their numbers (COLMAP's sensor/models.h).

@@ -22,8 +22,8 @@ from PIL import Image
 
 from svu_mi.capture.images import read_mask
 from svu_mi.capture.picture import quantized, read_planes
+from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import CaptureError, OutputError, SvuEnvironmentError
-from svu_mi.files import prepare_folder
 from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
 from svu_mi.formats.colmap.source import IMAGES, MASKS, read_project
 from svu_mi.formats.resampling import straightened

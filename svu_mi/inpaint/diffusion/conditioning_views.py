@@ -22,8 +22,8 @@ import numpy as np
 from svu_mi.capture.poses import film_size, scaled_sensor, sensors_like, windowed_sensor
 from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import Look, alone, exposure, resized
+from svu_mi.core.arrays import owned
 from svu_mi.inpaint.diffusion.model_interface import Picture
-from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.relight import relight

@@ -24,6 +24,7 @@ from typing import get_args
 import numpy as np
 
 from svu_mi.capture.record import Capture
+from svu_mi.core.progress import Progress
 from svu_mi.inpaint.cross_validation import hidden_parts
 from svu_mi.inpaint.diffusion.conditioning_views import Shots
 from svu_mi.inpaint.diffusion.load_weights import load_model
@@ -32,7 +33,6 @@ from svu_mi.inpaint.fill import by_likeness, fill, variance
 from svu_mi.inpaint.fill_result import Answer, Filled, Filling, Invented, Source
 from svu_mi.inpaint.texel_hierarchy import Ground
 from svu_mi.parameters import NAMES
-from svu_mi.progress import Progress
 from svu_mi.recovery.field.field import TextureField
 
 

@@ -20,8 +20,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from svu_mi.core.validation import require, require_ranges, require_types
 from svu_mi.errors import OptionError, excerpt
-from svu_mi.settings import require, require_ranges, require_types
 
 
 @dataclass(frozen=True)

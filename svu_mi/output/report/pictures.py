@@ -10,8 +10,8 @@ import numpy as np
 
 from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import shrunk, tone_mapped
+from svu_mi.core.arrays import evenly_spaced
 from svu_mi.illumination.record import LightEstimate
-from svu_mi.interop import evenly_spaced
 from svu_mi.output import relit, surface_maps, views
 from svu_mi.output.figures import map_colors
 from svu_mi.output.knowledge import Intervals

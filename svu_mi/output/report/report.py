@@ -13,6 +13,8 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture.record import Capture
+from svu_mi.core.io.output_folder import write_page
+from svu_mi.core.progress import Stage
 from svu_mi.illumination.light_summary import sentences
 from svu_mi.output import style
 from svu_mi.output.knowledge import Intervals, Knowledge, picture_intervals
@@ -24,10 +26,8 @@ from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, is_seen, known, open_axes, words
 from svu_mi.output.views import upright
 from svu_mi.pipeline import Estimate
-from svu_mi.progress import Stage
 from svu_mi.recovery.field.field import field_of
 from svu_mi.recovery.textures import Textures
-from svu_mi.results.transaction import write_page
 
 TEMPLATE = "report.html"
 FRAMES, SIDE = 12, 400  # of the turntable; pixels

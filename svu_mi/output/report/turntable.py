@@ -13,7 +13,7 @@ from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor, projec
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.shown import Look, alone
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.output import views
 from svu_mi.output.views import front_and_right, upright
 from svu_mi.surface.layout import Texels

@@ -11,8 +11,8 @@ import numpy as np
 
 from svu_mi.capture.record import Capture
 from svu_mi.capture.shown import alone
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
-from svu_mi.interop import owned
 from svu_mi.output import style
 from svu_mi.output.figures import draw_marginal
 from svu_mi.output.knowledge import Intervals

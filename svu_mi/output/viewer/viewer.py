@@ -16,7 +16,7 @@ import numpy as np
 from svu_mi.capture.picture import srgb
 from svu_mi.capture.poses import bounding_sphere
 from svu_mi.capture.record import Capture
-from svu_mi.names import obj_name
+from svu_mi.core.identifiers import obj_name
 from svu_mi.output.knowledge import Intervals
 from svu_mi.output.page import percent
 from svu_mi.output.result import is_seen

@@ -29,13 +29,14 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
+from svu_mi.core.memory import TILE
+from svu_mi.core.progress import Progress
+from svu_mi.core.validation import require_known
 from svu_mi.errors import OptionError
-from svu_mi.memory import TILE
 from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.progress import Progress
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.draws import SUREST, correlation_roots, prior_sds, waves
 from svu_mi.recovery.field.smoother import Nested, Smoother
@@ -45,7 +46,6 @@ from svu_mi.recovery.run import HOLD
 from svu_mi.recovery.sh.objective import moments
 from svu_mi.recovery.start import has_field
 from svu_mi.recovery.textures import Textures, lay_out
-from svu_mi.settings import require_known
 from svu_mi.surface.layout import Texels
 from svu_mi.surface.neighbors import Neighbors, neighbors, squares_of
 

@@ -21,8 +21,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
-from svu_mi.local import QUAD, fours, padded
+from svu_mi.core.arrays import owned
+from svu_mi.core.local_memory import QUAD, fours, padded
 from svu_mi.surface.neighbors import grouped, lanes_of, means, over_neighbors, owners_of, sums
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's

@@ -11,8 +11,8 @@ import numpy as np
 
 from svu_mi.capture.rays import pixel_rays
 from svu_mi.capture.record import Capture
+from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError
-from svu_mi.interop import owned
 from svu_mi.visibility.views import Views, pack_views
 
 TILE = 4  # pixels per side that stay together when the order is shuffled: paths are coherent

@@ -16,9 +16,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
 from svu_mi.frequency.samples import MirroredLight
-from svu_mi.interop import owned
 from svu_mi.light.lighting import moment_map
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset

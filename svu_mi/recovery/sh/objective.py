@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.core.arrays import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior

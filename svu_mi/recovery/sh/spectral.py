@@ -22,8 +22,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import owned
 from svu_mi.frequency.gather import Coefficients, fit_coefficients
-from svu_mi.interop import owned
 from svu_mi.observed import Observed
 from svu_mi.options import Preset
 from svu_mi.recovery.sh.energy import look_up

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
+from svu_mi.core.io.files import may_hold, replacing, stamp
+from svu_mi.core.limits import require_memory
+from svu_mi.core.silence_openexr import quiet
 from svu_mi.errors import CaptureError, OutputError, ShapeError
-from svu_mi.files import may_hold, replacing, stamp
-from svu_mi.limits import require_memory
-from svu_mi.quiet import quiet
 
 MAGIC = b"\x76\x2f\x31\x01"
 GROUPS = ("RGBA", "RGB")  # last part of a channel name that stands for several channels

@@ -6,8 +6,8 @@ import os
 from collections.abc import Sequence
 from contextlib import suppress
 
+from svu_mi.core.memory import Size, address_space, cores, free_memory
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
-from svu_mi.memory import Size, address_space, cores, free_memory
 
 MAX_LANES = 2**32 - 1  # of one kernel
 MAX_VIEWS = 10_000  # photographs are called view_0000 to view_9999

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from svu_mi.core.io.exr import read_header
+from svu_mi.core.io.files import is_temporary, read_json
+from svu_mi.core.io.hashes import digest_of_file
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.exr import read_header
-from svu_mi.files import is_temporary, read_json
-from svu_mi.hashing import digest_of_file
 
 RESULT = "written"  # key of the entry in a record
 RUN, CAPTURE = "svu:run", "svu:capture"  # marks

@@ -25,11 +25,11 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
+from svu_mi.core.io.files import prepare_folder, replacing, stamped
+from svu_mi.core.io.folder_exchange import exchanged, is_at, locked, unused_name
+from svu_mi.core.io.hashes import digest_of, digest_of_file
+from svu_mi.core.io.provenance import CAPTURE, RESULT, RUN, Entry, entries_in, files_in
 from svu_mi.errors import OutputError, SvuWarning, excerpt
-from svu_mi.files import prepare_folder, replacing, stamped
-from svu_mi.hashing import digest_of, digest_of_file
-from svu_mi.results.exchange import exchanged, is_at, locked, unused_name
-from svu_mi.results.provenance import CAPTURE, RESULT, RUN, Entry, entries_in, files_in
 
 # What svu keeps inside of results and captures, whatever is written there: what is found or
 # rendered once. Their keys tell whether they are used.

@@ -24,8 +24,8 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.lib import format as npy
 
+from svu_mi.core.io.files import replacing
 from svu_mi.errors import excerpt
-from svu_mi.files import replacing
 
 DIGEST = "digest"
 ANY = re.compile("(?s).*")
