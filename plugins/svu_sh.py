@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.capture.repaint import is_principled, is_two_sided
+from svu_mi.capture.replace_material import is_principled, is_two_sided
 from svu_mi.capture.scene import find_environment
 from svu_mi.errors import OptionError, SceneError, SvuWarning
 from svu_mi.light.environment import read_environment

@@ -14,18 +14,18 @@ from svu_mi import _llvm
 from svu_mi.core import limits
 
 if TYPE_CHECKING:
-    from svu_mi.capture.loading import load_capture
-    from svu_mi.capture.record import Capture
-    from svu_mi.capture.rendering import render_capture
+    from svu_mi.capture.capture import Capture
+    from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
+    from svu_mi.capture.importers.registry import read_source
+    from svu_mi.capture.importers.source import Light
+    from svu_mi.capture.load_capture import load_capture
+    from svu_mi.capture.render_capture import render_capture
     from svu_mi.checking.record import Check
     from svu_mi.checking.run import check
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.export.asset import Asset
     from svu_mi.export.export import ExportOptions, export_asset
     from svu_mi.export.reading import load_asset
-    from svu_mi.formats.importing import ImportOptions, import_capture
-    from svu_mi.formats.reading import read_source
-    from svu_mi.formats.source import Light
     from svu_mi.frequency.fit import fit_sh
     from svu_mi.frequency.harmonics import power_spectrum
     from svu_mi.guidance.candidates import Candidates

@@ -15,8 +15,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.repaint import constant_parameters
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.replace_material import constant_parameters
 from svu_mi.core.arrays import owned
 from svu_mi.core.limits import MAX_LANES
 from svu_mi.core.memory import TILE

@@ -16,7 +16,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import require_light
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress

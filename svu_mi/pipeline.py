@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress

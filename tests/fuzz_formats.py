@@ -24,28 +24,27 @@ from support.colmap import write_colmap
 from support.owl import write_owl
 
 from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
-from svu_mi.capture import folder as capture_folder
-from svu_mi.capture import loading
+from svu_mi.capture import capture_folder, load_capture
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.folder import Description
-from svu_mi.capture.loading import load_capture
-from svu_mi.capture.picture import open_picture
+from svu_mi.capture.capture_folder import Description
+from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.importers.convert_photographs import convert, with_response
+from svu_mi.capture.importers.envmap import write_environment
+from svu_mi.capture.importers.exposure_list import with_exif_exposures, with_exposures
+from svu_mi.capture.importers.lens_distortion import Lens
+from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_materials import write_pictures
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.registry import read_source
+from svu_mi.capture.importers.resampling import fitted, squared
+from svu_mi.capture.importers.source import Frame, Light, Source
+from svu_mi.capture.load_capture import load_capture
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap, unwrapped
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import Draft
 from svu_mi.errors import SvuError
-from svu_mi.formats.exposures import with_exif_exposures, with_exposures
-from svu_mi.formats.geometry import read_geometry
-from svu_mi.formats.lenses import Lens
-from svu_mi.formats.light import write_environment
-from svu_mi.formats.photographs import convert, with_response
-from svu_mi.formats.reading import read_source
-from svu_mi.formats.resampling import fitted, squared
-from svu_mi.formats.source import Frame, Light, Source
-from svu_mi.formats.textures import write_pictures
-from svu_mi.formats.transforms import write_transforms
 
 WIDTH, HEIGHT = 16, 8  # of all pictures, so that each may be a lat-long map
 
@@ -128,7 +127,7 @@ def response(folder: Path, out: Path) -> None:
 
 def capture(folder: Path, out: Path) -> None:
     """Read a capture folder, without what is kept there when a mesh has lost its UVs."""
-    with mock.patch.object(loading, "unwrapped", lambda shape, _: unwrapped(shape, None)):
+    with mock.patch.object(load_capture, "unwrapped", lambda shape, _: unwrapped(shape, None)):
         load_capture(folder)
 
 

@@ -18,7 +18,7 @@ from fuzz_formats import Format, capture, write_scene_capture
 from helpers import made_up_light
 from mutations import BINARY
 
-from svu_mi.capture import folder as capture_folder
+from svu_mi.capture import capture_folder
 from svu_mi.core.io.files import write_json, write_text
 from svu_mi.core.io.npz import DIGEST, write_arrays
 from svu_mi.core.io.output_folder import claimed, writing

@@ -19,20 +19,20 @@ from PIL import Image
 
 from svu_mi import scenes
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
-from svu_mi.capture.record import Capture
-from svu_mi.capture.rendering import render_capture
-from svu_mi.capture.repaint import scene_of
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.importers import axis_fixes
+from svu_mi.capture.importers.resampling import squared
+from svu_mi.capture.importers.source import Frame, Source
+from svu_mi.capture.render_capture import render_capture
+from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.cli.main import main
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import write_json
 from svu_mi.core.io.output_folder import writing
 from svu_mi.core.progress import Progress
-from svu_mi.formats import fixes
-from svu_mi.formats.resampling import squared
-from svu_mi.formats.source import Frame, Source
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import NAMES
@@ -266,7 +266,7 @@ def foreign_source(folder: Path) -> Source:
     for index, (size, focal) in enumerate((((48, 32), (70, 70)), ((30, 40), (61.5, 48)),
                                            ((48, 32), (70, 70)))):  # fmt: skip
         pose = np.eye(4)
-        pose[:3, :3] = world @ fixes.turned("y", 77 * index) @ fixes.turned("x", 25)
+        pose[:3, :3] = world @ axis_fixes.turned("y", 77 * index) @ axis_fixes.turned("x", 25)
         pose[:3, 3] = pose[:3, :3] @ [0.1, -0.2, -4.0] + [0.2, 0, 0.1]
         pixels = rng.uniform(0.01, 0.9, (size[1], size[0], 3)).astype(np.float32)
         suffix = ".png" if index == 2 else ".exr"

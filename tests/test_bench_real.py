@@ -20,11 +20,11 @@ from svu_mi.bench.experiment import Bench
 from svu_mi.bench.real import find_bars
 from svu_mi.bench.real.predictors import WAYS, Score, Shown, gain_of, r_squared
 from svu_mi.bench.study import Asked, run_bench
-from svu_mi.capture.picture import quantized, srgb
+from svu_mi.capture.image_io import quantized, srgb
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
-from svu_mi.formats.source import frame_of
-from svu_mi.formats.transforms import write_transforms
 from svu_mi.options import preset
 from svu_mi.posterior.problem import spline
 from svu_mi.prediction import Prediction, diffuse_seen_from, shares_of

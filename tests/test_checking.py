@@ -20,10 +20,13 @@ from support.written import write
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.poses import sphere_sensors
-from svu_mi.capture.rendering import object_mask
-from svu_mi.capture.repaint import scene_of
+from svu_mi.capture.importers.axis_fixes import FIXES, fixes_named, turn_of
+from svu_mi.capture.importers.mesh_files import LEFT_OUT
+from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, OPENGL
+from svu_mi.capture.render_capture import object_mask
+from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.checking.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
 from svu_mi.checking.decisions import LIGHT_GAIN, judge_light, judge_poses, judge_texture
 from svu_mi.checking.light import LightScore, score_light
@@ -41,9 +44,6 @@ from svu_mi.checking.surface_samples import (
 )
 from svu_mi.checking.thumbnails import Frames, reduced, silhouettes
 from svu_mi.cli.main import main
-from svu_mi.formats.fixes import FIXES, fixes_named, turn_of
-from svu_mi.formats.geometry import LEFT_OUT
-from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, OPENGL
 from svu_mi.light.environment import read_environment
 from svu_mi.output.check_page import verdict
 from svu_mi.scenes import lights, meshes

@@ -194,7 +194,7 @@ def test_a_scene_without_sensors_is_told_of_commands_that_place_some(tmp_path, c
 
 @pytest.mark.parametrize("command", ["entropy", "recover", "guide", "report", "check"])
 def test_memory_is_announced_before_any_pixel_is_read(shot, tmp_path, capsys, monkeypatch, command):
-    monkeypatch.setattr("svu_mi.capture.images._read_photograph", None)
+    monkeypatch.setattr("svu_mi.capture.photographs._read_photograph", None)
     monkeypatch.setattr("svu_mi.core.memory.free_memory", lambda: 10**11)
     words = (command, shot, "-o", tmp_path / "out.html")
     with pytest.raises(TypeError):  # nothing reads the photographs

@@ -14,11 +14,11 @@ from helpers import Said, fails, last_line, made_up_light, names, run, write_dar
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.fingerprint import capture_key, photographs_key
+from svu_mi.capture.content_hash import capture_key, photographs_key
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, SvuWarning
-from svu_mi.formats.source import frame_of
-from svu_mi.formats.transforms import write_transforms
 from svu_mi.illumination import resolve_light
 
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one

@@ -13,9 +13,9 @@ from scipy.stats import norm
 from support.photographs import in_integers
 
 import svu_mi as svu
-from svu_mi.capture.fingerprint import capture_key, photographs_key
-from svu_mi.capture.images import SATURATED
-from svu_mi.capture.picture import decoded
+from svu_mi.capture.content_hash import capture_key, photographs_key
+from svu_mi.capture.image_io import decoded
+from svu_mi.capture.photographs import SATURATED
 from svu_mi.capture.quantization import Clipped
 from svu_mi.errors import CaptureError
 from svu_mi.illumination.exposure import equalized

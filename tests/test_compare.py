@@ -11,7 +11,7 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.picture import quantized, srgb
+from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.output.compare import difference

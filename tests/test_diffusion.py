@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from helpers import fails, names, write_older
 
-from svu_mi.capture.poses import film_size, windowed_sensor
-from svu_mi.capture.shown import Look, alone
+from svu_mi.capture.sensors import film_size, windowed_sensor
+from svu_mi.capture.tonemap import Look, alone
 from svu_mi.errors import OptionError, SvuEnvironmentError
 from svu_mi.inpaint.diffusion import load_weights
 from svu_mi.inpaint.diffusion.fill import fill_by_diffusion

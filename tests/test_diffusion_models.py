@@ -14,7 +14,7 @@ import pytest
 from helpers import run
 from tiny_diffusion import write_model
 
-from svu_mi.capture.picture import decoded, srgb
+from svu_mi.capture.image_io import decoded, srgb
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError
 from svu_mi.inpaint.diffusion.load_weights import load_model

@@ -21,7 +21,7 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi.capture import mesh as meshes
-from svu_mi.capture.picture import srgb
+from svu_mi.capture.image_io import srgb
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, ShapeError

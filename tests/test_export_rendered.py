@@ -15,9 +15,9 @@ from browser import Browser
 from helpers import lettered, recovered_folder, write_known
 
 import svu_mi as svu
+from svu_mi.capture.image_io import srgb
 from svu_mi.capture.mesh import MeshArrays, make
-from svu_mi.capture.picture import srgb
-from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.sensors import describe, make_sensor
 from svu_mi.metrics.images import psnr
 from svu_mi.output.textures import MESH
 

@@ -9,7 +9,7 @@ import pytest
 from helpers import ball_scene, memory_capture
 from scipy.ndimage import map_coordinates
 
-from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.surface.layout import texels
 from svu_mi.visibility.observe import Surface, look
 from svu_mi.visibility.pixels import SPACING

@@ -17,14 +17,14 @@ from helpers import foreign_source, projected
 from PIL import Image
 from support.colmap import write_colmap
 
+from svu_mi.capture.importers.colmap import project as colmap
+from svu_mi.capture.importers.colmap import undistortion
+from svu_mi.capture.importers.colmap.project import find_model
+from svu_mi.capture.importers.colmap.sparse_model import Camera, View, read_model, write_model
+from svu_mi.capture.importers.lens_distortion import Lens
+from svu_mi.capture.importers.registry import ReadOptions, read_source
+from svu_mi.capture.importers.source import OPENCV, Source
 from svu_mi.errors import CaptureError, SvuEnvironmentError
-from svu_mi.formats.colmap import source as colmap
-from svu_mi.formats.colmap import undistortion
-from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
-from svu_mi.formats.colmap.source import find_model
-from svu_mi.formats.lenses import Lens
-from svu_mi.formats.reading import ReadOptions, read_source
-from svu_mi.formats.source import OPENCV, Source
 
 POINTS = np.random.default_rng(4401).uniform(-0.4, 0.4, (6, 3))
 # Projects points by a model, and makes another of a kind that has rigs, frames and points.

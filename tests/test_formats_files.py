@@ -20,22 +20,22 @@ from support.colmap import write_colmap
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 import svu_mi as svu
-from svu_mi.capture.images import CLIPPED, SATURATION, UNUSABLE
+from svu_mi.capture.image_io import open_picture, read_planes
+from svu_mi.capture.importers.axis_fixes import FIXES
+from svu_mi.capture.importers.convert_photographs import convert
+from svu_mi.capture.importers.envmap import write_environment
+from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
+from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.registry import FORMATS, ReadOptions, read_source
+from svu_mi.capture.importers.repair_normals import repaired
+from svu_mi.capture.importers.resampling import fitted, resampled, squared
+from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENGL, Frame, Light, Source
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.picture import open_picture, read_planes
-from svu_mi.capture.poses import describe, film_size, focal_length
+from svu_mi.capture.photographs import CLIPPED, SATURATION, UNUSABLE
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import describe, film_size, focal_length
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, SceneError
-from svu_mi.formats.fixes import FIXES
-from svu_mi.formats.geometry import read_geometry
-from svu_mi.formats.importing import ImportOptions, import_capture
-from svu_mi.formats.light import write_environment
-from svu_mi.formats.normals import repaired
-from svu_mi.formats.photographs import convert
-from svu_mi.formats.reading import FORMATS, ReadOptions, read_source
-from svu_mi.formats.resampling import fitted, resampled, squared
-from svu_mi.formats.source import ENVIRONMENT_AXES, OPENGL, Frame, Light, Source
 from svu_mi.guidance.candidates import Candidates
 
 SEED = 826417309
@@ -766,7 +766,7 @@ def test_lenses_that_are_not_straight(tmp_path, changes, sentence):
 def test_a_format_is_a_module_and_a_line_of_the_table(tmp_path, monkeypatch):
     source = Source(format="mine", root=tmp_path, frames=())
     mine = SimpleNamespace(recognises=lambda path, _: path.is_dir(), read=lambda *_: source)
-    monkeypatch.setitem(sys.modules, "svu_mi.formats.mine", mine)
+    monkeypatch.setitem(sys.modules, "svu_mi.capture.importers.mine", mine)
     monkeypatch.setitem(FORMATS, "mine", "mine")
     for chosen in ("auto", "mine"):
         assert read_source(tmp_path, ReadOptions(format=chosen)) is source

@@ -17,15 +17,15 @@ import pytest
 from oracle import lens as oracle
 from PIL import Image
 
-from svu_mi.capture.images import UNUSABLE
-from svu_mi.capture.picture import srgb
+from svu_mi.capture.image_io import srgb
+from svu_mi.capture.importers.convert_photographs import convert
+from svu_mi.capture.importers.lens_distortion import Lens
+from svu_mi.capture.importers.nerf import read_transforms, write_transforms
+from svu_mi.capture.importers.resampling import squared, straightened, unbent
+from svu_mi.capture.importers.source import Frame
+from svu_mi.capture.photographs import UNUSABLE
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError
-from svu_mi.formats.lenses import Lens
-from svu_mi.formats.photographs import convert
-from svu_mi.formats.resampling import squared, straightened, unbent
-from svu_mi.formats.source import Frame
-from svu_mi.formats.transforms import read_transforms, write_transforms
 from svu_mi.guidance.candidates import Candidates
 
 # A telephone, a wide angle whose borders bulge outwards, a lens that is off its axis, nerfstudio's.

@@ -14,14 +14,14 @@ from helpers import projected
 from PIL import Image
 from support.colmap import write_colmap
 
-from svu_mi.capture.picture import open_picture
+from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.importers import idr
+from svu_mi.capture.importers.idr import decomposed
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.registry import ReadOptions, read_source
+from svu_mi.capture.importers.resampling import fitted
+from svu_mi.capture.importers.source import Source
 from svu_mi.errors import CaptureError, OptionError, SvuError
-from svu_mi.formats import idr
-from svu_mi.formats.idr import decomposed
-from svu_mi.formats.reading import ReadOptions, read_source
-from svu_mi.formats.resampling import fitted
-from svu_mi.formats.source import Source
-from svu_mi.formats.transforms import write_transforms
 
 
 def read_idr(path: Path, **options: object) -> Source:

@@ -14,15 +14,15 @@ from trimesh.visual.material import PBRMaterial
 
 import svu_mi as svu
 from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
+from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.repair_normals import CREASE, DENSE, repaired
+from svu_mi.capture.importers.source import Frame, Light, Source
 from svu_mi.capture.load_warnings import has_front_outside, part_from_behind
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.poses import affine
-from svu_mi.capture.repaint import scene_of
+from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.sensors import affine
 from svu_mi.core.io.exr import write_exr
-from svu_mi.formats.geometry import read_geometry
-from svu_mi.formats.importing import ImportOptions, import_capture
-from svu_mi.formats.normals import CREASE, DENSE, repaired
-from svu_mi.formats.source import Frame, Light, Source
 
 
 def buffers(mesh: trimesh.Trimesh) -> MeshArrays:

@@ -12,13 +12,13 @@ from helpers import foreign_source, projected, write_ball
 from PIL import Image
 from support.owl import write_owl
 
-from svu_mi.capture.picture import read_planes
+from svu_mi.capture.image_io import read_planes
+from svu_mi.capture.importers.envmap import write_environment
+from svu_mi.capture.importers.objects_with_lighting import find_inputs, read
+from svu_mi.capture.importers.registry import ReadOptions
+from svu_mi.capture.importers.source import OPENCV, Light
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import CaptureError
-from svu_mi.formats.light import write_environment
-from svu_mi.formats.objects_with_lighting import find_inputs, read
-from svu_mi.formats.reading import ReadOptions
-from svu_mi.formats.source import OPENCV, Light
 
 STOPS = -0.75
 POINTS = np.random.default_rng(8086).uniform(-0.4, 0.4, (6, 3))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from svu_mi.capture.importers.source_files import inside
 from svu_mi.errors import CaptureError
-from svu_mi.formats.source_files import inside
 
 GOOD = {
     "a.png": "a.png", "./a/b.png": "a/b.png", "a/../b.png": "b.png", "a\\b.png": "a/b.png",

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from svu_mi.capture.poses import describe
+from svu_mi.capture.importers.nerf import read_transforms, write_transforms
+from svu_mi.capture.importers.source import OPENGL, Frame
+from svu_mi.capture.sensors import describe
 from svu_mi.errors import CaptureError
-from svu_mi.formats.source import OPENGL, Frame
-from svu_mi.formats.transforms import read_transforms, write_transforms
 
 GOOD = {"transform_matrix": np.eye(4).tolist(), "w": 8, "h": 6, "fl_x": 9.0}
 BROKEN = {

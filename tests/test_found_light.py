@@ -13,8 +13,8 @@ import pytest
 from helpers import ball_scene, made_up_light, names, render_ball
 
 import svu_mi as svu
-from svu_mi.capture.fingerprint import capture_key, capture_parts, photographs_key
-from svu_mi.capture.record import Doubt
+from svu_mi.capture.capture import Doubt
+from svu_mi.capture.content_hash import capture_key, capture_parts, photographs_key
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError

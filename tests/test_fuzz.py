@@ -20,11 +20,11 @@ import pytest
 import trimesh
 
 from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.image_io import open_picture, read_planes
+from svu_mi.capture.importers.mesh_files import read_geometry
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.picture import open_picture, read_planes
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.errors import CaptureError, MeshError
-from svu_mi.formats.geometry import read_geometry
 
 SEED = 60318
 FEW, MANY = 500, 4000  # damaged files

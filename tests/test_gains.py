@@ -16,7 +16,7 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.bench.captures import some_views
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.checking.exposure import (
     Arriving,
     Excess,

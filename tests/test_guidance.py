@@ -16,8 +16,8 @@ from scipy import stats
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.poses import directions_of, sphere_sensors
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import directions_of, sphere_sensors
 from svu_mi.core.arrays import owned
 from svu_mi.core.local_memory import padded
 from svu_mi.guidance import prospect as prospects

@@ -15,11 +15,11 @@ from helpers import write_older
 from matplotlib.figure import Figure
 
 import svu_mi as svu
-from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import describe, make_sensor
 from svu_mi.core.io.exr import read_exr, read_header
-from svu_mi.formats.source import frame_of
-from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import directions as sky
 from svu_mi.output import guidance_page

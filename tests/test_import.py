@@ -15,13 +15,13 @@ from support.written import WRITERS, as_orb, write_glb
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture import scene_xml
-from svu_mi.capture.poses import affine, describe, make_sensor
+from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
+from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.registry import read_source
+from svu_mi.capture.importers.source import ENVIRONMENT_AXES, Light, Source, frame_of
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.core.io.exr import read_exr, write_exr
-from svu_mi.formats.geometry import read_geometry
-from svu_mi.formats.importing import ImportOptions, import_capture
-from svu_mi.formats.reading import read_source
-from svu_mi.formats.source import ENVIRONMENT_AXES, Light, Source, frame_of
 
 POSE = 1e-5  # the bar; a matrix goes through single precision once
 SAME = 0.999  # Pearson correlation of entropy: the bar

@@ -12,14 +12,14 @@ import pytest
 import trimesh
 
 import svu_mi as svu
-from svu_mi.capture.poses import affine
+from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES, Light
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.registry import ReadOptions
+from svu_mi.capture.importers.source import Frame
+from svu_mi.capture.sensors import affine
 from svu_mi.cli.import_ import Conversion, Import, _parsed, import_again
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
-from svu_mi.formats.options import ENVIRONMENT_AXES, Light
-from svu_mi.formats.reading import ReadOptions
-from svu_mi.formats.source import Frame
-from svu_mi.formats.transforms import write_transforms
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.capture import shown as module
+from svu_mi.capture import tonemap as module
 from svu_mi.capture.mesh import positions
-from svu_mi.capture.poses import film_size, make_sensor, projected
-from svu_mi.capture.shown import Look, alone
+from svu_mi.capture.sensors import film_size, make_sensor, projected
+from svu_mi.capture.tonemap import Look, alone
 from svu_mi.core.arrays import owned
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from helpers import ball, ball_scene, memory_capture, sensor_xml, write_scene
 
-from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
+from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.surface.layout import texels
 from svu_mi.visibility.observe import Surface, observe, over_views
 from svu_mi.visibility.survey import survey

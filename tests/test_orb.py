@@ -27,13 +27,13 @@ from svu_mi.bench.orb.targets import Target, judge_pictures
 from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.study import Asked, run_bench
+from svu_mi.capture.image_io import read_planes
+from svu_mi.capture.importers.axis_fixes import turned
+from svu_mi.capture.importers.envmap import read_environment_map
+from svu_mi.capture.importers.registry import read_source
+from svu_mi.capture.importers.stanford_orb import read_orb, read_views, recognises
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.picture import read_planes
 from svu_mi.errors import CaptureError, MeshError, OptionError, ShapeError, SvuWarning
-from svu_mi.formats.fixes import turned
-from svu_mi.formats.light import read_environment_map
-from svu_mi.formats.reading import read_source
-from svu_mi.formats.stanford_orb import read_orb, read_views, recognises
 from svu_mi.recovery.textures import Textures
 
 pytestmark = pytest.mark.slow  # test_import.py reads a small set of this layout

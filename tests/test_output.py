@@ -15,7 +15,7 @@ from matplotlib import pyplot
 from unseen import blind
 
 import svu_mi as svu
-from svu_mi.capture.shown import tone_mapped
+from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.errors import OutputError
 from svu_mi.output import views

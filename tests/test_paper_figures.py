@@ -17,8 +17,8 @@ from helpers import ball_scene, memory_capture, render_ball
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.scene import load_scene
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.options import preset
 
 pytestmark = pytest.mark.slow

@@ -11,8 +11,8 @@ import pytest
 from helpers import ball_scene, memory_capture, render_ball
 
 from svu_mi.capture.mesh import arrays
-from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensors
-from svu_mi.capture.repaint import is_same, repaint
+from svu_mi.capture.replace_material import is_same, repaint
+from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sensors
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.parameters import NAMES

@@ -14,7 +14,7 @@ from oracle import posterior as oracle_posterior
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
+from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.frequency.samples import Samples

@@ -13,7 +13,7 @@ import pytest
 from helpers import render_ball
 
 import svu_mi as svu
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.errors import OptionError, ShapeError, SvuError
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior.calibrated import CalibratedKernel

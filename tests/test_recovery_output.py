@@ -18,8 +18,8 @@ from helpers import ball, memory_capture, sensor_xml, write_older, write_scene
 import svu_mi as svu
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture import scene_xml
-from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
-from svu_mi.capture.repaint import scene_of
+from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
 from svu_mi.light.environment import read_environment

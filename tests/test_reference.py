@@ -15,7 +15,7 @@ import pytest
 from helpers import ball, ball_scene, memory_capture, render_ball, write_ball
 
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
 from svu_mi.options import AngularPreset

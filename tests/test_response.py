@@ -13,18 +13,18 @@ from helpers import ball, fails, run
 from PIL import Image
 
 import svu_mi as svu
-from svu_mi.capture.fingerprint import photographs_key
-from svu_mi.capture.images import CLIPPED, SATURATED, SATURATION
+from svu_mi.capture.content_hash import photographs_key
+from svu_mi.capture.image_io import open_picture, srgb
+from svu_mi.capture.importers.camera_response import LARGEST, linear, read_response
+from svu_mi.capture.importers.convert_photographs import CRUSHED, about, convert, with_response
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import OPENGL, Frame
 from svu_mi.capture.mesh import write_ply
-from svu_mi.capture.picture import open_picture, srgb
-from svu_mi.capture.poses import affine
+from svu_mi.capture.photographs import CLIPPED, SATURATED, SATURATION
+from svu_mi.capture.sensors import affine
 from svu_mi.cli.import_ import import_again
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError
-from svu_mi.formats.photographs import CRUSHED, about, convert, with_response
-from svu_mi.formats.response import LARGEST, linear, read_response
-from svu_mi.formats.source import OPENGL, Frame
-from svu_mi.formats.transforms import write_transforms
 
 SEED = 40817
 SIZE = (6, 8)  # height and width

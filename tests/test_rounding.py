@@ -13,13 +13,13 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.fingerprint import capture_key, photographs_key
-from svu_mi.capture.picture import decoded, quantized, srgb
+from svu_mi.capture.content_hash import capture_key, photographs_key
+from svu_mi.capture.image_io import decoded, quantized, srgb
+from svu_mi.capture.importers.camera_response import Response, steps
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.quantization import Rounding, variance
 from svu_mi.core.arrays import owned
-from svu_mi.formats.response import Response, steps
-from svu_mi.formats.source import frame_of
-from svu_mi.formats.transforms import write_transforms
 from svu_mi.illumination.exposure import equalized
 from svu_mi.illumination.record import FoundGains
 from svu_mi.observed import observe

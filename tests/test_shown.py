@@ -8,9 +8,9 @@ import pytest
 from helpers import names, run
 
 import svu_mi as svu
-from svu_mi.capture.poses import scaled_sensor
-from svu_mi.capture.rays import Pictures
-from svu_mi.capture.shown import shrunk
+from svu_mi.capture.film_rays import Pictures
+from svu_mi.capture.sensors import scaled_sensor
+from svu_mi.capture.tonemap import shrunk
 from svu_mi.guidance.forecast import Forecast
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import uniform

@@ -12,8 +12,8 @@ import pytest
 from helpers import ball_scene, memory_capture
 
 import svu_mi as svu
-from svu_mi.capture.poses import sphere_sensors
-from svu_mi.capture.repaint import constant_parameters
+from svu_mi.capture.replace_material import constant_parameters
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.errors import OptionError
 from svu_mi.options import NOTHING, Skip, preset
 from svu_mi.pipeline import estimate

@@ -14,10 +14,10 @@ from browser import SECONDS, Browser
 from helpers import memory_capture, posed, render_ball, write_scene
 from unseen import blind
 
-from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.shown import srgb
-from svu_mi.capture.shown import tone_mapped as exposed
+from svu_mi.capture.sensors import describe, make_sensor
+from svu_mi.capture.tonemap import srgb
+from svu_mi.capture.tonemap import tone_mapped as exposed
 from svu_mi.cli.main import main
 from svu_mi.cli.view import View
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError

@@ -14,16 +14,15 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture import folder as capture_folder
-from svu_mi.capture import pixel_buffer, window
-from svu_mi.capture.picture import decoded, quantized, srgb
-from svu_mi.capture.poses import film_size, make_sensor
-from svu_mi.capture.window import Detail, Window
+from svu_mi.capture import capture_folder, crop, pixel_buffer
+from svu_mi.capture.crop import Detail, Window
+from svu_mi.capture.image_io import decoded, quantized, srgb
+from svu_mi.capture.importers import convert_photographs
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
+from svu_mi.capture.sensors import film_size, make_sensor
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError
-from svu_mi.formats import photographs
-from svu_mi.formats.source import frame_of
-from svu_mi.formats.transforms import write_transforms
 from svu_mi.visibility.views import pack_views
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*8-bit:svu_mi.errors.SvuWarning")
@@ -32,7 +31,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*8-bit:svu_mi.errors.SvuWarning
 @pytest.fixture
 def large(monkeypatch):
     """Treat photographs of any size as large."""
-    monkeypatch.setattr(window, "LARGE", 1)
+    monkeypatch.setattr(crop, "LARGE", 1)
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +222,7 @@ def test_a_large_jpeg_is_imported_as_it_is(shot, monkeypatch, tmp_path, capsys):
     light = scenes.path("vase").parent.parent / "lights" / "window.exr"
     words = ("import", source, "--mesh", mesh, "--environment", light)
     assert run(*words, "-o", tmp_path / "exr") == 0
-    monkeypatch.setattr(photographs, "LARGE", 1)
+    monkeypatch.setattr(convert_photographs, "LARGE", 1)
     assert run(*words, "-o", tmp_path / "jpeg") == 0
     assert (tmp_path / "jpeg" / "view_0003.jpg").read_bytes() == frames[3].image.read_bytes()
     assert not list((tmp_path / "jpeg").glob("view_*.exr"))

@@ -10,7 +10,7 @@ from oracle import angular as oracle
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.statistics.gather import SMALLEST

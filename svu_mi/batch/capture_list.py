@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from svu_mi.capture.folder import FILE
+from svu_mi.capture.capture_folder import FILE
 from svu_mi.errors import CaptureError, OptionError, OutputError, excerpt
 
 # Columns of a table beside "capture" and "name": options of the commands.

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi import scenes
+from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.mesh import write_ply
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.validation import require_known
 from svu_mi.errors import MeshError, OptionError
-from svu_mi.formats.geometry import read_geometry
-from svu_mi.formats.textures import write_pictures
 from svu_mi.parameters import NAMES
 
 MESH_FILES = ("mesh.ply", "base_color.png", "roughness.png", "metallic.png")

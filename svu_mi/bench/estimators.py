@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.options import preset
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.surface.layout import Texels

@@ -18,7 +18,7 @@ from svu_mi.bench.captures import capture_of
 from svu_mi.bench.cases import Cell
 from svu_mi.bench.problem_sizes import Sizes
 from svu_mi.bench.result_cache import Store, code_now, key_of
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.surface.layout import Texels, texels

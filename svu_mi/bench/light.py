@@ -18,7 +18,7 @@ from svu_mi.bench.captures import Truth
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
 from svu_mi.bench.report import Bar, Column, columns, digits
 from svu_mi.bench.study import Asked, Study
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
 from svu_mi.illumination.estimate import estimate_light
 from svu_mi.illumination.light_summary import blurred, likeness

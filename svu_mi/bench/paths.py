@@ -14,7 +14,7 @@ from svu_mi.bench.estimators import Variant
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
 from svu_mi.bench.report import Column, columns, digits
 from svu_mi.bench.study import Asked, Study
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.metrics.correlation import pearson
 from svu_mi.surface.layout import Texels, texels
 

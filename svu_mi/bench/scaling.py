@@ -20,7 +20,7 @@ from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
 from svu_mi.bench.report import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import allocated_mib, run, spread
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.memory import MODELS
 from svu_mi.pipeline import estimate
 from svu_mi.surface.layout import Texels, texels

@@ -22,8 +22,8 @@ from svu_mi.bench.cases import Cell, chosen_cells
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
 from svu_mi.bench.report import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Asked, Study
-from svu_mi.capture.rays import Pictures
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.film_rays import Pictures
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.inpaint.fill import fill
 from svu_mi.metrics.correlation import spearman

@@ -14,9 +14,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.images import Photograph
 from svu_mi.capture.mesh import MeshArrays, arrays, faces_at
-from svu_mi.capture.repaint import is_same
+from svu_mi.capture.photographs import Photograph
+from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.scene import is_closed, to_world
 from svu_mi.core.arrays import evenly_spaced, owned
 from svu_mi.errors import CaptureError, excerpt

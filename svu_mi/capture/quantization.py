@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi.capture.picture import Transfer, decoded
+from svu_mi.capture.image_io import Transfer, decoded
 
 CURVE = 1.4 / 2.4  # exponent of how the steps of sRGB grow with radiance, above its linear part
 

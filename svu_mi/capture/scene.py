@@ -13,13 +13,13 @@ import numpy as np
 
 from svu_mi import _llvm
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.scene_files import check_files, check_xml
-from svu_mi.capture.trust import (
+from svu_mi.capture.plugin_security import (
     pin_own_plugins,
     refuse_foreign,
     require_own_plugins,
     searching,
 )
+from svu_mi.capture.scene_files import check_files, check_xml
 from svu_mi.core.limits import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 

@@ -19,9 +19,9 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture.mesh import MeshArrays, arrays, write_ply
-from svu_mi.capture.poses import describe
-from svu_mi.capture.repaint import is_two_sided
+from svu_mi.capture.replace_material import is_two_sided
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import describe
 from svu_mi.core.identifiers import xml_id
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import mark_text, stamp, write_text

@@ -10,13 +10,20 @@ from itertools import product
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.importers.axis_fixes import (
+    FIXES,
+    Fix,
+    Kind,
+    corrected_mesh,
+    corrected_poses,
+    turn_of,
+)
+from svu_mi.capture.importers.source import OPENCV, OPENGL
 from svu_mi.capture.mesh import arrays, make
-from svu_mi.capture.poses import affine, describe, make_sensor
-from svu_mi.capture.record import Capture
-from svu_mi.capture.repaint import is_same, scene_of
+from svu_mi.capture.replace_material import is_same, scene_of
 from svu_mi.capture.scene import find_environment, to_world
-from svu_mi.formats.fixes import FIXES, Fix, Kind, corrected_mesh, corrected_poses, turn_of
-from svu_mi.formats.source import OPENCV, OPENGL
+from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.light.environment import read_environment
 from svu_mi.light.levels import resolved
 

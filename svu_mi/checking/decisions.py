@@ -8,11 +8,11 @@ from functools import partial
 
 import numpy as np
 
+from svu_mi.capture.importers.axis_fixes import FIXES
 from svu_mi.checking.exposure import VIEWS, Excess, Gains
 from svu_mi.checking.light import Facing, LightScore
 from svu_mi.checking.pose_scores import PoseScore, certain, simplest
 from svu_mi.checking.record import Finding, Hypothesis, Question, Verdict
-from svu_mi.formats.fixes import FIXES
 from svu_mi.illumination.record import FoundGains
 
 INSIDE_OUT = "mesh-inside-out"

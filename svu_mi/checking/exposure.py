@@ -47,7 +47,7 @@ from svu_mi.reflection.principled import F0
 from svu_mi.visibility.reach import is_open
 
 if TYPE_CHECKING:
-    from svu_mi.capture.record import Capture
+    from svu_mi.capture.capture import Capture
     from svu_mi.light.environment import Environment
     from svu_mi.pipeline import Estimate
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from svu_mi.capture.importers.axis_fixes import turn_of
 from svu_mi.checking.axis_hypotheses import FEWER, Hypothesis, light_hypotheses
 from svu_mi.checking.surface_samples import (
     DARK,
@@ -32,7 +33,6 @@ from svu_mi.checking.surface_samples import (
     Sky,
     Texture,
 )
-from svu_mi.formats.fixes import turn_of
 from svu_mi.light.environment import basis_at
 
 NEIGHBORS = 8

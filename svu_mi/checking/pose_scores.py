@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.checking.axis_hypotheses import FEWER, Hypothesis, pose_hypotheses
 from svu_mi.checking.record import ViewCheck
 from svu_mi.checking.surface_samples import (

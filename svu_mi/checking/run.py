@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture import folder as capture_folder
+from svu_mi.capture import capture_folder
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.importers.axis_fixes import fixes_named, turn_of
+from svu_mi.capture.importers.mesh_files import LEFT_OUT
 from svu_mi.capture.load_warnings import MOST, has_front_outside, ignored, part_from_behind
 from svu_mi.capture.mesh import arrays
-from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.checking import decisions, exposure
 from svu_mi.checking.axis_hypotheses import apply_fixes
@@ -33,8 +35,6 @@ from svu_mi.checking.surface_samples import (
 from svu_mi.checking.thumbnails import Frames, reduced, some
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError
-from svu_mi.formats.fixes import fixes_named, turn_of
-from svu_mi.formats.geometry import LEFT_OUT
 from svu_mi.illumination.light_summary import gain_sentences
 from svu_mi.illumination.record import FoundGains
 from svu_mi.light.environment import read_environment

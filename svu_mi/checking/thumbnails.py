@@ -11,13 +11,13 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.capture.rays import RAY_FLOATS, film_ray
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.film_rays import RAY_FLOATS, film_ray
+from svu_mi.capture.importers.resampling import squared
+from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import evenly_spaced, owned
 from svu_mi.errors import CaptureError
-from svu_mi.formats.resampling import squared
-from svu_mi.formats.source import frame_of
 from svu_mi.visibility.views import CAMERA_FLOATS, Views, pack_views
 
 POSE = slice(8, 20)  # where ``ray_floats`` keeps three rows of to_world

@@ -19,7 +19,7 @@ from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 
 if TYPE_CHECKING:
-    from svu_mi.capture.record import Capture
+    from svu_mi.capture.capture import Capture
     from svu_mi.checking.record import Check
 
 SIDE = 1024  # pixels of large photographs, which are compared in far fewer
@@ -55,7 +55,7 @@ class CheckCapture(Common):
         return WRONG if self.strict and not found.fits else 0
 
     def _run(self, progress: Progress, place: Claim) -> tuple[Capture, Check]:
-        from svu_mi.capture.window import Detail
+        from svu_mi.capture.crop import Detail
         from svu_mi.checking.run import check
         from svu_mi.illumination.resolve_light import found_gains
         from svu_mi.output.check_page import write_check

@@ -58,7 +58,7 @@ class Common:
 
         self._set_variant()
         import svu_mi.plugins  # noqa: F401 - registers them for the variant
-        from svu_mi.capture.trust import require_own_plugins
+        from svu_mi.capture.plugin_security import require_own_plugins
 
         require_own_plugins(self.trust)
         if self.threads == 1:

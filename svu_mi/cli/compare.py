@@ -63,7 +63,7 @@ class Compare(ResultCommand):
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Compare, write the page, and say what was found."""
-        from svu_mi.capture.window import Detail
+        from svu_mi.capture.crop import Detail
         from svu_mi.output.compare import plan_comparison
         from svu_mi.output.compare_page import write_comparison
 

@@ -182,7 +182,7 @@ def render_test(variant: str) -> None:
     import mitsuba as mi
     import numpy as np
 
-    from svu_mi.capture.trust import pin_own_plugins
+    from svu_mi.capture.plugin_security import pin_own_plugins
 
     mi.set_variant(variant)
     pin_own_plugins()

@@ -27,7 +27,7 @@ from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
 
 if TYPE_CHECKING:
-    from svu_mi.capture.record import Capture
+    from svu_mi.capture.capture import Capture
     from svu_mi.guidance.candidates import Candidates
     from svu_mi.guidance.result import Guidance
     from svu_mi.pipeline import Estimate

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
+from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES, ImportOptions, Light
+from svu_mi.capture.importers.registry import ReadOptions, read_source
 from svu_mi.cli.common import Common
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.loading import announce
@@ -22,11 +24,9 @@ from svu_mi.cli.terminal import say
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
-from svu_mi.formats.options import ENVIRONMENT_AXES, ImportOptions, Light
-from svu_mi.formats.reading import ReadOptions, read_source
 
 if TYPE_CHECKING:
-    from svu_mi.capture.record import Capture
+    from svu_mi.capture.capture import Capture
 
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE | exif")]
@@ -96,7 +96,7 @@ class Import(Common):
 
     def run(self, console: Console) -> int:
         """Import the capture and say what was found."""
-        from svu_mi.formats.importing import NO_LIGHT
+        from svu_mi.capture.importers.import_capture import NO_LIGHT
 
         with claimed(self.output, "import", overwrite=self.overwrite) as place:
             self.start()
@@ -109,8 +109,8 @@ class Import(Common):
         return 0
 
     def _import(self, progress: Progress, place: Claim) -> list[str]:
-        from svu_mi.formats.colmap.undistortion import undistort
-        from svu_mi.formats.importing import plan_import
+        from svu_mi.capture.importers.colmap.undistortion import undistort
+        from svu_mi.capture.importers.import_capture import plan_import
 
         path, reading = self.source, self.reading
         with tempfile.TemporaryDirectory(prefix="svu-undistorted-") as scratch:
@@ -137,9 +137,9 @@ def import_again(capture: Capture, fixes: Sequence[str]) -> str:
         capture: as loaded from its folder.
         fixes: names of corrections besides those that it was imported with.
     """
-    from svu_mi.capture import folder
+    from svu_mi.capture import capture_folder
 
-    found = None if capture.source is None else folder.read(capture.source)
+    found = None if capture.source is None else capture_folder.read(capture.source)
     given = _parsed(found.imported.get("options") if found else None)
     if given is None:  # from Python, or an earlier version; or changed since
         return " ".join(["svu import ...", *_words("fixes", _effective(fixes))])
@@ -154,7 +154,7 @@ def _parsed(words: Any) -> Import | None:
     is_text = isinstance(words, list) and all(isinstance(word, str) for word in words)
     if not is_text or not all(word.isprintable() and "=-" not in word for word in words):
         return None
-    from svu_mi.formats.fixes import FIXES
+    from svu_mi.capture.importers.axis_fixes import FIXES
 
     config = (tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands)
     try:
@@ -169,7 +169,7 @@ def _effective(fixes: Iterable[str]) -> tuple[str, ...]:
     """Return corrections without those that the next one reverts."""
     import numpy as np
 
-    from svu_mi.formats.fixes import FIXES
+    from svu_mi.capture.importers.axis_fixes import FIXES
 
     kept: list[str] = []
     for name in fixes:

@@ -23,7 +23,7 @@ from svu_mi.inpaint.diffusion.model_interface import DiffusionOptions
 if TYPE_CHECKING:
     import numpy as np
 
-    from svu_mi.capture.record import Capture
+    from svu_mi.capture.capture import Capture
     from svu_mi.inpaint.diffusion.model import Model
     from svu_mi.inpaint.fill_result import Filled
     from svu_mi.recovery.field.field import TextureField

@@ -18,7 +18,7 @@ from svu_mi.errors import OptionError
 from svu_mi.illumination.options import LightOptions
 
 if TYPE_CHECKING:
-    from svu_mi.capture.record import Capture
+    from svu_mi.capture.capture import Capture
     from svu_mi.illumination.record import LightEstimate
 
 Depths = Annotated[tuple[tuple[int, int], ...], tyro.conf.arg(metavar="CELLS ROUNDS ...")]

@@ -15,8 +15,8 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 
 if TYPE_CHECKING:
-    from svu_mi.capture.record import Capture
-    from svu_mi.capture.window import Detail
+    from svu_mi.capture.capture import Capture
+    from svu_mi.capture.crop import Detail
     from svu_mi.illumination.options import LightOptions
     from svu_mi.pipeline import Estimate
     from svu_mi.surface.layout import Texels
@@ -52,9 +52,9 @@ class CaptureCommand(Common):
             missing: replaces the option of that name.
             surroundings: whether pixels beside the object are used.
         """
-        from svu_mi.capture.matching import has_photographs
-        from svu_mi.capture.rendering import require_rendered
-        from svu_mi.capture.window import Detail
+        from svu_mi.capture.crop import Detail
+        from svu_mi.capture.match_photographs import has_photographs
+        from svu_mi.capture.render_capture import require_rendered
         from svu_mi.surface.layout import texels
 
         photographs = self.capture.photographs
@@ -92,7 +92,7 @@ class CaptureCommand(Common):
     def _read(
         self, progress: Progress, photographs: opt.PhotographOptions, need: NeedOf, detail: Detail
     ) -> Capture:
-        from svu_mi.capture.matching import NoPhotographsError, photographs_of
+        from svu_mi.capture.match_photographs import NoPhotographsError, photographs_of
 
         source = self.capture.source
         _ = photographs_of(source.scene)  # raises if it does not exist
@@ -110,7 +110,7 @@ class CaptureCommand(Common):
             ) from error
 
     def _render(self, progress: Progress, need: NeedOf) -> Capture:
-        from svu_mi.capture.rendering import plan_render
+        from svu_mi.capture.render_capture import plan_render
 
         source, unwrap = self.capture.source, self.capture.rendering.unwrap
         with progress.stage("Rendering photographs") as stage:
@@ -164,7 +164,7 @@ def read_capture(
     unwrap: bool = False,
 ) -> Capture:
     """Plan a capture, check its memory, and read it (see ``capture.loading.plan_capture``)."""
-    from svu_mi.capture.loading import plan_capture
+    from svu_mi.capture.load_capture import plan_capture
 
     with progress.stage("Loading the capture"):
         plan = plan_capture(

@@ -17,7 +17,7 @@ from svu_mi.options import preset as find_preset
 from svu_mi.parameters import NAMES
 
 if TYPE_CHECKING:
-    from svu_mi.capture.record import Capture
+    from svu_mi.capture.capture import Capture
     from svu_mi.core.progress import Progress
     from svu_mi.pipeline import Estimate
     from svu_mi.recovery.textures import Textures

@@ -18,7 +18,7 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
 
 if TYPE_CHECKING:
-    from svu_mi.capture.record import Capture
+    from svu_mi.capture.capture import Capture
 
 MOST_PIXELS = 8192  # per side of a picture
 From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -103,7 +103,7 @@ class Relight(CaptureCommand, ResultCommand):
 
     def _sensors(self, capture: Capture) -> tuple[list[Any], list[str]]:
         """Return the sensors that pictures are made from, and their names."""
-        from svu_mi.capture.poses import scaled_sensor
+        from svu_mi.capture.sensors import scaled_sensor
         from svu_mi.guidance.candidates import Candidates
         from svu_mi.output.views import far_apart
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.fingerprint import capture_key
+from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.repaint import is_two_sided
+from svu_mi.capture.replace_material import is_two_sided
 from svu_mi.core.identifiers import plain_name
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.output.maps import padded

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 import svu_mi
+from svu_mi.capture.image_io import decoded, quantized, srgb
 from svu_mi.capture.mesh import MeshArrays, flipped_v
-from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.core.io.files import replacing
 from svu_mi.export.asset import Asset, Written
 from svu_mi.export.images import packed

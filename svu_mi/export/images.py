@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 import svu_mi
-from svu_mi.capture.picture import quantized, srgb
+from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import replacing
 from svu_mi.errors import OutputError

@@ -12,8 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, read_ply
+from svu_mi.capture.plugin_security import pin_own_plugins
 from svu_mi.capture.scene import last_sentence
-from svu_mi.capture.trust import pin_own_plugins
 from svu_mi.core.io.exr import read_header
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.provenance import (

@@ -16,7 +16,7 @@ import numpy as np
 import svu_mi
 from svu_mi.capture import scene_xml
 from svu_mi.capture.mesh import make
-from svu_mi.capture.poses import bounding_sphere, sphere_sensors
+from svu_mi.capture.sensors import bounding_sphere, sphere_sensors
 from svu_mi.core.identifiers import materialx_name, obj_name
 from svu_mi.core.io.files import write_text
 from svu_mi.export.asset import TEXTURES, Asset, Written

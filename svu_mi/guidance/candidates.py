@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture import folder as capture_folder
-from svu_mi.capture.poses import sensors_like
-from svu_mi.capture.record import Capture
+from svu_mi.capture import capture_folder
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.importers.nerf import read_transforms
+from svu_mi.capture.importers.resampling import squared
 from svu_mi.capture.scene import check_sensor, find_sensors, load_scene
+from svu_mi.capture.sensors import sensors_like
 from svu_mi.core.io.files import read_json
 from svu_mi.errors import CaptureError, OptionError, ShapeError
-from svu_mi.formats.resampling import squared
-from svu_mi.formats.transforms import read_transforms
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from svu_mi.capture.poses import bounding_sphere, directions_of
+from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.forecast import Forecast, numbers

@@ -16,7 +16,7 @@ from itertools import count
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.illumination.exposure import starting_gains, updated, without_gains
 from svu_mi.illumination.options import LightOptions

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.capture.capture import Capture
 from svu_mi.capture.pixel_buffer import PixelBuffer
-from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_light
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError

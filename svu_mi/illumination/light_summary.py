@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
 from svu_mi.illumination.record import FoundGains, LightEstimate
 from svu_mi.light.environment import (

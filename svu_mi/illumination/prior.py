@@ -20,10 +20,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.poses import film_size
-from svu_mi.capture.rays import evenly, pixel_rays, table_of
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.film_rays import evenly, pixel_rays, table_of
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import film_size
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.errors import CaptureError
 from svu_mi.light.cells import nearest_cells

@@ -13,15 +13,15 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.fingerprint import photographs_key
-from svu_mi.capture.record import Capture, Doubt
-from svu_mi.capture.repaint import scene_of
+from svu_mi.capture.capture import Capture, Doubt
+from svu_mi.capture.content_hash import photographs_key
+from svu_mi.capture.importers.envmap import read_environment_map
+from svu_mi.capture.importers.import_options import Light
+from svu_mi.capture.replace_material import scene_of
 from svu_mi.core.io.output_folder import claimed
 from svu_mi.core.io.provenance import LIGHT
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OutputError, SceneError
-from svu_mi.formats.light import read_environment_map
-from svu_mi.formats.options import Light
 from svu_mi.illumination.estimate import estimate_light
 from svu_mi.illumination.exposure import equalized, estimate_gains
 from svu_mi.illumination.folder import RECORD, load_light, photographs_of, save_light

@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import scene
-from svu_mi.capture.picture import positive
+from svu_mi.capture.image_io import positive
 from svu_mi.errors import SceneError, SvuWarning
 from svu_mi.light.sampling import SKY_GRID, grid_size, label_of, map_of, sampled
 from svu_mi.light.sampling import directions as directions

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import find_environment
 from svu_mi.light import environment as env
 from svu_mi.light.environment import Environment, lat_long, read_environment, synthesize

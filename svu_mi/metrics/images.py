@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from svu_mi.capture.picture import srgb
+from svu_mi.capture.image_io import srgb
 from svu_mi.errors import ShapeError
 from svu_mi.metrics.checks import pictures, require_finite
 

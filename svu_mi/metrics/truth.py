@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.validation import require_known
 from svu_mi.metrics.checks import pair
 from svu_mi.parameters import MIXED, NAMES, ByParameter

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.capture.shown import srgb
+from svu_mi.capture.tonemap import srgb
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.guidance.result import Guidance
 from svu_mi.output import style
 from svu_mi.output.style import FAINT, INK, RULE, UNSEEN

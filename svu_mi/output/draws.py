@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import Look, alone, srgb
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.tonemap import Look, alone, srgb
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import CaptureError

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import Look, alone, srgb, tone_mapped
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.tonemap import Look, alone, srgb, tone_mapped
 from svu_mi.errors import OptionError
 from svu_mi.output import style, views
 from svu_mi.output.result import is_seen, prior_marginal, words

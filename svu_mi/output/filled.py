@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import svu_mi
-from svu_mi.capture.fingerprint import capture_key
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.shown import Look, alone
+from svu_mi.capture.tonemap import Look, alone
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import writing
 from svu_mi.inpaint.fill_result import Filled, Invented

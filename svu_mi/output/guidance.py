@@ -11,15 +11,15 @@ import numpy as np
 from PIL import Image
 
 from svu_mi.capture import scene_xml
-from svu_mi.capture.fingerprint import capture_key
-from svu_mi.capture.picture import quantized
-from svu_mi.capture.poses import describe
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import capture_key
+from svu_mi.capture.image_io import quantized
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
+from svu_mi.capture.sensors import describe
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import prepare_folder, replacing
 from svu_mi.core.io.output_folder import writing
-from svu_mi.formats.source import frame_of
-from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.result import Guidance
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.guidance_page import (

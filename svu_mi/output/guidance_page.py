@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.poses import film_size, resized_sensor
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import SIDE, Look, alone
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.sensors import film_size, resized_sensor
+from svu_mi.capture.tonemap import SIDE, Look, alone
 from svu_mi.core.identifiers import plain_name
 from svu_mi.guidance.result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE

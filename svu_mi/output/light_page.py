@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.fingerprint import photographs_key
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import srgb
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import photographs_key
+from svu_mi.capture.tonemap import srgb
 from svu_mi.core.io.output_folder import writing
 from svu_mi.illumination.folder import COMMAND, RECORD, light_record, write_arrays_of
 from svu_mi.illumination.light_summary import Likeness

@@ -19,8 +19,8 @@ import numpy as np
 
 import svu_mi
 from svu_mi import _llvm
-from svu_mi.capture.fingerprint import mesh_key
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import mesh_key
 from svu_mi.core.io.files import write_text
 from svu_mi.core.io.output_folder import Draft
 from svu_mi.core.io.provenance import RUN_RECORD

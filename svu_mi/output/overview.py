@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.output import style, views
 from svu_mi.output.figures import draw_photograph, draw_scaled_map, map_colors
 from svu_mi.output.knowledge import Knowledge, plain_percent

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.picture import quantized
+from svu_mi.capture.image_io import quantized
 from svu_mi.core.io.files import write_text
 from svu_mi.errors import OutputError
 from svu_mi.output.style import PNG_LEVEL, css, css_gradient

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.fingerprint import capture_key
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import capture_key
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import write_text
 from svu_mi.core.io.output_folder import writing

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import Look, alone, srgb
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.tonemap import Look, alone, srgb
 from svu_mi.output import style
 from svu_mi.output.draws import texture_colors
 from svu_mi.output.figures import all_seen, draw_look, draw_scaled_map, map_colors

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.poses import film_size, scaled_sensor
-from svu_mi.capture.rays import Pictures
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import exposure, resized, tone_mapped
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.film_rays import Pictures
+from svu_mi.capture.sensors import film_size, scaled_sensor
+from svu_mi.capture.tonemap import exposure, resized, tone_mapped
 from svu_mi.output import style, views
 from svu_mi.output.style import DIFFERENCE_COLORMAP, FAINT, INK
 from svu_mi.recovery.relight import novel_light, relight

@@ -13,10 +13,10 @@ import numpy as np
 from PIL import Image
 
 import svu_mi
-from svu_mi.capture.fingerprint import capture_key
-from svu_mi.capture.picture import quantized
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import tone_mapped
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import capture_key
+from svu_mi.capture.image_io import quantized
+from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import replacing
 from svu_mi.core.io.output_folder import writing

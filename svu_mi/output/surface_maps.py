@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.shown import srgb
+from svu_mi.capture.tonemap import srgb
 from svu_mi.output import style
 from svu_mi.output.figures import GUTTER, albedo_colors, map_colors
 from svu_mi.output.knowledge import TOLERANCE, WIDEST, Intervals

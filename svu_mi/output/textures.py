@@ -11,11 +11,11 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture import scene_xml
-from svu_mi.capture.fingerprint import capture_key, mesh_key
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import capture_key, mesh_key
+from svu_mi.capture.image_io import decoded, open_picture
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.picture import decoded, open_picture
-from svu_mi.capture.record import Capture
-from svu_mi.capture.repaint import is_same, is_two_sided
+from svu_mi.capture.replace_material import is_same, is_two_sided
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder, read_json
 from svu_mi.core.io.folder_exchange import restore

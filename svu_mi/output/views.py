@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.shown import Look, alone
+from svu_mi.capture.sensors import bounding_sphere, directions_of
+from svu_mi.capture.tonemap import Look, alone
 from svu_mi.guidance.strategies import farthest
 
 MARGIN = 0.06  # around the object, in parts of its size

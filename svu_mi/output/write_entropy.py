@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
-from svu_mi.capture.fingerprint import capture_key
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import capture_key
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output.knowledge import Knowledge
 from svu_mi.output.manifest import RECORD, Run, run_record, write_run

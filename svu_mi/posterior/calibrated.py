@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Doubt
+from svu_mi.capture.capture import Doubt
 from svu_mi.core.arrays import owned
 from svu_mi.errors import ShapeError
 from svu_mi.options import AngularPreset

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.fingerprint import Key, capture_parts
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import Key, capture_parts
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization.sharing import GlobalSharing

@@ -14,7 +14,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed

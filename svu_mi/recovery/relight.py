@@ -14,9 +14,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.rays import Pictures
-from svu_mi.capture.record import Capture
-from svu_mi.capture.repaint import scene_of
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.film_rays import Pictures
+from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.core.limits import require_spp
 from svu_mi.errors import OptionError

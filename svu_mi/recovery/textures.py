@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.parameters import CHANNELS, NAMES, PARAMETERS, ByParameter

@@ -12,8 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 import svu_mi
-from svu_mi.capture.fingerprint import capture_parts
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import capture_parts
 from svu_mi.core.io.files import clear_temporaries, prepare_folder
 from svu_mi.core.io.hashes import Key
 from svu_mi.core.io.npz import Field, read_arrays, require_schema, write_arrays

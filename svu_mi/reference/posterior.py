@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError

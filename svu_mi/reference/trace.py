@@ -10,8 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.repaint import repaint
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.replace_material import repaint
 from svu_mi.parameters import PARAMETERS
 
 LANES = 1 << 20  # paths in memory at a time

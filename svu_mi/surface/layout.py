@@ -11,8 +11,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs, unit_vectors
-from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_variant
 from svu_mi.core.arrays import owned
 from svu_mi.errors import MeshError, OptionError, ShapeError

@@ -8,8 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.repaint import is_principled
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.replace_material import is_principled
 from svu_mi.errors import SceneError
 from svu_mi.parameters import CHANNELS
 from svu_mi.surface.layout import Texels

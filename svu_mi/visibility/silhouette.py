@@ -17,8 +17,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.film_rays import film_ray
 from svu_mi.capture.mesh import face_normals
-from svu_mi.capture.rays import film_ray
 from svu_mi.core.arrays import owned
 
 TILE = 32  # corners per side, a power of two: lanes of a kernel are split into tiles by shifts

@@ -17,10 +17,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import scene
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.film_rays import ray_floats
 from svu_mi.capture.pixel_buffer import PixelBuffer
-from svu_mi.capture.poses import describe, film_size, scaled_sensor
-from svu_mi.capture.rays import ray_floats
-from svu_mi.capture.record import Capture
+from svu_mi.capture.sensors import describe, film_size, scaled_sensor
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.visibility.silhouette import Films, Outline, find_tiles, interior

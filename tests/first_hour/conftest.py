@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from hour import done
 
-from svu_mi.formats.source import frame_of
-from svu_mi.formats.transforms import write_transforms
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
 
 
 @pytest.fixture(scope="session")

@@ -15,9 +15,9 @@ from oracle.rounding import Exact, angular_entropy
 
 from numerics.samples import noise_of
 from svu_mi.bench.captures import in_memory
+from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
-from svu_mi.capture.poses import make_sensor
-from svu_mi.capture.record import Capture
+from svu_mi.capture.sensors import make_sensor
 from svu_mi.pipeline import Estimate
 from svu_mi.scenes import meshes
 from svu_mi.visibility.observe import Observation, Surface, look, observe

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from support.photographs import copy_file
+from svu_mi.capture.importers.colmap.project import IMAGES, MASKS
+from svu_mi.capture.importers.colmap.sparse_model import Camera, View, write_model
+from svu_mi.capture.importers.source import OPENCV, Source
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import OutputError
-from svu_mi.formats.colmap.model import Camera, View, write_model
-from svu_mi.formats.colmap.source import IMAGES, MASKS
-from svu_mi.formats.source import OPENCV, Source
 
 
 def write_colmap(root: Path, source: Source) -> None:

@@ -10,13 +10,10 @@ import numpy as np
 from PIL import Image
 
 from support.photographs import copy_file
-from svu_mi.capture.images import IN_MASK, SATURATED
-from svu_mi.capture.picture import quantized, read_planes
-from svu_mi.capture.poses import affine
-from svu_mi.core.io.files import prepare_folder, replacing
-from svu_mi.errors import OptionError
-from svu_mi.formats.geometry import read_geometry
-from svu_mi.formats.objects_with_lighting import (
+from svu_mi.capture.image_io import quantized, read_planes
+from svu_mi.capture.importers.camera_response import linear
+from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.objects_with_lighting import (
     ENVIRONMENT,
     EXPOSURE,
     INPUTS,
@@ -24,9 +21,12 @@ from svu_mi.formats.objects_with_lighting import (
     STOPS,
     WORLD_TO_ENV,
 )
-from svu_mi.formats.resampling import fitted
-from svu_mi.formats.response import linear
-from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, Frame, Source
+from svu_mi.capture.importers.resampling import fitted
+from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, Frame, Source
+from svu_mi.capture.photographs import IN_MASK, SATURATED
+from svu_mi.capture.sensors import affine
+from svu_mi.core.io.files import prepare_folder, replacing
+from svu_mi.errors import OptionError
 
 BOX = "object_bounding_box.txt"
 GAMMA = 2.2

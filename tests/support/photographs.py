@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.images import SATURATED
-from svu_mi.capture.picture import decoded, srgb
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.image_io import decoded, srgb
+from svu_mi.capture.photographs import SATURATED
 from svu_mi.capture.quantization import Clipped, Rounding
-from svu_mi.capture.record import Capture
 from svu_mi.observed import Observed
 
 WHITE = 0.97  # of the object's pixels that an 8-bit photograph does not clip

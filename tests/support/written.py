@@ -17,21 +17,21 @@ from support.colmap import write_colmap
 from support.owl import write_owl
 from support.photographs import white_of
 from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.image_io import quantized, srgb
+from svu_mi.capture.importers.import_capture import ImportOptions
+from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_materials import write_pictures
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.registry import Format
+from svu_mi.capture.importers.source import Light, Source, frame_of
+from svu_mi.capture.importers.stanford_orb import MESH, TRUTH
 from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
-from svu_mi.capture.picture import quantized, srgb
-from svu_mi.capture.poses import affine
-from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import find_environment, to_world
+from svu_mi.capture.sensors import affine
 from svu_mi.checking.surface_samples import base_color
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
-from svu_mi.formats.geometry import read_geometry
-from svu_mi.formats.importing import ImportOptions
-from svu_mi.formats.reading import Format
-from svu_mi.formats.source import Light, Source, frame_of
-from svu_mi.formats.stanford_orb import MESH, TRUTH
-from svu_mi.formats.textures import write_pictures
-from svu_mi.formats.transforms import write_transforms
 from svu_mi.light.environment import directions, radiance_from, read_environment
 from svu_mi.light.levels import resolved
 

@@ -12,8 +12,8 @@ import pytest
 from helpers import ball, memory_capture, python, sensor_xml, write_scene
 
 import svu_mi as svu
-from svu_mi.capture.fingerprint import Key, capture_key, capture_parts
-from svu_mi.capture.loading import load_capture
+from svu_mi.capture.content_hash import Key, capture_key, capture_parts
+from svu_mi.capture.load_capture import load_capture
 from svu_mi.capture.mesh import make
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError, SvuWarning
@@ -33,7 +33,7 @@ import svu_mi, mitsuba as mi
 mi.set_variant("llvm_ad_rgb")
 from svu_mi.capture import load_capture
 from svu_mi.capture.mesh import make
-from svu_mi.capture.fingerprint import capture_key
+from svu_mi.capture.content_hash import capture_key
 print(capture_key(load_capture(sys.argv[1], unwrap=True)))
 """
 OTHERS = """

@@ -13,8 +13,8 @@ import pytest
 from helpers import python, write_scene
 
 import svu_mi as svu
+from svu_mi.capture.plugin_security import SUFFIXES, own_plugin
 from svu_mi.capture.scene import load_scene, require_variant
-from svu_mi.capture.trust import SUFFIXES, own_plugin
 from svu_mi.cli.main import main
 from svu_mi.errors import SceneError
 

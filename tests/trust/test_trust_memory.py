@@ -15,16 +15,16 @@ from helpers import ball, fails, lettered, python, recovered_folder, write_ball
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture import mesh
-from svu_mi.capture.loading import plan_capture
-from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
+from svu_mi.capture.load_capture import plan_capture
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.cli.loading import announce_sizes
 from svu_mi.core import memory
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, SvuEnvironmentError
-from svu_mi.formats.source import frame_of
-from svu_mi.formats.transforms import write_transforms
 
 SIXTY = [(6000, 4000)] * 60
 

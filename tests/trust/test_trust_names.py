@@ -17,13 +17,13 @@ import trimesh
 from helpers import ball, run
 from jinja2 import DictLoader, Environment
 
-from svu_mi.capture.poses import make_sensor
+from svu_mi.capture.importers.nerf import read_transforms, write_transforms
+from svu_mi.capture.importers.source import frame_of
+from svu_mi.capture.sensors import make_sensor
 from svu_mi.core.identifiers import materialx_name, obj_name, plain_name, xml_id
 from svu_mi.errors import CaptureError
 from svu_mi.export.asset import Asset
 from svu_mi.export.export import export_asset
-from svu_mi.formats.source import frame_of
-from svu_mi.formats.transforms import read_transforms, write_transforms
 from svu_mi.output import style
 from svu_mi.output.guidance import write_sensors
 from svu_mi.output.guidance_page import _short

@@ -12,14 +12,14 @@ import pytest
 from helpers import render_ball, sensor_xml, write_scene
 from PIL import Image
 
-from svu_mi.capture.images import SATURATED
-from svu_mi.capture.loading import load_capture
-from svu_mi.capture.picture import decoded, open_picture, read_planes
+from svu_mi.capture.image_io import decoded, open_picture, read_planes
+from svu_mi.capture.importers.convert_photographs import about, convert
+from svu_mi.capture.importers.envmap import read_environment_map
+from svu_mi.capture.importers.source import Frame, Light
+from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.photographs import SATURATED
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, SceneError, SvuWarning
-from svu_mi.formats.light import read_environment_map
-from svu_mi.formats.photographs import about, convert
-from svu_mi.formats.source import Frame, Light
 from svu_mi.light.environment import read_environment
 from svu_mi.observed import observe
 from svu_mi.output.overview import write_overview

@@ -21,7 +21,7 @@ from svu_mi.bench.estimators import Variant
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import Timed, warm
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.errors import ShapeError
 from svu_mi.metrics.correlation import pearson, sparsification, spearman
 from svu_mi.metrics.credible import credible_coverage, nearest_cells

@@ -17,7 +17,7 @@ from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
 from svu_mi.bench.guidance.tables import draw_guidance, find_bars, guidance_tables
 from svu_mi.bench.problem_sizes import GuidanceSizes
 from svu_mi.bench.study import Asked, Study
-from svu_mi.capture.poses import bounding_sphere, directions_of
+from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.next_view import next_best_view
 from svu_mi.guidance.strategies import TABLE, farthest

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_erosion
 
-from svu_mi.capture.picture import srgb
+from svu_mi.capture.image_io import srgb
 from svu_mi.errors import SvuWarning
 from svu_mi.metrics.checks import pictures
 from svu_mi.metrics.images import psnr, ssim_map

@@ -13,7 +13,7 @@ from svu_mi.bench.experiment import Record
 from svu_mi.bench.orb.metrics import channel_scale
 from svu_mi.bench.orb.targets import FIGURES, Target
 from svu_mi.bench.report import FAINT, INK, number, page, seconds, table
-from svu_mi.capture.picture import srgb
+from svu_mi.capture.image_io import srgb
 from svu_mi.core.io.files import replacing
 from svu_mi.output.style import save_figure
 

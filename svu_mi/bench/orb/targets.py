@@ -10,12 +10,12 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.bench.orb.metrics import OrbError, orb_albedo_error, orb_error
-from svu_mi.capture.picture import decoded, read_planes
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.image_io import decoded, read_planes
+from svu_mi.capture.importers.envmap import read_environment_map
+from svu_mi.capture.importers.resampling import resampled, squared
+from svu_mi.capture.importers.stanford_orb import OrbView
 from svu_mi.errors import CaptureError
-from svu_mi.formats.light import read_environment_map
-from svu_mi.formats.resampling import resampled, squared
-from svu_mi.formats.stanford_orb import OrbView
 from svu_mi.recovery.path.scene import PathScene
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import Textures

@@ -13,13 +13,13 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.importers.source import OPENGL
+from svu_mi.capture.importers.source_files import inside
+from svu_mi.capture.importers.stanford_orb import ALBEDO, ENVIRONMENTS, MESH, SUFFIXES, TRUTH
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import prepare_folder, replacing, write_json, write_text
 from svu_mi.errors import MeshError
-from svu_mi.formats.source import OPENGL
-from svu_mi.formats.source_files import inside
-from svu_mi.formats.stanford_orb import ALBEDO, ENVIRONMENTS, MESH, SUFFIXES, TRUTH
 
 # What the scans' normals look like in the data set.
 NORMALS_AS_PUBLISHED = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

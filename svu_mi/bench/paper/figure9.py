@@ -32,8 +32,8 @@ from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.guidance import Strategy
 from svu_mi.bench.guidance.tables import views_needed
 from svu_mi.bench.report import COLORS, INK, MARKS, page, table, tidy
-from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.next_view import next_best_view
 from svu_mi.guidance.strategies import farthest

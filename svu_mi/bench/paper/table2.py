@@ -25,7 +25,7 @@ from svu_mi.bench.captures import Truth, uneven_views
 from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, Row
 from svu_mi.bench.report import Column, columns, digits, table
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.metrics.correlation import pearson
 from svu_mi.pipeline import estimate
 from svu_mi.surface.layout import Texels, texels

@@ -15,9 +15,9 @@ from svu_mi.bench.real.predictors import MEANS, POSTERIOR, WAYS, Score, Way
 from svu_mi.bench.real.tables import draw_real, real_tables
 from svu_mi.bench.report import Bar
 from svu_mi.bench.study import Asked, Study
-from svu_mi.capture.fingerprint import capture_key
-from svu_mi.capture.loading import load_capture
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import capture_key
+from svu_mi.capture.load_capture import load_capture
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.estimate import estimate_light

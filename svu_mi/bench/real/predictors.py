@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from svu_mi.bench.experiment import Record
-from svu_mi.capture.picture import srgb
+from svu_mi.capture.image_io import srgb
 from svu_mi.metrics.images import WHITE, psnr
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.prediction import Prediction, diffuse_seen_from

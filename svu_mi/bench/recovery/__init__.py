@@ -18,8 +18,8 @@ from svu_mi.bench.recovery.methods import Row, choose_rows
 from svu_mi.bench.recovery.tables import draw_recovery, find_bars, recovery_tables
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import Timed, warm
-from svu_mi.capture.record import Capture
-from svu_mi.capture.rendering import object_mask
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.render_capture import object_mask
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_known
 from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS, PathOptions, ShOptions

@@ -21,8 +21,8 @@ from svu_mi.bench.captures import in_memory
 from svu_mi.bench.experiment import Record
 from svu_mi.bench.timing import MILLISECOND, measure_in_turns
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.poses import sphere_sensors
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.scenes import meshes

@@ -19,9 +19,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.poses import film_size, scaled_sensor, sensors_like, windowed_sensor
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import Look, alone, exposure, resized
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.sensors import film_size, scaled_sensor, sensors_like, windowed_sensor
+from svu_mi.capture.tonemap import Look, alone, exposure, resized
 from svu_mi.core.arrays import owned
 from svu_mi.inpaint.diffusion.model_interface import Picture
 from svu_mi.parameters import CHANNELS, NAMES

@@ -23,7 +23,7 @@ from typing import get_args
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.inpaint.cross_validation import hidden_parts
 from svu_mi.inpaint.diffusion.conditioning_views import Shots

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.picture import decoded, srgb
+from svu_mi.capture.image_io import decoded, srgb
 from svu_mi.inpaint.diffusion.model_interface import Family, Picture, Run
 from svu_mi.parameters import CHANNELS
 

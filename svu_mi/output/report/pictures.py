@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import shrunk, tone_mapped
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.tonemap import shrunk, tone_mapped
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.output import relit, surface_maps, views

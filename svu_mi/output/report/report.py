@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
 from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
 from svu_mi.illumination.light_summary import sentences

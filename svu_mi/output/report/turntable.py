@@ -8,11 +8,11 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays
-from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor, projected
-from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.shown import Look, alone
+from svu_mi.capture.sensors import bounding_sphere, film_size, make_sensor, projected
+from svu_mi.capture.tonemap import Look, alone
 from svu_mi.core.arrays import owned
 from svu_mi.output import views
 from svu_mi.output.views import front_and_right, upright

@@ -15,12 +15,12 @@ import numpy as np
 from PIL import Image
 
 from svu_mi.capture import mesh as meshes
-from svu_mi.capture.picture import decoded, quantized, srgb
-from svu_mi.capture.poses import film_size, focal_length, principal_point
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.image_io import decoded, quantized, srgb
+from svu_mi.capture.importers.source import OPENCV
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.shown import tone_mapped
-from svu_mi.formats.source import OPENCV
+from svu_mi.capture.sensors import film_size, focal_length, principal_point
+from svu_mi.capture.tonemap import tone_mapped
 
 GAIN = 4.0  # light by which a texture is multiplied: white needs more than a texture can hold
 EXPOSURE = 0.6

@@ -9,8 +9,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.shown import alone
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.tonemap import alone
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
 from svu_mi.output import style

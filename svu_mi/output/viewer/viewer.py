@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.picture import srgb
-from svu_mi.capture.poses import bounding_sphere
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.image_io import srgb
+from svu_mi.capture.sensors import bounding_sphere
 from svu_mi.core.identifiers import obj_name
 from svu_mi.output.knowledge import Intervals
 from svu_mi.output.page import percent

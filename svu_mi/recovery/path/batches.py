@@ -9,8 +9,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.rays import pixel_rays
-from svu_mi.capture.record import Capture
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.film_rays import pixel_rays
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError
 from svu_mi.visibility.views import Views, pack_views

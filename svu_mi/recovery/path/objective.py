@@ -33,8 +33,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.trust import own_plugin
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.plugin_security import own_plugin
 from svu_mi.recovery.options import PathOptions
 from svu_mi.recovery.path.batches import Batch, PixelBatches
 from svu_mi.recovery.path.scene import PathScene, key_of

@@ -9,8 +9,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.capture.record import Capture
-from svu_mi.capture.repaint import repaint
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.replace_material import repaint
 from svu_mi.errors import ShapeError
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures

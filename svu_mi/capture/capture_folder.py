@@ -1,0 +1,180 @@
+"""The capture folder: ``capture.json`` beside ``view_0000.exr``, ..."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from svu_mi.capture.scene import check_sensor
+from svu_mi.capture.sensors import LARGEST, describe, make_sensor
+from svu_mi.core.io.files import is_temporary, read_json, write_json
+from svu_mi.core.io.folder_exchange import restore
+from svu_mi.core.io.output_folder import Draft, is_kept
+from svu_mi.core.io.provenance import RESULT, Entry, entry_of
+from svu_mi.core.limits import require_views
+from svu_mi.errors import CaptureError, excerpt
+
+FILE = "capture.json"
+FORMAT = "svu-capture"
+VERSION = 1
+MAX_BYTES = 2**26  # of capture.json; ten times what as many sensors as possible take
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What ``capture.json`` says.
+
+    Attributes:
+        scene: path of the Mitsuba scene, None when the capture was made from a live scene.
+        defines: the scene's ``-D`` parameters.
+        shape: id of the target, None = the only candidate.
+        exposures: one gain per view, empty = all 1.
+        sensors: descriptions of the sensors, empty = those of the scene.
+        imported: what it was imported from, and how; empty = it was not.
+        rendered: ``spp`` and ``seed`` that it was rendered with; empty = it was not.
+        run: id of the run that wrote it; empty = it is not known.
+    """
+
+    scene: Path | None = None
+    defines: Mapping[str, str] = field(default_factory=dict)
+    shape: str | None = None
+    exposures: Sequence[float] = ()
+    sensors: Sequence[Mapping[str, Any]] = ()
+    imported: Mapping[str, Any] = field(default_factory=dict)
+    rendered: Mapping[str, Any] = field(default_factory=dict)
+    run: str = ""
+
+    @property
+    def photographs(self) -> list[str]:
+        """Names of the photographs that were imported, one per view; empty = not known.
+
+        Without their folders, if that leaves no two alike.
+        """
+        paths = self.imported.get("photographs", ())
+        if not (isinstance(paths, list | tuple) and all(isinstance(path, str) for path in paths)):
+            return []
+        names = [path.rpartition("/")[2] for path in paths]
+        return names if len(set(names)) == len(names) and all(names) else list(paths)
+
+    def make_sensors(self, path: Path) -> tuple[Any, ...]:
+        """Make the sensors that the photographs of this folder were taken with."""
+        made = []
+        for index, record in enumerate(self.sensors):
+            label = f"{path / FILE}: sensor {index}"
+            made.append(make_sensor(record, label))
+            check_sensor(made[-1], label)
+        return tuple(made)
+
+
+def read(folder: Path) -> Description | None:
+    """Read ``capture.json``; None where the folder has none."""
+    restore(folder)
+    path = folder / FILE
+    if not path.is_file():
+        return None
+    if path.stat().st_size > MAX_BYTES:
+        raise CaptureError(f"{path}: its {path.stat().st_size} bytes are too many for a capture.")
+    record = read_json(path)
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
+    if record.get("version", VERSION) != VERSION:
+        raise CaptureError(
+            f"{path}: version {excerpt(record['version'])} is not supported, only {VERSION}; "
+            "update svu_mi."
+        )
+    for key, (kind, inner, what) in FIELDS.items():
+        if key in record and not _fits(record[key], kind, inner):
+            raise CaptureError(
+                f"{path}: {key} must be {what}, got {excerpt(repr(record[key]), 60)}."
+            )
+    for name, value in record.get("define", {}).items():
+        if not isinstance(value, str) and abs(value) > LARGEST:
+            raise CaptureError(
+                f"{path}: {excerpt(name)} in define must be at most {LARGEST:g}; correct it."
+            )
+    require_views(len(record.get("sensors", ())), f"{path}: sensors", CaptureError)
+    scene, written = record.get("scene"), Entry.parse(record.get(RESULT))
+    try:
+        scene = None if scene is None else (folder / scene).resolve()
+        _ = scene is None or scene.is_file()
+    except (OSError, ValueError, RuntimeError) as error:  # a link to itself, a name without end
+        raise CaptureError(f"{path}: the scene cannot be found ({excerpt(error)}).") from error
+    return Description(
+        scene=scene,
+        defines={key: str(value) for key, value in record.get("define", {}).items()},
+        shape=record.get("shape"),
+        exposures=tuple(record.get("exposure", ())),
+        sensors=tuple(record.get("sensors", ())),
+        imported=record.get("import", {}),
+        rendered=record.get("rendered", {}),
+        run=written.run if written else "",
+    )
+
+
+# Keys of capture.json that are read, their type, and that of what is in it; other keys are left to
+# whoever wrote them.
+FIELDS: dict[str, tuple[Any, Any, str]] = {
+    "scene": (str | None, object, "a path or null"),
+    "define": (dict, str | int | float, "text or numbers by name"),
+    "shape": (str | None, object, "an id or null"),
+    "exposure": (list, int | float, "a list of numbers"),
+    "sensors": (list, object, "a list"),
+    "import": (dict, object, "an object"),
+    "rendered": (dict, object, "an object"),
+}
+
+
+def _fits(value: Any, kind: Any, inner: Any) -> bool:
+    parts = value.values() if isinstance(value, dict) else value or ()
+    return isinstance(value, kind) and all(isinstance(part, inner) for part in parts)
+
+
+def require_one_run(folder: Path, found: Mapping[Path, str], run: str) -> None:
+    """Refuse photographs of another run than the capture's, and a capture that was exchanged."""
+    if run and ((entry := entry_of(folder / FILE)) is None or entry.run != run):
+        raise CaptureError(f"{folder}: changed while it was being read; load it again.")
+    for path, other in found.items():
+        if run and other and other != run:
+            raise CaptureError(
+                f"{path}: comes from another run than {FILE} beside it; restore the original "
+                "photograph, or render or import the capture again."
+            )
+
+
+def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> None:
+    """Write ``capture.json``, the last file of a draft."""
+    scene, target = description.scene, draft.target.resolve()
+    if scene is not None and scene.resolve().is_relative_to(draft.folder.resolve()):
+        scene = draft.target / scene.resolve().relative_to(draft.folder.resolve())
+    record = {
+        "format": FORMAT,
+        "version": VERSION,
+        "scene": None if scene is None else os.path.relpath(scene.resolve(), target),
+        "define": dict(description.defines),
+        "shape": description.shape,
+        "exposure": list(description.exposures),
+        "sensors": [describe(sensor) for sensor in sensors],
+        **({"import": description.imported} if description.imported else {}),
+        **({"rendered": description.rendered} if description.rendered else {}),
+        **draft.entries(),
+    }
+    write_json(draft.folder / FILE, record)
+
+
+def stamps(places: Iterable[Path], apart: Callable[[Path], bool]) -> list[tuple[str, int, int]]:
+    """Return paths, sizes and times of files, by which it is known whether inputs are the same."""
+    found = []
+    for place in places:
+        files = [place]
+        for folder, inner, names in os.walk(place):
+            inner[:] = [name for name in inner if not apart(Path(folder, name))]
+            files += [Path(folder, name) for name in names]
+        for path in sorted(files):
+            parts = path.relative_to(place).parts
+            if path.is_file() and not any(is_temporary(n) or is_kept(n) for n in parts):
+                status = path.stat()
+                found.append((str(path), status.st_size, status.st_mtime_ns))
+    return found

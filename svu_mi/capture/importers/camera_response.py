@@ -1,0 +1,151 @@
+"""How integers of photographs encode radiance: by a named curve, or one that was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from svu_mi.capture.image_io import Transfer, decoded
+from svu_mi.capture.importers.source_files import lines_of
+from svu_mi.capture.photographs import SATURATED
+from svu_mi.capture.quantization import CURVE, Rounding
+from svu_mi.errors import CaptureError, excerpt
+
+SMALLEST = 1e-9  # step, of a curve that is flat
+TYPICAL = 0.9  # part of the codes whose steps are no larger than is said of all
+LARGEST = (1, 255, 65535)  # codes that may stand for white
+COLUMNS = "ENCODED LINEAR or ENCODED R G B"
+FIX = f"write one line {COLUMNS} for each sample of the curve"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response:
+    """A measured response, linear between samples.
+
+    Attributes:
+        name: of its file, for messages.
+        codes: (N,) float32, ascending from 0 to 1: encoded values, relative to the largest.
+        values: (N, 3) float64, ascending linear values of R, G and B; the last are 1.
+    """
+
+    name: str
+    codes: np.ndarray
+    values: np.ndarray
+
+    def __str__(self) -> str:
+        return f"{self.name} says"
+
+
+def linear(encoded: np.ndarray, transfer: Transfer | Response, channel: int) -> np.ndarray:
+    """Return linear values (float32) of one channel's encoded ones in [0, 1], of any shape."""
+    if isinstance(transfer, Response):
+        values = transfer.values[:, channel]
+        return np.interp(encoded, transfer.codes, values).astype(np.float32)
+    return decoded(encoded, transfer)
+
+
+def saturation(transfer: Transfer | Response, bits: int) -> float:
+    """Return the least linear value of a clipped channel of 8 or 16 bits, over all channels."""
+    most = np.array(SATURATED[bits], np.float32)
+    return min(float(linear(most, transfer, channel)) for channel in range(3))
+
+
+def steps(transfer: Transfer | Response, bits: int) -> tuple[float, float]:
+    """Return the largest first step and slope over channels of 8 or 16 bits (``Rounding``).
+
+    Codes with equal values are one step; clipped ones are none.
+    """
+    last = 2**bits - 1
+    if not isinstance(transfer, Response):
+        steps = Rounding.of(bits, transfer)
+        return float(steps.first[0]), float(steps.slope[0])
+    codes = np.arange(int(SATURATED[bits] * last) + 1) / last
+    first, slope = SMALLEST, SMALLEST
+    for channel in range(3):
+        values = np.unique(linear(codes, transfer, channel).astype(np.float64))
+        if len(values) > 1:
+            found, middle = np.diff(values), (values[1:] + values[:-1]) / 2
+            first = max(first, float(found[0]))
+            slope = max(slope, float(np.quantile(found / middle**CURVE, TYPICAL)))
+    return first, slope
+
+
+def read_response(path: Path) -> Response:
+    """Read a measured response.
+
+    The text file has one line ``ENCODED LINEAR``, or ``ENCODED R G B``, for each sample, with
+    blanks or commas between; empty lines and comments (``#``) are ignored. Encoded values ascend
+    from 0 to 1, to 255 or to 65535. Linear ones are in any unit, also per channel.
+    """
+    rows: list[list[float]] = []
+    for number, text in lines_of(path, "a camera's response", FIX):
+        row = _numbers(text, f"{path}: line {number}")
+        _require_order(row, rows, f"{path}: line {number}")
+        rows.append(row)
+    if len(rows) < 2:
+        raise CaptureError(
+            f"{path}: a response needs 2 samples or more, and this has {len(rows)}; {FIX}."
+        )
+    table = np.array(rows)
+    if table[0, 0] != 0 or table[-1, 0] not in LARGEST:
+        raise CaptureError(
+            f"{path}: its codes go from {table[0, 0]:g} to {table[-1, 0]:g}, and must go from 0 to "
+            "1, 255 or 65535; add lines for the first and the last code."
+        )
+    # As photographs have them: in single precision, a code that was measured is that sample.
+    codes = (table[:, 0] / table[-1, 0]).astype(np.float32)
+    same = np.flatnonzero(np.diff(codes) == 0)
+    if same.size:
+        raise CaptureError(
+            f"{path}: the encoded values {table[same[0], 0]:.9g} and {table[same[0] + 1, 0]:.9g} "
+            "are too close together to differ in a photograph; leave one out."
+        )
+    values = table[:, 1:] if table.shape[1] == 4 else np.repeat(table[:, 1:], 3, axis=1)
+    # No camera is dark just below white; such a curve would say nothing of what is clipped.
+    if not all(np.interp(min(SATURATED.values()), codes, curve) > 0 for curve in values.T):
+        raise CaptureError(
+            f"{path}: a channel has no light up to {min(SATURATED.values()):.0%} of the largest "
+            "code; give samples between black and white."
+        )
+    return Response(name=path.name, codes=codes, values=values / values[-1])
+
+
+def _numbers(text: str, label: str) -> list[float]:
+    try:
+        row = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        row = []
+    if len(row) not in (2, 4):
+        raise CaptureError(
+            f"{label}: expected {COLUMNS}, got {excerpt(text, 60)!r}; begin comments with #."
+        )
+    if not all(0 <= number < np.inf for number in row):  # NaN fails, too
+        raise CaptureError(
+            f"{label}: numbers must be finite and not negative, got {excerpt(text, 60)!r}; "
+            "correct or remove the line."
+        )
+    return row
+
+
+def _require_order(row: list[float], before: list[list[float]], label: str) -> None:
+    """Refuse a sample that does not ascend."""
+    if not before:
+        return
+    last = before[-1]
+    if len(row) != len(last):
+        raise CaptureError(
+            f"{label}: has {len(row)} numbers, the lines before have {len(last)}; give one curve "
+            "for all channels, or three, in all lines."
+        )
+    if row[0] <= last[0]:
+        raise CaptureError(
+            f"{label}: the encoded value {row[0]:g} comes after {last[0]:g}, but must ascend; "
+            "order the lines, each code once."
+        )
+    if any(value < earlier for value, earlier in zip(row[1:], last[1:], strict=True)):
+        raise CaptureError(
+            f"{label}: the linear value falls, but a brighter code cannot mean less light; "
+            "correct the line, or smooth the measurement."
+        )

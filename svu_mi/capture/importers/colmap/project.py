@@ -1,0 +1,148 @@
+"""COLMAP: poses and cameras of its sparse models, with the photographs beside them.
+
+Its camera space is +X right, +Y down, +Z forward (``OPENCV``), poses are world to camera, and
+the centre of the first pixel is (0.5, 0.5). The world is wherever the reconstruction began.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from svu_mi.capture.importers.colmap.sparse_model import Camera, View, is_model, read_model
+from svu_mi.capture.importers.source import OPENCV, Frame, Source
+from svu_mi.capture.importers.source_files import folder_of, inside, mask_of, no_folder
+from svu_mi.capture.sensors import affine
+from svu_mi.errors import CaptureError, excerpt
+
+if TYPE_CHECKING:
+    from svu_mi.capture.importers.registry import ReadOptions
+
+# Undistorted models go before those they were made from: both have the same world.
+# nerfstudio keeps the project in colmap/, with the photographs beside it.
+PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", "colmap/sparse/0", ".", "0")
+IMAGES, MASKS = "images", "masks"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Project:
+    """A sparse model with cameras by their number, and V views in the order of their names.
+
+    ``images`` is the folder of the V photographs; ``masks`` has None for each without one.
+    """
+
+    model: Path
+    cameras: dict[int, Camera]
+    views: Sequence[View]
+    images: Path
+    photographs: Sequence[Path]
+    masks: Sequence[Path | None]
+
+
+def recognises(path: Path, _: str) -> bool:
+    """Whether a folder holds a sparse model."""
+    return find_model(path) is not None
+
+
+def read(path: Path, options: ReadOptions) -> Source:
+    """Read a sparse model, in the order of the images' names.
+
+    ``path``: the model's folder, the folder ``sparse`` that its ``0`` is in, or a project with
+    ``sparse/0``, ``sparse`` or ``dense/sparse``. ``images`` and ``masks`` are next to the model by
+    default; a mask is ``NAME.png`` for the image NAME, or of the same stem.
+    """
+    project = read_project(path, options.images, options.masks, partly=True)
+    frames = []
+    for view, image, mask in zip(project.views, project.photographs, project.masks, strict=True):
+        camera = project.cameras[view.camera]
+        lens = camera.lens()
+        if lens is None and not camera.is_pinhole:
+            raise CaptureError(
+                f"{project.model}: camera {view.camera}: the lens is distorted ({camera.model}); "
+                "svu import undistorts the photographs with --undistort."
+            )
+        focal, center = camera.intrinsics
+        frames.append(Frame(
+            label=_label(project.model, view),
+            image=image,
+            mask=mask,
+            to_world=_to_world(view),
+            focal=focal,
+            center=center,
+            size=(camera.width, camera.height),
+            lens=lens,
+        ))  # fmt: skip
+    return Source(
+        format="colmap", root=path, frames=frames, camera_axes=OPENCV, notes=list(_notes(project))
+    )
+
+
+def find_model(path: Path) -> Path | None:
+    """Return the folder of the sparse model in a project, or the folder itself; None without."""
+    folders = [Path(os.path.normpath(path / place)) for place in PLACES]
+    return next((folder for folder in folders if is_model(folder)), None)
+
+
+def read_project(
+    path: Path, images: Path | None, masks: Path | None, *, partly: bool = False
+) -> Project:
+    """Read the model and find its pictures, some of which may be missing if ``partly``.
+
+    Paths and errors are those of ``read``.
+    """
+    model = find_model(path)
+    if model is None:
+        raise CaptureError(f"{path}: not a COLMAP model; expected cameras.bin or .txt in sparse/0.")
+    cameras, views = read_model(model)
+    images = folder_of(IMAGES, images, _near(model, IMAGES))
+    if images is None:
+        raise no_folder(IMAGES, model / IMAGES)
+    masks = folder_of(MASKS, masks, _near(model, MASKS))
+    files = [inside(images, view.name, _label(model, view)) for view in views]
+    missing = [file for file in files if not file.is_file()]
+    if missing and not (partly and len(missing) < len(files)):
+        raise CaptureError(
+            f"{images}: {len(missing)} of {len(files)} photographs are missing, "
+            f"{excerpt(missing[0].relative_to(images))} first; give their folder with --images."
+        )
+    return Project(
+        model=model,
+        cameras=cameras,
+        views=views,
+        images=images,
+        photographs=files,
+        masks=[None if masks is None else mask_of(masks, f.relative_to(images)) for f in files],
+    )
+
+
+def _label(model: Path, view: View) -> str:
+    return f"{model}: image {excerpt(repr(view.name))}"
+
+
+def _near(model: Path, name: str) -> list[Path]:
+    """Return places of a folder in the model's own or one above, as deep as projects nest it."""
+    nested = model.absolute().parts[-3:-2] == ("colmap",)
+    ways = (".", "..", "../..", *(["../../.."] if nested else []))
+    return [Path(os.path.normpath(model / up / name)) for up in ways]
+
+
+def _to_world(view: View) -> np.ndarray:
+    w, x, y, z = view.rotation
+    rotation = scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix()
+    return affine(rotation.T, -rotation.T @ view.translation) @ OPENCV
+
+
+def _notes(project: Project) -> Iterator[str]:
+    yield (
+        f"{len(project.views)} images of COLMAP, whose world has its own unit and up axis: the "
+        "mesh must be in that world."
+    )
+    folder = project.model.parent
+    if project.model.name == "0" and is_model(folder / "1"):
+        yield f"{folder}: has several models, parts of a whole; 0 is used."

@@ -1,0 +1,279 @@
+"""COLMAP's sparse model: cameras and poses of a reconstruction, from ``.bin`` or ``.txt`` files.
+
+Read and written here, not by pycolmap: given a damaged file, that may fill the memory or not come
+back, and pinhole cameras need nothing else of it. The layout is
+https://colmap.github.io/format.html; models with ``rigs`` and ``frames`` have the same two files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import mmap
+import os
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from svu_mi.capture.importers.lens_distortion import Lens
+from svu_mi.core.io.files import replacing
+from svu_mi.errors import CaptureError, excerpt
+
+# Parameters of each camera model, in the order of their numbers (COLMAP's sensor/models.h).
+PARAMETERS = {
+    "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8,
+    "OPENCV_FISHEYE": 8, "FULL_OPENCV": 12, "FOV": 5, "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5, "THIN_PRISM_FISHEYE": 12, "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": 4, "DIVISION": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4, "EUCM": 6,
+    "EQUIRECTANGULAR": 2,
+}  # fmt: skip
+# Focal lengths of those that are pinholes when all parameters behind the centre are zero.
+FOCAL_LENGTHS = {
+    "SIMPLE_PINHOLE": 1, "PINHOLE": 2, "SIMPLE_RADIAL": 1, "RADIAL": 1, "OPENCV": 2,
+    "FULL_OPENCV": 2, "SIMPLE_DIVISION": 1, "DIVISION": 2,
+}  # fmt: skip
+# What the parameters behind the centre are, of lenses that are straightened here.
+BENT = {
+    "SIMPLE_RADIAL": ("k1",), "RADIAL": ("k1", "k2"), "OPENCV": ("k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3"),  # if the others, k4 to k6, are zero
+}  # fmt: skip
+CAMERA_FIELDS = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT", "PARAMS")
+VIEW_FIELDS = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
+LONGEST_NAME = 512  # bytes
+POINT = 24  # bytes of a point in an image: x, y and the number of the point in space
+UNIT = 1e-2  # by which the norm of a quaternion may differ from 1
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera of COLMAP: a model of ``PARAMETERS``, a size in pixels, and its parameters.
+
+    These are focal length(s), principal point from the corner (0, 0), and distortion.
+    """
+
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether straight lines stay straight."""
+        return self.model in FOCAL_LENGTHS and not any(self.bends)
+
+    @property
+    def intrinsics(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Focal lengths and principal point, of a model in ``FOCAL_LENGTHS``."""
+        count = FOCAL_LENGTHS[self.model]
+        focal, center = self.parameters[:count], self.parameters[count : count + 2]
+        return (focal[0], focal[-1]), (center[0], center[1])
+
+    @property
+    def bends(self) -> tuple[float, ...]:
+        """Distortion, of a model in ``FOCAL_LENGTHS``."""
+        return self.parameters[FOCAL_LENGTHS[self.model] + 2 :]
+
+    def lens(self) -> Lens | None:
+        """Return the lens if it bends lines and is of our model, else None."""
+        names = BENT.get(self.model, ())
+        if not names or self.is_pinhole or any(self.bends[len(names) :]):
+            return None
+        return Lens(**dict(zip(names, self.bends, strict=False)))
+
+
+@dataclass(frozen=True)
+class View:
+    """The pose of an image, world to camera, +X right, +Y down, +Z forward.
+
+    ``rotation`` is a unit quaternion (w, x, y, z).
+    """
+
+    name: str
+    camera: int
+    rotation: tuple[float, ...]
+    translation: tuple[float, ...]
+
+
+def is_model(folder: Path) -> bool:
+    """Whether a folder holds a sparse model."""
+    return any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
+
+
+def read_model(folder: Path) -> tuple[dict[int, Camera], list[View]]:
+    """Read cameras by number, and views by name; ``.bin`` goes before ``.txt``, as in COLMAP."""
+    suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
+    files = folder / f"cameras{suffix}", folder / f"images{suffix}"
+    for path in files:
+        if not path.is_file():
+            raise CaptureError(f"{path}: no such file; a sparse model has cameras and images.")
+    if suffix == ".bin":
+        cameras, views = _read_cameras(files[0]), _read_views(files[1])
+    else:
+        cameras, views = _parse_cameras(files[0]), _parse_views(files[1])
+    if not views:
+        raise CaptureError(f"{files[1]}: has no images; run COLMAP's mapper first.")
+    names = set()
+    for view in views:
+        label = f"{files[1]}: image {excerpt(repr(view.name))}"
+        if view.camera not in cameras:
+            raise CaptureError(f"{label}: has no camera {view.camera}; export the model again.")
+        if not abs(math.hypot(*view.rotation) - 1) < UNIT:
+            raise CaptureError(f"{label}: the rotation must be a unit quaternion (w, x, y, z).")
+        if view.name in names:
+            raise CaptureError(f"{label}: occurs twice; export the model again.")
+        names.add(view.name)
+    return cameras, sorted(views, key=lambda view: view.name)
+
+
+def write_model(folder: Path, cameras: Mapping[int, Camera], views: Sequence[View]) -> None:
+    """Write ``cameras.bin``, ``images.bin``, and ``points3D.bin`` without points."""
+    pack = struct.pack  # binary: names with spaces do not survive in COLMAP's text files
+    files = {stem: [pack("<Q", n)] for stem, n in (
+        ("cameras", len(cameras)), ("images", len(views)), ("points3D", 0),
+    )}  # fmt: skip
+    for number, camera in cameras.items():
+        model, values = list(PARAMETERS).index(camera.model), camera.parameters
+        files["cameras"] += [
+            pack("<IiQQ", number, model, camera.width, camera.height),
+            pack(f"<{len(values)}d", *values),
+        ]
+    for number, view in enumerate(views, 1):
+        files["images"] += [
+            pack("<I7dI", number, *view.rotation, *view.translation, view.camera),
+            os.fsencode(view.name) + b"\0",
+            pack("<Q", 0),
+        ]
+    for stem, parts in files.items():
+        with replacing(folder / f"{stem}.bin") as temporary:
+            temporary.write_bytes(b"".join(parts))
+
+
+def _camera(model: str, width: int, height: int, parameters: Sequence[float]) -> Camera:
+    if len(parameters) != PARAMETERS[model]:
+        raise ValueError(f"{model} has {PARAMETERS[model]} parameters, not {len(parameters)}")
+    return Camera(model, width, height, _finite(parameters))
+
+
+def _finite(values: Sequence[float]) -> tuple[float, ...]:
+    if not np.isfinite(values).all():
+        raise ValueError("a number is NaN or infinite")
+    return tuple(values)
+
+
+class _Records:
+    """Values of a binary file, one after the other, little-endian."""
+
+    def __init__(self, data: mmap.mmap) -> None:
+        self._data = data
+        self._at = 0
+
+    def take(self, form: str) -> tuple[Any, ...]:
+        start = self.skip(struct.calcsize("<" + form))
+        return struct.unpack_from("<" + form, self._data, start)
+
+    def text(self) -> str:
+        end = self._data.find(b"\0", self._at, self._at + LONGEST_NAME)
+        if end < 0:
+            raise ValueError("a name has no end")
+        start = self.skip(end + 1 - self._at)
+        return self._data[start:end].decode()
+
+    def skip(self, size: int) -> int:
+        """Go on by a number of bytes and return where they start."""
+        start, self._at = self._at, self._at + size
+        if self.left < 0:
+            raise ValueError("the file ends too early")
+        return start
+
+    @property
+    def left(self) -> int:
+        return len(self._data) - self._at
+
+
+@contextlib.contextmanager
+def _damage_of(path: Path) -> Iterator[None]:
+    """Turn parser errors into a CaptureError of a file."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{path}: {excerpt(error)}; export the model again.") from error
+
+
+@contextlib.contextmanager
+def _records(path: Path) -> Iterator[_Records]:
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        records = _Records(data)
+        yield records
+        if records.left:
+            raise ValueError(f"the file has {records.left} bytes too many")
+
+
+def _read_cameras(path: Path) -> dict[int, Camera]:
+    cameras, models = {}, list(PARAMETERS)
+    with _damage_of(path), _records(path) as records:
+        for _ in range(records.take("Q")[0]):  # a damaged count ends with the file
+            number, model, width, height = records.take("IiQQ")
+            if not 0 <= model < len(models):
+                raise ValueError(f"camera model {model} is unknown")
+            values = records.take(f"{PARAMETERS[models[model]]}d")
+            cameras[number] = _camera(models[model], width, height, values)
+    return cameras
+
+
+def _read_views(path: Path) -> list[View]:
+    views = []
+    with _damage_of(path), _records(path) as records:
+        for _ in range(records.take("Q")[0]):
+            _, *pose, camera = records.take("I7dI")
+            views.append(View(records.text(), camera, _finite(pose[:4]), _finite(pose[4:])))
+            records.skip(POINT * records.take("Q")[0])
+    return views
+
+
+def _parse_cameras(path: Path) -> dict[int, Camera]:
+    cameras = {}
+    with _damage_of(path), path.open(encoding="utf-8") as lines:
+        for line in filter(_is_told, lines):
+            number, model, width, height, *values = _fields(line, CAMERA_FIELDS, -1)
+            if model not in PARAMETERS:
+                raise ValueError(f"camera model {model!r} is unknown")
+            parameters = [float(value) for value in values]
+            cameras[_number(number)] = _camera(model, int(width), int(height), parameters)
+    return cameras
+
+
+def _parse_views(path: Path) -> list[View]:
+    views = []
+    with _damage_of(path), path.open(encoding="utf-8") as lines:
+        for line in filter(_is_told, lines):
+            _, *fields, camera, name = _fields(line.strip(), VIEW_FIELDS, len(VIEW_FIELDS) - 1)
+            if len(name) > LONGEST_NAME:
+                raise ValueError("a name has no end")
+            pose = [float(field) for field in fields]
+            views.append(View(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
+            # Every second line has the image's points; it is there even if it is empty.
+            if len(next(lines, "").split()) % 3:
+                raise ValueError("a line of points (X Y POINT3D_ID ...) is not there or damaged")
+    return views
+
+
+def _is_told(line: str) -> bool:
+    return not line.lstrip().startswith("#") and not line.isspace()
+
+
+def _fields(line: str, names: Sequence[str], splits: int) -> list[str]:
+    fields = line.split(maxsplit=splits)
+    if len(fields) < len(names):
+        raise ValueError(f"a line is not {' '.join(names)}")
+    return fields
+
+
+def _number(text: str) -> int:
+    number = int(text)
+    if not 0 <= number < 2**32:
+        raise ValueError(f"{number} is not the number of a camera")
+    return number

@@ -1,0 +1,138 @@
+"""Straight lines for COLMAP's distorted cameras: photographs and masks resampled by pycolmap.
+
+Only for lenses that are not of OpenCV's model (``formats.lenses``), such as fisheyes.
+
+It runs in a process of its own: it aborts on what it does not expect, and its copy of zlib must
+not meet that of Pillow. It gets nothing but a model with the cameras and poses that were read
+here, and pictures that were decoded here.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from PIL import Image
+
+from svu_mi.capture.image_io import quantized, read_planes
+from svu_mi.capture.importers.colmap.project import IMAGES, MASKS, read_project
+from svu_mi.capture.importers.colmap.sparse_model import Camera, View, read_model, write_model
+from svu_mi.capture.importers.resampling import straightened
+from svu_mi.capture.importers.source import Frame
+from svu_mi.capture.photographs import read_mask
+from svu_mi.core.io.files import prepare_folder
+from svu_mi.errors import CaptureError, OutputError, SvuEnvironmentError
+
+KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
+# A JPEG file is compressed a second time.
+SCRIPT = "import sys, pycolmap; pycolmap.undistort_images(*sys.argv[1:], jpeg_quality=100)"
+LONGEST = 160  # letters of its reason, in a message
+
+
+def undistort(
+    path: Path, output: Path, *, images: Path | None = None, masks: Path | None = None
+) -> Path:
+    """Write an undistorted copy of a project into an empty or new folder, for ``source.read``.
+
+    ``images`` and ``masks`` are those of ``source.read``; without masks, alpha channels become
+    masks. Returns the folder.
+    """
+    if importlib.util.find_spec("pycolmap") is None:
+        raise SvuEnvironmentError(
+            "Photographs are undistorted by pycolmap, which is not installed: "
+            "pip install 'svu_mi[colmap]'."
+        )
+    project = read_project(path, images, masks)
+    views = [
+        replace(view, name=file.relative_to(project.images).as_posix())
+        for view, file in zip(project.views, project.photographs, strict=True)
+    ]
+    cameras = {view.camera: project.cameras[view.camera] for view in views}
+    for number, camera in cameras.items():
+        _require_one_to_one(camera, f"{project.model}: camera {number}")
+    place = output.resolve()
+    prepare_folder(place.parent)
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise OutputError(f"{output}: holds other files; choose another folder, or empty it.")
+    with TemporaryDirectory(prefix=".svu-undistorted-", dir=place.parent) as name:
+        scratch, made = Path(name), Path(name) / "made"
+        made.mkdir()
+        masked = []
+        for view, file, found in zip(views, project.photographs, project.masks, strict=True):
+            mask = _checked(cameras[view.camera], file, found)
+            if mask is not None:
+                masked.append(replace(view, name=f"{view.name}.png"))
+                file = scratch / MASKS / masked[-1].name
+                file.parent.mkdir(parents=True, exist_ok=True)
+                Image.fromarray(mask).save(file)
+        straight = _straightened(cameras, views, project.images, scratch / "photographs")
+        (straight / IMAGES).rename(made / IMAGES)
+        (straight / "sparse").rename(made / "sparse")
+        if masked:
+            straight = _straightened(cameras, masked, scratch / MASKS, scratch / "shapes")
+            (straight / IMAGES).rename(made / MASKS)
+        made.replace(place)
+    return output
+
+
+def _require_one_to_one(camera: Camera, label: str) -> None:
+    """Refuse a lens that shows something twice: COLMAP would undistort it to pictures of rings."""
+    lens = camera.lens()
+    if lens is None:
+        return
+    focal, center = camera.intrinsics
+    straightened(Frame(
+        label=label, image=Path(), to_world=np.eye(4), focal=focal, center=center,
+        size=(camera.width, camera.height), lens=lens,
+    ))  # fmt: skip
+
+
+def _checked(camera: Camera, file: Path, mask: Path | None) -> np.ndarray | None:
+    """Read a photograph and return its mask, (H, W) uint8."""
+    if file.suffix.lower() not in KINDS:
+        raise CaptureError(
+            f"{file}: COLMAP undistorts only {', '.join(KINDS)}; undistort the photographs first."
+        )
+    planes, _ = read_planes(file)
+    given = planes[3] if planes[3:] else None
+    height, width = planes[0].shape
+    if (width, height) != (camera.width, camera.height):
+        raise CaptureError(
+            f"{file}: has {width} x {height} pixels, but its camera {camera.width} x "
+            f"{camera.height}; give the photographs that COLMAP was run on."
+        )
+    if mask is not None:
+        given = read_mask(mask, (height, width)).astype(np.float32)
+    return None if given is None else quantized(given)
+
+
+def _straightened(
+    cameras: Mapping[int, Camera], views: Sequence[View], pictures: Path, output: Path
+) -> Path:
+    """Run pycolmap; return its folder with ``images`` and ``sparse``."""
+    model = prepare_folder(output / "distorted")
+    write_model(model, cameras, views)
+    arguments = [str(folder.absolute()) for folder in (output, model, pictures)]
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", SCRIPT, *arguments],
+        capture_output=True, text=True, errors="replace",
+    )  # fmt: skip
+    if done.returncode != 0:
+        lines = done.stderr.strip().splitlines() or ["it was ended"]
+        reason = next((line for line in lines if "Check failed" in line), lines[-1])
+        raise CaptureError(
+            f"{pictures}: COLMAP cannot undistort these ({reason[-LONGEST:]}); check the cameras."
+        )
+    for camera in read_model(output / "sparse")[0].values():
+        if not camera.is_pinhole:
+            raise CaptureError(
+                f"{pictures}: COLMAP cannot undistort cameras of model {camera.model}; undistort "
+                "the photographs first."
+            )
+    return output

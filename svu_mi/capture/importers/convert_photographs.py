@@ -1,0 +1,254 @@
+"""Conversion of photographs to linear EXR with the mask as alpha."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from svu_mi.capture.crop import LARGE
+from svu_mi.capture.image_io import Picture, open_picture
+from svu_mi.capture.importers.camera_response import (
+    Response,
+    linear,
+    read_response,
+    saturation,
+    steps,
+)
+from svu_mi.capture.importers.resampling import resampled, unbent
+from svu_mi.capture.importers.source import Frame
+from svu_mi.capture.match_photographs import masks_of
+from svu_mi.capture.photographs import (
+    CLIPPED,
+    FIRST_STEP,
+    IN_MASK,
+    LAST_STEP,
+    ON_OBJECT,
+    SATURATED,
+    SATURATION,
+    UNUSABLE,
+    read_mask,
+)
+from svu_mi.core.io.exr import write_exr
+from svu_mi.errors import OptionError
+
+JPEG = (".jpg", ".jpeg")
+BORDER = 0.9  # part of a photograph's border that no object covers
+CLIPPED_LAYER = "clipped."  # and R, G or B
+# Part of the object's pixels from which blacks count as crushed. A mask that is a pixel too large
+# takes in 1 % of background; grooves and contact shadows are black in any photograph.
+CRUSHED = 0.02
+BLACK = np.zeros(1, np.float32)  # the code 0
+PART = 1e-6  # of a new pixel that an unusable one may cover, which is rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converted:
+    """Properties of a converted photograph.
+
+    Attributes:
+        bits: 8 or 16 for integers; 0 for floats.
+        foreign: whether its chromaticities are not those of Rec. 709.
+        turned: whether its EXIF data set an orientation.
+        saturated: number of clipped pixels, on the object if there is a mask.
+        crushed: part of the object's pixels with a channel as dark as code 0; 0 for floats, and
+            without a mask, as black background is no loss.
+        invalid: number of pixels that are NaN, infinite or negative.
+        masked: whether it has a mask; an alpha channel that is opaque everywhere does not count.
+        empty: whether its mask is empty.
+        inverted: whether its mask covers the border of the photograph, but not all of it.
+    """
+
+    bits: int
+    foreign: bool
+    turned: bool
+    saturated: int
+    crushed: float
+    invalid: int
+    masked: bool
+    empty: bool
+    inverted: bool
+
+
+def with_response(frames: Sequence[Frame], response: str | Path | None) -> Sequence[Frame]:
+    """Return frames with a measured response, which ``read_response`` reads; None changes none."""
+    if response is None:
+        return frames
+    if not any(open_picture(frame.image).bits for frame in frames):
+        raise OptionError(
+            f"--response: {frames[0].image.name} and all other photographs are linear (EXR, HDR, "
+            "PFM), and need none; leave it out."
+        )
+    transfer = read_response(Path(response))
+    return [replace(frame, transfer=transfer) for frame in frames]
+
+
+def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
+    """Write a photograph as EXR: R, G, B linear, and A = 1 on the object if there is a mask.
+
+    A large JPEG that needs no change is copied, with its mask as a PNG next to it: an EXR would be
+    ten times larger. Clipped channels become -2, and their least radiance is in the header. Pixels
+    without radiance, and mixtures of clipped and other pixels, become -1.
+
+    Args:
+        frame: the photograph with its mask; its size is that of the file.
+        path: the EXR file.
+        scale: of width and height, as ``squared`` returns it.
+    """
+    picture = open_picture(frame.image)
+    if _serves(picture, frame, scale):
+        return _copied(picture, frame, path)
+    planes, bits = picture.planes(), picture.bits
+    mask = _mask(frame, planes, bits > 0)
+    del planes[3:]
+    clipped, black, invalid = np.zeros((3, *planes[0].shape), bool)
+    over = {}
+    for channel, plane in enumerate(planes):  # one at a time: photographs may be huge
+        invalid |= ~(np.isfinite(plane) & (plane >= 0))
+        if bits:
+            over[CLIPPED_LAYER + "RGB"[channel]] = plane > SATURATED[bits]
+            clipped |= plane > SATURATED[bits]
+            planes[channel] = linear(plane, frame.transfer, channel)
+            black |= planes[channel] <= linear(BLACK, frame.transfer, channel)
+    for plane in planes:
+        plane[invalid] = 0
+    layers = {**dict(zip("RGB", planes, strict=True)), "bad": invalid}
+    if clipped.any():
+        layers |= over
+    if mask is not None:
+        layers["A"] = mask
+        clipped &= mask
+    del planes, over
+    channels = _resampled(layers, frame, scale)
+    header = _mark(channels, bits, frame)
+    if bits:
+        first, last = steps(frame.transfer, bits)
+        header |= {FIRST_STEP: first, LAST_STEP: last}
+    # Eight bits lose nothing in half floats, unless a curve puts some close together.
+    half = bits == 8 and not isinstance(frame.transfer, Response)
+    write_exr(path, channels, header, half=half)
+    return _converted(picture, mask, clipped, black, int(invalid.sum()))
+
+
+def _serves(picture: Picture, frame: Frame, scale: tuple[float, float]) -> bool:
+    """Return whether a photograph can be copied."""
+    width, height = picture.size
+    jpeg = picture.path.suffix.lower() in JPEG and picture.bits == 8
+    plain = frame.lens is None and tuple(scale) == (1.0, 1.0) and frame.transfer == "srgb"
+    return jpeg and plain and width * height >= LARGE
+
+
+def _copied(picture: Picture, frame: Frame, path: Path) -> Converted:
+    """Copy a JPEG to ``path`` with its own suffix, and write its mask."""
+    codes, mask = picture.stored()[:3], None
+    most = SATURATED[8] * 255
+    clipped, black = (np.any([test(c) for c in codes], axis=0) for test in (
+        lambda c: c > most, lambda c: c == 0))  # fmt: skip
+    shutil.copyfile(frame.image, path.with_suffix(".jpg"))
+    if frame.mask is not None:
+        mask = read_mask(frame.mask, codes[0].shape)
+        clipped &= mask
+        beside = path.with_name(f"{masks_of(path.stem)[0]}.png")
+        Image.fromarray(mask.astype(np.uint8) * 255).save(beside)
+    return _converted(picture, mask, clipped, black, 0)
+
+
+def _converted(
+    picture: Picture, mask: np.ndarray | None, clipped: np.ndarray, black: np.ndarray, invalid: int
+) -> Converted:
+    """Return the properties of a photograph with masks (H, W) of clipped and black pixels."""
+    return Converted(
+        bits=picture.bits, foreign=picture.header.foreign, turned=picture.is_turned(),
+        saturated=int(clipped.sum()),
+        crushed=0.0 if mask is None else float(black[mask].sum() / max(1, mask.sum())),
+        invalid=invalid, masked=mask is not None, empty=mask is not None and not mask.any(),
+        inverted=mask is not None and _is_inverted(mask),
+    )  # fmt: skip
+
+
+def _mark(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str, float]:
+    """Mark unusable pixels and clipped channels in place; return header entries about them."""
+    touched = channels.pop("bad") > PART
+    over = {name: channels.pop(CLIPPED_LAYER + name, None) for name in "RGB"}
+    found = {name: part for name, part in over.items() if part is not None}
+    for part in found.values():
+        touched |= (part > PART) & (part < 1 - PART)
+    for name in "RGB":
+        if name in found:
+            channels[name][found[name] >= 1 - PART] = CLIPPED
+        channels[name][touched] = UNUSABLE
+    if not found:
+        return {}
+    return {SATURATION: saturation(frame.transfer, bits)}
+
+
+def _is_inverted(mask: np.ndarray) -> bool:
+    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+    return bool(border.mean() > BORDER and not mask.all())
+
+
+def _resampled(
+    layers: dict[str, np.ndarray], frame: Frame, scale: tuple[float, float]
+) -> dict[str, np.ndarray]:
+    """Straighten and shrink layers, freeing each one: photographs may be huge."""
+    names = list(layers)
+    straight = unbent([np.asarray(layers.pop(name), np.float32) for name in names], frame)
+    return {
+        name: resampled(plane[..., None], scale)[..., 0]
+        for name, plane in zip(names, straight, strict=True)
+    }
+
+
+def _mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray | None:
+    """Return (H, W) bool from the alpha channel, the mask's file, or both; None without any."""
+    found = None
+    if len(planes) > 3 and planes[3].min() < 1:
+        found = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
+    if frame.mask is None:
+        return found
+    inside = read_mask(frame.mask, planes[0].shape)
+    return inside if found is None else inside & found
+
+
+def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
+    """Return sentences about problems of V photographs."""
+    count, low = len(found), {c.bits for c in found if c.bits}
+
+    def those(chosen: Sequence[bool], words: str, least: float = 0) -> list[str]:
+        names = [f.image.name for f, is_chosen in zip(frames, chosen, strict=True) if is_chosen]
+        first = f"{len(names)} of {count} photographs, {names[0]} first," if names else ""
+        return [f"{first} {words}"] if len(names) > least else []
+
+    clipped, invalid = (sum(getattr(c, name) for c in found) for name in ("saturated", "invalid"))
+    dark = [c.crushed for c in found if c.crushed > CRUSHED]
+    kinds = " and ".join(map(str, sorted(low)))
+    return [
+        *those([c.bits > 0 for c in found],
+              f"are not HDR: of {kinds} bits, decoded as {frames[0].transfer}, {clipped} clipped "
+              "pixels count as at least so bright. Clipped highlights hide gloss: use HDR."),
+        *those([c.crushed > CRUSHED for c in found],
+              f"have crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
+              "have a channel of 0): all that is darker looks the same; expose longer or use HDR."),
+        *those([c.turned for c in found],
+              "are stored rotated; their EXIF orientation is ignored, because poses must be of the "
+              "pixels as stored. If svu check shows them rotated, save their pixels upright and "
+              "import again."),
+        *those([f.lens is not None for f in frames],
+              "are straightened, since their lenses are distorted; the focal length is kept, and "
+              "borders are cut where nothing was seen."),
+        *those([c.foreign for c in found],
+              "have chromaticities other than those of Rec. 709; their values are used as they "
+              "are: convert them if colours matter."),
+        *those([c.invalid > 0 for c in found],
+              f"have {invalid} pixels that are NaN, infinite or negative; left out."),
+        *those([c.empty for c in found], "have an empty mask: nothing of them is used."),
+        *those([c.inverted for c in found],
+              "have a mask with their border in it; if the object is black there, invert the "
+              "masks: white is the object.", least=count / 2),
+        *those([not c.masked for c in found],
+              "have no mask: anything in front of the object is taken for it."),
+    ]  # fmt: skip

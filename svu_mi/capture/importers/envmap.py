@@ -1,0 +1,80 @@
+"""Environment maps of any convention as Mitsuba's ``envmap``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from svu_mi.capture.image_io import open_picture, positive
+from svu_mi.capture.importers.source import Light
+from svu_mi.capture.scene_xml import POLES, ROWS
+from svu_mi.capture.sensors import affine
+from svu_mi.core.io.exr import write_exr
+from svu_mi.errors import CaptureError
+
+SUFFIXES = (".exr", ".hdr", ".pfm")
+FINE = 512  # rows; of a map with more, Mitsuba's rows lie between those of the file
+ASPECT, OFF = 2, 0.05  # width over height of a lat-long map, and what it may be off by
+MIRROR = np.diag([-1.0, 1.0, 1.0])  # of the envmap's frame: u becomes 1 - u
+
+
+def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:
+    """Write a map as EXR; return the emitter's ``to_world`` (4, 4), a rotation, and notes."""
+    pixels, matrix, notes = read_environment_map(light)
+    write_exr(path, {"RGB": pixels}, {ROWS: POLES})
+    return matrix, notes
+
+
+def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Read a map, mirrored if its matrix is, so that what is left is a rotation.
+
+    Rows of a file are those of pixels, whose centres are half a row away from the poles. Mitsuba
+    takes the first and the last row for the poles, so others are put between. Maps that were made
+    for Mitsuba have their rows there already: they say so, as those of ``write_environment``, or
+    have one row more than half their columns.
+
+    Returns:
+        (N, W, 3) float32 radiance, the (4, 4) ``to_world`` of Mitsuba's envmap with these pixels,
+        and sentences about the map. Of a file with H rows N is 2 H + 1, every second row as it is,
+        or H + 1 if there are more than ``FINE``; it is H if they are Mitsuba's.
+    """
+    if light.path.suffix.lower() not in SUFFIXES:
+        raise CaptureError(
+            f"{light.path}: the light must be an HDR map ({', '.join(SUFFIXES)}); 8-bit images "
+            "clip lamps."
+        )
+    picture = open_picture(light.path)
+    pixels = np.stack(picture.planes()[:3], axis=-1)
+    height, width = pixels.shape[:2]
+    says_poles = picture.header.attributes.get(ROWS) == POLES and height > 1
+    if not says_poles and abs(width / height / ASPECT - 1) > OFF:
+        raise CaptureError(
+            f"{light.path}: has {width} x {height} pixels, but a lat-long map is twice as wide as "
+            "high; convert it."
+        )
+    if not np.isfinite(pixels).all():
+        raise CaptureError(f"{light.path}: some pixels are NaN or infinite; repair the map.")
+    notes = [f"{light.path}: {remark}" for remark in picture.remarks()]
+    pixels, note = positive(pixels, str(light.path))
+    notes += note
+    if not pixels.any():
+        raise CaptureError(f"{light.path}: the map is entirely black.")
+    rotation = light.to_world
+    if np.linalg.det(rotation) < 0:
+        pixels, rotation = pixels[:, ::-1], rotation @ MIRROR
+    if not says_poles and width != ASPECT * (height - 1):
+        pixels = _from_pole_to_pole(pixels)
+    return pixels * np.float32(light.scale), affine(rotation), notes
+
+
+def _from_pole_to_pole(pixels: np.ndarray) -> np.ndarray:
+    """Return rows at the poles and evenly between of (H, W, 3) pixels, by linear interpolation."""
+    between = np.empty((len(pixels) + 1, *pixels.shape[1:]), np.float32)
+    between[1:-1] = (pixels[1:] + pixels[:-1]) / 2
+    between[0], between[-1] = pixels[0].mean(axis=0), pixels[-1].mean(axis=0)
+    if len(pixels) > FINE:
+        return between
+    rows = np.empty((2 * len(pixels) + 1, *pixels.shape[1:]), np.float32)
+    rows[::2], rows[1::2] = between, pixels
+    return rows

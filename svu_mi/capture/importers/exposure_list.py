@@ -1,0 +1,102 @@
+"""Exposure gains of photographs from a list, or from EXIF."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+from svu_mi.capture.importers.source import Frame
+from svu_mi.capture.importers.source_files import lines_of
+from svu_mi.errors import CaptureError
+
+EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
+
+
+def exposed(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame]:
+    """Return frames with the gains of a list, of ``exif``, or (None) those that they have."""
+    if gains is None:
+        return frames
+    return with_exif_exposures(frames) if gains == "exif" else with_exposures(frames, Path(gains))
+
+
+def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
+    """Return frames with the gains of a text file, which has one line per photograph.
+
+    A line is ``NAME GAIN``, such as ``IMG_0012.jpg 0.25`` or ``left/IMG_0012.jpg 0.25``; empty
+    lines and comments (``#``) are ignored.
+    """
+    gains = {}
+    for number, text in lines_of(path, "a list of exposures", "write lines NAME GAIN"):
+        words = text.rsplit(maxsplit=1)
+        gains[words[0].strip()] = _gain(words, f"{path}: line {number}")
+    counts = Counter(frame.image.name for frame in frames)
+    exposed = []
+    for frame in frames:
+        key = next((name for name in _names(frame.image) if name in gains), None)
+        if key is None:
+            raise CaptureError(
+                f"{path}: has no exposure for {frame.image.name}; add a line NAME GAIN."
+            )
+        if key == frame.image.name and counts[key] > 1:
+            raise CaptureError(
+                f"{path}: {counts[key]} photographs are called {key}; name them with their "
+                f"folder, as {frame.image.parent.name}/{key}."
+            )
+        exposed.append(replace(frame, exposure=gains[key]))
+    return exposed
+
+
+def with_exif_exposures(frames: Sequence[Frame]) -> list[Frame]:
+    """Return frames with gains of time * ISO / aperture^2, relative to the median photograph.
+
+    A missing aperture (a lens without contacts) is taken to be the same in all.
+    """
+    gains = [_exif_gain(frame.image) for frame in frames]
+    middle = median(gains)
+    return [replace(frame, exposure=g / middle) for frame, g in zip(frames, gains, strict=True)]
+
+
+def _names(path: Path) -> Iterator[str]:
+    """Return possible names of a photograph: its path, or any end of it, longest first."""
+    parts = path.parts
+    return ("/".join(parts[first:]) for first in range(len(parts)))
+
+
+def _gain(words: Sequence[str], label: str) -> float:
+    try:
+        gain = float(words[1])
+    except (IndexError, ValueError) as error:
+        raise CaptureError(f"{label}: expected NAME GAIN, got {' '.join(words)!r:.60}.") from error
+    return _positive(gain, label)
+
+
+def _positive(gain: float, label: str) -> float:
+    if not 0 < gain < math.inf:
+        raise CaptureError(
+            f"{label}: the exposure must be positive, got {gain:g}; give the factor that radiance "
+            "was multiplied by."
+        )
+    return gain
+
+
+def _exif_gain(path: Path) -> float:
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # damage that matters ends in an error
+            with Image.open(path) as image:
+                tags = image.getexif().get_ifd(EXIF)
+        time, aperture = float(tags[TIME]), float(tags.get(APERTURE, 1) or 1)
+        speed = tags.get(ISO, 100)
+        gain = time * float(speed[0] if isinstance(speed, tuple) else speed) / 100 / aperture**2
+    except Exception as error:  # whatever Pillow's parsers meet
+        raise CaptureError(
+            f"{path}: no exposure time in its EXIF data; give exposures as a list with --exposures."
+        ) from error
+    return _positive(gain, f"{path}: its EXIF data")

@@ -1,0 +1,189 @@
+"""IDR and NeuS: ``cameras_sphere.npz`` or ``cameras.npz``, with ``image`` and ``mask`` beside it.
+
+Yariv et al., Multiview Neural Surface Reconstruction (NeurIPS 2020); the arrays are those of its
+DATA_CONVENTION.md, https://github.com/lioryariv/idr, which NeuS has taken over:
+
+    world_mat_0, world_mat_1, ...    (4, 4), rows K [R | t] and 0 0 0 1: world to pixel, in OpenCV's
+                                     axes, times the depth
+    scale_mat_0, scale_mat_1, ...    (4, 4), unit sphere around the object to world, all the same
+
+Photographs and masks belong to them in the order of their names. Both programs send the ray of
+pixel (0, 0) through the point (0, 0), so that is the centre of the first pixel, as in OpenCV.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.importers.source import LARGEST, OPENCV, RIGID, Frame, Source
+from svu_mi.capture.importers.source_files import folder_of, photographs_of_poses, pictures
+from svu_mi.capture.sensors import affine
+from svu_mi.core.io.npz import read_foreign_arrays
+from svu_mi.errors import CaptureError, OptionError
+
+if TYPE_CHECKING:
+    from svu_mi.capture.importers.registry import ReadOptions
+
+FILES, SUFFIX = ("cameras_sphere.npz", "cameras.npz"), ".npz"
+IMAGES, MASKS = ("image", "images"), ("mask", "masks")
+WORLD, SCALE = "world_mat", "scale_mat"
+NUMBERED = re.compile(rf"(?:{WORLD}|{SCALE})_(?:0|[1-9][0-9]{{0,5}})", re.ASCII)
+LARGEST_FILE = 2**26  # bytes: a hundred thousand cameras, with inverses beside them
+SKEW = 1e-3  # of the focal length that may be left out
+SINGULAR = 1e-12  # smallest singular value of a camera, in parts of its largest
+SAME = 1e-4  # part by which matrices of the unit sphere may differ
+FIRST_PIXEL = 0.5  # its centre, of which (0, 0) is the corner here
+
+
+def recognises(path: Path, _: str) -> bool:
+    """Whether a path is an ``.npz`` file, or a folder with cameras_sphere.npz or cameras.npz."""
+    file = path.suffix.lower() == SUFFIX and path.is_file()
+    return file or any((path / name).is_file() for name in FILES)
+
+
+def read(path: Path, options: ReadOptions) -> Source:
+    """Read cameras, in the order of the photographs' names.
+
+    Masks belong to photographs by their order, too; both are next to the file by default.
+    """
+    found = (path / name for name in FILES if (path / name).is_file())
+    file = next(found, path / FILES[0]) if path.is_dir() else path
+    worlds, sphere = _matrices(file)
+    if sphere is None and options.normalized:
+        raise OptionError(f"{file}: has no {SCALE}_0; leave --normalized out.")
+    root = file.parent
+    files = photographs_of_poses(root, options.images, IMAGES, file, len(worlds))
+    shapes = _masks(folder_of("masks", options.masks, (root / name for name in MASKS)), files)
+    turn = sphere if sphere is not None and options.normalized else np.eye(4)
+    return Source(
+        format="idr",
+        root=root,
+        frames=[
+            _frame(world @ turn, image, mask, f"{file}: {WORLD}_{index}")
+            for index, (world, image, mask) in enumerate(zip(worlds, files, shapes, strict=True))
+        ],
+        camera_axes=OPENCV,
+        notes=_notes(file, sphere, options.normalized),
+    )
+
+
+def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
+    """Return all ``world_mat``, and the ``scale_mat`` of all, None if there is none."""
+    try:
+        arrays = read_foreign_arrays(file, NUMBERED, LARGEST_FILE)
+    except ValueError as error:
+        raise CaptureError(f"{file}: {error}; write the cameras again.") from error
+    count = max(sum(name.startswith(WORLD) for name in arrays), 1)
+    worlds = [_matrix(arrays, f"{WORLD}_{k}", file) for k in range(count)]
+    if not any(name.startswith(SCALE) for name in arrays):
+        return worlds, None
+    spheres = [_matrix(arrays, f"{SCALE}_{k}", file) for k in range(count)]
+    sphere = spheres[0]
+    size = np.cbrt(max(np.linalg.det(sphere[:3, :3]), 0.0))
+    if not 0 < size < LARGEST or not np.allclose(
+        sphere[:3, :3].T @ sphere[:3, :3] / size**2, np.eye(3), atol=RIGID
+    ):
+        raise CaptureError(
+            f"{file}: {SCALE}_0 must be one positive scale, a centre and no more; normalize the "
+            "cameras again."
+        )
+    for index, other in enumerate(spheres):
+        if np.abs(other - sphere).max() > SAME * np.abs(sphere).max():
+            raise CaptureError(
+                f"{file}: {SCALE}_{index} differs from {SCALE}_0, but one unit sphere must hold "
+                "for all photographs; normalize the cameras again."
+            )
+    return worlds, sphere
+
+
+def _matrix(arrays: Mapping[str, np.ndarray], name: str, file: Path) -> np.ndarray:
+    matrix = arrays.get(name)
+    if matrix is None:
+        raise CaptureError(
+            f"{file}: has no {name}; cameras of IDR are {WORLD}_0, {WORLD}_1, ... without a gap, "
+            f"each with a {SCALE} of its number: write them again."
+        )
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
+        raise CaptureError(f"{file}: {name} is not a finite 4 x 4 matrix; write the cameras again.")
+    if not np.allclose(matrix[3], [0, 0, 0, 1]):
+        raise CaptureError(
+            f"{file}: the last row of {name} must be 0 0 0 1; write the cameras again, row by row."
+        )
+    return matrix
+
+
+def _frame(matrix: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame:
+    K, to_world = decomposed(matrix[:3], label)
+    return Frame(
+        label=label,
+        image=image,
+        mask=mask,
+        to_world=to_world @ OPENCV,
+        focal=(float(K[0, 0]), float(K[1, 1])),
+        center=(float(K[0, 2]) + FIRST_PIXEL, float(K[1, 2]) + FIRST_PIXEL),
+        size=open_picture(image).size,
+    )
+
+
+def decomposed(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
+    """Decompose a projection (3, 4), world to pixel times the depth, up to a positive factor.
+
+    Returns:
+        K (3, 3), upper triangular with positive focal lengths and K[2, 2] = 1, and the pose
+        (4, 4), camera to world in OpenCV's axes, with a rotation.
+    """
+    left = matrix[:, :3] / max(np.abs(matrix[:, :3]).max(), 1 / LARGEST)
+    values = np.linalg.svd(left, compute_uv=False)
+    if values[-1] <= SINGULAR * values[0]:
+        raise CaptureError(
+            f"{label}: is degenerate, so it is no K [R | t] of a camera; calibrate it again."
+        )
+    if np.linalg.det(left) < 0:
+        raise CaptureError(
+            f"{label}: is mirrored (determinant < 0), so it is no K [R | t] with a rotation R and "
+            "positive focal lengths; write it again from a right-handed camera, or negate it."
+        )
+    K, rotation = scipy.linalg.rq(left)
+    signs = np.sign(np.diag(K))  # of RQ they are anyhow: K S and S R are the same product
+    K, rotation = K * signs, signs[:, None] * rotation
+    K = K / K[2, 2]
+    if not abs(K[0, 1]) <= SKEW * K[0, 0]:
+        raise CaptureError(
+            f"{label}: the camera has a skew of {K[0, 1]:.3g} for a focal length of {K[0, 0]:.5g} "
+            "pixels; calibrate it without skew, or resample the photographs."
+        )
+    eye = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
+    return K, affine(rotation.T, eye)
+
+
+def _masks(folder: Path | None, files: Sequence[Path]) -> Sequence[Path | None]:
+    """Return the masks of photographs by their order: in DTU their numbers differ."""
+    if folder is None:
+        return [None] * len(files)
+    found = pictures(folder)
+    if len(found) != len(files):
+        raise CaptureError(
+            f"{folder}: has {len(found)} masks for {len(files)} photographs; add the others, or "
+            "give another folder with --masks."
+        )
+    return found
+
+
+def _notes(file: Path, sphere: np.ndarray | None, normalized: bool) -> list[str]:
+    if sphere is None:
+        return []
+    size, center = np.cbrt(np.linalg.det(sphere[:3, :3])), sphere[:3, 3]
+    where = f"scale {size:.6g} and centre {', '.join(f'{c:.6g}' for c in center)}"
+    note = f"the unit sphere of {SCALE} ({where})"
+    if normalized:
+        note = f"{note}; a mesh in the world of {WORLD} needs an import without --normalized."
+    else:
+        note = f"the world of {WORLD}; a mesh in {note}, as meshes of NeuS are, needs --normalized."
+    return [f"{file}: poses are in {note}"]

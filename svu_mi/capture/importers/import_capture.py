@@ -1,0 +1,301 @@
+"""From what any tool has written to one capture folder."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import Context, copy_context
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from svu_mi.capture import capture_folder, scene_xml
+from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.capture_folder import Description
+from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.importers.axis_fixes import (
+    FIXES,
+    Fix,
+    corrected_mesh,
+    corrected_poses,
+    fixes_named,
+    turn_of,
+)
+from svu_mi.capture.importers.convert_photographs import Converted, about, convert, with_response
+from svu_mi.capture.importers.envmap import write_environment
+from svu_mi.capture.importers.exposure_list import exposed
+from svu_mi.capture.importers.import_options import ImportOptions, Light
+from svu_mi.capture.importers.mesh_files import Geometry, read_geometry
+from svu_mi.capture.importers.mesh_materials import write_pictures
+from svu_mi.capture.importers.resampling import fitted, squared
+from svu_mi.capture.importers.source import Frame, Source
+from svu_mi.capture.importers.source_files import name_in
+from svu_mi.capture.load_warnings import MOST, has_front_outside, part_from_behind
+from svu_mi.capture.mesh import MeshArrays
+from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.scene import require_variant
+from svu_mi.capture.unwrap import unwrap
+from svu_mi.core.io.output_folder import writing
+from svu_mi.core.limits import require_views
+from svu_mi.core.memory import Sizes
+from svu_mi.errors import CaptureError, OptionError
+
+SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
+MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
+PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 60 bytes each
+NO_LIGHT = (
+    "The capture has no light, which is found in its photographs: look at what svu light finds, "
+    "or go on. If there is a map of the light that they were taken under, import the capture "
+    "again with --environment."
+)
+
+
+def import_capture(
+    source: Source,
+    folder: str | os.PathLike[str],
+    options: ImportOptions | None = None,
+    *,
+    words: Sequence[str] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> list[str]:
+    """Write a capture folder: ``scene.xml`` with all it refers to, photographs, ``capture.json``.
+
+    The folder appears complete in one step at the end.
+
+    Args:
+        source: of a reader.
+        folder: made if missing. An earlier import is replaced; a folder that holds anything else,
+            or a file that was changed since, is refused.
+        options: see there.
+        words: of the command, without ``svu import`` and the folder; kept in ``capture.json``.
+        progress: called with (photographs done, total).
+
+    Returns:
+        Sentences about what was found, decided and changed.
+
+    Raises:
+        CaptureError: a photograph, a mask or the environment is missing or damaged.
+        MeshError: the mesh is.
+        OptionError: an option is out of range, or the mesh is missing.
+        OutputError: the folder cannot be written, or holds something else.
+    """
+    return plan_import(source, options or ImportOptions()).write(folder, words, progress)
+
+
+@dataclass(frozen=True)
+class ImportPlan:
+    """An import of which no pixel was read yet, with frames of the size of their photographs."""
+
+    source: Source
+    options: ImportOptions
+    fixes: Sequence[Fix]
+    frames: Sequence[Frame]
+    mesh: str
+    light: Light | None
+    notes: Sequence[str]
+
+    @property
+    def sizes(self) -> Sizes:
+        """Sizes of the photographs that are in memory at a time, and of the light."""
+        largest = sorted((frame.size for frame in self.frames), key=lambda size: size[0] * size[1])
+        light = (0, 0) if self.light is None else open_picture(self.light.path).size
+        return Sizes(largest[-_at_a_time(self.frames) :], light)
+
+    def write(
+        self, folder: str | os.PathLike[str], words: Sequence[str] = (),
+        progress: Callable[[int, int], None] | None = None,
+    ) -> list[str]:  # fmt: skip
+        """Write the capture folder (see ``import_capture``)."""
+        source, options, frames, light = self.source, self.options, self.frames, self.light
+        with writing(folder, "import", capture_folder.FILE) as draft:
+            geometry = _geometry(self.mesh, frames, options, self.fixes)
+            squares, found = _write_photographs(frames, draft.folder, options.shrink, progress)
+            notes = [*source.notes, *self.notes, *geometry.notes, *about(frames, found)]
+            if light is not None:
+                light = replace(light, to_world=light.to_world @ turn_of(self.fixes, "light"))
+            sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame in squares]
+            notes += _write_scene(draft.folder, geometry, light, sensors)
+            imported = {
+                "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
+                "photographs": [name_in(source.root, frame.image) for frame in squares],
+                "notes": notes, **({"options": list(words)} if words else {}),
+            }  # fmt: skip
+            description = Description(
+                scene=draft.folder / SCENE, shape=OBJECT, imported=imported,
+                exposures=[frame.exposure for frame in squares],
+            )  # fmt: skip
+            capture_folder.write(draft, description, sensors)
+        return notes
+
+
+def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
+    """Find all files of an import, and read their headers (see ``import_capture``)."""
+    require_variant()
+    up = {("y", "z"): ["mesh-x90"], ("z", "y"): ["mesh-x270"]}
+    between = up.get((options.mesh_up or "", options.world_up or ""), [])
+    fixes = fixes_named([*between, *options.fixes])
+    there, left_out = _there(source, options)
+    frames = _frames(there, source, options, fixes)
+    return ImportPlan(source, options, fixes, frames, *_mesh_and_light(source, options), left_out)
+
+
+def _mesh_and_light(source: Source, options: ImportOptions) -> tuple[str, Light | None]:
+    """Return the file of the mesh, and the light; options precede the source."""
+    mesh, light = options.mesh or source.mesh, options.environment or source.light
+    if light is not None and not light.path.is_file():
+        raise CaptureError(
+            f"{light.path}: no such file, which should be the light; give an HDR or EXR map with "
+            "--environment."
+        )
+    if mesh is None:
+        raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
+    return str(mesh), light
+
+
+def _at_a_time(frames: Sequence[Frame]) -> int:
+    """Return the number of photographs that are converted at a time."""
+    largest = max(frame.size[0] * frame.size[1] for frame in frames)
+    return max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
+
+
+def _there(source: Source, options: ImportOptions) -> tuple[list[Frame], list[str]]:
+    """Return the requested frames that have a photograph, and a note about others."""
+    asked = source.frames[:: options.every]
+    require_views(len(asked), f"{source.root}: photographs", CaptureError)
+    there = [frame for frame in asked if frame.image.is_file()]
+    absent = [frame for frame in asked if not frame.image.is_file()]
+    if not absent:
+        return there, []
+    lack = (
+        f"{source.root}: {len(absent)} of {len(asked)} photographs are missing, first "
+        f"{name_in(source.root, absent[0].image)}"
+    )
+    if not there:
+        raise CaptureError(f"{lack}; put them where the poses name them.")
+    if options.missing == "refuse":
+        raise CaptureError(f"{lack}; add them, or --missing leave-out to go on without them.")
+    return there, [f"{lack}; left out."]
+
+
+def _frames(
+    there: Sequence[Frame], source: Source, options: ImportOptions, fixes: Sequence[Fix]
+) -> list[Frame]:
+    """Return frames of the size of their photographs, with corrected cameras."""
+    if not there:
+        raise CaptureError(f"{source.root}: has no photographs.")
+    frames = []
+    for frame in with_response(exposed(there, options.exposures), options.response):
+        poses = frame.to_world[None]
+        for fix in fixes:
+            if fix.kind == "camera":
+                poses = corrected_poses(poses, fix, source.camera_axes)
+        picture = open_picture(frame.image)
+        if picture.header.cropped:
+            raise CaptureError(
+                f"{frame.image}: its data window differs from its display window, so its pixels "
+                "are not the camera's; save it again without crop or overscan."
+            )
+        frames.append(fitted(replace(frame, to_world=poses[0]), picture.size))
+    return frames
+
+
+def _geometry(
+    label: str, frames: Sequence[Frame], options: ImportOptions, fixes: Sequence[Fix]
+) -> Geometry:
+    """Read the mesh, correct and scale it, and lay out missing UVs."""
+    geometry = read_geometry(label, geometry_only=options.geometry_only)
+    mesh = geometry.mesh
+    for fix in fixes:
+        if fix.kind in ("mesh", "texture", "winding"):
+            mesh = corrected_mesh(mesh, fix)
+    mesh = replace(mesh, positions=mesh.positions * options.mesh_scale)
+    mesh, notes = _facing(mesh, frames, fixes, label)
+    if mesh.uvs is None:
+        mesh = capture_mesh.arrays(unwrap(capture_mesh.make(OBJECT, mesh), label))
+        notes.append(f"{label}: has no UVs; they are laid out by xatlas and kept in {MESH}.")
+    return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes])
+
+
+def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
+    """Return near and far planes that suit the object, whatever its units."""
+    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+    distance = np.linalg.norm(frame.to_world[:3, 3] - (low + high) / 2)
+    reach = float(max(distance, np.linalg.norm(high - low) / 2))
+    return reach * 1e-2, reach * 1e2
+
+
+def _facing(
+    mesh: MeshArrays, frames: Sequence[Frame], fixes: Sequence[Fix], label: str
+) -> tuple[MeshArrays, list[str]]:
+    """Turn an open surface that is seen from behind, unless a correction exists; with a note."""
+    scene = scene_of([capture_mesh.make(OBJECT, mesh)])
+    behind = part_from_behind(scene, mesh, [frame.to_world[:3, 3] for frame in frames])
+    if behind < MOST:
+        return mesh, []
+    what = "its triangles are flipped."
+    if any(fix.kind == "winding" for fix in fixes):
+        what = "--fix mesh-inside-out has turned it so: leave it out if that was not meant."
+    elif has_front_outside(mesh):
+        what = (
+            "it is closed, so the cameras are inside it: see that its units are those of the poses "
+            "(--mesh-scale)."
+        )
+    else:
+        mesh = corrected_mesh(mesh, FIXES["mesh-inside-out"])
+    return mesh, [
+        f"{label}: {behind:.0%} of what the photographs show of it is its back, where nothing can "
+        f"be found; {what}"
+    ]
+
+
+def _write_photographs(
+    frames: Sequence[Frame], folder: Path, shrink: float,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Sequence[Frame], list[Converted]]:  # fmt: skip
+    """Write ``view_0000.exr``, ...; return the frames with square pixels, and remarks on them."""
+    squares, scales = zip(*(squared(frame, shrink) for frame in frames), strict=True)
+    views = [folder / f"view_{index:04d}.exr" for index in range(len(frames))]
+    contexts = [copy_context() for _ in frames]  # threads know nothing of the run's marks
+    found: list[Converted] = []
+    with ThreadPoolExecutor(_at_a_time(frames)) as threads:
+        work = contexts, [convert] * len(frames), frames, views, scales
+        for converted in threads.map(Context.run, *work):
+            found.append(converted)
+            if progress is not None:
+                progress(len(found), len(frames))
+    if all(converted.empty for converted in found):
+        raise CaptureError(
+            f"{frames[0].mask or frames[0].image}: this mask and all others are empty; "
+            "in a mask, white is the object."
+        )
+    return squares, found
+
+
+def _write_scene(
+    folder: Path, geometry: Geometry, light: Light | None, sensors: Sequence[Any]
+) -> list[str]:
+    """Write the scene and what it refers to; return sentences about the light."""
+    capture_mesh.write_ply(folder / MESH, OBJECT, geometry.mesh)
+    write_pictures(geometry.textures, folder)
+    root = scene_xml.scene()
+    root.append(scene_xml.plugin("integrator", "path", max_depth=MAX_DEPTH))
+    notes = [NO_LIGHT]
+    if light is not None:
+        pose, notes = write_environment(light, folder / ENVIRONMENT)
+        root.append(scene_xml.plugin(
+            "emitter", "envmap", id="environment", filename=ENVIRONMENT, to_world=pose
+        ))  # fmt: skip
+    shape = scene_xml.plugin("shape", "ply", id=OBJECT, filename=MESH)
+    material = scene_xml.plugin("bsdf", "principled", id=f"{OBJECT}_material")
+    for name in geometry.textures:
+        raw = name != "base_color"  # that one is sRGB
+        material.append(scene_xml.bitmap(name, f"{name}.png", raw=raw, id=name))
+    shape.append(material)
+    root.append(shape)
+    root.extend(scene_xml.sensor(sensor, f"view_{k:04d}") for k, sensor in enumerate(sensors))
+    scene_xml.write_document(root, folder / SCENE)
+    return notes

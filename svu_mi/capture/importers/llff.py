@@ -1,0 +1,109 @@
+"""LLFF: ``poses_bounds.npy`` with the photographs in ``images`` beside it.
+
+Mildenhall et al., Local Light Field Fusion (SIGGRAPH 2019); the layout is that of its README,
+https://github.com/Fyusion/LLFF. Each row has 17 numbers: a matrix of 3 x 5, row by row, and the
+distance of the nearest and the farthest point. The matrix is [R | t | (height, width, focal)],
+camera to world; the columns of R are the camera's axes down, right and backwards. There is one
+focal length, in pixels of a photograph of that height and width, the principal point is in its
+centre, and nothing is said of the lens.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from svu_mi.capture.importers.source import DOWN_RIGHT_BACK, LARGEST, Frame, Source
+from svu_mi.capture.importers.source_files import folder_of, mask_of, photographs_of_poses
+from svu_mi.capture.sensors import affine
+from svu_mi.core.io.npz import read_foreign_array
+from svu_mi.errors import CaptureError
+
+if TYPE_CHECKING:
+    from svu_mi.capture.importers.registry import ReadOptions
+
+FILE, SUFFIX = "poses_bounds.npy", ".npy"
+IMAGES, MASKS = ("images",), ("masks", "mask")
+COLUMNS = 17  # of the table: 3 x 5 and two distances
+LARGEST_FILE = 2**24  # bytes: a hundred thousand poses
+
+
+def recognises(path: Path, _: str) -> bool:
+    """Whether a path is an ``.npy`` file, or a folder with poses_bounds.npy."""
+    file = path.suffix.lower() == SUFFIX and path.is_file()
+    return file or (path / FILE).is_file()
+
+
+def read(path: Path, options: ReadOptions) -> Source:
+    """Read poses, in the order of the photographs' names.
+
+    Photographs may have another size than in the file, with the same aspect ratio. Masks have their
+    names, with any suffix; both are in folders next to the file by default.
+    """
+    file = path / FILE if path.is_dir() else path
+    rows = _rows(file)
+    root = file.parent
+    files = photographs_of_poses(root, options.images, IMAGES, file, len(rows))
+    folder = folder_of("masks", options.masks, (root / name for name in MASKS))
+    found = [None if folder is None else mask_of(folder, Path(file.name)) for file in files]
+    if folder is not None and not any(found):
+        raise CaptureError(
+            f"{folder}: has no mask of {files[0].name} or any other photograph; call masks as "
+            "their photographs, or give their folder with --masks."
+        )
+    return Source(
+        format="llff",
+        root=root,
+        frames=[
+            _frame(row, image, mask, f"{file}: pose {index}")
+            for index, (row, image, mask) in enumerate(zip(rows, files, found, strict=True))
+        ],
+        camera_axes=DOWN_RIGHT_BACK,
+        notes=[
+            f"{file}: the world has its own unit and up axis, which the mesh must be in; it tells "
+            "neither lens nor principal point: lines are taken to be straight, and the centre is "
+            "that of the photograph."
+        ],
+    )
+
+
+def _rows(file: Path) -> np.ndarray:
+    """Return the table (N, 17)."""
+    try:
+        rows = read_foreign_array(file, LARGEST_FILE)
+    except ValueError as error:
+        raise CaptureError(
+            f"{file}: {error}; export the poses again, as a table of {COLUMNS} numbers for each "
+            "photograph."
+        ) from error
+    if rows.ndim != 2 or rows.shape[1] != COLUMNS or not len(rows):
+        sides = " x ".join(map(str, rows.shape))
+        found = f"a table of {sides} numbers" if rows.ndim else "a number"
+        raise CaptureError(
+            f"{file}: holds {found}; poses of LLFF have {COLUMNS} numbers for each photograph: "
+            "export them again."
+        )
+    return rows
+
+
+def _frame(row: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame:
+    matrix = row[:15].reshape(3, 5)
+    if not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
+        raise CaptureError(f"{label}: a number is NaN, infinite or too large; export it again.")
+    height, width, focal = map(float, matrix[:, 4])
+    if (height, width) != (round(height), round(width)):
+        raise CaptureError(
+            f"{label}: a photograph of {width:g} x {height:g} pixels; the last column must be "
+            "height, width and focal length, the first two whole numbers: export it again."
+        )
+    return Frame(
+        label=label,
+        image=image,
+        mask=mask,
+        to_world=affine(matrix[:, :3], matrix[:, 3]) @ DOWN_RIGHT_BACK,
+        focal=(focal, focal),
+        center=(width / 2, height / 2),
+        size=(int(width), int(height)),
+    )

@@ -1,0 +1,272 @@
+"""Meshes with their textures from GLB, OBJ, PLY and STL files, in Mitsuba's conventions."""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+import trimesh
+from PIL import Image, UnidentifiedImageError
+
+from svu_mi.capture.importers.mesh_materials import (
+    FREE,
+    GLTF,
+    Textures,
+    check_gltf,
+    ignored_gltf,
+    ignored_of,
+    is_textured,
+    load_pictures,
+    textures_of,
+)
+from svu_mi.capture.importers.repair_normals import repaired
+from svu_mi.capture.importers.source_files import inside
+from svu_mi.capture.mesh import MeshArrays, flipped_v
+from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
+
+SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".tif", ".tiff")
+# As Mitsuba's plugin takes it, unless a comment names a texture, as MeshLab and scanners write it;
+# trimesh hands on V upwards for the others.
+V_DOWN = (".ply",)
+MAX_BYTES = 2**31
+MAX_NUMBER = 1e9  # units or UV tiles
+LEFT_OUT = (
+    "left out: the object is taken to have a base colour, roughness and metallic only, and the "
+    "normals of its mesh."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometry:
+    """A mesh and its material.
+
+    Attributes:
+        mesh: its buffers; V of the UVs is 0 in the first row of the textures.
+        textures: pictures by parameter of ``principled``; empty without any.
+        notes: sentences about decisions while reading.
+    """
+
+    mesh: MeshArrays
+    textures: Textures = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
+    """Read a mesh.
+
+    Args:
+        path: GLB, glTF, OBJ, PLY or STL. Parts are placed by the file's own transformations and
+            merged; V runs as in the format, in PLY as in Mitsuba, or upwards with a texture.
+        geometry_only: ignore UVs, textures and the number of materials.
+    """
+    path = Path(path)
+    files = _Inside(path.parent)
+    parts = _parts(path, files, geometry_only)
+    painted = {part.paint: part for part in parts if part.paint is not None}
+    several = len(painted) > 1
+    if several and not geometry_only and any(is_textured(part.visual) for part in parts):
+        raise MeshError(
+            f"{path}: has {len(painted)} materials; bake them into one, or import only the "
+            "geometry with --geometry-only."
+        )
+    mesh = _buffers(parts, path)
+    if geometry_only:
+        mesh = replace(mesh, uvs=None)
+    textures: Textures = {}
+    if mesh.uvs is not None:
+        textures = {} if several else textures_of(parts[0].visual, path)
+        uvs = mesh.uvs
+        if textures or path.suffix.lower() not in V_DOWN:
+            uvs = flipped_v(uvs)
+        tile = np.floor((uvs.min(axis=0) + uvs.max(axis=0)) / 2)
+        mesh = replace(mesh, uvs=uvs - tile)
+    mesh, notes = repaired(mesh, str(path))
+    if files.missing:
+        notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which does not exist.")
+    if not geometry_only:
+        notes += _about_ignored(path, parts)
+    if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
+        notes.append(f"{path}: its textures are left out, and its UVs are laid out again.")
+    return Geometry(mesh=mesh, textures=textures, notes=notes)
+
+
+def _about_ignored(path: Path, parts: Sequence[_Part]) -> list[str]:
+    names = [name for part in parts for name in ignored_of(part.visual)]
+    if path.suffix.lower() in GLTF:
+        with _damage_of(path):
+            names = ignored_gltf(path)
+    listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
+    return [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
+
+
+def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
+    """Concatenate parts; UVs and normals only if each has them."""
+    meshes = [part.mesh for part in parts]
+    first = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
+    mesh = MeshArrays(
+        positions=np.concatenate([mesh.positions for mesh in meshes]),
+        faces=np.concatenate([m.faces + k for m, k in zip(meshes, first, strict=False)]),
+        normals=_joined([mesh.normals for mesh in meshes]),
+        uvs=_joined([mesh.uvs for mesh in meshes]),
+    )
+    for name, values, width in (("positions", mesh.positions, 3), ("UVs", mesh.uvs, 2)):
+        if values is not None and values.shape != (len(mesh.positions), width):
+            raise MeshError(f"{path}: {name} and vertices differ in number; export it again.")
+        if values is not None and not (np.abs(values) < MAX_NUMBER).all():  # NaN fails, too
+            raise MeshError(f"{path}: some {name} are NaN, infinite or too large; export it again.")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
+        raise MeshError(f"{path}: a triangle refers to a missing vertex; export it again.")
+    return _without_strays(mesh)
+
+
+def _without_strays(mesh: MeshArrays) -> MeshArrays:
+    """Remove vertices without a triangle: scans keep some far away."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    if len(used) == len(mesh.positions):
+        return mesh
+    normals, uvs = (None if a is None else a[used] for a in (mesh.normals, mesh.uvs))
+    return MeshArrays(mesh.positions[used], faces.reshape(mesh.faces.shape), normals, uvs)
+
+
+def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    there = [array for array in arrays if array is not None]
+    return np.concatenate(there) if len(there) == len(arrays) else None
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One mesh of a file in its world, with trimesh's ``visual``.
+
+    ``paint``: a number that parts of the same material share; None without UVs.
+    """
+
+    mesh: MeshArrays
+    visual: Any
+    paint: int | None
+
+    @staticmethod
+    def of(scene: trimesh.Scene, node: str) -> _Part:
+        matrix, name = scene.graph[node]
+        part = scene.geometry[name]
+        faces = np.array(getattr(part, "faces", np.empty((0, 3))), np.int64)
+        own = _own_normals(part) if len(faces) > 0 else None
+        normals = None if own is None else own @ np.linalg.inv(matrix[:3, :3])
+        mirrored = np.linalg.det(matrix[:3, :3]) < 0
+        uvs = getattr(part.visual, "uv", None)
+        load_pictures(part.visual)
+        return _Part(
+            MeshArrays(
+                positions=np.array(part.vertices) @ matrix[:3, :3].T + matrix[:3, 3],
+                faces=faces[:, ::-1] if mirrored else faces,
+                normals=normals,
+                uvs=None if uvs is None else np.array(uvs, np.float64)[:, :2],
+            ),
+            part.visual,
+            hash(part.visual.material) if part.visual.kind == "texture" else None,
+        )
+
+
+def _own_normals(part: Any) -> np.ndarray | None:
+    """Return a file's own normals, one per vertex, None if trimesh has computed them.
+
+    trimesh keeps those of a PLY in the metadata.
+    """
+    bare = trimesh.Trimesh(part.vertices, part.faces, face_normals=part.face_normals, process=False)
+    if not np.array_equal(part.vertex_normals, bare.vertex_normals, equal_nan=True):
+        return np.asarray(part.vertex_normals)
+    raw = part.metadata.get("_ply_raw", {}).get("vertex", {})
+    if not {"nx", "ny", "nz"} <= set(raw.get("properties", ())):
+        return None
+    found = np.stack([np.asarray(raw["data"][name], float).ravel() for name in ("nx", "ny", "nz")])
+    return found.T if found.shape[1] == len(part.vertices) else None
+
+
+def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:
+    """Return the triangle meshes of a file."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise MeshError(f"{path}: not a supported mesh format ({', '.join(SUFFIXES)}).")
+    if not path.is_file():
+        raise MeshError(f"{path}: no such mesh file.")
+    held = path.stat().st_size
+    if held > MAX_BYTES:
+        raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
+    with _damage_of(path):
+        if path.suffix.lower() in GLTF:
+            held = check_gltf(path, geometry_only=geometry_only)
+        scene = trimesh.load_scene(path, resolver=files, process=False)
+        placed = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
+        if sum(len(part.vertices) for part in placed) > max(FREE, held):
+            raise MeshError(f"{path}: has too many instances of parts; bake them into one mesh.")
+        parts = [_Part.of(scene, node) for node in scene.graph.nodes_geometry]
+        parts = [part for part in parts if len(part.mesh.faces) > 0]
+    if files.refused:
+        raise MeshError(f"{path}: {excerpt(files.refused[0])}")
+    if not parts:
+        raise MeshError(f"{path}: holds no triangle mesh.")
+    return parts
+
+
+@contextlib.contextmanager
+def _damage_of(path: Path) -> Iterator[None]:
+    """Turn parser errors into a MeshError of a file, without trimesh's log."""
+    spoken, trimesh.util.log.disabled = trimesh.util.log.disabled, True
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what is not finite or too large is refused later
+            yield
+    except MeshError:
+        raise
+    except Exception as error:  # trimesh raises whatever its parsers meet
+        reason = excerpt(str(error) or type(error).__name__)
+        raise MeshError(f"{path}: not a readable mesh ({reason}); export it again.") from error
+    finally:
+        trimesh.util.log.disabled = spoken
+
+
+class _Inside(trimesh.resolvers.Resolver):
+    """Resolver of trimesh for files in the folder of a mesh.
+
+    trimesh continues without a material that it cannot read, so errors are collected in ``refused``
+    and names of missing files in ``missing``.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.refused: list[str] = []
+        self.missing: list[str] = []
+
+    def get(self, name: str) -> bytes:
+        """Return the bytes of a file, whose name glTF writes with %20 for a space."""
+        try:
+            path = inside(self.root, str(name).strip(), str(self.root))
+            if not path.is_file():
+                path = inside(self.root, unquote(str(name).strip()), str(self.root))
+            if not path.is_file():  # a folder, a pipe or a device neither
+                self.missing.append(path.name)
+                raise FileNotFoundError(f"no file {path.name}")
+            if path.suffix.lower() in PICTURES:
+                with Image.open(path):
+                    pass  # its header is sound; the pixels are decoded later
+            return path.read_bytes()
+        except (CaptureError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+            self.refused.append(str(error))
+            raise OSError(str(error)) from error
+
+    def keys(self) -> list[str]:
+        """Return the names of the files in the folder."""
+        return [file.name for file in self.root.iterdir()]
+
+    def namespaced(self, namespace: str) -> _Inside:
+        """Refuse: no supported format needs a folder."""
+        raise OSError(f"{self.root}: {namespace} is not searched.")
+
+    def write(self, name: str, data: object) -> None:
+        """Refuse: reading a mesh writes nothing."""
+        raise OutputError(f"{self.root}: {name} ({type(data)}) must not be written while reading.")

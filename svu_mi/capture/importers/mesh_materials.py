@@ -1,0 +1,214 @@
+"""Materials of mesh files: textures of ``principled``'s parameters, and checks of glTF headers.
+
+trimesh takes normalised integers of glTF for coordinates, ignores sparse changes and texture
+transforms, and reads compressed data as zeros, all silently. Names are those of
+https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from trimesh.visual.material import empty_material
+
+from svu_mi.capture.image_io import decoded, quantized, srgb
+from svu_mi.capture.importers.source_files import inside
+from svu_mi.core.io.files import replacing
+from svu_mi.errors import MeshError, excerpt
+
+MAX_PIXELS = 2**26  # 8192 x 8192
+CONSTANT = 4  # pixels per side of the texture that stands for a factor without a texture
+
+# Statements of an OBJ's material that no parameter here stands for.
+IGNORED = {
+    "bump": "a bump map", "map_bump": "a bump map", "norm": "a normal map", "disp": "displacement",
+}  # fmt: skip
+
+# By parameter: base_color (H, W, 3) bytes, sRGB; roughness and metallic (H, W) bytes, linear.
+Textures = Mapping[str, np.ndarray]
+
+GLTF = (".glb", ".gltf")
+COMPRESSION = (
+    "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression",
+)  # fmt: skip
+TRANSFORM = "KHR_texture_transform"
+HARMLESS = {"offset": [0, 0], "scale": [1, 1], "rotation": 0}  # of such a transform
+FLOAT = 5126
+FREE = 2**20  # numbers that any file may ask for; more must be in it, not repeated
+ATTRIBUTES = ("POSITION", "NORMAL", "TEXCOORD_0")
+# Parts of a material, and of those of PBR, that no parameter here stands for.
+IGNORED_GLTF = {
+    "normalTexture": "a normal map", "occlusionTexture": "an occlusion map",
+    "emissiveTexture": "emission", "alphaMode": "transparency",
+}  # fmt: skip
+MODEL = "KHR_materials_"  # how extensions of the reflection model begin
+
+
+def textures_of(visual: Any, path: Path) -> Textures:
+    """Return the textures of the ``visual`` of a ``trimesh.Trimesh``.
+
+    Textures are multiplied by the material's factors (base colour in linear light); normal maps,
+    occlusion and emission are ignored. Of an OBJ's material only the diffuse picture is read.
+    """
+    material = getattr(visual, "material", None)
+    try:
+        if hasattr(material, "baseColorTexture"):
+            return _of_gltf(material)
+        picture = getattr(material, "image", None)
+        return {"base_color": _rgb(picture)} if is_textured(visual) else {}
+    except Exception as error:  # Pillow raises whatever its decoders meet
+        raise MeshError(
+            f"{path}: a texture cannot be read ({excerpt(error)}); export it again."
+        ) from error
+
+
+def is_textured(visual: Any) -> bool:
+    """Return whether a mesh has at least one picture."""
+    material = getattr(visual, "material", None)
+    if getattr(material, "image", None) is not None:
+        return hash(material) != hash(empty_material())  # what trimesh gives to UVs alone
+    names = ("baseColorTexture", "metallicRoughnessTexture")
+    return any(getattr(material, name, None) is not None for name in names)
+
+
+def ignored_of(visual: Any) -> list[str]:
+    """Return ignored parts of an OBJ's material, such as ``a bump map``."""
+    said = getattr(getattr(visual, "material", None), "kwargs", None) or {}
+    return [name for key, name in IGNORED.items() if key in said]
+
+
+def load_pictures(visual: Any) -> None:
+    """Decode all pictures of a material; a ValueError if one is too large, or Pillow's errors."""
+    material = getattr(visual, "material", None)
+    for name in ("image", "baseColorTexture", "metallicRoughnessTexture"):
+        picture = getattr(material, name, None)
+        if picture is None:
+            continue
+        if picture.width * picture.height > MAX_PIXELS:
+            raise ValueError(f"a texture of {picture.width} x {picture.height} pixels is too large")
+        picture.load()
+
+
+def write_pictures(textures: Textures, folder: Path) -> None:
+    """Write ``base_color.png``, ``roughness.png`` and ``metallic.png``, those that there are."""
+    from PIL import Image
+
+    for name, pixels in textures.items():
+        with replacing(folder / f"{name}.png") as temporary:
+            Image.fromarray(np.ascontiguousarray(pixels)).save(temporary)
+
+
+def _of_gltf(material: Any) -> Textures:
+    base, factor = _rgb(material.baseColorTexture), material.baseColorFactor
+    factor = np.ones(3) if factor is None else np.array(factor, np.float64)[:3]
+    # trimesh keeps colours as bytes; the factor itself is linear.
+    factor = factor / 255 if factor.max() > 1 else factor
+    packed = _rgb(material.metallicRoughnessTexture)
+    rough, metal = (
+        1.0 if value is None else float(value)
+        for value in (material.roughnessFactor, material.metallicFactor)
+    )
+    if (factor != 1).any():
+        base = quantized(srgb(decoded(base / 255) * factor))
+    return {
+        "base_color": base,
+        "roughness": quantized(packed[..., 1] / 255 * rough),
+        "metallic": quantized(packed[..., 2] / 255 * metal),
+    }
+
+
+def _rgb(picture: Any) -> np.ndarray:
+    """Return (H, W, 3) bytes; white where there is no texture."""
+    if picture is None:
+        return np.full((CONSTANT, CONSTANT, 3), 255, np.uint8)
+    return np.array(picture.convert("RGB"))
+
+
+def check_gltf(path: Path, *, geometry_only: bool) -> int:
+    """Return the bytes of a file and its buffers; refuse what trimesh would misread."""
+    record = _header(path)
+    for name in COMPRESSION:
+        if name in record.get("extensionsRequired", ()):
+            raise MeshError(f"{path}: is compressed ({name}); export it without compression.")
+    held = _held(path, record)
+    _refuse_bombs(path, record, held)
+    attributes = ATTRIBUTES[:2] if geometry_only else ATTRIBUTES
+    accessors = record.get("accessors", ())
+    for primitive in _primitives(record):
+        for name in attributes:
+            index = primitive["attributes"].get(name)
+            given = {} if index is None else accessors[index]
+            if given.get("componentType", FLOAT) != FLOAT or "sparse" in given:
+                raise MeshError(
+                    f"{path}: its {name} is quantised or sparse; export it with plain floats, or "
+                    "convert it with gltf-transform dequantize."
+                )
+    if not geometry_only and any(map(_moves, _within(record.get("materials", ())))):
+        raise MeshError(
+            f"{path}: its textures are moved or scaled by {TRANSFORM}; apply that to the UVs, or "
+            "import only the geometry with --geometry-only."
+        )
+    return held
+
+
+def ignored_gltf(path: Path) -> list[str]:
+    """Return ignored parts of the materials of a checked file, such as ``a normal map``."""
+    record = _header(path)
+    materials = record.get("materials", [])
+    primitives = _primitives(record)
+    used = [materials[p["material"]] for p in primitives if "material" in p]
+    names = []
+    for material in used:
+        names += [n for key, n in IGNORED_GLTF.items() if material.get(key, "OPAQUE") != "OPAQUE"]
+        names += ["emission"] if any(material.get("emissiveFactor", ())) else []
+        extensions = [key for key in material.get("extensions", ()) if key.startswith(MODEL)]
+        names += [key.removeprefix(MODEL) for key in extensions]
+    names += ["vertex colours" for p in primitives if "COLOR_0" in p["attributes"]]
+    return list(dict.fromkeys(names))
+
+
+def _primitives(record: Mapping[str, Any]) -> list[Any]:
+    return [p for mesh in record.get("meshes", ()) for p in mesh["primitives"]]
+
+
+def _header(path: Path) -> dict[str, Any]:
+    """Return the JSON part of a file."""
+    if path.suffix.lower() == ".gltf":
+        return dict(json.loads(path.read_bytes()))
+    with path.open("rb") as stream:
+        (length,) = struct.unpack_from("<I", stream.read(20), 12)
+        return dict(json.loads(stream.read(length)))
+
+
+def _held(path: Path, record: Mapping[str, Any]) -> int:
+    """Return the bytes of the file and its buffers."""
+    names = [buffer.get("uri", "data:") for buffer in record.get("buffers", ())]
+    files = [inside(path.parent, unquote(n), str(path)) for n in names if not n.startswith("data:")]
+    return sum(file.stat().st_size for file in {path, *files} if file.is_file())
+
+
+def _refuse_bombs(path: Path, record: Mapping[str, Any], held: int) -> None:
+    counts = [int(accessor.get("count", 0)) for accessor in record.get("accessors", ())]
+    used = [counts[index] for p in _primitives(record) for index in p["attributes"].values()]
+    if min(counts, default=0) < 0 or max(sum(counts), sum(used)) > max(FREE, held):
+        raise MeshError(f"{path}: an accessor reads past the end of the file; export it again.")
+
+
+def _within(value: Any) -> Iterator[Mapping[str, Any]]:
+    """Return all objects inside a JSON value."""
+    if isinstance(value, Mapping):
+        yield value
+    for item in value.values() if isinstance(value, Mapping) else value:
+        if isinstance(item, Mapping | list):
+            yield from _within(item)
+
+
+def _moves(record: Mapping[str, Any]) -> bool:
+    given = record.get(TRANSFORM)
+    return given is not None and any(given.get(key, same) != same for key, same in HARMLESS.items())

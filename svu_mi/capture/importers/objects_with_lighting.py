@@ -1,0 +1,140 @@
+"""Objects with Lighting, the data set of Ummenhofer et al. (3DV 2024).
+
+Its README has the layout and the conventions, https://github.com/isl-org/objects-with-lighting:
+pixels are ``K (R X + t)`` in OpenCV's axes with the centre of the first pixel at (0.5, 0.5),
+photographs are ``255 (x 2^exposure)^(1/2.2)``, and environment maps have +Z at the top, +X in the
+centre and +Y at u = 1/4 (``blender``).
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, RIGID, Frame, Light, Source
+from svu_mi.capture.sensors import affine
+from svu_mi.errors import CaptureError
+
+if TYPE_CHECKING:
+    from svu_mi.capture.importers.registry import ReadOptions
+
+INPUTS = "inputs"
+PLACES = (INPUTS, f"test/{INPUTS}", ".")  # of the photographs: in a test, in an object, here
+ROTATED, ENVIRONMENT, WORLD_TO_ENV = "env_512_rotated.hdr", "env.hdr", "world_to_env.txt"
+EXPOSURE = "exposure.txt"
+# The data has no mesh; the benchmark's own baseline puts its meshes here, with UVs and without.
+MESHES = ("prepared_mesh", "neus_mesh")
+MESH_SUFFIXES = (".obj", ".ply", ".glb", ".stl")
+STOPS = 64  # of exposure, either way
+LARGEST = 1e12  # number, in any of the text files
+LARGEST_TEXT = 2**16  # bytes
+RULES = (
+    "The benchmark gives the environment map for debugging, not for reconstruction: results found "
+    "with it must not be entered there. Its masks are approximate."
+)
+
+
+def find_inputs(path: Path) -> Path | None:
+    """Return the folder ``inputs`` of an object or of one of its tests; None without."""
+    folders = [Path(os.path.normpath(path / place)) for place in PLACES]
+    return next((f for f in folders if (f / EXPOSURE).is_file()), None)
+
+
+def recognises(path: Path, _: str) -> bool:
+    """Whether a folder is an object of this data set."""
+    return find_inputs(path) is not None
+
+
+def read(path: Path, _: ReadOptions) -> Source:
+    """Read the photographs of an object that are for reconstruction, and their light.
+
+    ``path``: the object's folder, ``test`` in it, or ``inputs`` in that.
+    """
+    inputs = find_inputs(path)
+    if inputs is None:
+        raise CaptureError(
+            f"{path}: not an object of Objects with Lighting; expected test/{INPUTS}/{EXPOSURE}."
+        )
+    cameras = sorted(inputs.glob("camera_*.txt"))
+    if not cameras:
+        raise CaptureError(f"{inputs}: no camera_0000.txt, ...; copy the object again.")
+    (stops,) = _numbers(inputs / EXPOSURE, 1)
+    if abs(stops) > STOPS:
+        raise CaptureError(
+            f"{inputs / EXPOSURE}: the exposure must be within {STOPS} stops, got {stops:g}; copy "
+            "the file again."
+        )
+    test = Path(os.path.normpath(inputs / ".."))
+    names = [test / f"{stem}{suffix}" for stem in MESHES for suffix in MESH_SUFFIXES]
+    return Source(
+        format="owl",
+        root=test,
+        frames=[_frame(camera, 2.0**stops) for camera in cameras],
+        mesh=next((name for name in names if name.is_file()), None),
+        light=_light(test),
+        camera_axes=OPENCV,
+        notes=(f"{test}: {len(cameras)} photographs. {RULES}",),
+    )
+
+
+def _frame(camera: Path, gain: float) -> Frame:
+    values = np.array(_numbers(camera, 24)).reshape(8, 3)
+    K, rotation, translation, size = values[:3], values[3:6], values[6], values[7]
+    if np.abs(K[[0, 1, 2, 2], [1, 0, 0, 1]]).max() > 0 or K[2, 2] != 1:
+        raise CaptureError(f"{camera}: the camera has skew; its K must be fx 0 cx 0 fy cy 0 0 1.")
+    if (size != np.floor(size)).any():
+        raise CaptureError(
+            f"{camera}: a photograph of {size[0]:g} x {size[1]:g} pixels; width and height must be "
+            "whole numbers: copy the file again."
+        )
+    try:
+        to_world = np.linalg.inv(affine(rotation, translation)) @ OPENCV
+    except np.linalg.LinAlgError as error:
+        raise CaptureError(f"{camera}: R is not a rotation; copy the file again.") from error
+    image = camera.with_name(camera.name.replace("camera_", "image_")).with_suffix(".png")
+    mask = image.with_name(image.name.replace("image_", "mask_"))
+    if not image.is_file():
+        raise CaptureError(f"{image}: no such photograph for its camera; copy the object again.")
+    return Frame(
+        label=str(camera),
+        image=image,
+        mask=mask if mask.is_file() else None,
+        to_world=to_world,
+        focal=(K[0, 0], K[1, 1]),
+        center=(K[0, 2], K[1, 2]),
+        size=(int(size[0]), int(size[1])),
+        exposure=gain,
+        transfer="gamma 2.2",
+    )
+
+
+def _light(test: Path) -> Light | None:
+    """Return the map turned into the world, or else the map as taken with its rotation."""
+    axes = ENVIRONMENT_AXES["blender"]
+    if (test / ROTATED).is_file():
+        return Light(path=test / ROTATED, to_world=axes)
+    if not (test / ENVIRONMENT).is_file():
+        return None
+    rotation = np.array(_numbers(test / WORLD_TO_ENV, 16)).reshape(4, 4)[:3, :3]
+    is_rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID)
+    if not is_rigid or np.linalg.det(rotation) < 0:
+        raise CaptureError(f"{test / WORLD_TO_ENV}: not a rotation; copy the file again.")
+    return Light(path=test / ENVIRONMENT, to_world=rotation.T @ axes)
+
+
+def _numbers(path: Path, count: int) -> list[float]:
+    """Read numbers from a text file."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            numbers = [float(word) for word in file.read(LARGEST_TEXT).split()]
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read ({error.strerror}).") from error
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not (np.abs(numbers) < LARGEST).all():  # NaN fails, too
+        wanted = "one number" if count == 1 else f"{count} numbers"
+        raise CaptureError(f"{path}: must hold {wanted}; copy the file again.")
+    return numbers

@@ -1,0 +1,162 @@
+"""Resampling of photographs: straight lines, square pixels, and fewer of them.
+
+Mitsuba's cameras have no distortion and square pixels. First lines are straightened, then a
+photograph whose focal lengths differ is brought to the coarser of the two by area, so that no
+detail is made up. Focal lengths and principal point follow exactly, whatever part of a pixel the
+last row or column would have been: it is dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+from svu_mi.capture.importers.source import Frame
+from svu_mi.errors import CaptureError, OptionError
+
+NEARLY_SQUARE = 0.05  # largest displacement, in pixels, for pixels to count as square
+WHOLE = 1e-6  # of a pixel that may be missing from the last one
+STRIP = 128  # lines that are averaged at a time
+SAME_ASPECT = 2.0  # pixels by which a resized photograph may miss the ratio of its sides
+EDGE = 257  # points of each edge of a photograph, between which lenses are smooth
+WIDEST = 2.0  # sides of a straightened photograph, in parts of those it had; as COLMAP's
+
+
+def fitted(frame: Frame, size: tuple[int, int]) -> Frame:
+    """Return the frame for a photograph that was resized to (width, height) after calibration."""
+    if size == frame.size:
+        return frame
+    (width, height), (made_width, made_height) = frame.size, size
+    if abs(height * made_width / width - made_height) > SAME_ASPECT:
+        differ = (
+            f"{frame.image}: has {made_width} x {made_height} pixels, but {frame.label} is of "
+            f"{width} x {height}"
+        )
+        if abs(width * made_width / height - made_height) <= SAME_ASPECT:
+            raise CaptureError(
+                f"{differ}: the photograph is stored on its side; save its pixels upright (its "
+                "EXIF orientation may be set)."
+            )
+        raise CaptureError(
+            f"{differ}, which has another aspect ratio; give the photograph that was calibrated."
+        )
+    return replace(_scaled(frame, (made_width / width, made_height / height)), size=size)
+
+
+def straightened(frame: Frame) -> Frame:
+    """Return the pinhole camera for ``unbent``; a frame without a lens as it is.
+
+    As in COLMAP, the focal length is kept, so that the centre does not change, and the photograph
+    becomes the largest one without empty borders, at most twice as wide and high.
+    """
+    if frame.lens is None:
+        return frame
+    focal, center, size = (np.array(v, np.float64) for v in (frame.focal, frame.center, frame.size))
+    along, first, last = np.linspace(0, 1, EDGE), np.zeros(EDGE), np.ones(EDGE)
+    sides = (first, along), (last, along), (along, first), (along, last)
+    seen = np.stack([np.stack(side, axis=-1) for side in sides]) * size
+    edges = frame.lens.straightened((seen - center) / focal)
+    if not frame.lens.is_one_to_one(edges.reshape(-1, 2)):
+        numbers = ", ".join(f"{key} {value:g}" for key, value in frame.lens.record.items() if value)
+        raise CaptureError(
+            f"{frame.label}: the lens ({numbers}) folds over inside the photograph, so its numbers "
+            "do not hold as far as the corners; correct them, crop the photographs, or undistort "
+            "them by the camera's own program."
+        )
+    left, right, top, bottom = edges * focal + center
+    beyond = (WIDEST - 1) / 2 * size
+    low = np.maximum([left[:, 0].max(), top[:, 1].max()], -beyond)
+    high = np.minimum([right[:, 0].min(), bottom[:, 1].min()], size + beyond)
+    width, height = (int(n + WHOLE) for n in np.maximum(high - low, 0))
+    if min(width, height) < 1:
+        raise CaptureError(
+            f"{frame.label}: nothing is left of the photograph when its lines are straightened; "
+            "correct its lens, or undistort the photographs first."
+        )
+    x, y = center - low
+    return replace(frame, lens=None, size=(width, height), center=(float(x), float(y)))
+
+
+def unbent(planes: Sequence[np.ndarray], frame: Frame) -> Sequence[np.ndarray]:
+    """Undistort planes (H, W) of a photograph bilinearly; they are returned without a lens.
+
+    They are float32 and finite, and get the size of ``straightened(frame)``.
+    """
+    if frame.lens is None:
+        return planes
+    made = straightened(frame)
+    (width, height), (fx, fy), (cx, cy) = made.size, made.focal, made.center
+    found = [np.empty((height, width), np.float32) for _ in planes]
+    x = (np.arange(width) + 0.5 - cx) / fx
+    for first in range(0, height, STRIP):
+        y = (np.arange(first, min(first + STRIP, height)) + 0.5 - cy) / fy
+        points = np.stack(np.broadcast_arrays(x, y[:, None]), axis=-1)
+        pixels = frame.lens.bent(points) * frame.focal + frame.center - 0.5
+        place = np.ascontiguousarray(pixels[..., ::-1].transpose(2, 0, 1))
+        for plane, whole in zip(planes, found, strict=True):
+            strip = whole[first : first + STRIP]
+            scipy.ndimage.map_coordinates(plane, place, strip, order=1, mode="nearest")
+    return found
+
+
+def squared(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, float]]:
+    """Return the frame with straight lines and square pixels, and the scale of width and height.
+
+    Args:
+        frame: as calibrated.
+        shrink: factor by which pixels become larger, at least 1.
+    """
+    frame = straightened(frame)
+    if not (np.isfinite(shrink) and shrink >= 1):
+        raise OptionError(f"The factor to shrink photographs by must be at least 1, got {shrink}.")
+    fx, fy = frame.focal
+    if abs(fx / fy - 1) * max(frame.size) / 2 < NEARLY_SQUARE:
+        fx = fy = float(np.sqrt(fx * fy))
+    target = min(fx, fy) / shrink
+    scale = target / fx, target / fy
+    width, height = (int(n * s + WHOLE) for n, s in zip(frame.size, scale, strict=True))
+    if min(width, height) < 1:
+        raise OptionError(f"{frame.label}: shrinking by {shrink} leaves no pixel; shrink less.")
+    made = replace(_scaled(frame, scale), size=(width, height), focal=(target, target))
+    return made, scale
+
+
+def resampled(image: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
+    """Average an image (H, W, C) over the area of its new pixels.
+
+    ``scale``: of width and height, at most 1; both 1 returns the image itself. The new size is that
+    of ``squared``.
+    """
+    for axis, factor in ((1, scale[0]), (0, scale[1])):
+        if factor != 1:
+            image = _averaged(image, factor, axis)
+    return image
+
+
+def _averaged(image: np.ndarray, factor: float, axis: int) -> np.ndarray:
+    """Average along one axis in strips, to save memory in double precision."""
+    lines = np.moveaxis(image, axis, 0)
+    count = int(len(lines) * factor + WHOLE)
+    made = np.empty((count, *lines.shape[1:]), np.float32)
+    for k in range(0, lines.shape[1], STRIP):
+        made[:, k : k + STRIP] = _integrated(lines[:, k : k + STRIP], count, factor)
+    return np.ascontiguousarray(np.moveaxis(made, 0, axis))
+
+
+def _integrated(lines: np.ndarray, count: int, factor: float) -> np.ndarray:
+    """Return averages as differences of the integral of a piecewise constant function."""
+    lines = np.asarray(lines, np.float64)
+    integral = np.concatenate([np.zeros_like(lines[:1]), np.cumsum(lines, axis=0)])
+    edges = np.minimum(np.arange(count + 1) / factor, len(lines))
+    below = np.minimum(edges.astype(int), len(lines) - 1)
+    part = (edges - below).reshape(-1, *[1] * (lines.ndim - 1))
+    at_edges = integral[below] + part * lines[below]
+    return np.diff(at_edges, axis=0) * factor
+
+
+def _scaled(frame: Frame, scale: tuple[float, float]) -> Frame:
+    (fx, fy), (cx, cy), (x, y) = frame.focal, frame.center, scale
+    return replace(frame, focal=(fx * x, fy * y), center=(cx * x, cy * y))

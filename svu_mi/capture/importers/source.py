@@ -1,0 +1,195 @@
+"""Captures of other tools in our conventions.
+
+Readers convert the axes, angles and pixel grids of their tool into those of ``Source``, writers
+convert them back; no other module uses another convention.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from svu_mi.capture.image_io import Transfer
+from svu_mi.capture.importers.camera_response import Response
+from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES as ENVIRONMENT_AXES
+from svu_mi.capture.importers.import_options import Light as Light
+from svu_mi.capture.importers.lens_distortion import Lens
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import affine, film_size, focal_length, make_sensor, principal_point
+from svu_mi.errors import CaptureError, excerpt
+
+# What turns the columns of a camera-to-world rotation into those of Mitsuba's camera: +X left, +Y
+# up, +Z forward. Each matrix is its own inverse.
+OPENGL = np.diag([-1.0, 1.0, -1.0, 1.0])  # +X right, +Y up, looks along -Z: Blender, NeRF
+OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # +X right, +Y down, +Z forward: COLMAP, IDR
+# +X down, +Y right, +Z backwards: LLFF
+DOWN_RIGHT_BACK = np.array([[0.0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
+
+MAX_DISTANCE = 1e9  # units; single precision is long lost there
+MAX_SIDE = 2**16  # pixels; no camera has more, a damaged file easily
+FOCAL = 1e-3, 1e6  # focal length, in parts of the photograph's longer side
+CENTER = 1e3  # principal point, likewise
+LARGEST = 1e30  # number in a pose: products of three of them are finite
+RIGID = 1e-3  # part by which the axes of a pose may fail to be orthogonal and of one length
+SQUARE = 1e-6  # part by which the focal lengths of square pixels may differ
+NEAR, FAR = 1e-4, 1e7  # clip planes: no file has any, nor the size of the scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One photograph and its camera.
+
+    A pose with one scale for all axes loses it; float noise in its rotation is removed.
+
+    Attributes:
+        label: the file and frame, for messages, such as ``transforms.json: frame 3``.
+        image: the photograph's file.
+        mask: file of its mask (white = object), or None; an alpha channel counts as one, too.
+        to_world: (4, 4) float64, camera to world, a rotation and a translation; camera space is
+            +X left, +Y up, +Z forward.
+        focal: (fx, fy) in pixels.
+        center: (cx, cy), principal point in pixels; (0, 0) is the corner of the first pixel,
+            whose centre is (0.5, 0.5).
+        size: (width, height) in pixels that focal and center refer to.
+        exposure: gain of the photograph: radiance is its linear pixels divided by it.
+        transfer: how an integer image encodes linear values; EXR, HDR and PFM are linear.
+        lens: what bends straight lines in the photograph; None = nothing does.
+    """
+
+    label: str
+    image: Path
+    mask: Path | None = None
+    to_world: np.ndarray
+    focal: tuple[float, float]
+    center: tuple[float, float]
+    size: tuple[int, int]
+    exposure: float = 1.0
+    transfer: Transfer | Response = "srgb"
+    lens: Lens | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that are out of range and poses that are not rigid (CaptureError)."""
+        object.__setattr__(self, "to_world", _rigid(self.to_world, self.label))
+        width, height = self.size
+        if not all(1 <= side <= MAX_SIDE for side in self.size):
+            raise CaptureError(
+                f"{self.label}: a photograph of {excerpt(width, 20)} x {excerpt(height, 20)} "
+                f"pixels; both must be 1 to {MAX_SIDE}: correct width and height of the camera."
+            )
+        low, high = (limit * max(self.size) for limit in FOCAL)
+        if not all(low < length < high for length in self.focal):  # NaN fails, too
+            raise CaptureError(
+                f"{self.label}: the focal length is {self.focal[0]:g}, {self.focal[1]:g} pixels; "
+                f"it must be {low:g} to {high:g} for {width} x {height} pixels: give it in pixels."
+            )
+        if not all(abs(c) <= CENTER * n for c, n in zip(self.center, self.size, strict=True)):
+            raise CaptureError(
+                f"{self.label}: the principal point is {self.center[0]:g}, {self.center[1]:g}; it "
+                f"must be within {CENTER:g} times {width} x {height} pixels: give it in pixels."
+            )
+        if not 0 < self.exposure < np.inf:
+            raise CaptureError(
+                f"{self.label}: the exposure must be positive, got {self.exposure:g}; give the "
+                "factor that radiance was multiplied by."
+            )
+
+    @property
+    def has_square_pixels(self) -> bool:
+        """Whether both focal lengths are the same."""
+        return abs(self.focal[1] / self.focal[0] - 1) <= SQUARE
+
+    def sensor(self, clip: tuple[float, float] = (NEAR, FAR)) -> Any:
+        """Return the ``perspective`` sensor of this camera, with near and far plane."""
+        if self.lens is not None:
+            raise CaptureError(
+                f"{self.label}: the lens is distorted; straighten the photograph, or import it "
+                "with svu import, which does."
+            )
+        if not self.has_square_pixels:
+            raise CaptureError(
+                f"{self.label}: fl_x and fl_y differ, so the pixels are not square; resample the "
+                "photograph, or import it with svu import, which does."
+            )
+        return make_sensor(
+            {
+                "to_world": self.to_world,
+                "x_fov": 2 * np.degrees(np.arctan(self.size[0] / 2 / self.focal[0])),
+                "principal_point_offset": [0.5 - self.center[k] / self.size[k] for k in (0, 1)],
+                "clip": clip,
+                "film": self.size,
+                "crop_offset": [0, 0],
+                "crop_size": self.size,
+            },
+            self.label,
+        )
+
+
+def frame_of(sensor: Any, image: Path, **fields: Any) -> Frame:
+    """Return the frame of a ``perspective`` sensor; its crop window is the photograph.
+
+    The file ``image`` need not exist; ``fields`` are others of ``Frame``.
+    """
+    focal = focal_length(sensor)
+    return Frame(**{
+        "label": image.name,
+        "image": image,
+        "to_world": to_world(sensor),
+        "focal": (focal, focal),
+        "center": principal_point(sensor),
+        "size": film_size(sensor),
+        **fields,
+    })  # fmt: skip
+
+
+def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
+    """Return the (4, 4) rotation and translation nearest to a pose, without its scale."""
+    if np.shape(matrix) != (4, 4) or not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
+        raise CaptureError(f"{label}: the pose is not a finite 4 x 4 matrix; export it again.")
+    if not np.allclose(matrix[3], [0, 0, 0, 1]):
+        raise CaptureError(
+            f"{label}: the last row of the pose must be 0 0 0 1; export it as camera to world, "
+            "row by row."
+        )
+    if max(abs(matrix[:3, 3])) > MAX_DISTANCE:
+        raise CaptureError(
+            f"{label}: the camera is {max(abs(matrix[:3, 3])):.2g} units away from the origin, "
+            f"farther than {MAX_DISTANCE:g}; use a larger unit, or move the origin to the object."
+        )
+    rotation = np.array(matrix[:3, :3], np.float64)
+    scale = np.cbrt(np.linalg.det(rotation))
+    if scale < 0:
+        raise CaptureError(
+            f"{label}: the pose is mirrored (determinant < 0); export it from a right-handed "
+            "program, or negate one column."
+        )
+    left, _, right = np.linalg.svd(rotation)
+    if not np.allclose(left @ right * scale, rotation, atol=RIGID * scale) or scale == 0:
+        raise CaptureError(f"{label}: the pose is not a rigid transform; remove its shear.")
+    return affine(left @ right, matrix[:3, 3])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A capture as some tool has written it.
+
+    Attributes:
+        format: name of the format, such as ``colmap``.
+        root: folder that all files must lie in.
+        frames: V photographs with their cameras, in the order they get in the capture.
+        mesh: file of the object, if the format has one; its axes are those of the poses.
+        light: the environment, if the format has one.
+        camera_axes: matrix that turned the tool's camera axes into Mitsuba's (``OPENGL``, ...).
+        notes: sentences about what was found and decided while reading.
+    """
+
+    format: str
+    root: Path
+    frames: Sequence[Frame]
+    mesh: Path | None = None
+    light: Light | None = None
+    camera_axes: np.ndarray = field(default_factory=lambda: np.eye(4))
+    notes: Sequence[str] = ()

@@ -1,0 +1,127 @@
+"""Files of a source: names confined to a folder, folders of pictures, and text by lines."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+from svu_mi.capture.image_io import SUFFIXES
+from svu_mi.errors import CaptureError, excerpt
+
+LONGEST = 240  # bytes of one part of a path; file systems take 255, and suffixes are added
+LONGEST_PATH = 2048  # bytes
+CONTROL = re.compile(r"[\0-\x1f\x7f-\x9f]")  # no name has these, and a terminal obeys them
+SHOWN = 60  # characters of a name in a message
+LARGEST_TEXT = 2**24  # bytes
+
+
+def inside(root: Path, name: Any, label: str) -> Path:
+    r"""Return the path of a file that is named relative to a folder; it need not exist.
+
+    ``\`` separates folders, too, as on Windows. Links are followed when the file is opened: they
+    were made by the owner of the folder. ``label``: the file and frame, for the message.
+    """
+    if not isinstance(name, str):
+        raise CaptureError(f"{label}: a file's name must be text, got a {type(name).__name__}.")
+    shown = excerpt(ascii(name), SHOWN)
+    parts = PurePosixPath(os.path.normpath(name.replace("\\", "/"))).parts
+    if PureWindowsPath(name).drive or name.startswith(("/", "\\")) or ".." in parts[:1]:
+        raise CaptureError(
+            f"{label}: {shown} lies outside {root}; move the file into it and give its "
+            "path relative to that folder."
+        )
+    if not name or not parts or not _is_usable(parts):
+        raise CaptureError(f"{label}: {shown} is not a valid file name; rename the file.")
+    return root.joinpath(*parts)
+
+
+def name_in(root: Path, file: Path) -> str:
+    """Return the name of a file relative to a folder; its name alone if it lies elsewhere."""
+    return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
+
+
+def _is_usable(parts: tuple[str, ...]) -> bool:
+    """Return whether the operating system accepts a file of this name."""
+    try:
+        sizes = [len(os.fsencode(part)) for part in parts]
+    except UnicodeEncodeError:  # half a surrogate pair, which JSON can spell
+        return False
+    fits = max(sizes) <= LONGEST and sum(sizes) + len(sizes) <= LONGEST_PATH
+    return fits and CONTROL.search("".join(parts)) is None
+
+
+def folder_of(kind: str, asked: Path | None, places: Iterable[Path]) -> Path | None:
+    """Return the folder of ``images`` or ``masks``: the one asked for, or the first of several."""
+    if asked is None:
+        return next((place for place in places if place.is_dir()), None)
+    if not asked.is_dir():
+        raise no_folder(kind, asked)
+    return asked
+
+
+def no_folder(kind: str, folder: Path) -> CaptureError:
+    """Return the error that the folder of ``images`` or ``masks`` is missing."""
+    what = "photographs" if kind == "images" else kind
+    return CaptureError(f"{folder}: no such folder; give that of the {what} with --{kind}.")
+
+
+def photographs_of_poses(
+    root: Path, asked: Path | None, names: Sequence[str], poses: Path, count: int
+) -> list[Path]:
+    """Return the photographs of poses that do not name them, in the order of their names.
+
+    They are in the folder ``asked``, or in one of ``names`` next to the poses.
+    """
+    folder = folder_of("images", asked, (root / name for name in names))
+    if folder is None:
+        raise no_folder("images", root / names[0])
+    files = pictures(folder)
+    if len(files) != count:
+        raise CaptureError(
+            f"{folder}: has {len(files)} photographs, but {poses} has {count} poses; give the "
+            "folder of the photographs that were posed, and no others, with --images."
+        )
+    return files
+
+
+def pictures(folder: Path) -> list[Path]:
+    """Return the pictures in a folder in the order of their names, without hidden files."""
+    try:
+        files = sorted(folder.iterdir())
+    except OSError as error:
+        raise CaptureError(
+            f"{folder}: cannot be read ({error.strerror}); change its permissions."
+        ) from error
+    known = [file for file in files if file.suffix.lower() in SUFFIXES]
+    return [file for file in known if not file.name.startswith(".") and file.is_file()]
+
+
+def mask_of(folder: Path, name: Path) -> Path | None:
+    """Return the mask of a photograph in a folder: ``a.jpg.png``, ``a.jpg``, or ``a`` with any
+    suffix; ``name`` is relative to the folder of the photographs."""
+    stems = [folder / name.with_suffix(suffix) for suffix in SUFFIXES]
+    names = (folder / f"{name}.png", folder / name, *stems)
+    return next((file for file in names if file.is_file()), None)
+
+
+def lines_of(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:
+    """Yield number and text of each line that is not empty, without comments (``#``).
+
+    A file that is missing, larger than 16 MiB, or no text is refused (CaptureError) as no ``what``,
+    such as ``a list of exposures``, with the remedy ``fix``.
+    """
+    try:
+        if path.stat().st_size > LARGEST_TEXT:
+            raise CaptureError(f"{path}: too large for {what}, more than 16 MiB; {fix}.")
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise CaptureError(
+            f"{path}: not {what} that can be read ({excerpt(error)}); {fix}."
+        ) from error
+    for number, line in enumerate(lines, 1):
+        text = line.partition("#")[0].strip()
+        if text:
+            yield number, text

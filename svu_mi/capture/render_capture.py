@@ -1,0 +1,274 @@
+"""Synthetic photographs: render a scene's sensors into a capture folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+import svu_mi
+from svu_mi.capture import capture_folder
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.capture_folder import Description
+from svu_mi.capture.content_hash import integrator_key, scene_key
+from svu_mi.capture.film_rays import Pictures
+from svu_mi.capture.load_capture import map_size, plan_photographs
+from svu_mi.capture.mesh import covered_by_charts
+from svu_mi.capture.scene import (
+    find_environment,
+    find_sensors,
+    find_shape,
+    last_sentence,
+    load_scene,
+    require_variant,
+)
+from svu_mi.capture.sensors import describe, film_size, sphere_sensors
+from svu_mi.core.interrupts import between_steps
+from svu_mi.core.io.exr import read_header, read_pixels, write_exr
+from svu_mi.core.io.hashes import Key
+from svu_mi.core.io.output_folder import Claim, claimed, writing
+from svu_mi.core.io.provenance import RUN
+from svu_mi.core.limits import require_render, require_spp
+from svu_mi.core.memory import Size, Sizes
+from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError, excerpt
+
+VIEWS = "view_*.exr"  # what an interrupted run leaves to resume
+KEY = 16  # letters of the id of a run
+
+
+def render_capture(
+    scene: Any,
+    spp: int = 64,
+    seed: int = 0,
+    *,
+    folder: str | os.PathLike[str] | None = None,
+    shape: str | None = None,
+    views: int | None = None,
+    resolution: tuple[int, int] = (512, 512),
+    defines: Mapping[str, str] | None = None,
+    unwrap: bool = False,
+    trust: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    resume: bool | None = None,
+) -> Capture:
+    """Render one photograph per sensor and read them back as a capture.
+
+    Args:
+        scene: a ``mi.Scene``, or the path of an XML file.
+        spp: samples per pixel.
+        seed: seed of the first view; view i uses a seed derived from it.
+        folder: where ``capture.json`` and ``view_NNNN.exr`` (RGB, alpha = object mask) are put, in
+            one step when all are rendered. A capture that was rendered there earlier is replaced;
+            a folder that holds anything else is refused. By default a temporary folder that is
+            gone after reading.
+        shape: id of the target (see ``load_capture``).
+        views: place this many sensors on a sphere around the target instead of using the
+            scene's own.
+        resolution: (width, height) of those sensors' films, in pixels.
+        defines: values for the scene's ``<default>`` parameters, when it is a path.
+        unwrap: lay out new UVs even if the mesh has some (see ``load_capture``).
+        trust: let the scene load libraries, when it is a path (see ``load_capture``).
+        progress: called with (views done, views in all).
+        resume: keep the views in the folder if it is interrupted, and go on (True) with those that
+            such a run has kept, or start again (False). By default nothing is kept.
+
+    Raises:
+        SvuEnvironmentError: no suitable Mitsuba variant is active.
+        SceneError: the scene cannot be loaded or lacks something.
+        OptionError: ``spp`` is below 1 or ``seed`` negative.
+        OutputError: the folder cannot be written, holds what was not rendered there, or nothing to
+            go on with.
+    """
+    plan = plan_render(
+        scene, spp, seed, shape=shape, views=views, resolution=resolution, defines=defines,
+        unwrap=unwrap, trust=trust,
+    )  # fmt: skip
+    return plan.render(folder, progress=progress, resume=resume)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderPlan:
+    """Views of a scene that are not rendered yet; attributes as for ``render_capture``.
+
+    Attributes:
+        light: the environment emitter.
+        target: the object.
+        sensors: V perspective sensors.
+        description: of the capture.
+    """
+
+    scene: Any
+    light: Any
+    target: Any
+    sensors: Sequence[Any]
+    spp: int
+    seed: int
+    unwrap: bool
+    description: Description
+
+    @property
+    def sizes(self) -> Sizes:
+        """How large everything is."""
+        charts = 1.0 if self.unwrap else covered_by_charts(self.target)
+        return Sizes([film_size(sensor) for sensor in self.sensors], map_size(self.light), charts)
+
+    def render(
+        self, folder: str | os.PathLike[str] | None = None, *,
+        progress: Callable[[int, int], None] | None = None, resume: bool | None = None,
+    ) -> Capture:  # fmt: skip
+        """Render the views and read them back; arguments and errors as for ``render_capture``."""
+        if folder is None:
+            with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
+                self._write(Path(temporary), progress)
+                return replace(self._read(Path(temporary)), source=None)
+        key = "" if resume is None else self._key()
+        with claimed(folder, "render", keep=VIEWS if key else "") as claim:
+            if resume:
+                _require_views(claim, [film_size(sensor) for sensor in self.sensors], key)
+            else:
+                claim.clear()
+            # Views of a run that may be resumed are marked with what they show.
+            with writing(claim, "render", capture_folder.FILE, run=key) as draft:
+                self._write(draft.folder, progress)
+                capture_folder.write(draft, self.description, self.sensors)
+        return self._read(Path(folder))
+
+    def _read(self, folder: Path) -> Capture:
+        plan = plan_photographs(
+            self.scene, self.sensors, folder, self.description, unwrap=self.unwrap
+        )
+        return plan.read()
+
+    def _write(self, folder: Path, progress: Callable[[int, int], None] | None) -> None:
+        """Render the views that are not there yet, and write them."""
+        with between_steps() as stop_if_asked:
+            for index, sensor in enumerate(self.sensors):
+                path = folder / _view(index)
+                if not path.exists():
+                    # Mitsuba decorrelates neighbouring seeds of the independent sampler.
+                    seed = (self.seed + index) % 2**32
+                    image = _radiance(self.scene, sensor, self.spp, seed)
+                    mask = object_mask(self.scene, self.target, sensor)
+                    write_exr(path, {"RGB": image, "A": mask})
+                if progress is not None:
+                    progress(index + 1, len(self.sensors))
+                stop_if_asked()
+
+    def _key(self) -> str:
+        """Return 16 hexadecimal digits that depend on everything that is rendered."""
+        cameras = [
+            [describe(each), str(each.film()), each.sampler().class_name()] for each in self.sensors
+        ]
+        what = scene_key(self.scene, self.target), integrator_key(self.scene)
+        version = svu_mi.__version__, mi.__version__, mi.variant()
+        return Key(*what, cameras, self.spp, self.seed, version).digest()[:KEY]
+
+
+def plan_render(
+    scene: Any,
+    spp: int = 64,
+    seed: int = 0,
+    *,
+    shape: str | None = None,
+    views: int | None = None,
+    resolution: tuple[int, int] = (512, 512),
+    defines: Mapping[str, str] | None = None,
+    unwrap: bool = False,
+    trust: bool = False,
+) -> RenderPlan:
+    """Load a scene and place its sensors; arguments and errors as for ``render_capture``."""
+    require_variant()
+    require_spp(spp)
+    if seed < 0:
+        raise OptionError(f"The seed must not be negative, got {seed}.")
+    path = None if isinstance(scene, mi.Scene) else Path(scene)
+    scene = scene if path is None else load_scene(path, defines, trust=trust)
+    label = str(path or "scene")
+    light = find_environment(scene, label)
+    target = find_shape(scene, shape, label)
+    if views is None:
+        sensors = find_sensors(scene, label, "pass --views N to place some")
+    else:
+        sensors = sphere_sensors(target, views, resolution)
+    require_render([film_size(sensor) for sensor in sensors], spp, label)
+    description = Description(
+        scene=path, defines=defines or {}, shape=target.id() or None,
+        rendered={"spp": spp, "seed": seed},
+    )  # fmt: skip
+    return RenderPlan(
+        scene=scene, light=light, target=target, sensors=sensors, spp=spp, seed=seed,
+        unwrap=unwrap, description=description,
+    )  # fmt: skip
+
+
+def require_rendered(capture: Capture, spp: int) -> None:
+    """Refuse photographs that were rendered otherwise than they would be now."""
+    if capture.source is None or (found := capture_folder.read(capture.source)) is None:
+        return
+    own = [describe(sensor) for sensor in find_sensors(capture.scene, str(found.scene))]
+    changed = "from other sensors than the scene has now"
+    if json.loads(json.dumps(own)) == list(found.sensors):
+        if found.rendered.get("spp", spp) == spp:
+            return
+        changed = f"with --spp {excerpt(found.rendered['spp'], 20)}"
+    raise OptionError(
+        f"{capture.source}: was rendered {changed}; restore that, or omit --resume to start again."
+    )
+
+
+def _require_views(claim: Claim, films: Sequence[Size], run: str) -> None:
+    """Remove all but the complete views of a run from what an interrupted one has left."""
+    left = list(claim.draft.glob(VIEWS))
+    if not left:
+        raise OutputError(
+            f"{claim.folder}: there is nothing of an interrupted run to resume; omit --resume."
+        )
+    expected = {_view(index): film for index, film in enumerate(films)}
+    whole = {path.name for path in left if _is_whole(path, expected.get(path.name), run)}
+    if not whole:
+        raise OutputError(
+            f"{claim.folder}: what an interrupted run has left was made with other options, or of "
+            "something else; restore these, or omit --resume to start again."
+        )
+    claim.clear(lambda path: path.name in whole)
+
+
+def _is_whole(path: Path, film: Size | None, run: str) -> bool:
+    """Return whether a file, not a link to one, is a view that a run has finished."""
+    if path.is_symlink() or not path.is_file():
+        return False
+    try:
+        header = read_header(path)
+        if header.size != film or header.attributes.get(RUN) != run:
+            return False
+        read_pixels(path, header)
+    except CaptureError:
+        return False
+    return True
+
+
+def _view(index: int) -> str:
+    return f"view_{index:04d}.exr"
+
+
+def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:
+    """Render (H, W, 3); a film of luminance gives three equal channels."""
+    try:
+        image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
+    except Exception as error:  # Mitsuba raises RuntimeError for everything
+        raise SceneError(
+            f"Sensor '{sensor.id()}' cannot be rendered: {last_sentence(str(error))}"
+        ) from error
+    return image[..., :3] if image.shape[2] >= 3 else image[..., :1].repeat(3, axis=2)
+
+
+def object_mask(scene: Any, target: Any, sensor: Any) -> np.ndarray:
+    """Return (H, W) float32: the part of each pixel that the target covers, unoccluded."""
+    return Pictures([sensor]).covered(scene, target)[0]

@@ -1,0 +1,88 @@
+"""The object's material: its constant parameters, and scenes with another one in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.mesh import arrays, make
+from svu_mi.parameters import NAMES, PARAMETERS
+
+
+def is_principled(bsdf: Any) -> bool:
+    """Return whether a BSDF, or None, has the parameters of ``principled``."""
+    return bsdf is not None and all(dr.all(bsdf.has_attribute(name)) for name in NAMES)
+
+
+def constant_parameters(shape: Any) -> dict[str, float]:
+    """Return the ``principled`` parameters of a shape that are not textures, by name.
+
+    A grey value each, within its range; a constant colour is left out unless it is grey. Empty for
+    another BSDF, and when nothing varies: a material without any texture is a placeholder.
+    """
+    bsdf = shape.bsdf()
+    found: dict[str, float] = {}
+    if not is_principled(bsdf):
+        return found
+    for key, value in mi.traverse(bsdf):
+        name, _, kind = key.removeprefix("brdf_0.").partition(".")
+        if name in NAMES and kind == "value":
+            values = np.array(value, np.float64).ravel()
+            if np.ptp(values) == 0 and PARAMETERS[name].holds(values[0]):
+                found[name] = float(values[0])
+    return found if len(found) < len(NAMES) else {}
+
+
+@dataclass(frozen=True)
+class Repainted:
+    """A scene of its own; it shares the emitters and the other shapes with the capture's.
+
+    Attributes:
+        scene: the ``mi.Scene``.
+        shape: the object in it.
+    """
+
+    scene: Any
+    shape: Any
+
+
+def repaint(capture: Capture, material: Any, mesh: Any = None) -> Repainted:
+    """Copy the object, give the copy a material, and put it in the place of the object."""
+    shape = make(capture.shape.id(), arrays(capture.mesh if mesh is None else mesh))
+    shape.set_bsdf(_as_sided_as(capture.shape.bsdf(), material))
+    # An area light belongs to its shape and comes with it.
+    lights = [e for e in capture.scene.emitters() if e.is_environment()]
+    others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
+    return Repainted(scene=scene_of([shape, *lights, *others]), shape=shape)
+
+
+def scene_of(objects: Sequence[Any]) -> Any:
+    """Make a scene of live shapes and emitters, which may be in other scenes, too."""
+    names = [thing.id() for thing in objects]
+    parts = {f"part_{index}": thing for index, thing in enumerate(objects)}
+    scene = mi.load_dict({"type": "scene", **parts}, optimize=False)
+    for thing, name in zip(objects, names, strict=True):
+        thing.set_id(name)  # load_dict has renamed it to its key
+    return scene
+
+
+def is_same(a: Any, b: Any) -> bool:
+    """Return whether two Python objects stand for one Mitsuba shape."""
+    return bool(np.array(mi.ShapePtr(a) == mi.ShapePtr(b)).all())
+
+
+def is_two_sided(bsdf: Any) -> bool:
+    """Return whether a BSDF reflects on the back of its surface, too."""
+    return bsdf is not None and "TwoSided" in bsdf.class_name()
+
+
+def _as_sided_as(bsdf: Any, material: Any) -> Any:
+    if not is_two_sided(bsdf):
+        return material
+    return mi.load_dict({"type": "twosided", "material": material})

@@ -1,0 +1,186 @@
+"""Pictures for display: photographs exposed and encoded as sRGB, and textures on the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import image_io as pictures
+from svu_mi.capture import mesh as meshes
+from svu_mi.capture.film_rays import evenly, pixel_rays, table_of
+from svu_mi.capture.sensors import film_size, projected, scaled_sensor
+from svu_mi.core.arrays import owned
+
+WHITE = 0.95  # part of the object's pixels that a tone-mapped photograph does not clip
+SIDE = 512  # pixels of the longer side of a picture
+SAMPLES = 2  # along each side of a pixel
+MANY = 2**17  # vertices that take longer to look at than the rays beside the object
+AMBIENT = 0.35  # brightness of a surface that is seen edge on
+
+
+def exposure(photograph: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """Return the radiance that becomes white when a photograph is exposed for its object.
+
+    Arguments are those of ``tone_mapped``.
+    """
+    brightness = photograph.max(axis=2)
+    chosen = brightness[mask] if mask is not None and mask.any() else brightness
+    chosen = chosen[np.isfinite(chosen)]
+    white = float(np.quantile(chosen, WHITE)) if len(chosen) else 1.0
+    return white if white > 0 else 1.0
+
+
+def tone_mapped(
+    photograph: np.ndarray, mask: np.ndarray | None = None, white: float | None = None
+) -> np.ndarray:
+    """Expose a photograph for its object and encode it as sRGB.
+
+    Returns:
+        (H, W, 3) float32 in [0, 1].
+    """
+    linear = photograph / (exposure(photograph, mask) if white is None else white)
+    return srgb(np.clip(linear, 0, 1))
+
+
+def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a photograph in (width, height) pixels; unusable ones leave NaN around them."""
+    height, width = photograph.shape[:2]
+    if (width, height) == size:
+        return np.array(photograph)
+    if width % size[0] == 0 and height % size[1] == 0:
+        return shrunk(photograph, width // size[0], height // size[1])
+    unusable = ~np.isfinite(photograph).all(axis=2, keepdims=True)
+    planes = np.concatenate([np.where(unusable, 0, photograph), unusable], axis=2)
+    bitmap = mi.Bitmap(np.ascontiguousarray(planes, np.float32)).resample(mi.ScalarVector2u(size))
+    small = np.array(bitmap, np.float32)
+    return np.where(np.abs(small[..., 3:]) > 1e-3, np.nan, np.maximum(small[..., :3], 0))
+
+
+def shrunk(photograph: np.ndarray, across: int, down: int) -> np.ndarray:
+    """Return means of so many pixels across and down; those left over at the ends are cut off."""
+    height, width = photograph.shape[0] // down, photograph.shape[1] // across
+    means = np.zeros((height, width, photograph.shape[2]), np.float32)
+    for row in range(down):
+        for column in range(across):
+            means += photograph[row : down * height : down, column : across * width : across]
+    return means / (across * down)
+
+
+def srgb(linear: np.ndarray) -> np.ndarray:
+    """Encode linear values in [0, 1] as sRGB, float32; NaN becomes middle grey."""
+    encoded = pictures.srgb(linear)
+    return np.where(np.isfinite(encoded), encoded, 0.5).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a sensor sees of an object: traced once, for any number of textures.
+
+    Attributes:
+        window: rows and columns around the object; no pixel beyond shows it.
+        uv: (N,) Point2f of all samples of these, those of a pixel one after the other.
+        shade: (N,) Float, how bright the surface is in each; 0 off the object.
+        covered: (h, w) float32, the part of every pixel of the picture that the object covers.
+    """
+
+    window: tuple[slice, slice]
+    uv: Any
+    shade: Any
+    covered: np.ndarray
+
+    @staticmethod
+    def of(scene: Any, sensor: Any) -> Look:
+        """Trace the rays of a sensor, a few to a pixel, in a scene as of ``alone``."""
+        width, height = film_size(sensor)
+        rows, columns = window = _window(_outline(scene.shapes()[0]), sensor)
+        shape = rows.stop - rows.start, columns.stop - columns.start
+        across, top, left = (dr.opaque(mi.UInt32, n) for n in (shape[1], rows.start, columns.start))
+        pixel = dr.arange(mi.UInt32, shape[0] * shape[1])
+        row = pixel // across
+        place = dr.zeros(mi.UInt32, dr.width(pixel)), top + row, left + pixel - row * across
+        ray = pixel_rays(table_of([sensor]), place, SAMPLES**2, evenly(SAMPLES))
+        si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
+        hit = si.is_valid()
+        # Darker where the surface turns away, so that its form can be seen.
+        shade = dr.lerp(AMBIENT, 1, dr.abs(dr.dot(si.sh_frame.n, ray.d)))
+        uv, shade = dr.select(hit, si.uv, 0), dr.select(hit, shade, 0)
+        dr.eval(uv, shade)
+        part = dr.block_sum(dr.select(shade > 0, mi.Float(1), 0), SAMPLES**2) / SAMPLES**2
+        covered = np.zeros((height, width), np.float32)
+        covered[window] = part.numpy().reshape(shape)
+        return Look(window, uv, shade, covered)
+
+    @staticmethod
+    def at(scene: Any, sensor: Any, side: int = SIDE) -> Look:
+        """Trace the rays of a sensor whose picture has at most so many pixels on a side."""
+        return Look.of(scene, scaled_sensor(sensor, side))
+
+    def painted(self, texture: np.ndarray) -> np.ndarray:
+        """Show a texture on the object, slightly shaded.
+
+        Returns:
+            (h, w, 4) float32, colour over white and the part of the pixel that is covered.
+        """
+        # Antialiasing and shading work on screen values: good enough here.
+        color = dr.select(self.shade > 0, self.shade * self._texel(texture), 1)
+        return np.clip(np.dstack([self._mean(color, 1), self.covered]), 0, 1)
+
+    def values(self, texture: np.ndarray) -> np.ndarray:
+        """Return means (h, w, 3) float32 of a texture (H, W, 3) over what of the object a pixel
+        shows; 0 where it shows none."""
+        mean = self._mean(dr.select(self.shade > 0, self._texel(texture), 0), 0)
+        return mean / np.maximum(self.covered, 1 / SAMPLES**2)[..., None]
+
+    def _texel(self, texture: np.ndarray) -> Any:
+        """Color3f, the texel of every sample."""
+        height, width = texture.shape[:2]
+        texels = owned(mi.Float, np.asarray(texture, np.float32).ravel())
+        column, row = (
+            mi.UInt32(dr.clip(at * dr.opaque(mi.Float, size), 0, dr.opaque(mi.Float, size - 1)))
+            for at, size in ((self.uv.x, width), (self.uv.y, height))
+        )
+        return dr.gather(mi.Color3f, texels, row * dr.opaque(mi.UInt32, width) + column)
+
+    def _mean(self, color: Any, beyond: float) -> np.ndarray:
+        """Means over the samples of a pixel, (h, w, 3), or what is beyond the window."""
+        dr.eval(color)
+        mean = [dr.block_sum(channel, SAMPLES**2) / SAMPLES**2 for channel in color]
+        dr.eval(mean)
+        image = np.full((*self.covered.shape, 3), beyond, np.float32)
+        inside = image[self.window]
+        inside[...] = np.stack([channel.numpy() for channel in mean], -1).reshape(inside.shape)
+        return image
+
+
+def _outline(shape: Any) -> np.ndarray:
+    """Return points (N, 3) that a mesh lies between: its vertices, or of many its box."""
+    if shape.vertex_count() <= MANY:
+        return meshes.positions(shape)
+    box = shape.bbox()
+    return np.array([box.corner(k) for k in range(8)], np.float64)
+
+
+def _window(points: np.ndarray, sensor: Any) -> tuple[slice, slice]:
+    """Return rows and columns of the pixels that may show something between points (N, 3), at least
+    one; all of them if some are beside or behind the camera."""
+    width, height = film_size(sensor)
+    places, depth = projected(sensor, points)
+    if not (depth > 0).all():
+        return slice(0, height), slice(0, width)
+    low, high = np.floor(places.min(axis=0)) - 1, np.ceil(places.max(axis=0)) + 1
+    left, top = (int(x) for x in np.clip(low, 0, (width - 1, height - 1)))
+    right, bottom = (int(x) for x in np.clip(high, (left + 1, top + 1), (width, height)))
+    return slice(top, bottom), slice(left, right)
+
+
+def alone(capture: Any) -> Any:
+    """Return a scene of the capture's ``mesh`` and nothing else."""
+    return mi.load_dict(
+        # A copy: a live shape belongs to one scene, and the capture's may have no UVs.
+        {"type": "scene", "object": meshes.make("object", meshes.arrays(capture.mesh))},
+        optimize=False,
+    )
