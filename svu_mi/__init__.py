@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from svu_mi.export.reading import load_asset
     from svu_mi.frequency.fit import fit_sh
     from svu_mi.frequency.harmonics import power_spectrum
+    from svu_mi.geometry.texels import Texels, texels
     from svu_mi.guidance.candidates import Candidates
     from svu_mi.guidance.next_view import next_best_view
     from svu_mi.guidance.options import GuidanceOptions
@@ -57,7 +58,6 @@ if TYPE_CHECKING:
     from svu_mi.reference.record import Reference
     from svu_mi.regularization.sharing import GlobalSharing
     from svu_mi.regularization.tv import TotalVariation
-    from svu_mi.surface.layout import Texels, texels
 
 __version__ = "0.1.0"
 

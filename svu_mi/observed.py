@@ -22,6 +22,11 @@ from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.frequency.samples import MirroredLight
+from svu_mi.geometry.packed_views import Views, pack_views
+from svu_mi.geometry.pixel_footprint import as_channels
+from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.texels import Texels
+from svu_mi.geometry.visibility import Survey, survey
 from svu_mi.light.cells import LightCells, light_cells
 from svu_mi.light.lighting import Lighting, light
 from svu_mi.options import AngularPreset, Fit, Preset
@@ -32,12 +37,7 @@ from svu_mi.statistics.censored import PASSES, best_models
 from svu_mi.statistics.factors import Factors
 from svu_mi.statistics.gather import ALIKE, Weighting, clipped_samples, gather, rounding_sums
 from svu_mi.statistics.sums import Gathered, Statistics
-from svu_mi.surface.layout import Texels
-from svu_mi.visibility.observe import Surface
-from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors, Reach, trace_mirrors, trace_reach
-from svu_mi.visibility.survey import Survey, survey
-from svu_mi.visibility.views import Views, pack_views
 
 log = logging.getLogger(__name__)
 

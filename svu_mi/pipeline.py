@@ -31,6 +31,7 @@ from svu_mi.estimators import (
     widened,
     with_known,
 )
+from svu_mi.geometry.texels import Texels
 from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset, AnyPreset, Method, Skip
 from svu_mi.options import preset as find_preset
@@ -40,7 +41,6 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.spectrum import spectrum_grid
 from svu_mi.posterior.streaming import log_prior
 from svu_mi.posterior.tiled import TiledKernel
-from svu_mi.surface.layout import Texels
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

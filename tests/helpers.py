@@ -33,13 +33,13 @@ from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import write_json
 from svu_mi.core.io.output_folder import writing
 from svu_mi.core.progress import Progress
+from svu_mi.geometry.texels import texels
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.scenes import meshes
 from svu_mi.statistics.gather import Values
-from svu_mi.surface.layout import texels
 
 SPHERE_XML = """<scene version="3.0.0">
   <integrator type="direct"/>

@@ -9,10 +9,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.geometry.sample_view import Surface
 from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Materials, Transport
 from svu_mi.options import preset
-from svu_mi.visibility.observe import Surface
 
 SWITCHES = preset("default", method="angular")
 

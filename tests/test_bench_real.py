@@ -164,7 +164,7 @@ def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
 def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
     """What every view shows of some texels: whether it does, and radiance."""
     from svu_mi.core.arrays import owned
-    from svu_mi.visibility.observe import Surface, look, observe
+    from svu_mi.geometry.sample_view import Surface, look, observe
 
     surface = Surface.of(observed.texels, owned(mi.UInt32, number.astype(np.uint32)))
     found = []

@@ -35,8 +35,8 @@ from svu_mi.errors import (
     SvuEnvironmentError,
     SvuWarning,
 )
+from svu_mi.geometry.texels import texels
 from svu_mi.pipeline import estimate
-from svu_mi.surface.layout import texels
 
 
 def write_images(folder, count, shape=(24, 24), value=0.5):

@@ -19,6 +19,7 @@ from helpers import fails, names, write_older
 from svu_mi.capture.sensors import film_size, windowed_sensor
 from svu_mi.capture.tonemap import Look, alone
 from svu_mi.errors import OptionError, SvuEnvironmentError
+from svu_mi.geometry.neighbors import neighbors
 from svu_mi.inpaint.diffusion import load_weights
 from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
 from svu_mi.inpaint.diffusion.load_weights import PARTS, require_model
@@ -31,7 +32,6 @@ from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import field_around
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import lay_out, scene_textures
-from svu_mi.surface.neighbors import neighbors
 
 SHAPE = (3, 5, 7)
 

@@ -10,11 +10,11 @@ from helpers import ball_scene, memory_capture
 from scipy.ndimage import map_coordinates
 
 from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.surface.layout import texels
-from svu_mi.visibility.observe import Surface, look
-from svu_mi.visibility.pixels import SPACING
-from svu_mi.visibility.survey import survey
-from svu_mi.visibility.views import pack_views
+from svu_mi.geometry.packed_views import pack_views
+from svu_mi.geometry.pixel_footprint import SPACING
+from svu_mi.geometry.sample_view import Surface, look
+from svu_mi.geometry.texels import texels
+from svu_mi.geometry.visibility import survey
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 FILM = 200

@@ -10,7 +10,7 @@ import pytest
 
 import svu_mi as svu
 from svu_mi.errors import SvuWarning
-from svu_mi.visibility.views import pack_views
+from svu_mi.geometry.packed_views import pack_views
 
 VIEW = 2
 

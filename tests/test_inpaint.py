@@ -16,6 +16,7 @@ from test_field import square, those_first
 from svu_mi.core.arrays import owned
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError, ShapeError
+from svu_mi.geometry.neighbors import neighbors
 from svu_mi.inpaint import texel_hierarchy
 from svu_mi.inpaint.combine_predictors import FARTHER, TITLES, spreads
 from svu_mi.inpaint.cross_validation import UNSEEN, Judged, Trial, hidden_parts
@@ -29,7 +30,6 @@ from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.recover import recover
 from svu_mi.recovery.textures import lay_out
-from svu_mi.surface.neighbors import neighbors
 
 Y = (0.0, 1.0, 0.0)
 

@@ -20,7 +20,7 @@ ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}
 
 
 def stage_of(path: Path, package: Path) -> str:
-    """First folder or file below the package: ``surface`` for surface/raster.py."""
+    """First folder or file below the package: ``surface`` for geometry/rasterize_uv.py."""
     return path.relative_to(package).parts[0].removesuffix(".py")
 
 

@@ -11,8 +11,7 @@ from helpers import ball
 import svu_mi.errors
 import svu_mi.scenes
 from svu_mi.capture.mesh import MeshArrays, make
-from svu_mi.surface.layout import Texels, texels
-from svu_mi.surface.neighbors import (
+from svu_mi.geometry.neighbors import (
     MOST,
     OPPOSITE,
     REACH,
@@ -21,6 +20,7 @@ from svu_mi.surface.neighbors import (
     neighbors,
     over_neighbors,
 )
+from svu_mi.geometry.texels import Texels, texels
 
 
 def quad(origin, along_u, along_v, uv) -> MeshArrays:

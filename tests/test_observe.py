@@ -10,10 +10,10 @@ from helpers import ball, ball_scene, memory_capture, sensor_xml, write_scene
 
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
-from svu_mi.surface.layout import texels
-from svu_mi.visibility.observe import Surface, observe, over_views
-from svu_mi.visibility.survey import survey
-from svu_mi.visibility.views import pack_views
+from svu_mi.geometry.packed_views import pack_views
+from svu_mi.geometry.sample_view import Surface, observe, over_views
+from svu_mi.geometry.texels import texels
+from svu_mi.geometry.visibility import survey
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 

@@ -23,6 +23,8 @@ from svu_mi import scenes
 from svu_mi.capture.mesh import make
 from svu_mi.core.arrays import owned
 from svu_mi.frequency.gather import Coefficients
+from svu_mi.geometry.neighbors import neighbors
+from svu_mi.geometry.sample_view import Surface
 from svu_mi.guidance.prospect import Prospect
 from svu_mi.light.environment import directions, quadrature, synthesize
 from svu_mi.light.lighting import lat_long_texture, look_up
@@ -36,8 +38,6 @@ from svu_mi.recovery.path.objective import l1
 from svu_mi.recovery.sh.angular import angular_objective
 from svu_mi.recovery.sh.spectral import SpectralObjective
 from svu_mi.statistics.gather import flat
-from svu_mi.surface.neighbors import neighbors
-from svu_mi.visibility.observe import Surface
 
 L = 6  # l*
 SH = preset("paper", method="angular")

@@ -15,6 +15,8 @@ from svu_mi.capture.replace_material import is_same, repaint
 from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sensors
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError, OptionError, ShapeError
+from svu_mi.geometry.packed_views import pack_views
+from svu_mi.geometry.texels import texels as lay_texels
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import descend
@@ -23,8 +25,6 @@ from svu_mi.recovery.path.batches import PixelBatches
 from svu_mi.recovery.path.objective import FLOOR, LOSSES, path_objective
 from svu_mi.recovery.path.scene import PathScene
 from svu_mi.recovery.textures import Textures, uniform
-from svu_mi.surface.layout import texels as lay_texels
-from svu_mi.visibility.views import pack_views
 
 
 def light():

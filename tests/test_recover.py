@@ -15,6 +15,7 @@ from helpers import render_ball
 import svu_mi as svu
 from svu_mi.capture.capture import Capture
 from svu_mi.errors import OptionError, ShapeError, SvuError
+from svu_mi.geometry.texels import Texels
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.recovery.options import SH_PRESETS, DescentOptions, ShOptions
@@ -22,7 +23,6 @@ from svu_mi.recovery.sh.objective import Likelihood, Pull, moments, values_of
 from svu_mi.recovery.start import posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, uniform
 from svu_mi.statistics.gather import Weighting
-from svu_mi.surface.layout import Texels
 
 SIZE = 24
 TRUE: dict[str, Any] = {"base_color": (0.7, 0.4, 0.15), "roughness": 0.5, "metallic": 1.0}

@@ -16,6 +16,7 @@ from svu_mi import scenes
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.gather import fit_coefficients, fit_spectra
+from svu_mi.geometry.sample_view import Surface
 from svu_mi.light import environment as env
 from svu_mi.light.levels import filter_light
 from svu_mi.light.lighting import moment_map
@@ -28,7 +29,6 @@ from svu_mi.reflection.continuous import continuous, shade
 from svu_mi.reflection.lobes import dielectric_albedo, profile_of, split_sum
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.shading import radiance
-from svu_mi.visibility.observe import Surface
 
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 TRUTH = {"base_color": [0.7, 0.4, 0.2], "roughness": [0.45], "metallic": [0.6]}

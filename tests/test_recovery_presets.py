@@ -13,6 +13,7 @@ from helpers import render_ball
 
 import svu_mi as svu
 from svu_mi.errors import OptionError, SvuError
+from svu_mi.geometry.neighbors import neighbors
 from svu_mi.options import PRESETS, preset
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import SpectrumKernel
@@ -32,7 +33,6 @@ from svu_mi.recovery.sh.angular import AngularObjective
 from svu_mi.recovery.sh.spectral import SpectralObjective
 from svu_mi.regularization.sharing import GlobalSharing
 from svu_mi.regularization.tv import TotalVariation
-from svu_mi.surface.neighbors import neighbors
 
 SH = {name: asdict(options) for name, options in SH_PRESETS.items()}
 PATH = {name: asdict(options) for name, options in PATH_PRESETS.items()}

@@ -18,6 +18,7 @@ from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
+from svu_mi.geometry.texels import texels
 from svu_mi.options import AngularPreset
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.grid import PrincipledGrid
@@ -25,7 +26,6 @@ from svu_mi.reference import pairs, posterior, trace
 from svu_mi.reference.deviations import PerTexel, brute, linear
 from svu_mi.reference.posterior import reference_posterior
 from svu_mi.statistics.factors import PAIRS
-from svu_mi.surface.layout import texels
 
 GRID = PrincipledGrid(3, 3, 3)
 TRUTH = (1, 2, 1)  # cell of GRID

@@ -16,6 +16,8 @@ from test_neighbors import links, quad, together
 from svu_mi.capture.mesh import make
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
+from svu_mi.geometry.neighbors import neighbors
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.options import preset
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.grid import ParameterGrid
@@ -24,8 +26,6 @@ from svu_mi.posterior.tabulated import TabulatedKernel, tabulated_posterior
 from svu_mi.regularization.seeds import find_seeds, least_minima
 from svu_mi.regularization.sharing import GlobalSharing, divergences
 from svu_mi.regularization.tv import TotalVariation
-from svu_mi.surface.layout import Texels, texels
-from svu_mi.surface.neighbors import neighbors
 
 RESOLUTION = (24, 16)
 GRID = ParameterGrid(4, 3)

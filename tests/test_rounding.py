@@ -20,13 +20,13 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.quantization import Rounding, variance
 from svu_mi.core.arrays import owned
+from svu_mi.geometry.sample_view import Surface, look
+from svu_mi.geometry.sample_view import observe as look_for
 from svu_mi.illumination.exposure import equalized
 from svu_mi.illumination.record import FoundGains
 from svu_mi.observed import observe
 from svu_mi.statistics.gather import Weighting
 from svu_mi.statistics.sums import noise_weight
-from svu_mi.visibility.observe import Surface, look
-from svu_mi.visibility.observe import observe as look_for
 
 DARK = 0.004  # exposure at which the vase is a few steps of 255
 

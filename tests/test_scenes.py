@@ -15,8 +15,8 @@ from svu_mi.capture.render_capture import object_mask
 from svu_mi.capture.scene import find_environment, find_sensors, find_shape, load_scene
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError, OutputError
+from svu_mi.geometry.texels import texels
 from svu_mi.scenes import make_assets
-from svu_mi.surface.layout import texels
 
 SMALL = {"resolution": "16", "spp": "4"}
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import svu_mi as svu
+from svu_mi.geometry.neighbors import neighbors
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.sh.objective import Pull, Smoothing
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface.neighbors import neighbors
 
 STRENGTH = 30.0
 

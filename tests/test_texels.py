@@ -11,9 +11,9 @@ from helpers import ball
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.unwrap import unwrap, unwrapped
 from svu_mi.errors import MeshError, OptionError, ShapeError
-from svu_mi.surface import layout
-from svu_mi.surface.layout import texels
-from svu_mi.surface.raster import rasterize
+from svu_mi.geometry import texels
+from svu_mi.geometry.rasterize_uv import rasterize
+from svu_mi.geometry.texels import texels
 
 
 @pytest.mark.parametrize("resolution", [64, (96, 40), (33, 71)])
@@ -150,7 +150,7 @@ def test_an_empty_mesh_cannot_be_unwrapped():
 
 def test_texels_interpolated_some_at_a_time_are_the_same(monkeypatch, vase):
     whole = texels(vase.capture.mesh, 64)
-    monkeypatch.setattr(layout, "CHUNK", 333)
+    monkeypatch.setattr(texels, "CHUNK", 333)
     parts = texels(vase.capture.mesh, 64)
     for name in ("position", "normal", "geometric_normal", "uv", "footprint"):
         one, other = (np.array(getattr(found, name)) for found in (parts, whole))

@@ -21,6 +21,7 @@ from svu_mi.capture.tonemap import tone_mapped as exposed
 from svu_mi.cli.main import main
 from svu_mi.cli.view import View
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
+from svu_mi.geometry.texels import texels
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer import model
 from svu_mi.output.viewer.model import GAIN, before_tone_mapping, frustum
@@ -28,7 +29,6 @@ from svu_mi.output.viewer.picking import Picker, nearest_texel, says
 from svu_mi.output.viewer.viewer import Viewer
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface.layout import texels
 
 SIZE = (40, 24)  # texels: not square, so that rows cannot pass for columns
 FILM = (48, 36)

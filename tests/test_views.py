@@ -17,11 +17,11 @@ from svu_mi.capture.render_capture import render_capture
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sensors
 from svu_mi.errors import CaptureError
-from svu_mi.surface.layout import texels
-from svu_mi.visibility.observe import Surface, observe
-from svu_mi.visibility.pixels import as_channels
-from svu_mi.visibility.silhouette import MIN_COSINE, SLOPE_MARGIN
-from svu_mi.visibility.views import pack_sensors, pack_views
+from svu_mi.geometry.packed_views import pack_sensors, pack_views
+from svu_mi.geometry.pixel_footprint import as_channels
+from svu_mi.geometry.sample_view import Surface, observe
+from svu_mi.geometry.silhouettes import MIN_COSINE, SLOPE_MARGIN
+from svu_mi.geometry.texels import texels
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 

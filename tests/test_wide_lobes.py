@@ -11,12 +11,12 @@ from oracle import angular as oracle
 
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.core.arrays import owned
+from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.light.cells import Cells, light_cells
 from svu_mi.light.environment import Environment, read_environment
 from svu_mi.reflection import wide
 from svu_mi.reflection.wide import WideLobes
-from svu_mi.surface.layout import Texels, texels
-from svu_mi.visibility.observe import Surface
 from svu_mi.visibility.reach import Reach, trace_reach
 
 ALPHA = np.array([0.04, 0.15, 0.5, 1.0])

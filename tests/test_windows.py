@@ -23,7 +23,7 @@ from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.sensors import film_size, make_sensor
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError
-from svu_mi.visibility.views import pack_views
+from svu_mi.geometry.packed_views import pack_views
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*8-bit:svu_mi.errors.SvuWarning")
 

@@ -11,11 +11,11 @@ from oracle import angular as oracle
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.sensors import sphere_sensors
+from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.statistics.gather import SMALLEST
 from svu_mi.statistics.sums import EDGES
-from svu_mi.visibility.pixels import as_channels
 
 ROUGHNESS = np.array([0.0, 0.3, 0.6, 1.0])
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}

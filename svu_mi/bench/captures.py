@@ -22,11 +22,11 @@ from svu_mi.core.io.hashes import digest_of_file
 from svu_mi.core.io.provenance import is_as_written
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
+from svu_mi.geometry.texels import Texels
 from svu_mi.metrics.images import texel_error, texture_psnr
 from svu_mi.metrics.truth import ground_truth
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface.layout import Texels
 
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from svu_mi.capture.capture import Capture
+from svu_mi.geometry.texels import Texels
 from svu_mi.options import preset
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.surface.layout import Texels
 
 
 @dataclass(frozen=True)

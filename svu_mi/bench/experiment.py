@@ -21,7 +21,7 @@ from svu_mi.bench.result_cache import Store, code_now, key_of
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.errors import SvuError, SvuWarning
-from svu_mi.surface.layout import Texels, texels
+from svu_mi.geometry.texels import Texels, texels
 
 Record = dict[str, Any]
 HEAD = "head"  # file of what holds for all rows of a cell

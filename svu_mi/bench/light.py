@@ -20,6 +20,7 @@ from svu_mi.bench.report import Bar, Column, columns, digits
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
+from svu_mi.geometry.texels import texels
 from svu_mi.illumination.estimate import estimate_light
 from svu_mi.illumination.light_summary import blurred, likeness
 from svu_mi.illumination.options import LightOptions
@@ -30,7 +31,6 @@ from svu_mi.metrics.images import psnr
 from svu_mi.observed import Observed, observe
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.surface.layout import texels
 
 GLOSSY, SOME = 0.4, 0.05  # roughness below which a texel is glossy; part of texels that counts
 FEW_DIELECTRICS = 0.2  # part of texels from which they fix the scale of the light

@@ -22,8 +22,8 @@ from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import allocated_mib, run, spread
 from svu_mi.capture.capture import Capture
 from svu_mi.core.memory import MODELS
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate
-from svu_mi.surface.layout import Texels, texels
 
 STEEPEST, LEAST_R2 = 1.1, 0.95
 MODEL_OF = {"angular": "default", "spectrum": "spectrum"}  # with their default presets

@@ -25,6 +25,7 @@ from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import Pictures
 from svu_mi.capture.scene import find_shape, load_scene
+from svu_mi.geometry.texels import Texels
 from svu_mi.inpaint.fill import fill
 from svu_mi.metrics.correlation import spearman
 from svu_mi.observed import observe
@@ -32,7 +33,6 @@ from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import LEVEL, TextureField, texture_field
 from svu_mi.recovery.recover import Recovery, recover
 from svu_mi.recovery.relight import path_length, relight_draws
-from svu_mi.surface.layout import Texels
 
 RELIT_CELLS, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
 FRONT_VIEWS, BACK_VIEWS = 18, 4

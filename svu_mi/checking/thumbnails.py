@@ -18,7 +18,7 @@ from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import evenly_spaced, owned
 from svu_mi.errors import CaptureError
-from svu_mi.visibility.views import CAMERA_FLOATS, Views, pack_views
+from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views, pack_views
 
 POSE = slice(8, 20)  # where ``ray_floats`` keeps three rows of to_world
 ROWS = slice(0, 12)  # where ``Views.cameras`` keeps three rows of the projection

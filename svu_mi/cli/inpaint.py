@@ -72,13 +72,13 @@ class Inpaint(CaptureCommand, ResultCommand):
 
     def work(self, progress: Progress, place: Claim) -> Iterable[str]:
         """Fill, and write the results."""
+        from svu_mi.geometry.neighbors import neighbors
         from svu_mi.output.filled import fill_sentences, write_filled
         from svu_mi.output.manifest import Run
         from svu_mi.output.textures import read_textures, require_textures_of, settings_of
         from svu_mi.parameters import NAMES
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.field.field import field_around, weights_of
-        from svu_mi.surface.neighbors import neighbors
 
         textures, model = read_textures(self.recovered), self._model(progress)
         size = textures.resolution

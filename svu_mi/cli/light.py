@@ -127,10 +127,10 @@ class FindLight(CaptureCommand, ResultCommand):
 
     def _scaled(self, progress: Progress, capture: Capture, found: LightEstimate) -> LightEstimate:
         """Return the light as bright as is known otherwise."""
+        from svu_mi.geometry.texels import texels
         from svu_mi.illumination.exposure import equalized
         from svu_mi.illumination.scale import scaled_by_card, scaled_by_mean
         from svu_mi.observed import observe
-        from svu_mi.surface.layout import texels
 
         if self.light_scale is not None:
             return found.scaled(self.light_scale)

@@ -17,9 +17,9 @@ from svu_mi.errors import OptionError
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
     from svu_mi.capture.crop import Detail
+    from svu_mi.geometry.texels import Texels
     from svu_mi.illumination.options import LightOptions
     from svu_mi.pipeline import Estimate
-    from svu_mi.surface.layout import Texels
 
 EQUATIONS = 26  # memory of six matrices of 3 N x 3 N, in that of a look
 NeedOf = Callable[[Sizes], Need]
@@ -55,7 +55,7 @@ class CaptureCommand(Common):
         from svu_mi.capture.crop import Detail
         from svu_mi.capture.match_photographs import has_photographs
         from svu_mi.capture.render_capture import require_rendered
-        from svu_mi.surface.layout import texels
+        from svu_mi.geometry.texels import texels
 
         photographs = self.capture.photographs
         detail = Detail(texels=size, surroundings=surroundings)

@@ -22,6 +22,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.local_memory import allocate, load, store
+from svu_mi.geometry.sample_view import Observation
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, Colors, Parts
 from svu_mi.guidance.responses import Respond
@@ -33,7 +34,6 @@ from svu_mi.reflection.principled import mixture
 from svu_mi.reflection.shading import dot
 from svu_mi.statistics.gather import GRAZING
 from svu_mi.statistics.sums import noise_weight
-from svu_mi.visibility.observe import Observation
 from svu_mi.visibility.reach import mirror_free
 
 HOPELESS = 16.0  # nats above the truth, from which on a row is left out

@@ -10,6 +10,8 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
+from svu_mi.geometry.packed_views import Views
+from svu_mi.geometry.sample_view import Surface
 from svu_mi.guidance import angular, spectral
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.forecast import Forecast, Hypotheses, numbers
@@ -29,8 +31,6 @@ from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.nodes import cell_edges, cell_widths
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.spectrum import SpectrumKernel
-from svu_mi.visibility.observe import Surface
-from svu_mi.visibility.views import Views
 
 Look = Callable[[Surface, Respond, int], Responses]
 Draw = Callable[[np.ndarray, np.ndarray], Hypotheses]

@@ -8,6 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from svu_mi.capture.sensors import bounding_sphere, directions_of
+from svu_mi.geometry.packed_views import Views, pack_sensors
+from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.visibility import Survey
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.forecast import Forecast, numbers
@@ -21,9 +24,6 @@ from svu_mi.observed import Observed
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.cells import marginals_of
-from svu_mi.visibility.observe import Surface
-from svu_mi.visibility.survey import Survey
-from svu_mi.visibility.views import Views, pack_sensors
 
 LEAST = 1e-4  # of a parameter's variance that others are compared with
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from svu_mi.core.local_memory import QUAD, fours, padded
 from svu_mi.errors import OptionError
-from svu_mi.visibility.observe import Observation, Surface, fold, look, over_views
-from svu_mi.visibility.survey import Survey
-from svu_mi.visibility.views import Views
+from svu_mi.geometry.packed_views import Views
+from svu_mi.geometry.sample_view import Observation, Surface, fold, look, over_views
+from svu_mi.geometry.visibility import Survey
 
 Respond = Callable[[Observation], list[Any]]
 """One sample per lane -> its columns, Floats, but for the first, which is the cosine."""

@@ -20,6 +20,8 @@ import numpy as np
 from svu_mi.core.arrays import owned
 from svu_mi.frequency.harmonics import System
 from svu_mi.frequency.primal import extend_lanes
+from svu_mi.geometry.pixel_footprint import as_channels
+from svu_mi.geometry.sample_view import Observation, Surface, mirror_direction
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.responses import Respond, Responses
@@ -28,8 +30,6 @@ from svu_mi.options import Preset
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import decay
 from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
-from svu_mi.visibility.observe import Observation, Surface, mirror_direction
-from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import mirror_free
 
 NEGLIGIBLE = 1e-9  # probability of a truth that nothing depends on

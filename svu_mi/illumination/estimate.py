@@ -18,6 +18,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
+from svu_mi.geometry.texels import Texels
 from svu_mi.illumination.exposure import starting_gains, updated, without_gains
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.prior import BACKGROUND_SD, Looks, prior_of, refined
@@ -44,7 +45,6 @@ from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.pipeline import Estimate, observed_of
-from svu_mi.surface.layout import Texels
 
 MOVED = 0.8  # misfit of light that moves, relative to one that stands still, if it does
 ALBEDO = 0.5  # base colour that the brightness of the first light assumes

@@ -16,6 +16,7 @@ from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.scene import require_light
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
+from svu_mi.geometry.texels import Texels
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import NINETY, FoundGains
 from svu_mi.illumination.refine import System, system_of
@@ -27,7 +28,6 @@ from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.pipeline import Estimate, observed_of
-from svu_mi.surface.layout import Texels
 
 CELLS, ROUNDS = 1024, 12
 FAR = np.log(2)  # log gain from which the search starts at the estimate instead of at 0

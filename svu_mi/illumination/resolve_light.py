@@ -22,13 +22,13 @@ from svu_mi.core.io.output_folder import claimed
 from svu_mi.core.io.provenance import LIGHT
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OutputError, SceneError
+from svu_mi.geometry.texels import texels
 from svu_mi.illumination.estimate import estimate_light
 from svu_mi.illumination.exposure import equalized, estimate_gains
 from svu_mi.illumination.folder import RECORD, load_light, photographs_of, save_light
 from svu_mi.illumination.light_summary import gain_sentences, sentences
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import FoundGains, LightEstimate
-from svu_mi.surface.layout import texels
 
 ID = "found_light"  # of the emitter
 FOLDER = "light"  # in the capture's folder

@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.geometry.sample_view import fold
 from svu_mi.illumination.samples import GRAZING, Samples
 from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
@@ -26,7 +27,6 @@ from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns,
 from svu_mi.reflection.shading import diffuse_shading, dot
 from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.sums import Statistics
-from svu_mi.visibility.observe import fold
 from svu_mi.visibility.reach import is_open
 
 WIDENED = 0.55  # radii of a cell that are added to the width of a lobe, in quadrature

@@ -27,6 +27,7 @@ from svu_mi.core.io.provenance import text_in
 from svu_mi.core.limits import require_texels
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.geometry.texels import size_of, texels
 from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.metrics.images import psnr
 from svu_mi.options import preset as find_preset
@@ -38,7 +39,6 @@ from svu_mi.output.textures import MESH, find_textures, read_texture
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.recovery.recover import Recovery
-from svu_mi.surface.layout import size_of, texels
 
 Source = str | Path | Capture | Estimate | Recovery
 

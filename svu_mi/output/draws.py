@@ -14,6 +14,7 @@ from svu_mi.capture.tonemap import Look, alone, srgb
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import CaptureError
+from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
 from svu_mi.output.figures import all_seen, draw_look, map_colors
 from svu_mi.output.result import words
@@ -21,7 +22,6 @@ from svu_mi.output.style import GREY, Block
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recover import Recovery
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface.layout import Texels
 
 if TYPE_CHECKING:
     from svu_mi.output.style import Panel

@@ -21,12 +21,12 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import Look, alone, srgb, tone_mapped
 from svu_mi.errors import OptionError
+from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.texels import Texels
 from svu_mi.output import style, views
 from svu_mi.output.result import is_seen, prior_marginal, words
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.surface.layout import Texels
-from svu_mi.surface.raster import dilate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,6 +17,8 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
+from svu_mi.geometry.neighbors import Neighbors
+from svu_mi.geometry.texels import Texels
 from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, observed_of, subject_of
@@ -24,8 +26,6 @@ from svu_mi.recovery.options import Method, PathOptions, ShOptions, options_of
 from svu_mi.recovery.run import Run, require_resolution
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization.sharing import GlobalSharing
-from svu_mi.surface.layout import Texels
-from svu_mi.surface.neighbors import Neighbors
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -14,6 +14,8 @@ import mitsuba as mi
 
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.geometry.neighbors import Neighbors, neighbors
+from svu_mi.geometry.texels import Texels
 from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate
@@ -33,8 +35,6 @@ from svu_mi.recovery.start import estimate_for_textures, known_values, posterior
 from svu_mi.recovery.textures import Textures, lay_out, scene_textures, uniform
 from svu_mi.regularization.sharing import GlobalSharing
 from svu_mi.regularization.tv import TotalVariation
-from svu_mi.surface.layout import Texels
-from svu_mi.surface.neighbors import Neighbors, neighbors
 
 # Chosen on our own scenes:
 GENTLE = 0.6  # part of total variation that smooths a start, whose texels must tell materials apart

@@ -16,6 +16,8 @@ from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
+from svu_mi.geometry.texels import Texels
+from svu_mi.geometry.visibility import Survey
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, Errors
 from svu_mi.pipeline import Estimate, observed_of, subject_of
@@ -27,8 +29,6 @@ from svu_mi.reference.pairs import Pairs, visible_pairs
 from svu_mi.reference.record import Reference, Traced
 from svu_mi.reference.trace import UniformScene, trace
 from svu_mi.statistics.sums import noise_weight
-from svu_mi.surface.layout import Texels
-from svu_mi.visibility.survey import Survey
 
 LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not
 

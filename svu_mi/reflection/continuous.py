@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import owned
+from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.levels import LightStack, stack
 from svu_mi.light.lighting import Lighting
 from svu_mi.options import AngularPreset
@@ -29,7 +30,6 @@ from svu_mi.reflection.lobes import (
 from svu_mi.reflection.narrow import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.shading import Parts, diffuse_shading, parts_of
-from svu_mi.visibility.observe import mirror_direction
 
 NARROWEST = 1e-3  # cosine: more grazing views are treated like this one
 

@@ -13,13 +13,13 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
+from svu_mi.geometry.sample_view import Surface
 from svu_mi.light.lighting import Lighting, moment_map
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.narrow import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.shading import Parts, diffuse_shading
 from svu_mi.reflection.wide import NARROW, Lobe, WideLobes
-from svu_mi.visibility.observe import Surface
 from svu_mi.visibility.reach import Reach
 
 

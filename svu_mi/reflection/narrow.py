@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import owned
+from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.cells import Cells, disk_cells
 from svu_mi.light.levels import Levels, filter_light
 from svu_mi.light.lighting import Lighting
@@ -28,7 +29,6 @@ from svu_mi.reflection.lobes import (
     split_sum,
 )
 from svu_mi.reflection.wide import Lobe, Sums
-from svu_mi.visibility.observe import mirror_direction
 
 
 @dataclass(frozen=True)

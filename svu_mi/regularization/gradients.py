@@ -9,8 +9,8 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.surface.layout import Texels
-from svu_mi.surface.neighbors import Neighbors, neighbors
+from svu_mi.geometry.neighbors import Neighbors, neighbors
+from svu_mi.geometry.texels import Texels
 
 
 def known(value: Any, slopes: Sequence[Any], values: Sequence[Any]) -> Any:

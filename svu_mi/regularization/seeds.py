@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from svu_mi.geometry.neighbors import Neighbors, connected
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.surface.neighbors import Neighbors, connected
 
 RINGS = 3  # no texel within so many steps is more certain than a seed
 RESOLUTION = 1e-3  # entropies closer than this are the same

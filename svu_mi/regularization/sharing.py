@@ -12,11 +12,11 @@ import numpy as np
 from svu_mi.core.arrays import owned
 from svu_mi.core.validation import require, require_types
 from svu_mi.errors import OptionError
+from svu_mi.geometry.texels import Texels
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.regularization.gradients import Regularizer
 from svu_mi.regularization.seeds import find_seeds, least_minima
-from svu_mi.surface.layout import Texels
 
 Divergence = Literal["forward", "reverse"]
 Seeding = Literal["spread", "least"]

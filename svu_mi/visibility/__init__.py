@@ -1,1 +1,1 @@
-"""Who sees whom: which view a texel, which texel what of the light."""
+"""TODO."""

@@ -15,13 +15,13 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import owned
+from svu_mi.geometry.bitset import Bits
+from svu_mi.geometry.packed_views import Views
+from svu_mi.geometry.pixel_footprint import as_channels
+from svu_mi.geometry.sample_view import Observation, Surface, fold, mirror_direction
+from svu_mi.geometry.visibility import Survey
 from svu_mi.light.cells import LightCells
 from svu_mi.light.lighting import MOMENTS, Lighting
-from svu_mi.visibility.bits import Bits
-from svu_mi.visibility.observe import Observation, Surface, fold, mirror_direction
-from svu_mi.visibility.pixels import as_channels
-from svu_mi.visibility.survey import Survey
-from svu_mi.visibility.views import Views
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,11 @@ from svu_mi.bench.captures import in_memory
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.sensors import make_sensor
+from svu_mi.geometry.packed_views import Views
+from svu_mi.geometry.pixel_footprint import as_channels
+from svu_mi.geometry.sample_view import Observation, Surface, look, observe
 from svu_mi.pipeline import Estimate
 from svu_mi.scenes import meshes
-from svu_mi.visibility.observe import Observation, Surface, look, observe
-from svu_mi.visibility.pixels import as_channels
-from svu_mi.visibility.views import Views
 
 METAL = {"metallic": 1.0, "roughness": 0.3, "base_color": 0.8}
 DISTANCE = 4.0  # of a camera from the middle of the ball, in radii

@@ -20,13 +20,13 @@ from svu_mi.capture.load_capture import load_capture
 from svu_mi.capture.photographs import SATURATED
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, SceneError, SvuWarning
+from svu_mi.geometry.texels import texels
 from svu_mi.light.environment import read_environment
 from svu_mi.observed import observe
 from svu_mi.output.overview import write_overview
 from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.recover import recover
-from svu_mi.surface.layout import texels
 
 SIZE = (20, 30)
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)

@@ -18,13 +18,13 @@ from svu_mi.bench.guidance.tables import draw_guidance, find_bars, guidance_tabl
 from svu_mi.bench.problem_sizes import GuidanceSizes
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.sensors import bounding_sphere, directions_of
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.next_view import next_best_view
 from svu_mi.guidance.strategies import TABLE, farthest
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.recovery.recover import recover
-from svu_mi.surface.layout import Texels, texels
 
 
 @dataclass(frozen=True)

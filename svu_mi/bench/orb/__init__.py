@@ -31,10 +31,10 @@ from svu_mi.capture.importers.stanford_orb import Split, read_orb, read_views
 from svu_mi.capture.load_capture import load_capture
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.validation import require_known
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.options import PathOptions, ShOptions
 from svu_mi.recovery.textures import Textures, uniform
-from svu_mi.surface.layout import Texels, texels
 
 PLACE = "orb"  # folder of finished results
 

@@ -34,12 +34,12 @@ from svu_mi.bench.guidance.tables import views_needed
 from svu_mi.bench.report import COLORS, INK, MARKS, page, table, tidy
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import bounding_sphere, directions_of
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.next_view import next_best_view
 from svu_mi.guidance.strategies import farthest
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.recovery.recover import recover
-from svu_mi.surface.layout import Texels, texels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,6 +20,7 @@ from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.load_capture import load_capture
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.illumination.estimate import estimate_light
 from svu_mi.illumination.exposure import equalized, estimate_gains
 from svu_mi.illumination.options import LightOptions
@@ -30,7 +31,6 @@ from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.surface.layout import Texels, texels
 
 RESOLUTION, TEXELS = 128, 6000  # per side; of these, that predictions are made for
 QUICK, QUICK_SEARCH = (64, 600), LightOptions(gains=True, texels=300, depths=((64, 4), (256, 2)))

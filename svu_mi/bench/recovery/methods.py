@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_known
+from svu_mi.geometry.texels import Texels
 from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS, PathOptions, ShOptions
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.recover import Method, Recovery, recover
-from svu_mi.surface.layout import Texels
 
 DEPTH = 2  # light straight from the environment, as in the photographs (bench.cells.DIRECT)
 

@@ -32,12 +32,12 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.load_capture import load_capture
 from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.metrics.correlation import pearson
 from svu_mi.observed import observe
 from svu_mi.output.maps import write_maps
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.surface.layout import Texels, texels
 
 DEGREES = (2, 3, 4, 5, 6, 8)
 NODES = (4, 6, 8, 12, 16, 24, 32)

@@ -25,11 +25,11 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress, Stage
+from svu_mi.geometry.packed_views import Views, pack_views
+from svu_mi.geometry.sample_view import Surface, observe
+from svu_mi.geometry.texels import texels
+from svu_mi.geometry.visibility import survey
 from svu_mi.scenes import meshes
-from svu_mi.surface.layout import texels
-from svu_mi.visibility.observe import Surface, observe
-from svu_mi.visibility.survey import survey
-from svu_mi.visibility.views import Views, pack_views
 
 MIN_TRIANGLES = 70_000
 RATIO_BAR = 0.6

@@ -23,14 +23,14 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import film_size, scaled_sensor, sensors_like, windowed_sensor
 from svu_mi.capture.tonemap import Look, alone, exposure, resized
 from svu_mi.core.arrays import owned
+from svu_mi.geometry.packed_views import LARGEST_FILM, Views, pack_sensors
+from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.sample_view import Surface, look, observe
 from svu_mi.inpaint.diffusion.model_interface import Picture
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface.raster import dilate
-from svu_mi.visibility.observe import Surface, look, observe
-from svu_mi.visibility.views import LARGEST_FILM, Views, pack_sensors
 
 AROUND = 100  # views on a sphere, of which some are rendered
 STEEPEST = 0.3  # cosine to the camera, below which a view does not show a texel well

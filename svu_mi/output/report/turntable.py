@@ -14,10 +14,10 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere, film_size, make_sensor, projected
 from svu_mi.capture.tonemap import Look, alone
 from svu_mi.core.arrays import owned
+from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.texels import Texels
 from svu_mi.output import views
 from svu_mi.output.views import front_and_right, upright
-from svu_mi.surface.layout import Texels
-from svu_mi.surface.raster import dilate
 
 ELEVATION = 20.0  # degrees
 FOV, ROOM = 30.0, 1.02  # degrees; distance, relative to where the bounding sphere just fits

@@ -13,6 +13,8 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import alone
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
+from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
 from svu_mi.output.figures import draw_marginal
 from svu_mi.output.knowledge import Intervals
@@ -21,8 +23,6 @@ from svu_mi.output.style import MARK, new_figure
 from svu_mi.output.surface_maps import Scale
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface.layout import Texels
-from svu_mi.surface.raster import dilate
 
 WIDTH, DPI = 3.6, 160  # inches
 NO_BREAK, DASH = "\u00a0", "\u2060–\u2060"  # a space and a dash at which no line breaks

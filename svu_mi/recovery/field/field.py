@@ -33,6 +33,8 @@ from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_known
 from svu_mi.errors import OptionError
+from svu_mi.geometry.neighbors import Neighbors, neighbors, squares_of
+from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
@@ -46,8 +48,6 @@ from svu_mi.recovery.run import HOLD
 from svu_mi.recovery.sh.objective import moments
 from svu_mi.recovery.start import has_field
 from svu_mi.recovery.textures import Textures, lay_out
-from svu_mi.surface.layout import Texels
-from svu_mi.surface.neighbors import Neighbors, neighbors, squares_of
 
 # Chosen on our own scenes:
 # rho, part of a seen texel's variance that its neighbourhood has in common; and of parameters that

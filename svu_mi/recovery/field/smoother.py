@@ -23,7 +23,7 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.core.local_memory import QUAD, fours, padded
-from svu_mi.surface.neighbors import grouped, lanes_of, means, over_neighbors, owners_of, sums
+from svu_mi.geometry.neighbors import grouped, lanes_of, means, over_neighbors, owners_of, sums
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 LOOK = 8  # iterations between looks at it

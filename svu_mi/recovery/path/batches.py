@@ -13,7 +13,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import pixel_rays
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError
-from svu_mi.visibility.views import Views, pack_views
+from svu_mi.geometry.packed_views import Views, pack_views
 
 TILE = 4  # pixels per side that stay together when the order is shuffled: paths are coherent
 

@@ -19,6 +19,10 @@ import numpy as np
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
 from svu_mi.frequency.samples import MirroredLight
+from svu_mi.geometry.packed_views import Views
+from svu_mi.geometry.pixel_footprint import as_channels
+from svu_mi.geometry.sample_view import Observation, Surface
+from svu_mi.geometry.visibility import Survey
 from svu_mi.light.lighting import moment_map
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
@@ -30,10 +34,6 @@ from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture,
 from svu_mi.reflection.shading import Parts, diffuse_shading, dot, parts_of, radiance
 from svu_mi.regularization.gradients import sign
 from svu_mi.statistics.gather import GRAZING, Values, mixed_of
-from svu_mi.visibility.observe import Observation, Surface
-from svu_mi.visibility.pixels import as_channels
-from svu_mi.visibility.survey import Survey
-from svu_mi.visibility.views import Views
 
 
 @dataclass(frozen=True, kw_only=True)

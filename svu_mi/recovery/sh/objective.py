@@ -15,6 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import owned
+from svu_mi.geometry.neighbors import Neighbors, over_neighbors
+from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior
@@ -25,8 +27,6 @@ from svu_mi.regularization.gradients import known
 from svu_mi.regularization.tv import absolute
 from svu_mi.statistics.factors import Factors
 from svu_mi.statistics.gather import Values, flat
-from svu_mi.surface.layout import Texels
-from svu_mi.surface.neighbors import Neighbors, over_neighbors
 
 SURE = 1e-2  # standard deviation below which a texel pulls no more: nothing is known better
 

@@ -23,7 +23,7 @@ from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.sensors import describe, film_size, scaled_sensor
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError, SvuWarning
-from svu_mi.visibility.silhouette import Films, Outline, find_tiles, interior
+from svu_mi.geometry.silhouettes import Films, Outline, find_tiles, interior
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
 LARGEST_FILM = 512  # pixels per side, of sensors without a photograph

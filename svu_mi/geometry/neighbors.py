@@ -14,7 +14,7 @@ import scipy
 from svu_mi.capture.mesh import arrays
 from svu_mi.core.arrays import owned
 from svu_mi.errors import ShapeError
-from svu_mi.surface.layout import Texels
+from svu_mi.geometry.texels import Texels
 
 REACH = 2.0  # longest link, in steps from a texel to the next
 OPPOSITE = -0.5  # cosine of normals below which two texels are two sides of a sheet

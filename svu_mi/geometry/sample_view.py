@@ -13,9 +13,15 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.surface.layout import Texels
-from svu_mi.visibility.pixels import black, interpolated, mean_over_texel, read_camera, taps_at
-from svu_mi.visibility.views import Views
+from svu_mi.geometry.packed_views import Views
+from svu_mi.geometry.pixel_footprint import (
+    black,
+    interpolated,
+    mean_over_texel,
+    read_camera,
+    taps_at,
+)
+from svu_mi.geometry.texels import Texels
 
 RAY_OFFSET = 2e-5  # of the scene's extent: leaves the surface at every scale of the mesh
 RAY_END = 1e-4  # part of the way to the camera left out at its far end

@@ -12,10 +12,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import owned
-from svu_mi.visibility.bits import Bits
-from svu_mi.visibility.observe import Observation, Surface, asked, fold, look, over_views
-from svu_mi.visibility.pixels import as_channels
-from svu_mi.visibility.views import Views
+from svu_mi.geometry.bitset import Bits
+from svu_mi.geometry.packed_views import Views
+from svu_mi.geometry.pixel_footprint import as_channels
+from svu_mi.geometry.sample_view import Observation, Surface, asked, fold, look, over_views
 
 GLARE = 1e3  # medians of all texels, beyond which one does not add to the mean radiance
 

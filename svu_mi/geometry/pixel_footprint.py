@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.visibility.views import CAMERA_FLOATS, Views
+from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views
 
 SPACING = 1.5  # pixels between look-ups, each of which averages about as many
 MOST_TAPS = 8  # per side of a texel

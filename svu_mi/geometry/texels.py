@@ -16,7 +16,7 @@ from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs, unit_vectors
 from svu_mi.capture.scene import require_variant
 from svu_mi.core.arrays import owned
 from svu_mi.errors import MeshError, OptionError, ShapeError
-from svu_mi.surface.raster import rasterize
+from svu_mi.geometry.rasterize_uv import rasterize
 
 OVERLAP_LIMIT = 0.05  # part of the covered texels; below it they are left out, above refused
 OUTSIDE_LIMIT = 1e-3  # part of the faces that may lie outside the unit square

@@ -11,8 +11,8 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.replace_material import is_principled
 from svu_mi.errors import SceneError
+from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import CHANNELS
-from svu_mi.surface.layout import Texels
 
 
 def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
