@@ -13,16 +13,16 @@ from svu_mi.capture.replace_material import is_principled, is_two_sided
 from svu_mi.capture.scene import find_environment
 from svu_mi.errors import OptionError, SceneError, SvuWarning
 from svu_mi.geometry.texel_materials import attributes
+from svu_mi.light.band_limited import MomentMap, band_limit, moment_map
 from svu_mi.light.environment import read_environment
-from svu_mi.light.lighting import MomentMap, band_limit, moment_map
 from svu_mi.options import ANGULAR_PRESETS, preset
 from svu_mi.parameters import NAMES
 from svu_mi.plugins.registry import require_variant
-from svu_mi.reflection.continuous import Continuous, continuous, shade
+from svu_mi.reflection.mix_columns import radiance
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.shading import radiance
-from svu_mi.reflection.shadow import Side, open_to_light
-from svu_mi.statistics.gather import mixed_of
+from svu_mi.reflection.render_model import Continuous, continuous, shade
+from svu_mi.reflection.two_ray_visibility import Side, open_to_light
+from svu_mi.statistics.gather_statistics import mixed_of
 
 # A scene has no photographs that light could be fitted to, as ``paper`` does at every texel.
 PRESETS = {name: each for name, each in ANGULAR_PRESETS.items() if each.fit is None} | {

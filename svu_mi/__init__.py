@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from svu_mi.export.asset import Asset
     from svu_mi.export.export import ExportOptions, export_asset
     from svu_mi.export.reading import load_asset
-    from svu_mi.frequency.fit import fit_sh
+    from svu_mi.frequency.fit_sh import fit_sh
     from svu_mi.frequency.harmonics import power_spectrum
     from svu_mi.geometry.texels import Texels, texels
     from svu_mi.guidance.candidates import Candidates

@@ -22,7 +22,7 @@ from svu_mi.core.limits import MAX_LANES
 from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.errors import OptionError
-from svu_mi.frequency.gather import fit_spectra
+from svu_mi.frequency.spectra import fit_spectra
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset, Skip
 from svu_mi.posterior.angular import angular_posterior
@@ -32,8 +32,8 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.spectrum import spectrum_posterior
 from svu_mi.posterior.streaming import IMPOSSIBLE
 from svu_mi.posterior.tiled import TiledKernel
-from svu_mi.statistics.factors import Factors, stride
-from svu_mi.statistics.gather import Weighting
+from svu_mi.statistics.cholesky_factors import Factors, stride
+from svu_mi.statistics.gather_statistics import Weighting
 
 log = logging.getLogger(__name__)
 

@@ -21,23 +21,29 @@ from svu_mi.capture.scene import require_light
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
-from svu_mi.frequency.samples import MirroredLight
+from svu_mi.frequency.fit_samples import MirroredLight
+from svu_mi.frequency.sh_lobes import FittedLobes
 from svu_mi.geometry.packed_views import Views, pack_views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import Surface
 from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Survey, survey
-from svu_mi.light.cells import LightCells, light_cells
-from svu_mi.light.lighting import Lighting, light
+from svu_mi.light.band_limited import Lighting, light
+from svu_mi.light.light_tree import LightCells, light_cells
+from svu_mi.light.light_visibility import Mirrors, Reach, trace_mirrors, trace_reach
 from svu_mi.options import AngularPreset, Fit, Preset
-from svu_mi.reflection.fitted import FittedLobes
-from svu_mi.reflection.model import Arriving, Model
 from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.reflection.reflection_model import Arriving, Model
 from svu_mi.statistics.censored import PASSES, best_models
-from svu_mi.statistics.factors import Factors
-from svu_mi.statistics.gather import ALIKE, Weighting, clipped_samples, gather, rounding_sums
-from svu_mi.statistics.sums import Gathered, Statistics
-from svu_mi.visibility.reach import Mirrors, Reach, trace_mirrors, trace_reach
+from svu_mi.statistics.cholesky_factors import Factors
+from svu_mi.statistics.gather_statistics import (
+    ALIKE,
+    Weighting,
+    clipped_samples,
+    gather,
+    rounding_sums,
+)
+from svu_mi.statistics.statistics import Gathered, Statistics
 
 log = logging.getLogger(__name__)
 

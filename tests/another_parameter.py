@@ -19,8 +19,8 @@ from svu_mi.reflection.principled import (
     specular_from_principled,
 )
 from svu_mi.scenes import FOLDER
-from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.cholesky_factors import PAIRS
+from svu_mi.statistics.statistics import Statistics
 
 TEXELS, VIEWS = 5, 12
 EDGES = np.array([0, 0.25, 0.75, 1])  # of the cells of a grid of three nodes

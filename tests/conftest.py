@@ -53,9 +53,9 @@ def _light_is_filtered_once() -> None:
 
     What is kept is what ``convolve`` has returned for exactly these arguments.
     """
-    from svu_mi.light import levels
+    from svu_mi.light import prefiltered
 
-    convolve, kept = levels.convolve, {}
+    convolve, kept = prefiltered.convolve, {}
 
     def once(grid: np.ndarray, width: float, profile: partial) -> np.ndarray:
         light = hashlib.blake2b(np.ascontiguousarray(grid)).digest()
@@ -67,7 +67,7 @@ def _light_is_filtered_once() -> None:
             found = kept[key] = convolve(grid, width, profile)
         return found
 
-    levels.convolve = once
+    prefiltered.convolve = once
 
 
 @pytest.fixture

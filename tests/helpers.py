@@ -39,7 +39,7 @@ from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.scenes import meshes
-from svu_mi.statistics.gather import Values
+from svu_mi.statistics.gather_statistics import Values
 
 SPHERE_XML = """<scene version="3.0.0">
   <integrator type="direct"/>

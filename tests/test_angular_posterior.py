@@ -16,7 +16,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.angular import angular_posterior
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.statistics import Statistics
 
 
 @pytest.fixture(scope="module")

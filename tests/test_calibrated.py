@@ -17,7 +17,7 @@ from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.truncated import Channel, erfcx
 from svu_mi.posterior.walk import energy_at
 from svu_mi.reflection.principled import mixture
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.statistics import Statistics
 
 LEVELS = np.linspace(0, 1, 8)
 PARTS = oracle.even(42), oracle.mixed(14, 0.8)

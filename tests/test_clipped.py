@@ -24,9 +24,9 @@ from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.censored import Models, best_models, parabola
-from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.gather import Weighting
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.cholesky_factors import PAIRS
+from svu_mi.statistics.gather_statistics import Weighting
+from svu_mi.statistics.statistics import Statistics
 
 SWITCHES = preset("default", method="angular")
 LIMIT = float(decoded(np.array(SATURATED[8], np.float32)))

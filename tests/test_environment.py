@@ -13,8 +13,8 @@ from helpers import python
 from svu_mi.core.arrays import fibonacci
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError, SceneError
-from svu_mi.light import sampling
-from svu_mi.light.cells import LARGEST, light_cells
+from svu_mi.light import latlong
+from svu_mi.light.band_limited import band_limit, degrees, zonal_cosine
 from svu_mi.light.environment import (
     Environment,
     analyze,
@@ -25,7 +25,7 @@ from svu_mi.light.environment import (
     read_environment,
     synthesize,
 )
-from svu_mi.light.lighting import band_limit, degrees, zonal_cosine
+from svu_mi.light.light_tree import LARGEST, light_cells
 
 
 def unit_vectors(rng, count):
@@ -326,7 +326,7 @@ def test_what_is_averaged_of_a_large_map_is_its_light(size, monkeypatch):
     pixels = np.kron(coarse, np.ones((4, 4, 1)))[:rows, :columns]
     emitter = envmap(pixels)
     whole = read_environment(emitter)
-    monkeypatch.setattr(sampling, "MOST", (130, 65))
+    monkeypatch.setattr(latlong, "MOST", (130, 65))
     less = read_environment(emitter)
     assert less.radiance.shape == (min(whole.radiance.shape[0], 65), 130, 3)
     before, after = whole.coefficients(8), less.coefficients(8)

@@ -9,7 +9,7 @@ import pytest
 from oracle import frequency as oracle
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.frequency.fit import fit_sh, solver_groups
+from svu_mi.frequency.fit_sh import fit_sh, solver_groups
 from svu_mi.frequency.harmonics import power_spectrum
 
 LAMBDA = 1e-3

@@ -12,10 +12,10 @@ import pytest
 from oracle import angular as oracle
 
 from svu_mi.core.arrays import owned
-from svu_mi.light import levels as module
+from svu_mi.light import prefiltered as module
+from svu_mi.light.band_limited import band_limit, lat_long_texture, look_up
 from svu_mi.light.environment import Environment, directions, quadrature, read_environment
-from svu_mi.light.levels import convolve, filter_light, resolved
-from svu_mi.light.lighting import band_limit, lat_long_texture, look_up
+from svu_mi.light.prefiltered import convolve, filter_light, resolved
 from svu_mi.reflection.lobes import profile_of, zonal_profile
 
 KINDS = ["ggx", "gaussian"]

@@ -17,7 +17,7 @@ from svu_mi.reflection.lobes import (
     split_sum,
     zonal_profile,
 )
-from svu_mi.reflection.shading import diffuse_shading
+from svu_mi.reflection.mix_columns import diffuse_shading
 
 WIDTHS = [1e-3, 0.02, 0.1, 0.3, 0.6, 1.0]
 COSINES = (np.arange(ALBEDO_NODES) + 0.5) / ALBEDO_NODES

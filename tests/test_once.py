@@ -16,7 +16,7 @@ from svu_mi import observed as module
 from svu_mi.bench.captures import chosen_views
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.options import DescentOptions, ShOptions
-from svu_mi.statistics.gather import Weighting
+from svu_mi.statistics.gather_statistics import Weighting
 
 TRACERS = ("pack_views", "survey", "trace_reach", "trace_mirrors", "light")
 BRIEF = ShOptions(descent=DescentOptions(steps=2))

@@ -22,12 +22,12 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.mesh import make
 from svu_mi.core.arrays import owned
-from svu_mi.frequency.gather import Coefficients
+from svu_mi.frequency.spectra import Coefficients
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.geometry.sample_view import Surface
 from svu_mi.guidance.prospect import Prospect
+from svu_mi.light.band_limited import lat_long_texture, look_up
 from svu_mi.light.environment import directions, quadrature, synthesize
-from svu_mi.light.lighting import lat_long_texture, look_up
 from svu_mi.options import Fit, preset
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
@@ -37,7 +37,7 @@ from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS
 from svu_mi.recovery.path.objective import l1
 from svu_mi.recovery.sh.angular import angular_objective
 from svu_mi.recovery.sh.spectral import SpectralObjective
-from svu_mi.statistics.gather import flat
+from svu_mi.statistics.gather_statistics import flat
 
 L = 6  # l*
 SH = preset("paper", method="angular")

@@ -16,8 +16,8 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency.gather import fit_spectra
-from svu_mi.frequency.samples import Samples
+from svu_mi.frequency.fit_samples import Samples
+from svu_mi.frequency.spectra import fit_spectra
 from svu_mi.geometry.sample_view import Surface
 from svu_mi.observed import observe
 from svu_mi.options import preset

@@ -22,7 +22,7 @@ from svu_mi.recovery.options import SH_PRESETS, DescentOptions, ShOptions
 from svu_mi.recovery.sh.objective import Likelihood, Pull, moments, values_of
 from svu_mi.recovery.start import posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, uniform
-from svu_mi.statistics.gather import Weighting
+from svu_mi.statistics.gather_statistics import Weighting
 
 SIZE = 24
 TRUE: dict[str, Any] = {"base_color": (0.7, 0.4, 0.15), "roughness": 0.5, "metallic": 1.0}

@@ -15,20 +15,20 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency.gather import fit_coefficients, fit_spectra
+from svu_mi.frequency.spectra import fit_coefficients, fit_spectra
 from svu_mi.geometry.sample_view import Surface
 from svu_mi.light import environment as env
-from svu_mi.light.levels import filter_light
-from svu_mi.light.lighting import moment_map
+from svu_mi.light.band_limited import moment_map
+from svu_mi.light.prefiltered import filter_light
 from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.sh.angular import angular_objective
 from svu_mi.recovery.sh.spectral import spectral_objective
-from svu_mi.reflection.continuous import continuous, shade
 from svu_mi.reflection.lobes import dielectric_albedo, profile_of, split_sum
+from svu_mi.reflection.mix_columns import radiance
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.shading import radiance
+from svu_mi.reflection.render_model import continuous, shade
 
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 TRUTH = {"base_color": [0.7, 0.4, 0.2], "roughness": [0.45], "metallic": [0.6]}

@@ -14,9 +14,9 @@ from svu_mi.core.arrays import owned
 from svu_mi.recovery.sh.energy import energy
 from svu_mi.recovery.sh.objective import Likelihood
 from svu_mi.reflection.lobes import dielectric_albedo, dielectric_fresnel, split_sum
-from svu_mi.statistics.factors import PAIRS, Factors
-from svu_mi.statistics.gather import flat
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.cholesky_factors import PAIRS, Factors
+from svu_mi.statistics.gather_statistics import flat
+from svu_mi.statistics.statistics import Statistics
 
 LEVELS, TEXELS, VIEWS = 6, 7, 9
 

@@ -25,7 +25,7 @@ from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.reference import pairs, posterior, trace
 from svu_mi.reference.deviations import PerTexel, brute, linear
 from svu_mi.reference.posterior import reference_posterior
-from svu_mi.statistics.factors import PAIRS
+from svu_mi.statistics.cholesky_factors import PAIRS
 
 GRID = PrincipledGrid(3, 3, 3)
 TRUTH = (1, 2, 1)  # cell of GRID

@@ -25,8 +25,8 @@ from svu_mi.geometry.sample_view import observe as look_for
 from svu_mi.illumination.exposure import equalized
 from svu_mi.illumination.record import FoundGains
 from svu_mi.observed import observe
-from svu_mi.statistics.gather import Weighting
-from svu_mi.statistics.sums import noise_weight
+from svu_mi.statistics.gather_statistics import Weighting
+from svu_mi.statistics.statistics import noise_weight
 
 DARK = 0.004  # exposure at which the vase is a few steps of 255
 

@@ -16,9 +16,9 @@ import svu_mi as svu
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.observed import observe
-from svu_mi.statistics.factors import FLOOR, PAIRS, Factors
-from svu_mi.statistics.gather import Weighting
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, Factors
+from svu_mi.statistics.gather_statistics import Weighting
+from svu_mi.statistics.statistics import Statistics
 
 # --- gathered, against the samples ----------------------------------------------------------
 

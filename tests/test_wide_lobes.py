@@ -13,11 +13,11 @@ from svu_mi.capture import mesh as capture_mesh
 from svu_mi.core.arrays import owned
 from svu_mi.geometry.sample_view import Surface
 from svu_mi.geometry.texels import Texels, texels
-from svu_mi.light.cells import Cells, light_cells
 from svu_mi.light.environment import Environment, read_environment
-from svu_mi.reflection import wide
-from svu_mi.reflection.wide import WideLobes
-from svu_mi.visibility.reach import Reach, trace_reach
+from svu_mi.light.light_tree import Cells, light_cells
+from svu_mi.light.light_visibility import Reach, trace_reach
+from svu_mi.reflection import wide_lobes
+from svu_mi.reflection.wide_lobes import WideLobes
 
 ALPHA = np.array([0.04, 0.15, 0.5, 1.0])
 SEED = 77123
@@ -109,7 +109,7 @@ def test_what_is_not_refined_is_the_sum_over_visible_cells(
     count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The exact BRDF of every coarse cell, blurred as its disk blurs it."""
-    monkeypatch.setattr(wide, "LARGE", 1e30)
+    monkeypatch.setattr(wide_lobes, "LARGE", 1e30)
     scene, grid = surroundings()
     surface = Surface.of(grid)
     reach = trace_reach(scene, surface, light_cells(environment(spotted()), count, 512))
@@ -127,7 +127,7 @@ def test_what_is_not_refined_is_the_sum_over_visible_cells(
 
 def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of fine cells that are seen."""
-    monkeypatch.setattr(wide, "LARGE", 0.0)
+    monkeypatch.setattr(wide_lobes, "LARGE", 0.0)
     scene, grid = surroundings()
     surface = Surface.of(grid)
     reach = trace_reach(scene, surface, light_cells(environment(spotted()), 64, 512))

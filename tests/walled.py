@@ -14,8 +14,8 @@ from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.observed import observe
 from svu_mi.options import preset
-from svu_mi.statistics.gather import SMALLEST
-from svu_mi.statistics.sums import EDGES
+from svu_mi.statistics.gather_statistics import SMALLEST
+from svu_mi.statistics.statistics import EDGES
 
 ROUGHNESS = np.array([0.0, 0.3, 0.6, 1.0])
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}

@@ -25,7 +25,7 @@ from svu_mi.capture.replace_material import is_same, scene_of
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.light.environment import read_environment
-from svu_mi.light.levels import resolved
+from svu_mi.light.prefiltered import resolved
 
 CONVENTION = np.eye(4)  # of the cameras' axes in the file, see ``formats.source``
 CAMERA_AXES = (CONVENTION, OPENGL, OPENCV)  # that a file may have had before it was imported

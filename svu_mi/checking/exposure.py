@@ -42,9 +42,9 @@ from svu_mi.checking.surface_samples import (
 from svu_mi.checking.thumbnails import Frames
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.errors import SvuWarning
-from svu_mi.light.cells import Cells, light_cells
+from svu_mi.light.light_tree import Cells, light_cells
+from svu_mi.light.light_visibility import is_open
 from svu_mi.reflection.principled import F0
-from svu_mi.visibility.reach import is_open
 
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture

@@ -17,12 +17,12 @@ from svu_mi.capture.scene import find_environment
 from svu_mi.checking.thumbnails import Frames, tone
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.geometry.sample_view import Surface, observe
-from svu_mi.light.cells import Cells, light_cells
+from svu_mi.light.band_limited import band_limit, look_up
 from svu_mi.light.environment import basis_at, read_environment
-from svu_mi.light.levels import Levels, filter_light
-from svu_mi.light.lighting import band_limit, look_up
+from svu_mi.light.light_tree import Cells, light_cells
+from svu_mi.light.light_visibility import is_open
+from svu_mi.light.prefiltered import Levels, filter_light
 from svu_mi.reflection.lobes import zonal_profile
-from svu_mi.visibility.reach import is_open
 
 COUNT = 2000
 SEED = 6151

@@ -26,15 +26,15 @@ from svu_mi.geometry.sample_view import Observation
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, Colors, Parts
 from svu_mi.guidance.responses import Respond
+from svu_mi.light.light_visibility import mirror_free
 from svu_mi.posterior import streaming
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.reflection.model import Model
+from svu_mi.reflection.mix_columns import dot
 from svu_mi.reflection.principled import columns as columns_of
 from svu_mi.reflection.principled import mixture
-from svu_mi.reflection.shading import dot
-from svu_mi.statistics.gather import GRAZING
-from svu_mi.statistics.sums import noise_weight
-from svu_mi.visibility.reach import mirror_free
+from svu_mi.reflection.reflection_model import Model
+from svu_mi.statistics.gather_statistics import GRAZING
+from svu_mi.statistics.statistics import noise_weight
 
 HOPELESS = 16.0  # nats above the truth, from which on a row is left out
 

@@ -20,7 +20,7 @@ from svu_mi.guidance.objectives import Colors, Entropy, prior_tables
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.responses import Respond, Responses, collect
 from svu_mi.guidance.spectral import SpectrumForecast
-from svu_mi.light.lighting import band_limit
+from svu_mi.light.band_limited import band_limit
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.pipeline import Estimate, observed_of

@@ -4,7 +4,7 @@ If psi_0 is true, the photographs' spectrum is S_L' Ks_0^2 e_l, and Eq. 11 becom
 
     d(psi_0, psi) = sum_{l=1}^{l*} (Ks_0^2 e_l(alpha_0) - Ks^2 e_l(alpha))^2 S_L'(l)^2.
 
-A candidate is a rank-1 change of the fit of the mirrored light S_L' (``frequency/primal.py``).
+A candidate is a rank-1 change of the fit of the mirrored light S_L' (``frequency/solve_primal.py``).
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.frequency.harmonics import System
-from svu_mi.frequency.primal import extend_lanes
+from svu_mi.frequency.solve_primal import extend_lanes
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import Observation, Surface, mirror_direction
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.responses import Respond, Responses
-from svu_mi.light.lighting import Lighting
+from svu_mi.light.band_limited import Lighting
+from svu_mi.light.light_visibility import mirror_free
 from svu_mi.options import Preset
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import decay
 from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
-from svu_mi.visibility.reach import mirror_free
 
 NEGLIGIBLE = 1e-9  # probability of a truth that nothing depends on
 

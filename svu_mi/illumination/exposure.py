@@ -23,7 +23,7 @@ from svu_mi.illumination.refine import System, system_of
 from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import COOLING, HEAT, Moments, Transport, columns_of, tempered
 from svu_mi.illumination.uncertainty import level_of
-from svu_mi.light.cells import even_radiance
+from svu_mi.light.light_tree import even_radiance
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset

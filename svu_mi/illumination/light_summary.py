@@ -11,13 +11,13 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
 from svu_mi.illumination.record import FoundGains, LightEstimate
+from svu_mi.light.band_limited import degrees
 from svu_mi.light.environment import (
     Environment,
     basis_at,
     polar_from_local,
     read_environment,
 )
-from svu_mi.light.lighting import degrees
 
 BLUR = 15.0  # degrees, full width at half maximum, at which light is compared
 DEGREE = 48  # beyond which that leaves nothing

@@ -26,7 +26,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import film_size
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.errors import CaptureError
-from svu_mi.light.cells import nearest_cells
+from svu_mi.light.light_tree import nearest_cells
 
 BROAD, NARROW = np.radians(40), np.radians(12)
 

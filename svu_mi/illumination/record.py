@@ -10,7 +10,7 @@ import scipy
 
 from svu_mi.core.arrays import fibonacci
 from svu_mi.illumination.prior import SD
-from svu_mi.light.sampling import directions
+from svu_mi.light.latlong import directions
 
 ROWS, COLUMNS = 129, 256  # of maps
 UNANCHORED = (

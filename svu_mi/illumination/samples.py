@@ -15,7 +15,7 @@ from svu_mi.errors import CaptureError
 from svu_mi.geometry.sample_view import Surface, look
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
-from svu_mi.statistics.sums import noise_weight
+from svu_mi.statistics.statistics import noise_weight
 
 FEWEST = 4  # views of a texel that says anything of the light: it has 5 parameters of its own
 GRAZING = 1e-3  # cosine: more grazing views are treated like this one

@@ -1,7 +1,7 @@
 """Radiance of samples under even cells of light, and the posterior of their materials.
 
 Radiance is linear in the light: r = sum_j K_j L_j over N cells, with the K of the reflection
-model (``reflection/wide.py``, ``reflection/shading.py``) and traced visibility. A lobe that is
+model (``reflection/wide_lobes.py``, ``reflection/mix_columns.py``) and traced visibility. A lobe that is
 narrower than the cells is widened to their size, so that it gathers all of its light.
 """
 
@@ -18,16 +18,16 @@ import numpy as np
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.geometry.sample_view import fold
 from svu_mi.illumination.samples import GRAZING, Samples
+from svu_mi.light.light_visibility import is_open
 from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
+from svu_mi.reflection.mix_columns import diffuse_shading, dot
 from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns, mixture
-from svu_mi.reflection.shading import diffuse_shading, dot
-from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.sums import Statistics
-from svu_mi.visibility.reach import is_open
+from svu_mi.statistics.cholesky_factors import PAIRS
+from svu_mi.statistics.statistics import Statistics
 
 WIDENED = 0.55  # radii of a cell that are added to the width of a lobe, in quadrature
 PARTS = 3  # of specular light: p, q, d

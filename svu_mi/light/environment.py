@@ -18,10 +18,10 @@ import numpy as np
 from svu_mi.capture import scene
 from svu_mi.capture.image_io import positive
 from svu_mi.errors import SceneError, SvuWarning
-from svu_mi.light.sampling import SKY_GRID, grid_size, label_of, map_of, sampled
-from svu_mi.light.sampling import directions as directions
-from svu_mi.light.sampling import quadrature as quadrature
-from svu_mi.light.sampling import radiance_from as radiance_from
+from svu_mi.light.latlong import SKY_GRID, grid_size, label_of, map_of, sampled
+from svu_mi.light.latlong import directions as directions
+from svu_mi.light.latlong import quadrature as quadrature
+from svu_mi.light.latlong import radiance_from as radiance_from
 
 GREY = 1e-6  # part of the brightest channel: others that differ by less are equal
 BAND = 2**18  # numbers of a map that are transformed at a time

@@ -20,7 +20,7 @@ from svu_mi.checking.surface_samples import emitter_of
 from svu_mi.checking.thumbnails import Frames, outline, reduced, silhouettes
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import nearest_node, read_environment
-from svu_mi.light.levels import resolved
+from svu_mi.light.prefiltered import resolved
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
 from svu_mi.output.style import AFTER, BEFORE

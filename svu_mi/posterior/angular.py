@@ -24,8 +24,8 @@ from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.kernel import CellKernel, Pair, Prior, observed_by, require_scale
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.reflection.principled import Mixture, lobe_mixture, mixture
-from svu_mi.statistics.factors import FLOOR, Factors, combined
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.cholesky_factors import FLOOR, Factors, combined
+from svu_mi.statistics.statistics import Statistics
 
 UNLIKELY = 1e30  # energy, in single precision, of a cell that the prior excludes
 HOPELESS = 1e30  # an energy beyond single precision would be infinite, its differences NaN

@@ -40,8 +40,8 @@ from svu_mi.posterior.nodes import (
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.problem import Problem
-from svu_mi.statistics.factors import Factors
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.cholesky_factors import Factors
+from svu_mi.statistics.statistics import Statistics
 
 SPAN = 2**17  # texels at a time, of whose nodes the masses are in memory
 FEWEST = 4  # levels of roughness that a spline goes through

@@ -18,7 +18,7 @@ from svu_mi.posterior.cells import color_of_rows
 from svu_mi.posterior.nodes import Axis
 from svu_mi.posterior.problem import Problem
 from svu_mi.posterior.walk import Node, Walker
-from svu_mi.statistics.blocks import BLOCK, size, start
+from svu_mi.statistics.texel_blocks import BLOCK, size, start
 
 
 def least(problem: Problem, *, excess: bool = False) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.posterior.nodes import Axis
-from svu_mi.statistics.blocks import BLOCK, start
+from svu_mi.statistics.texel_blocks import BLOCK, start
 
 LEVEL = 0.9  # probability that an interval holds, where nobody says another
 ENOUGH = 4096  # texels that say what part of a surface is known

@@ -17,8 +17,8 @@ from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import shortest
 from svu_mi.posterior.nodes import cells_of
 from svu_mi.posterior.streaming import entropy_of
-from svu_mi.statistics.blocks import in_blocks
-from svu_mi.statistics.factors import Factors
+from svu_mi.statistics.cholesky_factors import Factors
+from svu_mi.statistics.texel_blocks import in_blocks
 
 CHUNK = 1 << 22  # cells per pass of everything that is not the entropy
 

@@ -14,7 +14,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.nodes import Axis, Product
 from svu_mi.posterior.truncated import GENTLE
-from svu_mi.statistics.factors import Factors, catmull_rom
+from svu_mi.statistics.cholesky_factors import Factors, catmull_rom
 
 NEAR = 4  # levels that a roughness is interpolated from
 NEVER = 1e30  # -log of the prior of what it excludes

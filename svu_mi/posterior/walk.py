@@ -18,7 +18,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.posterior.problem import NEAR, Problem
 from svu_mi.posterior.truncated import Channel, Integrals
 from svu_mi.reflection.principled import Mixture, mixture
-from svu_mi.statistics.factors import FLOOR, PAIRS, combined
+from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, combined
 
 FAR = 28.0  # nats, prior included, from which on a node is left out
 

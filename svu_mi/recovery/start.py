@@ -18,7 +18,7 @@ from svu_mi.posterior.object_prior import shared
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.sh.objective import moments, values_of
 from svu_mi.recovery.textures import Textures, lay_out
-from svu_mi.statistics.gather import Weighting
+from svu_mi.statistics.gather_statistics import Weighting
 
 
 def estimate_for_textures(

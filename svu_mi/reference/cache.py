@@ -21,7 +21,7 @@ from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.geometry.texels import Texels
 from svu_mi.reference.options import ReferenceOptions
 from svu_mi.reference.record import Reference, Traced
-from svu_mi.statistics.factors import PAIRS
+from svu_mi.statistics.cholesky_factors import PAIRS
 
 log = logging.getLogger(__name__)
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.reflection.principled import columns
-from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.cholesky_factors import PAIRS
+from svu_mi.statistics.statistics import Statistics
 
 Render = Callable[[Mapping[str, float]], tuple[np.ndarray, np.ndarray]]
 """Grey parameters, by name, to the radiances (P, 3) of halves A and B, float64."""

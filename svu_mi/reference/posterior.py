@@ -28,7 +28,7 @@ from svu_mi.reference.options import Method, Noise, ReferenceOptions, check_subs
 from svu_mi.reference.pairs import Pairs, visible_pairs
 from svu_mi.reference.record import Reference, Traced
 from svu_mi.reference.trace import UniformScene, trace
-from svu_mi.statistics.sums import noise_weight
+from svu_mi.statistics.statistics import noise_weight
 
 LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not
 

@@ -12,7 +12,7 @@ from svu_mi.posterior.calibrated import calibrated_posterior
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.tabulated import tabulated_posterior
 from svu_mi.reference.options import ReferenceOptions
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.statistics import Statistics
 
 
 @dataclass(frozen=True, kw_only=True)

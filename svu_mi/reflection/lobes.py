@@ -1,7 +1,7 @@
 """Specular lobes: their shape, where they point, and how much they reflect.
 
 A lobe of width alpha is treated as if it were symmetric around one direction: light is
-filtered once for every alpha (light/levels.py) and looked up there. What depends on the
+filtered once for every alpha (light/prefiltered.py) and looked up there. What depends on the
 angle of view is left to the directional albedo, and to where the lobe points.
 """
 

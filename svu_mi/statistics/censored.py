@@ -25,9 +25,9 @@ from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.sample_view import fold
 from svu_mi.parameters import MIXED
 from svu_mi.reflection.principled import mixture
-from svu_mi.statistics.blocks import Reader
-from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.cholesky_factors import PAIRS
+from svu_mi.statistics.statistics import Statistics
+from svu_mi.statistics.texel_blocks import Reader
 
 CLIPPED_PART = 0.05  # of a texel's pixels in a view, from which it counts as clipped
 PASSES = 2  # parabolas, each around what the one before leads to

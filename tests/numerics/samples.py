@@ -12,8 +12,8 @@ from svu_mi.options import preset
 from svu_mi.posterior.angular import angular_posterior
 from svu_mi.posterior.calibrated import calibrated_posterior
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.sums import Statistics
+from svu_mi.statistics.cholesky_factors import PAIRS
+from svu_mi.statistics.statistics import Statistics
 
 TEXELS = 4
 SCALE = 0.7

@@ -16,7 +16,7 @@ from numerics.ball import METAL, around, ball, exact, lamps, map_light, sphere
 from numerics.samples import assert_entropy, assert_within
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.light.environment import quadrature
-from svu_mi.light.levels import convolve
+from svu_mi.light.prefiltered import convolve
 from svu_mi.reflection.lobes import zonal_profile
 
 WAYS = (("angular", "default"), ("angular", "fixed"), ("spectrum", "default"))  # differ in kind

@@ -23,7 +23,7 @@ from numerics.samples import (
     spectra,
 )
 from numerics.test_statistics import RULES
-from svu_mi.frequency.fit import fit_sh
+from svu_mi.frequency.fit_sh import fit_sh
 from svu_mi.frequency.harmonics import power_spectrum
 from svu_mi.options import preset
 from svu_mi.posterior.spectrum import spectrum_posterior

@@ -33,7 +33,7 @@ from svu_mi.checking.surface_samples import base_color
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.light.environment import directions, radiance_from, read_environment
-from svu_mi.light.levels import resolved
+from svu_mi.light.prefiltered import resolved
 
 PLACE = "object_scene001"  # name of a capture of Stanford-ORB
 TEXTURE = 512  # texels per side

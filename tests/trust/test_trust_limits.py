@@ -20,7 +20,7 @@ from svu_mi.core import limits
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, SceneError
 from svu_mi.light.environment import radiance_from, read_environment
-from svu_mi.light.sampling import grid_size
+from svu_mi.light.latlong import grid_size
 
 SECONDS = 8  # a refusal, on a busy machine
 VASE = scenes.path("vase")

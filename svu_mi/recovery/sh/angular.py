@@ -18,22 +18,22 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
-from svu_mi.frequency.samples import MirroredLight
+from svu_mi.frequency.fit_samples import MirroredLight
+from svu_mi.frequency.sh_lobes import Convolved
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import Observation, Surface
 from svu_mi.geometry.visibility import Survey
-from svu_mi.light.lighting import moment_map
+from svu_mi.light.band_limited import moment_map
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
 from svu_mi.recovery.sh.energy import carry, look_up
-from svu_mi.reflection.fitted import Convolved
 from svu_mi.reflection.lobes import reflected_at_view
+from svu_mi.reflection.mix_columns import Parts, diffuse_shading, dot, parts_of, radiance
 from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture, slope
-from svu_mi.reflection.shading import Parts, diffuse_shading, dot, parts_of, radiance
 from svu_mi.regularization.gradients import sign
-from svu_mi.statistics.gather import GRAZING, Values, mixed_of
+from svu_mi.statistics.gather_statistics import GRAZING, Values, mixed_of
 
 
 @dataclass(frozen=True, kw_only=True)

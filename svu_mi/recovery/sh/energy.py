@@ -14,11 +14,11 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.parameters import CHANNELS, MIXED
+from svu_mi.reflection.mix_columns import dot
 from svu_mi.reflection.principled import mixture, slope
-from svu_mi.reflection.shading import dot
 from svu_mi.regularization.gradients import known
-from svu_mi.statistics.factors import Factors, catmull_rom, combined
-from svu_mi.statistics.gather import Values, flat, mixed_of
+from svu_mi.statistics.cholesky_factors import Factors, catmull_rom, combined
+from svu_mi.statistics.gather_statistics import Values, flat, mixed_of
 
 
 def energy(factors: Factors, values: Values) -> tuple[Any, Values]:

@@ -25,8 +25,8 @@ from svu_mi.recovery.sh.energy import carry, energy, look_up
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization.gradients import known
 from svu_mi.regularization.tv import absolute
-from svu_mi.statistics.factors import Factors
-from svu_mi.statistics.gather import Values, flat
+from svu_mi.statistics.cholesky_factors import Factors
+from svu_mi.statistics.gather_statistics import Values, flat
 
 SURE = 1e-2  # standard deviation below which a texel pulls no more: nothing is known better
 

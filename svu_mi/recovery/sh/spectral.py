@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import owned
-from svu_mi.frequency.gather import Coefficients, fit_coefficients
+from svu_mi.frequency.spectra import Coefficients, fit_coefficients
 from svu_mi.observed import Observed
 from svu_mi.options import Preset
 from svu_mi.recovery.sh.energy import look_up
@@ -33,7 +33,7 @@ from svu_mi.reflection.principled import (
     diffuse_from_principled,
     specular_from_principled,
 )
-from svu_mi.statistics.gather import Values, mixed_of
+from svu_mi.statistics.gather_statistics import Values, mixed_of
 
 Domain = Literal["coefficients", "spectrum"]
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.light import environment as env
+from svu_mi.light.band_limited import Lighting, lat_long_texture, look_up
 from svu_mi.light.environment import Environment, lat_long
-from svu_mi.light.lighting import Lighting, lat_long_texture, look_up
-from svu_mi.light.sampling import columns_to, rows_to
+from svu_mi.light.latlong import columns_to, rows_to
 
 DELTA = 2e-3  # lobes narrower than this [rad] are mirrors at the resolution of any map
 NEGLIGIBLE = 1e-5  # part of a lobe's peak below which it is cut off

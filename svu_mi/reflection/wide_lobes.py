@@ -18,9 +18,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.geometry.sample_view import fold
-from svu_mi.light.cells import Cells
+from svu_mi.light.light_tree import Cells
+from svu_mi.light.light_visibility import Reach
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
-from svu_mi.visibility.reach import Reach
 
 NARROW = 0.03  # lobe alpha up to which light is looked up; its leaves are as far apart
 LARGE = 1.6  # rho^2 / (s cos^2 theta_d) from which a cell is too large

@@ -17,8 +17,8 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.geometry.sample_view import mirror_direction
-from svu_mi.light.levels import LightStack, stack
-from svu_mi.light.lighting import Lighting
+from svu_mi.light.band_limited import Lighting
+from svu_mi.light.prefiltered import LightStack, stack
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.lobes import (
     ALBEDO_NODES,
@@ -27,9 +27,9 @@ from svu_mi.reflection.lobes import (
     reflected_at_view,
     split_sum,
 )
-from svu_mi.reflection.narrow import NarrowLobes
+from svu_mi.reflection.mix_columns import Parts, diffuse_shading, parts_of
+from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.shading import Parts, diffuse_shading, parts_of
 
 NARROWEST = 1e-3  # cosine: more grazing views are treated like this one
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.geometry.sample_view import mirror_direction
-from svu_mi.light.cells import Cells, disk_cells
-from svu_mi.light.levels import Levels, filter_light
-from svu_mi.light.lighting import Lighting
+from svu_mi.light.band_limited import Lighting
+from svu_mi.light.light_tree import Cells, disk_cells
+from svu_mi.light.prefiltered import Levels, filter_light
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.lobes import (
     ALBEDO_NODES,
@@ -28,7 +28,7 @@ from svu_mi.reflection.lobes import (
     reflected_at_view,
     split_sum,
 )
-from svu_mi.reflection.wide import Lobe, Sums
+from svu_mi.reflection.wide_lobes import Lobe, Sums
 
 
 @dataclass(frozen=True)

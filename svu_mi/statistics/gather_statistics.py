@@ -17,14 +17,14 @@ from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import Observation, Surface
 from svu_mi.geometry.visibility import Survey
+from svu_mi.light.light_visibility import Mirrors
 from svu_mi.parameters import MIXED, NAMES
-from svu_mi.reflection.model import Model
+from svu_mi.reflection.mix_columns import Parts, hats, interpolated, radiance
 from svu_mi.reflection.principled import columns
-from svu_mi.reflection.shading import Parts, hats, interpolated, radiance
+from svu_mi.reflection.reflection_model import Model
 from svu_mi.statistics.censored import CLIPPED_PART, Models, parabola
-from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.sums import EDGES, Gathered, noise_weight
-from svu_mi.visibility.reach import Mirrors
+from svu_mi.statistics.cholesky_factors import PAIRS
+from svu_mi.statistics.statistics import EDGES, Gathered, noise_weight
 
 GRAZING = 1e-3  # cosine: more grazing views are treated like this one
 SMALLEST = 0.05  # error, in units of kappa, from which a sample counts no more than others

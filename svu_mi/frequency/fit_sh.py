@@ -22,9 +22,9 @@ from svu_mi.core.arrays import owned, tensor
 from svu_mi.core.local_memory import scatter_rows
 from svu_mi.errors import OptionError
 from svu_mi.frequency import harmonics
-from svu_mi.frequency.dual import fit_dual
 from svu_mi.frequency.harmonics import Sample, System
-from svu_mi.frequency.primal import fit_primal
+from svu_mi.frequency.solve_dual import fit_dual
+from svu_mi.frequency.solve_primal import fit_primal
 from svu_mi.options import Preset
 from svu_mi.options import preset as named_preset
 

@@ -13,16 +13,16 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
-from svu_mi.frequency.fit import SolverGroup, fit_lanes, solver_groups
+from svu_mi.frequency.fit_sh import SolverGroup, fit_lanes, solver_groups
 from svu_mi.frequency.harmonics import System
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import Surface, mirror_direction
 from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Survey
-from svu_mi.light.lighting import Lighting
+from svu_mi.light.band_limited import Lighting
+from svu_mi.light.light_visibility import mirror_free
 from svu_mi.options import Fit, Preset
-from svu_mi.visibility.reach import mirror_free
 
 Masking = Callable[[Any, Any], list[Any]]
 """Cosines and numbers of texels to F factors."""

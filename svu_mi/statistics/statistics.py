@@ -24,8 +24,8 @@ from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.principled import mixture
-from svu_mi.statistics.blocks import Reader, in_blocks, put, rows_of, scattered, taken
-from svu_mi.statistics.factors import PAIRS, Factors, factorize
+from svu_mi.statistics.cholesky_factors import PAIRS, Factors, factorize
+from svu_mi.statistics.texel_blocks import Reader, in_blocks, put, rows_of, scattered, taken
 
 EDGES = AngularPreset.edges  # eta
 PARTLY = 0.01  # part of a view that sums of parts may lack to be a whole one

@@ -20,8 +20,8 @@ from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import Observation, Surface, fold, mirror_direction
 from svu_mi.geometry.visibility import Survey
-from svu_mi.light.cells import LightCells
-from svu_mi.light.lighting import MOMENTS, Lighting
+from svu_mi.light.band_limited import MOMENTS, Lighting
+from svu_mi.light.light_tree import LightCells
 
 
 @dataclass(frozen=True)
