@@ -15,9 +15,9 @@ from svu_mi.errors import OptionError, SceneError, SvuWarning
 from svu_mi.geometry.texel_materials import attributes
 from svu_mi.light.band_limited import MomentMap, band_limit, moment_map
 from svu_mi.light.environment import read_environment
-from svu_mi.options import ANGULAR_PRESETS, preset
 from svu_mi.parameters import NAMES
 from svu_mi.plugins.registry import require_variant
+from svu_mi.presets import ANGULAR_PRESETS, preset
 from svu_mi.reflection.mix_columns import radiance
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.render_model import Continuous, continuous, shade

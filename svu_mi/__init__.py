@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from svu_mi.inpaint.diffusion.model_interface import DiffusionOptions
     from svu_mi.inpaint.fill import fill
     from svu_mi.inpaint.fill_result import Filled
-    from svu_mi.options import AngularPreset, Fit, Preset, Skip, preset
     from svu_mi.output.compare import Comparison, compare
     from svu_mi.output.report.report import write_report
     from svu_mi.pipeline import Estimate, estimate
@@ -52,6 +51,7 @@ if TYPE_CHECKING:
     from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
     from svu_mi.posterior.posterior import Posterior
     from svu_mi.posterior.spectrum import spectrum_posterior
+    from svu_mi.presets import AngularPreset, Fit, Preset, Skip, preset
     from svu_mi.recovery.options import DescentOptions, PathOptions, ShOptions
     from svu_mi.recovery.recover import Recovery, recover
     from svu_mi.reference.posterior import reference_posterior

@@ -22,7 +22,9 @@ from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.estimators import (
+from svu_mi.geometry.texels import Texels
+from svu_mi.posterior.angular import angular_grid
+from svu_mi.posterior.estimators import (
     Run,
     counted,
     from_angles,
@@ -31,16 +33,14 @@ from svu_mi.estimators import (
     widened,
     with_known,
 )
-from svu_mi.geometry.texels import Texels
-from svu_mi.observed import Observed, observe
-from svu_mi.options import AngularPreset, AnyPreset, Method, Skip
-from svu_mi.options import preset as find_preset
-from svu_mi.posterior.angular import angular_grid
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.observations import Observed, observe
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.row_entropy import log_prior
 from svu_mi.posterior.spectrum import spectrum_grid
-from svu_mi.posterior.streaming import log_prior
 from svu_mi.posterior.tiled import TiledKernel
+from svu_mi.presets import AngularPreset, AnyPreset, Method, Skip
+from svu_mi.presets import preset as find_preset
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -19,10 +19,10 @@ from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import Surface, mirror_direction
 from svu_mi.light.light_visibility import is_open
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior.problem import spline
+from svu_mi.posterior.calibrated_problem import spline
+from svu_mi.posterior.observations import Observed
+from svu_mi.presets import AngularPreset
 from svu_mi.reflection.mix_columns import Parts, interpolated
 from svu_mi.reflection.reflection_model import Model
 from svu_mi.statistics.gather_statistics import GRAZING, Values, mixed_of

@@ -12,7 +12,7 @@ from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.geometry.sample_view import Surface
 from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Materials, Transport
-from svu_mi.options import preset
+from svu_mi.presets import preset
 
 SWITCHES = preset("default", method="angular")
 

@@ -25,9 +25,9 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
-from svu_mi.options import preset
-from svu_mi.posterior.problem import spline
+from svu_mi.posterior.calibrated_problem import spline
 from svu_mi.prediction import Prediction, diffuse_seen_from, shares_of
+from svu_mi.presets import preset
 
 VIEWS, FILM = 24, 72
 CLIPPED = 0.01  # part of the object's channels

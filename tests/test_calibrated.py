@@ -10,12 +10,12 @@ from scipy import stats
 
 import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.posterior import object_prior
+from svu_mi.posterior import empirical_bayes
 from svu_mi.posterior.calibrated import calibrated_posterior
-from svu_mi.posterior.cells import color_of_rows
+from svu_mi.posterior.node_integration import energy_at
 from svu_mi.posterior.noise import noise_variance
-from svu_mi.posterior.truncated import Channel, erfcx
-from svu_mi.posterior.walk import energy_at
+from svu_mi.posterior.tables import color_of_rows
+from svu_mi.posterior.truncated_normal import Channel, erfcx
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.statistics import Statistics
 
@@ -336,11 +336,11 @@ def test_a_prior_in_common_is_that_of_expectation_maximisation() -> None:
     options = {"tau": 3.5, "nu": 4, "r": PARTS[0], "m": PARTS[1]}
     given = samples.sums(), samples.w.sum(axis=1), np.full(100, 12)
     prior = oracle.common_prior(
-        *given, alone.prior, rounds=object_prior.ROUNDS, sharpness=object_prior.SHARPNESS,
-        otherwise=object_prior.OTHERWISE, **options,
+        *given, alone.prior, rounds=empirical_bayes.ROUNDS, sharpness=empirical_bayes.SHARPNESS,
+        otherwise=empirical_bayes.OTHERWISE, **options,
     )  # fmt: skip
     truth = oracle.posterior(*given, prior=prior, **options)
-    found = object_prior.shared(alone)
+    found = empirical_bayes.shared(alone)
     np.testing.assert_allclose(found.prior, prior.mean(axis=-1), atol=2e-5)
     assert np.abs(np.array(found.probabilities) - truth.cells).max() < 2e-4
     for name in ("roughness", "metallic"):
@@ -352,7 +352,7 @@ def test_a_prior_in_common_tells_materials_apart() -> None:
     """Few views say little of a texel; many texels say much of two materials."""
     samples, truth = simulate(600, 8, 0.25, materials=2)
     alone = calibrated_posterior(statistics(samples))
-    found = object_prior.shared(alone)
+    found = empirical_bayes.shared(alone)
     for name, least in (("metallic", 0.7), ("roughness", 0.7), ("base_color", 0.9)):
         error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, found)]
         assert error[1] < least * error[0], name
@@ -363,7 +363,7 @@ def test_nothing_in_common_changes_little() -> None:
     """Truths from the prior itself: what is learned of 600 of them has some noise."""
     samples, truth = simulate(600, 12, 0.1)
     alone = calibrated_posterior(statistics(samples))
-    found = object_prior.shared(alone)
+    found = empirical_bayes.shared(alone)
     for name in ("metallic", "roughness", "base_color"):
         error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, found)]
         assert error[1] < 1.2 * error[0], name

@@ -20,8 +20,8 @@ from svu_mi.capture.quantization import Clipped
 from svu_mi.errors import CaptureError
 from svu_mi.illumination.exposure import equalized
 from svu_mi.illumination.record import FoundGains
-from svu_mi.observed import observe
-from svu_mi.options import preset
+from svu_mi.posterior.observations import observe
+from svu_mi.presets import preset
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.censored import Models, best_models, parabola
 from svu_mi.statistics.cholesky_factors import PAIRS

@@ -32,8 +32,8 @@ from svu_mi.illumination.refine import (
 )
 from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.illumination.transport import Moments, Transport, columns_of, materials_of
-from svu_mi.observed import observe
-from svu_mi.posterior.object_prior import shared
+from svu_mi.posterior.empirical_bayes import shared
+from svu_mi.posterior.observations import observe
 
 ODD = (3, 11, 17)
 

@@ -29,7 +29,7 @@ from svu_mi.illumination.light_summary import (
 )
 from svu_mi.illumination.record import UNANCHORED
 from svu_mi.illumination.resolve_light import illuminated, with_map
-from svu_mi.observed import observe
+from svu_mi.posterior.observations import observe
 
 FIELDS = ("logarithm", "cell_sd", "draws", "scale_sd", "misfit", "widening", "texels", "remarks")
 PAINT = {"type": "principled", "roughness": 0.5, "metallic": 0.0,

@@ -32,9 +32,9 @@ from svu_mi.guidance.prospect import Prospect
 from svu_mi.guidance.responses import Responses
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.guidance.strategies import STRATEGIES, TABLE
-from svu_mi.options import preset
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.nodes import cell_edges
+from svu_mi.posterior.quadrature import cell_edges
+from svu_mi.presets import preset
 
 SUN = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0.4, 0.8, 0.45]}
 LOW = 3  # degree, where kernels of the usual one do the same and take ten times as long to compile

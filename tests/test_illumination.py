@@ -33,7 +33,7 @@ from svu_mi.illumination.uncertainty import (
     sample_lights,
     widening_of,
 )
-from svu_mi.posterior.object_prior import shared
+from svu_mi.posterior.empirical_bayes import shared
 from svu_mi.reflection.lobes import ALBEDO_NODES, dielectric_albedo, split_sum
 
 SHINY = {"type": "principled", "roughness": 0.25, "metallic": 1.0,

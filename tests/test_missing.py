@@ -15,7 +15,7 @@ import svu_mi as svu
 from svu_mi.capture.scene import find_environment, load_scene
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuEnvironmentError, SvuError
-from svu_mi.posterior.streaming import log_prior
+from svu_mi.posterior.row_entropy import log_prior
 
 pytestmark = pytest.mark.usefixtures("variant")
 SENSORS = 8

@@ -12,8 +12,8 @@ from helpers import as_values, render_ball
 from test_reference import paint, sky
 
 import svu_mi as svu
-from svu_mi import observed as module
 from svu_mi.bench.captures import chosen_views
+from svu_mi.posterior import observations as module
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.options import DescentOptions, ShOptions
 from svu_mi.statistics.gather_statistics import Weighting

@@ -28,11 +28,11 @@ from svu_mi.geometry.sample_view import Surface
 from svu_mi.guidance.prospect import Prospect
 from svu_mi.light.band_limited import lat_long_texture, look_up
 from svu_mi.light.environment import directions, quadrature, synthesize
-from svu_mi.options import Fit, preset
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.spectrum import spectrum_grid
 from svu_mi.posterior.tabulated import tabulated_posterior
+from svu_mi.presets import Fit, preset
 from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS
 from svu_mi.recovery.path.objective import l1
 from svu_mi.recovery.sh.angular import angular_objective

@@ -19,7 +19,7 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.options import preset
+from svu_mi.presets import preset
 
 pytestmark = pytest.mark.slow
 

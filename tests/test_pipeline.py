@@ -19,9 +19,9 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.fit_samples import Samples
 from svu_mi.frequency.spectra import fit_spectra
 from svu_mi.geometry.sample_view import Surface
-from svu_mi.observed import observe
-from svu_mi.options import preset
 from svu_mi.pipeline import estimate
+from svu_mi.posterior.observations import observe
+from svu_mi.presets import preset
 
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.3]}}
 GLOSSY = {"type": "principled", "base_color": {"type": "rgb", "value": [0.9, 0.7, 0.4]},

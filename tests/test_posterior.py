@@ -13,9 +13,9 @@ from oracle import posterior as oracle
 from unseen import assert_unseen_have_the_prior
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.options import preset
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.spectrum import spectrum_posterior
+from svu_mi.presets import preset
 from svu_mi.reflection.lobes import split_sum
 
 GRID = ParameterGrid(roughness=5, specular=4)

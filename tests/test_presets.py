@@ -7,9 +7,10 @@ import pytest
 from helpers import render_ball
 
 import svu_mi as svu
-from svu_mi import estimators, scenes
+from svu_mi import scenes
 from svu_mi.errors import OptionError
-from svu_mi.options import METHODS, AngularPreset, preset
+from svu_mi.posterior import estimators
+from svu_mi.presets import METHODS, AngularPreset, preset
 
 NAMES = [(method, name) for method, (_, named) in METHODS.items() for name in named]
 

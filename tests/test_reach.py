@@ -16,7 +16,7 @@ from svu_mi.light.band_limited import band_limit
 from svu_mi.light.environment import Environment, directions, quadrature
 from svu_mi.light.light_tree import light_cells
 from svu_mi.light.light_visibility import trace_reach
-from svu_mi.observed import observe
+from svu_mi.posterior.observations import observe
 
 UP = np.array([0.0, 0, 1])
 LAMPS = np.array([[0.3, 0.2, 0.9], [-0.8, 0.5, 0.3], [0.6, -0.7, 0.4], [0.1, 0.2, -1.0]])

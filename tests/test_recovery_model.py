@@ -20,9 +20,9 @@ from svu_mi.geometry.sample_view import Surface
 from svu_mi.light import environment as env
 from svu_mi.light.band_limited import moment_map
 from svu_mi.light.prefiltered import filter_light
-from svu_mi.observed import observe
-from svu_mi.options import preset
 from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.posterior.observations import observe
+from svu_mi.presets import preset
 from svu_mi.recovery.sh.angular import angular_objective
 from svu_mi.recovery.sh.spectral import spectral_objective
 from svu_mi.reflection.lobes import dielectric_albedo, profile_of, split_sum

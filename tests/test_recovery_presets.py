@@ -14,9 +14,9 @@ from helpers import render_ball
 import svu_mi as svu
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.geometry.neighbors import neighbors
-from svu_mi.options import PRESETS, preset
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import SpectrumKernel
+from svu_mi.presets import PRESETS, preset
 from svu_mi.recovery import run as running
 from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import (

@@ -19,9 +19,9 @@ from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
 from svu_mi.geometry.texels import texels
-from svu_mi.options import AngularPreset
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.presets import AngularPreset
 from svu_mi.reference import pairs, posterior, trace
 from svu_mi.reference.deviations import PerTexel, brute, linear
 from svu_mi.reference.posterior import reference_posterior

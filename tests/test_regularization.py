@@ -18,11 +18,11 @@ from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.geometry.texels import Texels, texels
-from svu_mi.options import preset
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.tabulated import TabulatedKernel, tabulated_posterior
+from svu_mi.presets import preset
 from svu_mi.regularization.seeds import find_seeds, least_minima
 from svu_mi.regularization.sharing import GlobalSharing, divergences
 from svu_mi.regularization.tv import TotalVariation

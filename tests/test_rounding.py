@@ -24,7 +24,7 @@ from svu_mi.geometry.sample_view import Surface, look
 from svu_mi.geometry.sample_view import observe as look_for
 from svu_mi.illumination.exposure import equalized
 from svu_mi.illumination.record import FoundGains
-from svu_mi.observed import observe
+from svu_mi.posterior.observations import observe
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import noise_weight
 

@@ -15,8 +15,8 @@ import svu_mi as svu
 from svu_mi.capture.replace_material import constant_parameters
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.errors import OptionError
-from svu_mi.options import NOTHING, Skip, preset
 from svu_mi.pipeline import estimate
+from svu_mi.presets import NOTHING, Skip, preset
 
 RULES = pytest.mark.parametrize(
     "method, rule", [("angular", "default"), ("angular", "fixed"), ("spectrum", "default")]
@@ -118,7 +118,7 @@ def test_every_switch_leaves_the_result(found, method, rule, name):
 
 def test_the_record_says_what_was_skipped(grey, caplog):
     capture, texels = grey
-    with caplog.at_level(logging.INFO, logger="svu_mi.estimators"):
+    with caplog.at_level(logging.INFO, logger="svu_mi.posterior.estimators"):
         result = estimate(capture, texels, prior=PRIOR, known={"metallic": 0.0})
     assert result.skipped["texels never seen"] == (np.array(result.coverage) == 0).sum() > 100
     assert result.skipped["views that show no texel"] == 1

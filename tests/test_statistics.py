@@ -15,7 +15,7 @@ from walled import ROUGHNESS, SIZE, Samples, angular, noise_capture, seen_in, wa
 import svu_mi as svu
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.observed import observe
+from svu_mi.posterior.observations import observe
 from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, Factors
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import Statistics

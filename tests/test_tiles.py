@@ -9,8 +9,7 @@ import pytest
 from support.photographs import in_integers
 
 import svu_mi as svu
-from svu_mi import estimators
-from svu_mi.posterior import calibrated
+from svu_mi.posterior import calibrated, estimators
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.recovery.field.field import texture_field
 

@@ -12,8 +12,8 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.observed import observe
-from svu_mi.options import preset
+from svu_mi.posterior.observations import observe
+from svu_mi.presets import preset
 from svu_mi.statistics.gather_statistics import SMALLEST
 from svu_mi.statistics.statistics import EDGES
 

@@ -30,9 +30,9 @@ from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import texels
 from svu_mi.metrics.correlation import pearson, sparsification, spearman
 from svu_mi.metrics.credible import credible_coverage, nearest_cells
-from svu_mi.options import preset
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
+from svu_mi.presets import preset
 
 JUDGED, TRACED, SPP = 1500, 100, 256  # texels; those that are path traced, and paths of each
 QUICK_TRACED, QUICK_SPP = 30, 16

@@ -7,8 +7,8 @@ from typing import Any
 
 from svu_mi.capture.capture import Capture
 from svu_mi.geometry.texels import Texels
-from svu_mi.options import preset
 from svu_mi.pipeline import Estimate, estimate
+from svu_mi.presets import preset
 
 
 @dataclass(frozen=True)

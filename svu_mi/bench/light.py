@@ -28,9 +28,9 @@ from svu_mi.illumination.record import LightEstimate
 from svu_mi.illumination.resolve_light import with_light
 from svu_mi.light.environment import read_environment
 from svu_mi.metrics.images import psnr
-from svu_mi.observed import Observed, observe
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
+from svu_mi.posterior.observations import Observed, observe
 
 GLOSSY, SOME = 0.4, 0.05  # roughness below which a texel is glossy; part of texels that counts
 FEW_DIELECTRICS = 0.2  # part of texels from which they fix the scale of the light

@@ -28,8 +28,8 @@ from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.geometry.texels import Texels
 from svu_mi.inpaint.fill import fill
 from svu_mi.metrics.correlation import spearman
-from svu_mi.observed import observe
 from svu_mi.parameters import NAMES
+from svu_mi.posterior.observations import observe
 from svu_mi.recovery.field.field import LEVEL, TextureField, texture_field
 from svu_mi.recovery.recover import Recovery, recover
 from svu_mi.recovery.relight import path_length, relight_draws

@@ -30,10 +30,10 @@ class Entropy(EstimateCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Run the pipeline, write the four files, and say what is known."""
         from svu_mi.checking.exposure import warn_if_too_bright
-        from svu_mi.options import NOTHING, Skip
         from svu_mi.output.knowledge import Knowledge
         from svu_mi.output.manifest import Run
         from svu_mi.output.write_entropy import write_outputs
+        from svu_mi.presets import NOTHING, Skip
 
         size, skip = opt.texel_size(self.resolution), Skip() if self.skip else NOTHING
         capture, result = self.estimated(progress, size, "entropy", skip=skip)

@@ -23,8 +23,8 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.options import AngularPreset, Preset
-from svu_mi.options import preset as find_preset
+from svu_mi.presets import AngularPreset, Preset
+from svu_mi.presets import preset as find_preset
 
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture

@@ -130,7 +130,7 @@ class FindLight(CaptureCommand, ResultCommand):
         from svu_mi.geometry.texels import texels
         from svu_mi.illumination.exposure import equalized
         from svu_mi.illumination.scale import scaled_by_card, scaled_by_mean
-        from svu_mi.observed import observe
+        from svu_mi.posterior.observations import observe
 
         if self.light_scale is not None:
             return found.scaled(self.light_scale)

@@ -13,8 +13,8 @@ import tyro
 
 from svu_mi.core.limits import require_spp, require_texels
 from svu_mi.errors import OptionError
-from svu_mi.options import preset as find_preset
 from svu_mi.parameters import NAMES
+from svu_mi.presets import preset as find_preset
 
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture

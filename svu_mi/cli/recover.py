@@ -111,11 +111,11 @@ class Recover(CaptureCommand, ResultCommand):
 
     def _recover(self, progress: Progress, place: Claim) -> Knowledge:
         from svu_mi.checking.exposure import warn_if_too_bright
-        from svu_mi.observed import observe
         from svu_mi.output.knowledge import Knowledge
         from svu_mi.output.manifest import Run
         from svu_mi.output.recovery import Draws, write_recovery
         from svu_mi.pipeline import estimate
+        from svu_mi.posterior.observations import observe
         from svu_mi.recovery.field.field import texture_field
         from svu_mi.recovery.recover import recover
         from svu_mi.recovery.start import has_field

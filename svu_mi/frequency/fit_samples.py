@@ -22,7 +22,7 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Survey
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.light_visibility import mirror_free
-from svu_mi.options import Fit, Preset
+from svu_mi.presets import Fit, Preset
 
 Masking = Callable[[Any, Any], list[Any]]
 """Cosines and numbers of texels to F factors."""

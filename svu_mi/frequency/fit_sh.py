@@ -25,8 +25,8 @@ from svu_mi.frequency import harmonics
 from svu_mi.frequency.harmonics import Sample, System
 from svu_mi.frequency.solve_dual import fit_dual
 from svu_mi.frequency.solve_primal import fit_primal
-from svu_mi.options import Preset
-from svu_mi.options import preset as named_preset
+from svu_mi.presets import Preset
+from svu_mi.presets import preset as named_preset
 
 CAPACITIES = (32, 64, 128, 256)
 """Sizes of the dual's local memory. Each is a kernel that takes a second to compile, while a lane

@@ -19,7 +19,7 @@ import numpy as np
 from svu_mi.core.local_memory import scatter_strided
 from svu_mi.frequency import harmonics
 from svu_mi.frequency.fit_samples import MirroredLight
-from svu_mi.options import AngularPreset, Fresnel
+from svu_mi.presets import AngularPreset, Fresnel
 from svu_mi.reflection.lobes import reflected_at_view, smith_g1, smith_g1_slope
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.wide_lobes import Lobe

@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.core.local_memory import scatter_rows, scatter_strided
 from svu_mi.frequency.fit_samples import Job, Photographed
 from svu_mi.frequency.harmonics import power_lanes
-from svu_mi.options import Preset
+from svu_mi.presets import Preset
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, Colors, Parts
 from svu_mi.guidance.responses import Respond
 from svu_mi.light.light_visibility import mirror_free
-from svu_mi.posterior import streaming
+from svu_mi.posterior import row_entropy
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.reflection.mix_columns import dot
 from svu_mi.reflection.principled import columns as columns_of
@@ -242,8 +242,8 @@ class _Launch:
     def add(self, sums: list[Any], row: Any, energy: Any, channels: list[Parts]) -> list[Any]:
         """Add a row to the measure's sums."""
         level = row // self.mixtures
-        mixed = streaming.nodes(mi.Float, self._mixed, row - level * self.mixtures)
-        shared = (streaming.node(mi.Float, self._roughness, level), *mixed)
+        mixed = row_entropy.nodes(mi.Float, self._mixed, row - level * self.mixtures)
+        shared = (row_entropy.node(mi.Float, self._roughness, level), *mixed)
         energy = dr.maximum(energy, -FAR)
         return self.measure.add(sums, self._forecast.colors.row(energy, channels, row), shared)
 
@@ -257,7 +257,7 @@ class _Launch:
 
     def _lines(self, lobes: Lobes, mixed: Any) -> list[tuple[Any, Any]]:
         """Radiance of a row as slope and value at 0 over the base colour of each channel."""
-        how = mixture(*streaming.nodes(mi.Float, self._mixed, mixed))
+        how = mixture(*row_entropy.nodes(mi.Float, self._mixed, mixed))
         found = [(dot(how.scaled, x), dot(how.constant, x)) for x in lobes]
         return found if len(found) == self.channels else found * self.channels
 

@@ -21,16 +21,16 @@ from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.responses import Respond, Responses, collect
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.light.band_limited import band_limit
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior.angular import AngularKernel
 from svu_mi.posterior.calibrated import CalibratedKernel
-from svu_mi.posterior.cells import color_of_rows
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.nodes import cell_edges, cell_widths
+from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.quadrature import cell_edges, cell_widths
 from svu_mi.posterior.spectrum import SpectrumKernel
+from svu_mi.posterior.tables import color_of_rows
+from svu_mi.presets import AngularPreset, AnyPreset, Preset
 
 Look = Callable[[Surface, Respond, int], Responses]
 Draw = Callable[[np.ndarray, np.ndarray], Hypotheses]

@@ -19,8 +19,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import owned
-from svu_mi.posterior.streaming import nats
-from svu_mi.posterior.truncated import Channel, Integrals
+from svu_mi.posterior.row_entropy import nats
+from svu_mi.posterior.truncated_normal import Channel, Integrals
 
 UNLIKELY = 1e4  # -log of what a prior excludes: a number that float32 still adds to
 FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is about exp(0)

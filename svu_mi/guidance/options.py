@@ -7,7 +7,7 @@ from typing import Literal
 
 from svu_mi.core.validation import require, require_types
 from svu_mi.guidance.strategies import Name
-from svu_mi.options import AnyPreset, Preset
+from svu_mi.presets import AnyPreset, Preset
 
 Light = Literal["preset", "photographs", "growing"]
 

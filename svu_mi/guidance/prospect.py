@@ -20,10 +20,10 @@ from svu_mi.guidance.objectives import Variance
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.responses import cosines
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.observed import Observed
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
-from svu_mi.posterior.cells import marginals_of
+from svu_mi.posterior.observations import Observed
+from svu_mi.posterior.tables import marginals_of
 
 LEAST = 1e-4  # of a parameter's variance that others are compared with
 

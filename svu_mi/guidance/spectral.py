@@ -27,10 +27,10 @@ from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.responses import Respond, Responses
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.light_visibility import mirror_free
-from svu_mi.options import Preset
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import decay
 from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
+from svu_mi.presets import Preset
 
 NEGLIGIBLE = 1e-9  # probability of a truth that nothing depends on
 

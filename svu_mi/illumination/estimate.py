@@ -41,10 +41,10 @@ from svu_mi.illumination.uncertainty import (
     sample_lights,
     widening_of,
 )
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset
-from svu_mi.options import preset as find_preset
 from svu_mi.pipeline import Estimate, observed_of
+from svu_mi.posterior.observations import Observed
+from svu_mi.presets import AngularPreset
+from svu_mi.presets import preset as find_preset
 
 MOVED = 0.8  # misfit of light that moves, relative to one that stands still, if it does
 ALBEDO = 0.5  # base colour that the brightness of the first light assumes

@@ -24,10 +24,10 @@ from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import COOLING, HEAT, Moments, Transport, columns_of, tempered
 from svu_mi.illumination.uncertainty import level_of
 from svu_mi.light.light_tree import even_radiance
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset
-from svu_mi.options import preset as find_preset
 from svu_mi.pipeline import Estimate, observed_of
+from svu_mi.posterior.observations import Observed
+from svu_mi.presets import AngularPreset
+from svu_mi.presets import preset as find_preset
 
 CELLS, ROUNDS = 1024, 12
 FAR = np.log(2)  # log gain from which the search starts at the estimate instead of at 0

@@ -16,7 +16,7 @@ from svu_mi.illumination.record import FoundGains
 from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Materials, Transport, materials_of
 from svu_mi.posterior.calibrated import CalibratedKernel
-from svu_mi.posterior.object_prior import shared
+from svu_mi.posterior.empirical_bayes import shared
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.reflection.principled import slope
 

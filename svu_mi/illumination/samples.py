@@ -13,8 +13,8 @@ from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.sample_view import Surface, look
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset
+from svu_mi.posterior.observations import Observed
+from svu_mi.presets import AngularPreset
 from svu_mi.statistics.statistics import noise_weight
 
 FEWEST = 4  # views of a texel that says anything of the light: it has 5 parameters of its own

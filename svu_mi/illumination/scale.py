@@ -15,9 +15,9 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.neighbors import squares_of
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.illumination.resolve_light import with_light
-from svu_mi.observed import Observed
 from svu_mi.parameters import MIXED
 from svu_mi.pipeline import Estimate, estimate
+from svu_mi.posterior.observations import Observed
 
 SMALLEST, LARGEST = 0.01, 1.0  # base colours
 MOST_ROUNDS, DONE = 6, 0.02  # base colour is not quite proportional: gloss is beside it

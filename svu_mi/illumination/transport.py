@@ -19,10 +19,10 @@ from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.geometry.sample_view import fold
 from svu_mi.illumination.samples import GRAZING, Samples
 from svu_mi.light.light_visibility import is_open
-from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.presets import AngularPreset
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
 from svu_mi.reflection.mix_columns import diffuse_shading, dot
 from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns, mixture

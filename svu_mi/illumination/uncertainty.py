@@ -33,8 +33,8 @@ from svu_mi.illumination.transport import (
     materials_of,
     noise_of,
 )
-from svu_mi.options import AngularPreset
 from svu_mi.parameters import NAMES
+from svu_mi.presets import AngularPreset
 from svu_mi.reflection.principled import diffuse_from_principled
 
 COLORS = 1.5  # number of independent base colours, uniform in [0, 1]: R, G and B are correlated

@@ -30,7 +30,6 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.texels import size_of, texels
 from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.metrics.images import psnr
-from svu_mi.options import preset as find_preset
 from svu_mi.output.knowledge import median, part, plain_percent
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY, read_deviations, read_map
@@ -38,6 +37,7 @@ from svu_mi.output.result import words
 from svu_mi.output.textures import MESH, find_textures, read_texture
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
+from svu_mi.presets import preset as find_preset
 from svu_mi.recovery.recover import Recovery
 
 Source = str | Path | Capture | Estimate | Recovery

@@ -11,7 +11,7 @@ from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.output.page import NARROW_SPACE, percent
 from svu_mi.output.result import areas, is_seen, open_axes, words
 from svu_mi.posterior.intervals import LEVEL, spread
-from svu_mi.posterior.nodes import cell_edges
+from svu_mi.posterior.quadrature import cell_edges
 
 TOLERANCE = 0.05  # half-width of an interval from which on a parameter counts as known
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours

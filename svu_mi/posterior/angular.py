@@ -17,12 +17,12 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.options import AngularPreset
-from svu_mi.options import preset as find_preset
-from svu_mi.posterior import streaming
+from svu_mi.posterior import row_entropy
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.kernel import CellKernel, Pair, Prior, observed_by, require_scale
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.presets import AngularPreset
+from svu_mi.presets import preset as find_preset
 from svu_mi.reflection.principled import Mixture, lobe_mixture, mixture
 from svu_mi.statistics.cholesky_factors import FLOOR, Factors, combined
 from svu_mi.statistics.statistics import Statistics
@@ -77,7 +77,7 @@ class AngularKernel(CellKernel):
     @cached_property
     def prior(self) -> Prior:
         """The prior, the same of each channel."""
-        return Prior(streaming.prior_of(self.problem.prior, self.grid.shape), self.grid.axes)
+        return Prior(row_entropy.prior_of(self.problem.prior, self.grid.shape), self.grid.axes)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
         """Return the normalised entropy (see ``Kernel``)."""
@@ -87,8 +87,8 @@ class AngularKernel(CellKernel):
         """Return p of every cell and the best nodes (see ``CellKernel``)."""
         rows = self.problem.total // len(self.problem.cells)
         energies = partial(_row_energies, self.problem)
-        base, offsets = streaming.tables(energies, self._lane[texels], rows)
-        return streaming.probabilities(base, offsets, self.grid.shape)
+        base, offsets = row_entropy.tables(energies, self._lane[texels], rows)
+        return row_entropy.probabilities(base, offsets, self.grid.shape)
 
     @cached_property
     def _lane(self) -> np.ndarray:
@@ -98,7 +98,7 @@ class AngularKernel(CellKernel):
     def _entropies(self) -> np.ndarray:
         problem, count = self.problem, self.problem.factors.count
         energies = _row_energies(problem, dr.arange(mi.UInt32, count))
-        return np.array(streaming.entropy(energies, count, problem.rows, problem.total))
+        return np.array(row_entropy.entropy(energies, count, problem.rows, problem.total))
 
 
 def angular_grid(grid: Any | None, switches: AngularPreset) -> ParameterGrid | PrincipledGrid:
@@ -160,12 +160,12 @@ def angular_posterior(
     _require_levels(levels, grid, factors.roughness)
     require_scale("angular_posterior()", scale)
     observed = observed_by("angular_posterior()", factors, copies, texels)
-    tables = streaming.log_prior(prior, grid.shape, "angular_posterior()")
+    tables = row_entropy.log_prior(prior, grid.shape, "angular_posterior()")
     problem = Problem(
         factors=factors,
         copies=copies,
         slots=owned(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
-        rows=streaming.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
+        rows=row_entropy.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
         sigma=dr.opaque(mi.Float, switches.sigma * (1 if switches.noise == "fixed" else scale)),
         averaged=switches.errors == "mean",
@@ -203,7 +203,7 @@ def _listed(values: np.ndarray) -> str:
     return ", ".join(f"{value:.4g}" for value in values)
 
 
-def _row_energies(problem: Problem, lane: Any) -> streaming.RowEnergies:
+def _row_energies(problem: Problem, lane: Any) -> row_entropy.RowEnergies:
     factors = problem.factors
     reader = factors.at(lane)
     square = reader.weight / 2  # errors are per unit of weight
@@ -219,17 +219,17 @@ def _row_energies(problem: Problem, lane: Any) -> streaming.RowEnergies:
             *entries, floor = (scale * entry for entry in of_channel)
             x = _cells(problem, row - level * problem.columns, [*entries, scale * floor])
             groups.append([dr.minimum(value, HOPELESS) for value in x])
-        return streaming.with_prior(groups * problem.copies, problem.prior, row)
+        return row_entropy.with_prior(groups * problem.copies, problem.prior, row)
 
     return energies
 
 
 def _cells(problem: Problem, column: Any, U: list[Any]) -> list[Any]:
     """Mean squared error of every cell of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
-    nodes = [mi.Float(node) for node in streaming.cells(problem.cells)]
+    nodes = [mi.Float(node) for node in row_entropy.cells(problem.cells)]
     if problem.mixed is None:
         return [_over_diffuse(U, lobe_mixture(Ks)) for Ks in nodes]
-    how = mixture(*streaming.nodes(mi.Float, problem.mixed, column))
+    how = mixture(*row_entropy.nodes(mi.Float, problem.mixed, column))
     u, v = (combined(U, x)[:-1] for x in (how.scaled, how.constant))
     return [_square([dr.fma(a, c, b) for a, b in zip(u, v, strict=True)], U[FLOOR]) for c in nodes]
 

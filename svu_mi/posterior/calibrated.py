@@ -20,15 +20,16 @@ import numpy as np
 from svu_mi.capture.capture import Doubt
 from svu_mi.core.arrays import owned
 from svu_mi.errors import ShapeError
-from svu_mi.options import AngularPreset
-from svu_mi.options import preset as find_preset
 from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
-from svu_mi.posterior import streaming
+from svu_mi.posterior import row_entropy
+from svu_mi.posterior.calibrated_problem import Problem
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest
 from svu_mi.posterior.kernel import Kernel, Pair, Prior, observed_by, require_scale
-from svu_mi.posterior.nodes import (
+from svu_mi.posterior.noise import noise_variance
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.quadrature import (
     COLOR_PARTS,
     MIXED_PARTS,
     Product,
@@ -37,9 +38,8 @@ from svu_mi.posterior.nodes import (
     mixed_axis,
     uniform_axis,
 )
-from svu_mi.posterior.noise import noise_variance
-from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.problem import Problem
+from svu_mi.presets import AngularPreset
+from svu_mi.presets import preset as find_preset
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.statistics import Statistics
 
@@ -64,7 +64,7 @@ class CalibratedPrior(Prior):
     def most(self) -> float:  # type: ignore[override]
         """Nats that entropies are relative to: those of the prior, the mean over channels."""
         tables = np.moveaxis(prior_tables(self.problem), -1, 0)
-        return float(np.mean([streaming.entropy_of(p) for p in tables]))
+        return float(np.mean([row_entropy.entropy_of(p) for p in tables]))
 
     @property
     def entropy(self) -> float:
@@ -325,7 +325,7 @@ def _problem(
         for name in MIXED
     ))  # fmt: skip
     edges = cell_edges(grid.base_color_nodes)
-    tables = streaming.log_prior(prior, grid.shape, "calibrated_posterior()")
+    tables = row_entropy.log_prior(prior, grid.shape, "calibrated_posterior()")
     given = None
     if tables is None:
         rows = -np.log(np.outer(r.of_cells(), mixed.of_cells()).ravel())
@@ -333,7 +333,7 @@ def _problem(
         rows = tables[0]
         width = cell_widths(edges)
         given = owned(mi.Float, (np.exp(-tables[1]).reshape(-1, len(width)) / width).ravel())
-        possible = rows.reshape(r.cells, -1) < streaming.IMPOSSIBLE
+        possible = rows.reshape(r.cells, -1) < row_entropy.IMPOSSIBLE
         r = r.only(np.any(possible, axis=1))
     empty = dr.zeros(mi.Float, factors.count)
     return Problem(factors, copies, r, mixed, edges, rows, given, empty, empty)

@@ -14,10 +14,10 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.parameters import MIXED
-from svu_mi.posterior.cells import color_of_rows
-from svu_mi.posterior.nodes import Axis
-from svu_mi.posterior.problem import Problem
-from svu_mi.posterior.walk import Node, Walker
+from svu_mi.posterior.calibrated_problem import Problem
+from svu_mi.posterior.node_integration import Node, Walker
+from svu_mi.posterior.quadrature import Axis
+from svu_mi.posterior.tables import color_of_rows
 from svu_mi.statistics.texel_blocks import BLOCK, size, start
 
 

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.options import GridSpacing, Preset
 from svu_mi.parameters import AXES, MIXED
+from svu_mi.presets import GridSpacing, Preset
 from svu_mi.reflection.principled import F0
 
 MAX_NODES = 64

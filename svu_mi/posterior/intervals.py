@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import owned
-from svu_mi.posterior.nodes import Axis
+from svu_mi.posterior.quadrature import Axis
 from svu_mi.statistics.texel_blocks import BLOCK, start
 
 LEVEL = 0.9  # probability that an interval holds, where nobody says another

@@ -12,11 +12,11 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.posterior.cells import draw_cells, marginals_of
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import shortest
-from svu_mi.posterior.nodes import cells_of
-from svu_mi.posterior.streaming import entropy_of
+from svu_mi.posterior.quadrature import cells_of
+from svu_mi.posterior.row_entropy import entropy_of
+from svu_mi.posterior.tables import draw_cells, marginals_of
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.texel_blocks import in_blocks
 

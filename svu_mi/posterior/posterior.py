@@ -14,7 +14,7 @@ from svu_mi.core.arrays import owned, tensor
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import Kernel
-from svu_mi.posterior.nodes import cell_edges
+from svu_mi.posterior.quadrature import cell_edges
 
 MAX_PROBABILITIES = 1 << 29  # floats; 2 GiB
 

@@ -12,13 +12,13 @@ import numpy as np
 
 from svu_mi.core.arrays import owned, tensor
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.options import Preset
-from svu_mi.options import preset as find_preset
+from svu_mi.posterior import row_entropy
 from svu_mi.posterior import spectrum_kernel as kernel
-from svu_mi.posterior import streaming
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.kernel import CellKernel, Pair, Prior
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.presets import Preset
+from svu_mi.presets import preset as find_preset
 from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import alpha_from_roughness, unbounded_alpha
 
@@ -41,7 +41,7 @@ class SpectrumKernel(CellKernel):
     @cached_property
     def prior(self) -> Prior:
         """The prior, the same of each channel."""
-        return Prior(streaming.prior_of(self.problem.prior, self.grid.shape), self.grid.axes)
+        return Prior(row_entropy.prior_of(self.problem.prior, self.grid.shape), self.grid.axes)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
         """Return the normalised entropy (see ``Kernel``)."""
@@ -50,7 +50,7 @@ class SpectrumKernel(CellKernel):
     def tables(self, texels: np.ndarray) -> Pair:
         """Return p of every cell and the best nodes (see ``CellKernel``)."""
         base, offsets = kernel.tables(self.problem, texels)
-        return streaming.probabilities(base, offsets, self.grid.shape)
+        return row_entropy.probabilities(base, offsets, self.grid.shape)
 
     @cached_property
     def _entropies(self) -> np.ndarray:
@@ -110,7 +110,7 @@ def spectrum_posterior(
     grid = spectrum_grid(grid, switches, irradiance=irradiance is not None)
     spectra = _spectra(incoming, outgoing)
     seen = _seen(observed, spectra[0].shape[0])
-    tables = streaming.log_prior(prior, grid.shape, "spectrum_posterior()")
+    tables = row_entropy.log_prior(prior, grid.shape, "spectrum_posterior()")
     unit = _unit(switches, *spectra, seen, scale)
     constant = _constant(switches, grid, irradiance, spectra[0].shape[::2], unit)
     falloff = decay(switches, grid, prefilter)
@@ -134,7 +134,7 @@ def _problem(
         degree=degrees - 1,
         channels=channels,
         groups=_groups(switches, channels, copies),
-        rows=streaming.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
+        rows=row_entropy.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
         decay=owned(mi.Float64, falloff),
         albedo=owned(mi.Float64, np.square(_albedo(switches, grid))),

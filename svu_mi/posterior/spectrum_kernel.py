@@ -20,7 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.posterior import streaming
+from svu_mi.posterior import row_entropy
 from svu_mi.reflection.principled import diffuse_from_principled, specular_from_principled
 
 
@@ -85,10 +85,10 @@ class Problem:
 def entropy(problem: Problem, count: int) -> Any:
     """Return the normalised entropy (T,) of Eq. 5, as if all texels were seen."""
     energies = _row_energies(problem, dr.arange(mi.UInt32, count))
-    return streaming.entropy(energies, count, problem.rows, problem.total)
+    return row_entropy.entropy(energies, count, problem.rows, problem.total)
 
 
-def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
+def _row_energies(problem: Problem, texel: Any) -> row_entropy.RowEnergies:
     # Read once, outside of the loop over rows: strided reads would dominate it.
     products = [_products(problem, texel, group) for group in problem.groups]
     constants = _constants(problem, texel)
@@ -103,7 +103,7 @@ def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
             if first is not None:
                 x = [value + more for value, more in zip(x, first, strict=True)]
             result.append(x)
-        return streaming.with_prior(result, problem.prior, row)
+        return row_entropy.with_prior(result, problem.prior, row)
 
     return energies
 
@@ -112,10 +112,10 @@ def _cells(
     problem: Problem, level: Any, column: Any, read: tuple[Any, Any, Any] | None
 ) -> tuple[list[Any], list[Any] | None]:
     """R0 of every cell of a row, and what degree 0 adds to its energy."""
-    cells = streaming.cells(problem.cells)
+    cells = row_entropy.cells(problem.cells)
     if problem.constant is None or read is None:
         return cells, None
-    mixed = streaming.nodes(mi.Float64, problem.constant.mixed, column)
+    mixed = row_entropy.nodes(mi.Float64, problem.constant.mixed, column)
     seen, diffuse, specular = read
     specular = specular * dr.gather(mi.Float64, problem.constant.albedo, level)
     R0 = [specular_from_principled(c, *mixed) for c in cells]
@@ -192,4 +192,4 @@ def row_distances(squares: list, products: Products, decay: list) -> list[Any]:
 def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the energies of chosen texels, as ``streaming.tables`` does."""
     rows = problem.total // len(problem.cells)
-    return streaming.tables(partial(_row_energies, problem), chosen, rows)
+    return row_entropy.tables(partial(_row_energies, problem), chosen, rows)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.posterior.cells import normalized
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import CellKernel, Pair, Prior
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.streaming import nats, prior_of
+from svu_mi.posterior.row_entropy import nats, prior_of
+from svu_mi.posterior.tables import normalized
 
 
 @dataclass(frozen=True)

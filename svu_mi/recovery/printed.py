@@ -15,10 +15,10 @@ import numpy as np
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.geometry.neighbors import Neighbors
-from svu_mi.observed import Observed
-from svu_mi.options import preset
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior.grid import ParameterGrid
+from svu_mi.posterior.observations import Observed
+from svu_mi.presets import preset
 from svu_mi.recovery.start import of_roughness
 from svu_mi.regularization.sharing import PRINTED, SEEDS, GlobalSharing
 

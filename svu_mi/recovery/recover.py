@@ -19,9 +19,9 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.geometry.neighbors import Neighbors
 from svu_mi.geometry.texels import Texels
-from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, observed_of, subject_of
+from svu_mi.posterior.observations import Observed
 from svu_mi.recovery.options import Method, PathOptions, ShOptions, options_of
 from svu_mi.recovery.run import Run, require_resolution
 from svu_mi.recovery.textures import Textures
@@ -103,7 +103,7 @@ def recover(
             losses, of ``sh`` and of that part of ``sh+path``, whose epoch is then the paper's, too.
             For ``path``, also ``polish`` and ``paper_polish``, those epochs by themselves.
         sharing: let uncertain texels be like others. True learns a prior that texels have in common
-            (``posterior/object_prior.py``); with presets of the paper's, it is Eq. 14 and 15 as
+            (``posterior/empirical_bayes.py``); with presets of the paper's, it is Eq. 14 and 15 as
             printed, by the posterior of Eq. 11: that of ``source`` if it is one over (roughness,
             Ks), or one made for it. Or a ``GlobalSharing`` of one's own making.
         tv: weight of total variation, instead of the options'.

@@ -16,10 +16,10 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.neighbors import Neighbors, neighbors
 from svu_mi.geometry.texels import Texels
-from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent, Objective, descend

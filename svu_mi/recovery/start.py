@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from svu_mi.core.progress import Progress
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset, preset
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
+from svu_mi.posterior.empirical_bayes import shared
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.object_prior import shared
+from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.presets import AngularPreset, preset
 from svu_mi.recovery.sh.objective import moments, values_of
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.statistics.gather_statistics import Weighting

@@ -10,8 +10,8 @@ import numpy as np
 
 from svu_mi.core.validation import require, require_ranges, require_types
 from svu_mi.errors import OptionError, excerpt
-from svu_mi.options import AngularPreset, Errors
 from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.presets import AngularPreset, Errors
 from svu_mi.reference.deviations import CORNERS
 
 Method = Literal["linear", "brute"]

@@ -18,10 +18,10 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Survey
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset, Errors
 from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.posterior.observations import Observed
+from svu_mi.presets import AngularPreset, Errors
 from svu_mi.reference import cache as cached
 from svu_mi.reference.deviations import PerTexel, Render, brute, linear, sums
 from svu_mi.reference.options import Method, Noise, ReferenceOptions, check_subset

@@ -16,7 +16,7 @@ import drjit as dr
 import numpy as np
 from numpy.polynomial import legendre
 
-from svu_mi.options import Fresnel, Lobe
+from svu_mi.presets import Fresnel, Lobe
 from svu_mi.reflection.principled import F0
 
 INDEX = 1.5  # of refraction of dielectrics: specular = 0.5

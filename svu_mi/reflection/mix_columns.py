@@ -8,7 +8,7 @@ from typing import Any
 
 import drjit as dr
 
-from svu_mi.options import Diffuse
+from svu_mi.presets import Diffuse
 from svu_mi.reflection.principled import columns, mixture
 
 Parts = tuple[Any, Any, Any, Any]

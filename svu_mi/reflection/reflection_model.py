@@ -16,7 +16,7 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import Surface
 from svu_mi.light.band_limited import Lighting, moment_map
 from svu_mi.light.light_visibility import Reach
-from svu_mi.options import AngularPreset
+from svu_mi.presets import AngularPreset
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness

@@ -19,7 +19,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.prefiltered import LightStack, stack
-from svu_mi.options import AngularPreset
+from svu_mi.presets import AngularPreset
 from svu_mi.reflection.lobes import (
     ALBEDO_NODES,
     dielectric_albedo,

@@ -22,7 +22,7 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.options import AngularPreset
+from svu_mi.presets import AngularPreset
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.cholesky_factors import PAIRS, Factors, factorize
 from svu_mi.statistics.texel_blocks import Reader, in_blocks, put, rows_of, scattered, taken

@@ -8,10 +8,10 @@ import numpy as np
 from oracle.rounded_integrals import calibrated_entropies
 from oracle.rounding import angular_entropy
 
-from svu_mi.options import preset
 from svu_mi.posterior.angular import angular_posterior
 from svu_mi.posterior.calibrated import calibrated_posterior
 from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.presets import preset
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import Statistics
 

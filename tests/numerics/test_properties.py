@@ -25,8 +25,8 @@ from numerics.samples import (
 from numerics.test_statistics import RULES
 from svu_mi.frequency.fit_sh import fit_sh
 from svu_mi.frequency.harmonics import power_spectrum
-from svu_mi.options import preset
 from svu_mi.posterior.spectrum import spectrum_posterior
+from svu_mi.presets import preset
 
 SEEDS = st.integers(0, 2**32 - 1)
 PLACES = st.sampled_from(["spread", "in a plane", "on a line", "grazing", "crowded"])

@@ -9,9 +9,9 @@ import pytest
 from oracle.rounding import spectrum_entropy
 
 from numerics.samples import DEGREE, TEXELS, assert_entropy, spectra
-from svu_mi.options import preset
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.spectrum import spectrum_posterior
+from svu_mi.presets import preset
 from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import MIN_ALPHA
 

@@ -20,8 +20,8 @@ from numerics.samples import (
     posterior_of,
     samples,
 )
-from svu_mi.options import preset
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.presets import preset
 
 KS = ParameterGrid(8, 8, "dielectric")
 RULES = {

@@ -13,7 +13,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import decoded, srgb
 from svu_mi.capture.photographs import SATURATED
 from svu_mi.capture.quantization import Clipped, Rounding
-from svu_mi.observed import Observed
+from svu_mi.posterior.observations import Observed
 
 WHITE = 0.97  # of the object's pixels that an 8-bit photograph does not clip
 BRIGHT = 0.15  # by which a wall is brighter at the top than in the middle

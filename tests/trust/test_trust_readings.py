@@ -22,10 +22,10 @@ from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, SceneError, SvuWarning
 from svu_mi.geometry.texels import texels
 from svu_mi.light.environment import read_environment
-from svu_mi.observed import observe
 from svu_mi.output.overview import write_overview
 from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.pipeline import estimate
+from svu_mi.posterior.observations import observe
 from svu_mi.recovery.recover import recover
 
 SIZE = (20, 30)

@@ -24,9 +24,9 @@ from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.report import Column, columns, digits
 from svu_mi.metrics.correlation import pearson
-from svu_mi.options import Fit, Method, preset
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior.tabulated import tabulated_posterior
+from svu_mi.presets import Fit, Method, preset
 
 FULL, QUICK = (400, 64), (60, 8)  # texels and paths of the reference
 SUM, MEAN = 0.4, 0.08  # sigma, as parts of the mean radiance

@@ -27,10 +27,10 @@ from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import FoundGains
 from svu_mi.illumination.resolve_light import with_light
 from svu_mi.illumination.samples import Samples
-from svu_mi.observed import Observed, observe
-from svu_mi.options import AngularPreset
-from svu_mi.options import preset as find_preset
 from svu_mi.pipeline import Estimate, estimate
+from svu_mi.posterior.observations import Observed, observe
+from svu_mi.presets import AngularPreset
+from svu_mi.presets import preset as find_preset
 
 RESOLUTION, TEXELS = 128, 6000  # per side; of these, that predictions are made for
 QUICK, QUICK_SEARCH = (64, 600), LightOptions(gains=True, texels=300, depths=((64, 4), (256, 2)))

@@ -34,10 +34,10 @@ from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.metrics.correlation import pearson
-from svu_mi.observed import observe
 from svu_mi.output.maps import write_maps
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.posterior.observations import observe
 
 DEGREES = (2, 3, 4, 5, 6, 8)
 NODES = (4, 6, 8, 12, 16, 24, 32)

@@ -25,9 +25,9 @@ from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import Observation, Surface
 from svu_mi.geometry.visibility import Survey
 from svu_mi.light.band_limited import moment_map
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
+from svu_mi.posterior.observations import Observed
+from svu_mi.presets import AngularPreset
 from svu_mi.recovery.sh.energy import carry, look_up
 from svu_mi.reflection.lobes import reflected_at_view
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading, dot, parts_of, radiance

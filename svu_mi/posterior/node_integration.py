@@ -15,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import owned
-from svu_mi.posterior.problem import NEAR, Problem
-from svu_mi.posterior.truncated import Channel, Integrals
+from svu_mi.posterior.calibrated_problem import NEAR, Problem
+from svu_mi.posterior.truncated_normal import Channel, Integrals
 from svu_mi.reflection.principled import Mixture, mixture
 from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, combined
 

@@ -19,11 +19,11 @@ import numpy as np
 
 from svu_mi.core.arrays import evenly_spaced, owned
 from svu_mi.posterior import calibrated_kernel as kernel
-from svu_mi.posterior import streaming
+from svu_mi.posterior import row_entropy
 from svu_mi.posterior.calibrated import CalibratedKernel, prior_tables
-from svu_mi.posterior.nodes import cell_widths
+from svu_mi.posterior.calibrated_problem import Problem
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.problem import Problem
+from svu_mi.posterior.quadrature import cell_widths
 
 ROUNDS = 2  # more of them drift where all texels err alike; chosen on our own scenes
 SHARPNESS = 1.3
@@ -69,7 +69,7 @@ def _mixed(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:
 def _under(problem: Problem, prior: np.ndarray) -> Problem:
     """Return the problem with a prior (R, M, K, C) of the masses of cells."""
     rows = prior.sum(axis=2).mean(axis=2).ravel()
-    energies = np.where(rows > 0, -np.log(np.maximum(rows, LEAST)), streaming.IMPOSSIBLE)
+    energies = np.where(rows > 0, -np.log(np.maximum(rows, LEAST)), row_entropy.IMPOSSIBLE)
     given = prior / np.maximum(prior.sum(axis=2, keepdims=True), LEAST)
     density = np.moveaxis(given, 3, 2) / cell_widths(problem.edges)
     found = replace(

@@ -23,15 +23,15 @@ from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.errors import OptionError
 from svu_mi.frequency.spectra import fit_spectra
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset, AnyPreset, Preset, Skip
 from svu_mi.posterior.angular import angular_posterior
 from svu_mi.posterior.calibrated import calibrated_posterior
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.row_entropy import IMPOSSIBLE
 from svu_mi.posterior.spectrum import spectrum_posterior
-from svu_mi.posterior.streaming import IMPOSSIBLE
 from svu_mi.posterior.tiled import TiledKernel
+from svu_mi.presets import AngularPreset, AnyPreset, Preset, Skip
 from svu_mi.statistics.cholesky_factors import Factors, stride
 from svu_mi.statistics.gather_statistics import Weighting
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.parameters import MIXED
-from svu_mi.posterior.nodes import Axis, Product
-from svu_mi.posterior.truncated import GENTLE
+from svu_mi.posterior.quadrature import Axis, Product
+from svu_mi.posterior.truncated_normal import GENTLE
 from svu_mi.statistics.cholesky_factors import Factors, catmull_rom
 
 NEAR = 4  # levels that a roughness is interpolated from

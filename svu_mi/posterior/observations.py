@@ -31,7 +31,7 @@ from svu_mi.geometry.visibility import Survey, survey
 from svu_mi.light.band_limited import Lighting, light
 from svu_mi.light.light_tree import LightCells, light_cells
 from svu_mi.light.light_visibility import Mirrors, Reach, trace_mirrors, trace_reach
-from svu_mi.options import AngularPreset, Fit, Preset
+from svu_mi.presets import AngularPreset, Fit, Preset
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.reflection_model import Arriving, Model
 from svu_mi.statistics.censored import PASSES, best_models
