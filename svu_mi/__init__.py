@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from svu_mi.checking.record import Check
     from svu_mi.checking.run import check
     from svu_mi.errors import SvuError, SvuWarning
+    from svu_mi.evaluation.reference import Reference
+    from svu_mi.evaluation.reference_posterior import reference_posterior
     from svu_mi.export.asset import Asset
     from svu_mi.export.export import ExportOptions, export_asset
     from svu_mi.export.reading import load_asset
@@ -54,8 +56,6 @@ if TYPE_CHECKING:
     from svu_mi.presets import AngularPreset, Fit, Preset, Skip, preset
     from svu_mi.recovery.options import DescentOptions, PathOptions, ShOptions
     from svu_mi.recovery.recover import Recovery, recover
-    from svu_mi.reference.posterior import reference_posterior
-    from svu_mi.reference.record import Reference
     from svu_mi.regularization.sharing import GlobalSharing
     from svu_mi.regularization.tv import TotalVariation
 

@@ -24,12 +24,12 @@ from svu_mi.core.io.npz import DIGEST, write_arrays
 from svu_mi.core.io.output_folder import claimed, writing
 from svu_mi.core.io.provenance import entry_of
 from svu_mi.errors import SvuError, SvuWarning
+from svu_mi.evaluation import reference_cache
+from svu_mi.evaluation.reference import Traced
+from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.illumination.folder import load_light, save_light
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.checkpoint import Checkpoint, State
-from svu_mi.reference import cache
-from svu_mi.reference.options import ReferenceOptions
-from svu_mi.reference.record import Traced
 
 SETTINGS = {"seed": 3, "sh": {"descent": {"steps": 9, "rate": 0.01}, "name": "ball"}, "tv": None}
 CONTENT = {"shapes": "ab" * 16, "light": "cd" * 16, "photographs": "ef" * 16}
@@ -62,7 +62,7 @@ def write_reference(folder: Path) -> None:
         coverage=np.array([2, 0, 1]), brightness=np.ones(3), scale=1.0, unit=1.0, seconds=2.0,
         rays=10, dropped=0,
     )  # fmt: skip
-    cache.store(folder / REFERENCE, traced)
+    reference_cache.store(folder / REFERENCE, traced)
 
 
 def read_reference(folder: Path, out: Path) -> None:
@@ -70,7 +70,7 @@ def read_reference(folder: Path, out: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", SvuWarning)
         try:
-            found = cache.load(folder / REFERENCE, OPTIONS)
+            found = reference_cache.load(folder / REFERENCE, OPTIONS)
         except SvuWarning as warning:
             raise SvuError(str(warning)) from warning
     assert found is None or found.entropy.shape == found.subset.shape

@@ -28,7 +28,7 @@ from svu_mi.capture.scene import load_scene
 from svu_mi.cli.main import main
 from svu_mi.core.progress import Progress
 from svu_mi.errors import MeshError, OptionError, SceneError, ShapeError, SvuWarning
-from svu_mi.metrics.truth import GroundTruth
+from svu_mi.evaluation.ground_truth import GroundTruth
 
 CELLS = own_cells(["vase"], ["window"])
 

@@ -25,8 +25,8 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
+from svu_mi.evaluation.posterior_predictive import Prediction, diffuse_seen_from, shares_of
 from svu_mi.posterior.calibrated_problem import spline
-from svu_mi.prediction import Prediction, diffuse_seen_from, shares_of
 from svu_mi.presets import preset
 
 VIEWS, FILM = 24, 72

@@ -24,8 +24,8 @@ from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER, SH_PATH
 from svu_mi.bench.recovery.tables import find_bars
 from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.sensors import bounding_sphere, directions_of
+from svu_mi.evaluation.image_metrics import CEILING_DB
 from svu_mi.geometry.texels import texels
-from svu_mi.metrics.images import CEILING_DB
 from svu_mi.recovery.textures import lay_out, uniform
 
 CELLS = own_cells(["vase"], ["window"])

@@ -18,7 +18,7 @@ import svu_mi as svu
 from svu_mi.capture.image_io import srgb
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.sensors import describe, make_sensor
-from svu_mi.metrics.images import psnr
+from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.output.textures import MESH
 
 SPP = 16

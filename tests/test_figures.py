@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from svu_mi.errors import OptionError
-from svu_mi.metrics.truth import GroundTruth
+from svu_mi.evaluation.ground_truth import GroundTruth
 from svu_mi.output.figures import (
     all_seen,
     draw_map,

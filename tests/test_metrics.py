@@ -9,17 +9,24 @@ from helpers import ball_scene, memory_capture
 from svu_mi.capture.render_capture import render_capture
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.errors import OptionError, SceneError, ShapeError
-from svu_mi.geometry.texels import texels
-from svu_mi.metrics.correlation import (
+from svu_mi.evaluation.correlation import (
     Interval,
     mean_over_objects,
     pearson,
     sparsification,
     spearman,
 )
-from svu_mi.metrics.credible import credible_coverage, nearest_cells
-from svu_mi.metrics.images import CEILING_DB, image_error, psnr, ssim_map, texel_error, texture_psnr
-from svu_mi.metrics.truth import error_summary, ground_truth
+from svu_mi.evaluation.credible_sets import credible_coverage, nearest_cells
+from svu_mi.evaluation.ground_truth import error_summary, ground_truth
+from svu_mi.evaluation.image_metrics import (
+    CEILING_DB,
+    image_error,
+    psnr,
+    ssim_map,
+    texel_error,
+    texture_psnr,
+)
+from svu_mi.geometry.texels import texels
 from svu_mi.scenes import path
 
 SEED = 90417

@@ -22,8 +22,8 @@ from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
+from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.light.environment import read_environment
-from svu_mi.metrics.images import psnr
 from svu_mi.output.recovery import write_recovery
 from svu_mi.output.relit import Comparison, compare, write_relit
 from svu_mi.output.textures import read_textures, write_textures

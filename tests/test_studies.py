@@ -21,10 +21,10 @@ from svu_mi.bench.study import Asked, study_of
 from svu_mi.bench.timing import in_new_process, run, spread
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError, SvuEnvironmentError
+from svu_mi.evaluation.ground_truth import ground_truth
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.sample_view import Surface
 from svu_mi.geometry.visibility import survey
-from svu_mi.metrics.truth import ground_truth
 
 SIZES = Sizes(
     views=12, film=32, spp=4, texels=32, reference_texels=20, reference_spp=4,

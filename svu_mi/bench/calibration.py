@@ -26,10 +26,10 @@ from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
 from svu_mi.bench.report import Column, columns, digits, table
 from svu_mi.bench.study import Asked, Study
+from svu_mi.evaluation.correlation import pearson, sparsification, spearman
+from svu_mi.evaluation.credible_sets import credible_coverage, nearest_cells
 from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import texels
-from svu_mi.metrics.correlation import pearson, sparsification, spearman
-from svu_mi.metrics.credible import credible_coverage, nearest_cells
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
 from svu_mi.presets import preset

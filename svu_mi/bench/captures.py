@@ -22,9 +22,9 @@ from svu_mi.core.io.hashes import digest_of_file
 from svu_mi.core.io.provenance import is_as_written
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
+from svu_mi.evaluation.ground_truth import ground_truth
+from svu_mi.evaluation.image_metrics import texel_error, texture_psnr
 from svu_mi.geometry.texels import Texels
-from svu_mi.metrics.images import texel_error, texture_psnr
-from svu_mi.metrics.truth import ground_truth
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures
 

@@ -15,8 +15,8 @@ from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
 from svu_mi.bench.report import Column, columns, digits
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.capture import Capture
+from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels
-from svu_mi.metrics.correlation import pearson
 
 DEPTH = 4  # of the reference with light between parts of the object
 PHOTOGRAPHS = 6  # depth of the photographs it is compared on

@@ -25,9 +25,9 @@ from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import Pictures
 from svu_mi.capture.scene import find_shape, load_scene
+from svu_mi.evaluation.correlation import spearman
 from svu_mi.geometry.texels import Texels
 from svu_mi.inpaint.fill import fill
-from svu_mi.metrics.correlation import spearman
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.observations import observe
 from svu_mi.recovery.field.field import LEVEL, TextureField, texture_field

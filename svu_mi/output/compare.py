@@ -27,9 +27,9 @@ from svu_mi.core.io.provenance import text_in
 from svu_mi.core.limits import require_texels
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.geometry.texels import size_of, texels
 from svu_mi.illumination.resolve_light import illuminated
-from svu_mi.metrics.images import psnr
 from svu_mi.output.knowledge import median, part, plain_percent
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY, read_deviations, read_map

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.image import AxesImage
 
-    from svu_mi.metrics.truth import GroundTruth
+    from svu_mi.evaluation.ground_truth import GroundTruth
 
 GUTTER = 3  # texels that charts grow by on the object, so that their borders show no seam
 KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn

@@ -16,8 +16,8 @@ import pytest
 from svu_mi.bench.result_cache import Store
 from svu_mi.core.io.npz import DIGEST, read_arrays, write_arrays
 from svu_mi.errors import OptionError, OutputError, SvuWarning
+from svu_mi.evaluation import reference_cache
 from svu_mi.recovery.checkpoint import Checkpoint
-from svu_mi.reference import cache
 
 BOMB = 2**28  # bytes that a packed file of 256 KiB unpacks to
 
@@ -190,14 +190,14 @@ def reference(tmp_path):
 def told(path):
     """Return the warning with which a cached reference is made again."""
     with pytest.warns(SvuWarning, match="it is traced again") as caught:
-        assert cache.load(path, rows.OPTIONS) is None
+        assert reference_cache.load(path, rows.OPTIONS) is None
     return str(caught[0].message)
 
 
 def test_a_sound_reference_is_taken(reference):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert cache.load(reference, rows.OPTIONS).count == 3
+        assert reference_cache.load(reference, rows.OPTIONS).count == 3
 
 
 def test_a_packed_reference_is_not_unpacked(reference):

@@ -17,11 +17,11 @@ from svu_mi.capture.load_capture import load_capture
 from svu_mi.capture.mesh import make
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError, SvuWarning
+from svu_mi.evaluation import reference_cache
+from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import SH_PRESETS, DescentOptions
-from svu_mi.reference import cache
-from svu_mi.reference.options import ReferenceOptions
 
 # The scene has what is not accounted for, which is said.
 IGNORED = "ignore:.* which svu does not account for:svu_mi.errors.SvuWarning"
@@ -206,7 +206,9 @@ def test_computed_normals_are_no_other_capture_to_references_and_checkpoints(sce
         capture = load_capture(path, shape="ball")
         layout = svu.texels(capture.mesh, (8, 8))
         content = fingerprint(capture, layout, None, False, None)
-        found.add((cache.locate(tmp_path, capture, layout, 5, options).name, *content.values()))
+        found.add(
+            (reference_cache.locate(tmp_path, capture, layout, 5, options).name, *content.values())
+        )
     assert len(found) == 1
 
 

@@ -23,11 +23,11 @@ from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import Timed, warm
 from svu_mi.capture.capture import Capture
 from svu_mi.errors import ShapeError
+from svu_mi.evaluation.correlation import pearson, sparsification, spearman
+from svu_mi.evaluation.credible_sets import credible_coverage, nearest_cells
+from svu_mi.evaluation.ground_truth import GroundTruth, error_summary, ground_truth
+from svu_mi.evaluation.reference_posterior import reference_posterior
 from svu_mi.geometry.texels import Texels
-from svu_mi.metrics.correlation import pearson, sparsification, spearman
-from svu_mi.metrics.credible import credible_coverage, nearest_cells
-from svu_mi.metrics.truth import GroundTruth, error_summary, ground_truth
-from svu_mi.reference.posterior import reference_posterior
 
 DIGITS = 4  # of the entropies that are kept for scatter plots
 

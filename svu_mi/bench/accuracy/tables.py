@@ -23,7 +23,7 @@ from svu_mi.bench.report import (
     tidy,
     time_axis,
 )
-from svu_mi.metrics.correlation import mean_over_objects
+from svu_mi.evaluation.correlation import mean_over_objects
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

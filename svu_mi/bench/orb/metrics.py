@@ -1,7 +1,7 @@
 """How close pictures are to photographs, by the rules of Stanford-ORB.
 
 Kuang et al., Stanford-ORB: A Real-World 3D Object Inverse Rendering Benchmark (NeurIPS 2023),
-Sec. 4.2; where the text leaves a choice, as in their program (orb/utils/test.py, metrics.py):
+Sec. 4.2; where the text leaves a choice, as in their program (orb/utils/test.py, evaluation.py):
 
 * The mask is eroded by 5 x 5 pixels; outside, both pictures are black, and count.
 * Relighting: each channel of the picture is scaled to the photograph by least squares over the
@@ -25,8 +25,8 @@ from scipy.ndimage import binary_erosion
 
 from svu_mi.capture.image_io import srgb
 from svu_mi.errors import SvuWarning
-from svu_mi.metrics.checks import pictures
-from svu_mi.metrics.images import psnr, ssim_map
+from svu_mi.evaluation.image_metrics import psnr, ssim_map
+from svu_mi.evaluation.metric_inputs import pictures
 
 ERODED = 5  # pixels per side of the square the mask is eroded by
 HDR_LIMIT = 4.0  # of radiance, after normalisation

@@ -26,8 +26,8 @@ from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, Row
 from svu_mi.bench.report import Column, columns, digits, table
 from svu_mi.capture.capture import Capture
+from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels
-from svu_mi.metrics.correlation import pearson
 from svu_mi.pipeline import estimate
 
 FILM, DENSE, FRONT, BACK, TEXELS, SPP = 96, 48, 20, 4, 96, 32

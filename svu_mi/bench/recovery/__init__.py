@@ -23,9 +23,9 @@ from svu_mi.capture.render_capture import object_mask
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.evaluation.correlation import pearson
+from svu_mi.evaluation.image_metrics import image_error
 from svu_mi.geometry.texels import Texels
-from svu_mi.metrics.correlation import pearson
-from svu_mi.metrics.images import image_error
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import Textures, lay_out

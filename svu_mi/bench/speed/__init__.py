@@ -32,8 +32,8 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.load_capture import load_capture
 from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
+from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels
-from svu_mi.metrics.correlation import pearson
 from svu_mi.output.maps import write_maps
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.grid import PrincipledGrid

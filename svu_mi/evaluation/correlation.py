@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from svu_mi.errors import OptionError
-from svu_mi.metrics.checks import pair, vector
+from svu_mi.evaluation.metric_inputs import pair, vector
 
 MIN_OBJECTS = 3
 CONFIDENCE = 0.95  # part of the resampled means inside an interval

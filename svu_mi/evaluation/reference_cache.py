@@ -18,9 +18,9 @@ from svu_mi.core.io.files import clear_temporaries, prepare_folder
 from svu_mi.core.io.hashes import Key
 from svu_mi.core.io.npz import Field, read_arrays, require_schema, write_arrays
 from svu_mi.errors import SvuError, SvuWarning
+from svu_mi.evaluation.reference import Reference, Traced
+from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.geometry.texels import Texels
-from svu_mi.reference.options import ReferenceOptions
-from svu_mi.reference.record import Reference, Traced
 from svu_mi.statistics.cholesky_factors import PAIRS
 
 log = logging.getLogger(__name__)

@@ -10,9 +10,9 @@ import numpy as np
 
 from svu_mi.core.validation import require, require_ranges, require_types
 from svu_mi.errors import OptionError, excerpt
+from svu_mi.evaluation.squared_errors import CORNERS
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.presets import AngularPreset, Errors
-from svu_mi.reference.deviations import CORNERS
 
 Method = Literal["linear", "brute"]
 Noise = Literal["relative", "heteroscedastic", "estimated"]

@@ -9,10 +9,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.evaluation.path_trace import UniformScene
 from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views
 from svu_mi.geometry.sample_view import RAY_OFFSET, Surface, look
 from svu_mi.posterior.observations import Observed
-from svu_mi.reference.trace import UniformScene
 
 TOLERANCE = 4e-5  # of the object's extent: how far from a texel's tangent plane a ray may land
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.metrics.checks import require_finite, vector
+from svu_mi.evaluation.metric_inputs import require_finite, vector
 
 TIE = 1e-6  # relative difference below which two float32 probabilities are equal
 

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.posterior.calibrated import calibrated_posterior
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.tabulated import tabulated_posterior
 from svu_mi.presets import AngularPreset
-from svu_mi.reference.options import ReferenceOptions
 from svu_mi.statistics.statistics import Statistics
 
 

@@ -16,18 +16,18 @@ from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
+from svu_mi.evaluation import reference_cache as cached
+from svu_mi.evaluation.path_trace import UniformScene, trace
+from svu_mi.evaluation.reference import Reference, Traced
+from svu_mi.evaluation.reference_options import Method, Noise, ReferenceOptions, check_subset
+from svu_mi.evaluation.squared_errors import PerTexel, Render, brute, linear, sums
+from svu_mi.evaluation.visible_pairs import Pairs, visible_pairs
 from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Survey
 from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset, Errors
-from svu_mi.reference import cache as cached
-from svu_mi.reference.deviations import PerTexel, Render, brute, linear, sums
-from svu_mi.reference.options import Method, Noise, ReferenceOptions, check_subset
-from svu_mi.reference.pairs import Pairs, visible_pairs
-from svu_mi.reference.record import Reference, Traced
-from svu_mi.reference.trace import UniformScene, trace
 from svu_mi.statistics.statistics import noise_weight
 
 LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not

@@ -9,9 +9,9 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.core.validation import require_known
+from svu_mi.evaluation.metric_inputs import pair
 from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import Texels
-from svu_mi.metrics.checks import pair
 from svu_mi.parameters import MIXED, NAMES, ByParameter
 from svu_mi.reflection.principled import specular_from_principled
 

@@ -16,7 +16,7 @@ import scipy
 
 from svu_mi.capture.image_io import srgb
 from svu_mi.errors import ShapeError
-from svu_mi.metrics.checks import pictures, require_finite
+from svu_mi.evaluation.metric_inputs import pictures, require_finite
 
 CEILING_DB = 100.0  # of a PSNR: that of an RMS error of 1e-5, and of none at all
 

@@ -1,1 +1,0 @@
-"""Path-traced posterior of a few texels: what every estimator is measured against."""
