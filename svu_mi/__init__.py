@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from svu_mi.frequency.harmonics import power_spectrum
     from svu_mi.geometry.texels import Texels, texels
     from svu_mi.guidance.candidates import Candidates
+    from svu_mi.guidance.guidance_options import GuidanceOptions
+    from svu_mi.guidance.guidance_result import Guidance
     from svu_mi.guidance.next_view import next_best_view
-    from svu_mi.guidance.options import GuidanceOptions
-    from svu_mi.guidance.result import Guidance
     from svu_mi.illumination.estimate import estimate_light
     from svu_mi.illumination.exposure import equalized, estimate_gains
     from svu_mi.illumination.folder import load_light, save_light

@@ -20,18 +20,18 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import directions_of, sphere_sensors
 from svu_mi.core.arrays import owned
 from svu_mi.core.local_memory import padded
-from svu_mi.guidance import prospect as prospects
-from svu_mi.guidance import result as results
+from svu_mi.guidance import guidance_result as results
 from svu_mi.guidance import strategies as baselines
-from svu_mi.guidance.angular import AngularForecast
+from svu_mi.guidance import strategy_inputs as prospects
+from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.forecast import Hypotheses
 from svu_mi.guidance.greedy import GROWTH, Greedy
-from svu_mi.guidance.growing import GrowingForecast
+from svu_mi.guidance.growing_band_limit import GrowingForecast
 from svu_mi.guidance.objectives import Colors, Entropy, Variance, prior_tables
-from svu_mi.guidance.prospect import Prospect
-from svu_mi.guidance.responses import Responses
-from svu_mi.guidance.spectral import SpectrumForecast
+from svu_mi.guidance.predicted_responses import Responses
+from svu_mi.guidance.spectral_forecast import SpectrumForecast
 from svu_mi.guidance.strategies import STRATEGIES, TABLE
+from svu_mi.guidance.strategy_inputs import Prospect
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.quadrature import cell_edges
 from svu_mi.presets import preset

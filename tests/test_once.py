@@ -91,8 +91,8 @@ def test_what_goes_on_from_an_estimate_traces_nothing_again(capture, layout, cal
 
 def test_forecasts_of_seen_texels_trace_no_cell_again(capture, layout, calls, monkeypatch):
     from svu_mi.geometry.packed_views import pack_sensors
-    from svu_mi.guidance.forecaster import forecast_of
-    from svu_mi.guidance.options import GuidanceOptions
+    from svu_mi.guidance.guidance_options import GuidanceOptions
+    from svu_mi.guidance.make_forecast import forecast_of
 
     estimate = svu.estimate(capture, layout)
     packed = pack_sensors(capture.scene, capture.shape, capture.sensors[:2])

@@ -60,7 +60,7 @@ with contextlib.suppress(SystemExit), contextlib.redirect_stdout(open(os.devnull
     main({words})
 print(json.dumps(sorted(sys.modules)))"""
     loaded = json.loads(in_fresh_process(code).stdout)
-    assert "svu_mi.guidance.options" in loaded
+    assert "svu_mi.guidance.guidance_options" in loaded
     assert not {"drjit", "mitsuba", "matplotlib", "scipy", "trimesh"}.intersection(loaded)
 
 

@@ -25,7 +25,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.frequency.spectra import Coefficients
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.geometry.sample_view import Surface
-from svu_mi.guidance.prospect import Prospect
+from svu_mi.guidance.strategy_inputs import Prospect
 from svu_mi.light.band_limited import lat_long_texture, look_up
 from svu_mi.light.environment import directions, quadrature, synthesize
 from svu_mi.pipeline import Estimate

@@ -21,7 +21,7 @@ from svu_mi.core.limits import require_views
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.guidance.options import GuidanceOptions
+from svu_mi.guidance.guidance_options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.presets import AngularPreset, Preset
 from svu_mi.presets import preset as find_preset
@@ -29,7 +29,7 @@ from svu_mi.presets import preset as find_preset
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
     from svu_mi.guidance.candidates import Candidates
-    from svu_mi.guidance.result import Guidance
+    from svu_mi.guidance.guidance_result import Guidance
     from svu_mi.pipeline import Estimate
 
 SCENE = "scene"

@@ -18,7 +18,7 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.guidance.objectives import Measure
-from svu_mi.guidance.responses import Responses
+from svu_mi.guidance.predicted_responses import Responses
 from svu_mi.posterior.grid import Grid
 
 

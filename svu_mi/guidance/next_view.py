@@ -18,12 +18,12 @@ from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.guidance.candidates import Candidates
-from svu_mi.guidance.forecaster import refuse_growing
 from svu_mi.guidance.greedy import Greedy
-from svu_mi.guidance.options import GuidanceOptions
-from svu_mi.guidance.prospect import Prospect
-from svu_mi.guidance.result import Guidance, Proposal
+from svu_mi.guidance.guidance_options import GuidanceOptions
+from svu_mi.guidance.guidance_result import Guidance, Proposal
+from svu_mi.guidance.make_forecast import refuse_growing
 from svu_mi.guidance.strategies import TABLE, Judge, Strategy
+from svu_mi.guidance.strategy_inputs import Prospect
 from svu_mi.pipeline import Estimate, observed_of
 
 AROUND = 100  # candidates that are placed when none are given

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from svu_mi.guidance.prospect import Prospect
+    from svu_mi.guidance.strategy_inputs import Prospect
 
     Name = str
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import bounding_sphere, directions_of
-from svu_mi.guidance.result import Guidance
+from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.output import style
 from svu_mi.output.style import FAINT, INK, RULE, UNSEEN
 from svu_mi.output.views import UP, facing

@@ -20,7 +20,7 @@ from svu_mi.capture.sensors import describe
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import prepare_folder, replacing
 from svu_mi.core.io.output_folder import writing
-from svu_mi.guidance.result import Guidance
+from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.guidance_page import (
     gain_limit,

@@ -13,7 +13,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import film_size, resized_sensor
 from svu_mi.capture.tonemap import SIDE, Look, alone
 from svu_mi.core.identifiers import plain_name
-from svu_mi.guidance.result import Guidance, Proposal
+from svu_mi.guidance.guidance_result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import style
 from svu_mi.output.directions import color_range, draw_directions, numbered

@@ -32,7 +32,7 @@ from svu_mi.output.result import is_seen
 from svu_mi.pipeline import Estimate
 
 if TYPE_CHECKING:
-    from svu_mi.guidance.result import Guidance
+    from svu_mi.guidance.guidance_result import Guidance
     from svu_mi.recovery.recover import Recovery
 
 RECORD = RUN_RECORD

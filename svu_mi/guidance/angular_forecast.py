@@ -25,7 +25,7 @@ from svu_mi.core.local_memory import allocate, load, store
 from svu_mi.geometry.sample_view import Observation
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, Colors, Parts
-from svu_mi.guidance.responses import Respond
+from svu_mi.guidance.predicted_responses import Respond
 from svu_mi.light.light_visibility import mirror_free
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.grid import PrincipledGrid

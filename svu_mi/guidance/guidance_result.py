@@ -12,8 +12,8 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.neighbors import squares_of
 from svu_mi.geometry.texels import Texels
 from svu_mi.guidance.candidates import Candidates
-from svu_mi.guidance.options import GuidanceOptions
-from svu_mi.guidance.prospect import Prospect
+from svu_mi.guidance.guidance_options import GuidanceOptions
+from svu_mi.guidance.strategy_inputs import Prospect
 
 CHUNK = 8192  # texels whose maps are computed at a time
 FINEST = 128  # values of a map along its longer side; finer ones would show their noise

@@ -21,8 +21,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.guidance.responses import Responses
-from svu_mi.guidance.spectral import Cells, Keep, SpectrumForecast
+from svu_mi.guidance.predicted_responses import Responses
+from svu_mi.guidance.spectral_forecast import Cells, Keep, SpectrumForecast
 from svu_mi.posterior.spectrum_kernel import Products, row_distances
 
 Relight = Callable[[int], tuple[Responses, float]]

@@ -12,14 +12,14 @@ from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.sample_view import Surface
-from svu_mi.guidance import angular, spectral
-from svu_mi.guidance.angular import AngularForecast
+from svu_mi.guidance import angular_forecast, spectral_forecast
+from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.forecast import Forecast, Hypotheses, numbers
-from svu_mi.guidance.growing import GrowingForecast
+from svu_mi.guidance.growing_band_limit import GrowingForecast
+from svu_mi.guidance.guidance_options import GuidanceOptions
 from svu_mi.guidance.objectives import Colors, Entropy, prior_tables
-from svu_mi.guidance.options import GuidanceOptions
-from svu_mi.guidance.responses import Respond, Responses, collect
-from svu_mi.guidance.spectral import SpectrumForecast
+from svu_mi.guidance.predicted_responses import Respond, Responses, collect
+from svu_mi.guidance.spectral_forecast import SpectrumForecast
 from svu_mi.light.band_limited import band_limit
 from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior.angular import AngularKernel
@@ -96,8 +96,8 @@ def _angular(
     lobes = 1 if observed.lighting.environment.grey else channels
     model = observed.model(grid.roughness_nodes, switches, lobes, texels)
     responses = look(
-        model.surface, angular.respond(observed.views.scene, model),
-        angular.columns(grid.shape[0], lobes),
+        model.surface, angular_forecast.respond(observed.views.scene, model),
+        angular_forecast.columns(grid.shape[0], lobes),
     )  # fmt: skip
     edges = cell_edges(grid.base_color_nodes)
     usual = cell_widths(edges)
@@ -162,10 +162,10 @@ def _spectrum(
         )
     assert isinstance(switches, Preset)
     surface = Surface.of(observed.texels, numbers(texels))
-    respond = spectral.respond(observed.views.scene, surface, observed.lighting, switches)
+    respond = spectral_forecast.respond(observed.views.scene, surface, observed.lighting, switches)
     p = np.array(posterior.probabilities_of(texels))
     return SpectrumForecast(
-        responses=look(surface, respond, spectral.columns(switches)),
+        responses=look(surface, respond, spectral_forecast.columns(switches)),
         hypotheses=draw(p.reshape(len(p), -1), posterior.prior.ravel()), grid=grid,
         prior=_energies(posterior.kernel.problem.prior),
         measure=_entropy(posterior), switches=switches,
@@ -183,8 +183,8 @@ def _growing(
 
     def relight(views: int) -> tuple[Responses, float]:
         lighting = band_limit(environment, views)
-        respond = spectral.respond(observed.views.scene, surface, lighting, switches)
-        return look(surface, respond, spectral.columns(switches)), lighting.prefilter
+        respond = spectral_forecast.respond(observed.views.scene, surface, lighting, switches)
+        return look(surface, respond, spectral_forecast.columns(switches)), lighting.prefilter
 
     problem, seen = posterior.kernel.problem, posterior.observed[texels]
     (channels,) = problem.groups

@@ -11,14 +11,14 @@ from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.geometry.packed_views import Views, pack_sensors
 from svu_mi.geometry.sample_view import Surface
 from svu_mi.geometry.visibility import Survey
-from svu_mi.guidance.angular import AngularForecast
+from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.forecaster import forecast_of
 from svu_mi.guidance.greedy import Greedy
+from svu_mi.guidance.guidance_options import GuidanceOptions
+from svu_mi.guidance.make_forecast import forecast_of
 from svu_mi.guidance.objectives import Variance
-from svu_mi.guidance.options import GuidanceOptions
-from svu_mi.guidance.responses import cosines
+from svu_mi.guidance.predicted_responses import cosines
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel

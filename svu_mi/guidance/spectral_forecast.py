@@ -24,7 +24,7 @@ from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import Observation, Surface, mirror_direction
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, row_of
-from svu_mi.guidance.responses import Respond, Responses
+from svu_mi.guidance.predicted_responses import Respond, Responses
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.light_visibility import mirror_free
 from svu_mi.posterior.grid import ParameterGrid
