@@ -41,10 +41,6 @@ if TYPE_CHECKING:
     from svu_mi.illumination.options import LightOptions
     from svu_mi.illumination.record import FoundGains, LightEstimate
     from svu_mi.illumination.resolve_light import with_light
-    from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
-    from svu_mi.inpaint.diffusion.model_interface import DiffusionOptions
-    from svu_mi.inpaint.fill import fill
-    from svu_mi.inpaint.fill_result import Filled
     from svu_mi.output.compare import Comparison, compare
     from svu_mi.output.report.report import write_report
     from svu_mi.pipeline import Estimate, estimate
@@ -54,10 +50,14 @@ if TYPE_CHECKING:
     from svu_mi.posterior.posterior import Posterior
     from svu_mi.posterior.spectrum import spectrum_posterior
     from svu_mi.presets import AngularPreset, Fit, Preset, Skip, preset
-    from svu_mi.recovery.options import DescentOptions, PathOptions, ShOptions
+    from svu_mi.recovery.inpaint.diffusion.fill_by_diffusion import fill_by_diffusion
+    from svu_mi.recovery.inpaint.diffusion.model_interface import DiffusionOptions
+    from svu_mi.recovery.inpaint.fill import fill
+    from svu_mi.recovery.inpaint.fill_result import Filled
     from svu_mi.recovery.recover import Recovery, recover
-    from svu_mi.regularization.sharing import GlobalSharing
-    from svu_mi.regularization.tv import TotalVariation
+    from svu_mi.recovery.recovery_options import DescentOptions, PathOptions, ShOptions
+    from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
+    from svu_mi.recovery.regularizers.total_variation import TotalVariation
 
 __version__ = "0.1.0"
 

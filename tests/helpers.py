@@ -37,7 +37,7 @@ from svu_mi.geometry.texels import texels
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.scenes import meshes
 from svu_mi.statistics.gather_statistics import Values
 

@@ -26,7 +26,7 @@ from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.evaluation.image_metrics import CEILING_DB
 from svu_mi.geometry.texels import texels
-from svu_mi.recovery.textures import lay_out, uniform
+from svu_mi.recovery.svbrdf_textures import lay_out, uniform
 
 CELLS = own_cells(["vase"], ["window"])
 WAYS = (SH, SH_PATH, PATH, SH_PAPER)

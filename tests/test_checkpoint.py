@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from svu_mi.errors import OptionError, OutputError
+from svu_mi.recovery.adam import descend
 from svu_mi.recovery.checkpoint import Checkpoint, State
-from svu_mi.recovery.descent import descend
-from svu_mi.recovery.options import DescentOptions
+from svu_mi.recovery.recovery_options import DescentOptions
 
 SHAPES = {"base_color": (4, 6, 3), "roughness": (4, 6, 1)}
 SETTINGS = {"seed": 3, "descent": {"learning_rate": 0.01, "bounds": [0.0, 1.0]}, "name": "ball"}
@@ -28,8 +28,8 @@ mi.set_variant("llvm_ad_rgb")
 dr.set_thread_count(1)
 from svu_mi.core.arrays import owned
 from svu_mi.recovery.checkpoint import Checkpoint
-from svu_mi.recovery.descent import descend
-from svu_mi.recovery.options import DescentOptions
+from svu_mi.recovery.adam import descend
+from svu_mi.recovery.recovery_options import DescentOptions
 
 path, out, pause, resume = sys.argv[1], sys.argv[2], float(sys.argv[3]), sys.argv[4] == "resume"
 shape = (16, 16, 3)

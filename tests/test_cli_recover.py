@@ -21,8 +21,8 @@ from svu_mi.errors import OutputError
 from svu_mi.output.relit_page import files_of
 from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.parameters import NAMES
-from svu_mi.recovery import descent
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery import adam
+from svu_mi.recovery.svbrdf_textures import Textures
 
 PICTURES = ["recovery.png", "relit.png"]
 NUMBERS = [
@@ -120,14 +120,14 @@ def test_a_scene_that_recover_renders_is_rendered_once(tmp_path, capsys, monkeyp
 
 def interrupt_after(monkeypatch, steps):
     """Press Ctrl-C in the middle of a step of the last descent, which ``recover`` made short."""
-    advance = descent._Run.advance
+    advance = adam._Run.advance
 
     def interrupted(self):
         advance(self)
         if self._options.steps == 20 and self.step >= steps:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(descent._Run, "advance", interrupted)
+    monkeypatch.setattr(adam._Run, "advance", interrupted)
 
 
 def brighter(shot, folder):

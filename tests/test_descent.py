@@ -12,9 +12,9 @@ import pytest
 
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, SvuError
+from svu_mi.recovery.adam import READ, descend
 from svu_mi.recovery.checkpoint import Checkpoint
-from svu_mi.recovery.descent import READ, descend
-from svu_mi.recovery.options import DescentOptions
+from svu_mi.recovery.recovery_options import DescentOptions
 
 SHAPE = (8, 12, 3)
 

@@ -20,18 +20,23 @@ from svu_mi.capture.sensors import film_size, windowed_sensor
 from svu_mi.capture.tonemap import Look, alone
 from svu_mi.errors import OptionError, SvuEnvironmentError
 from svu_mi.geometry.neighbors import neighbors
-from svu_mi.inpaint.diffusion import load_weights
-from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
-from svu_mi.inpaint.diffusion.load_weights import PARTS, require_model
-from svu_mi.inpaint.diffusion.model import blend
-from svu_mi.inpaint.diffusion.model_interface import FAMILIES, DiffusionOptions, Picture, family_of
-from svu_mi.inpaint.fill_result import SUREST, Filled
-from svu_mi.inpaint.texel_hierarchy import centred
 from svu_mi.output.filled import fill_sentences, write_filled
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.field.field import field_around
-from svu_mi.recovery.relight import relight
-from svu_mi.recovery.textures import lay_out, scene_textures
+from svu_mi.recovery.inpaint.diffusion import load_weights
+from svu_mi.recovery.inpaint.diffusion.fill_by_diffusion import fill_by_diffusion
+from svu_mi.recovery.inpaint.diffusion.latent_diffusion import blend
+from svu_mi.recovery.inpaint.diffusion.load_weights import PARTS, require_model
+from svu_mi.recovery.inpaint.diffusion.model_interface import (
+    FAMILIES,
+    DiffusionOptions,
+    Picture,
+    family_of,
+)
+from svu_mi.recovery.inpaint.fill_result import SUREST, Filled
+from svu_mi.recovery.inpaint.texel_hierarchy import centred
+from svu_mi.recovery.relighting import relight
+from svu_mi.recovery.svbrdf_textures import lay_out, scene_textures
+from svu_mi.recovery.uncertainty.texture_field import field_around
 
 SHAPE = (3, 5, 7)
 

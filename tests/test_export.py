@@ -28,7 +28,7 @@ from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, Sha
 from svu_mi.export.charts import at_vertices, inside_charts, with_gutters
 from svu_mi.export.export import FORMATS
 from svu_mi.export.glb import front_faces
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 RNG_SEED = 2061455329
 WIDTH, HEIGHT = 56, 40

@@ -16,15 +16,15 @@ import svu_mi as svu
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.field import clipped
-from svu_mi.recovery.field import field as module
-from svu_mi.recovery.field import smoother as smoothers
-from svu_mi.recovery.field.draws import waves
-from svu_mi.recovery.field.field import TextureField, texture_field
-from svu_mi.recovery.field.smoother import Nested, Smoother
 from svu_mi.recovery.recover import recover
-from svu_mi.recovery.relight import relight_draws
-from svu_mi.recovery.sh.energy import information
+from svu_mi.recovery.relighting import relight_draws
+from svu_mi.recovery.sh.quadratic_error import information
+from svu_mi.recovery.uncertainty import clipped_normal
+from svu_mi.recovery.uncertainty import gmrf as smoothers
+from svu_mi.recovery.uncertainty import texture_field as module
+from svu_mi.recovery.uncertainty.field_draws import waves
+from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
+from svu_mi.recovery.uncertainty.texture_field import TextureField, texture_field
 
 SIDE = 6  # of a square of texels
 EPSILON = 0.01
@@ -126,21 +126,23 @@ def test_links_pull_at_both_ends_with_the_covariance_of_K() -> None:
 def test_moments_of_clipped_normals(place: float, width: float) -> None:
     random = np.random.default_rng(0).standard_normal(400_000)
     drawn = np.clip(place + width * random, 0, 1)
-    mean, sd = clipped.moments(np.array([place]), np.array([width]))
+    mean, sd = clipped_normal.moments(np.array([place]), np.array([width]))
     assert mean[0] == pytest.approx(drawn.mean(), abs=4 * width / 600 + 1e-9)
     assert sd[0] == pytest.approx(drawn.std(), rel=0.01, abs=1e-9)
-    low, high = clipped.interval(np.array([place]), np.array([width]), 0.9)
+    low, high = clipped_normal.interval(np.array([place]), np.array([width]), 0.9)
     assert 0 <= low[0] <= high[0] <= 1
 
 
 def test_widths_are_found_that_leave_a_standard_deviation_when_clipped() -> None:
     place, wanted = np.meshgrid(np.linspace(0, 1, 41), np.geomspace(1e-4, 0.4, 60))
-    width = clipped.width_of(place, wanted)
-    assert (width >= wanted).all() and (width < clipped.WIDEST).all()
-    np.testing.assert_allclose(clipped.moments(place, width)[1], wanted, rtol=2e-3)
-    none = clipped.width_of(np.array([0.0, 0.5, 1.0]), np.zeros(3))
+    width = clipped_normal.width_of(place, wanted)
+    assert (width >= wanted).all() and (width < clipped_normal.WIDEST).all()
+    np.testing.assert_allclose(clipped_normal.moments(place, width)[1], wanted, rtol=2e-3)
+    none = clipped_normal.width_of(np.array([0.0, 0.5, 1.0]), np.zeros(3))
     assert not none.any()
-    assert clipped.width_of(np.array([0.5]), np.array([0.6])) == pytest.approx(clipped.WIDEST)
+    assert clipped_normal.width_of(np.array([0.5]), np.array([0.6])) == pytest.approx(
+        clipped_normal.WIDEST
+    )
 
 
 def test_waves_are_a_field_of_their_correlation() -> None:

@@ -17,19 +17,19 @@ from svu_mi.core.arrays import owned
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.neighbors import neighbors
-from svu_mi.inpaint import texel_hierarchy
-from svu_mi.inpaint.combine_predictors import FARTHER, TITLES, spreads
-from svu_mi.inpaint.cross_validation import UNSEEN, Judged, Trial, hidden_parts
-from svu_mi.inpaint.fill import fill
-from svu_mi.inpaint.symmetry_predictors import FEWEST, RULES, Examples, Likeness
-from svu_mi.inpaint.texel_hierarchy import Ground, Pieces, centred, connected
 from svu_mi.output.textures import read_textures, settings_of
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.field.field import TextureField, field_around, weights_of
-from svu_mi.recovery.field.smoother import Smoother
-from svu_mi.recovery.options import ShOptions
+from svu_mi.recovery.inpaint import texel_hierarchy
+from svu_mi.recovery.inpaint.combine_predictors import FARTHER, TITLES, spreads
+from svu_mi.recovery.inpaint.cross_validation import UNSEEN, Judged, Trial, hidden_parts
+from svu_mi.recovery.inpaint.fill import fill
+from svu_mi.recovery.inpaint.symmetry_predictors import FEWEST, RULES, Examples, Likeness
+from svu_mi.recovery.inpaint.texel_hierarchy import Ground, Pieces, centred, connected
 from svu_mi.recovery.recover import recover
-from svu_mi.recovery.textures import lay_out
+from svu_mi.recovery.recovery_options import ShOptions
+from svu_mi.recovery.svbrdf_textures import lay_out
+from svu_mi.recovery.uncertainty.gmrf import Smoother
+from svu_mi.recovery.uncertainty.texture_field import TextureField, field_around, weights_of
 
 Y = (0.0, 1.0, 0.0)
 

@@ -15,7 +15,7 @@ import svu_mi as svu
 from svu_mi.bench.captures import chosen_views
 from svu_mi.posterior import observations as module
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.recovery.options import DescentOptions, ShOptions
+from svu_mi.recovery.recovery_options import DescentOptions, ShOptions
 from svu_mi.statistics.gather_statistics import Weighting
 
 TRACERS = ("pack_views", "survey", "trace_reach", "trace_mirrors", "light")

@@ -34,7 +34,7 @@ from svu_mi.capture.importers.registry import read_source
 from svu_mi.capture.importers.stanford_orb import read_orb, read_views, recognises
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.errors import CaptureError, MeshError, OptionError, ShapeError, SvuWarning
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 pytestmark = pytest.mark.slow  # test_import.py reads a small set of this layout
 LIGHTS = ("window", "studio")

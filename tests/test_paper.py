@@ -33,10 +33,10 @@ from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.spectrum import spectrum_grid
 from svu_mi.posterior.tabulated import tabulated_posterior
 from svu_mi.presets import Fit, preset
-from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS
-from svu_mi.recovery.path.objective import l1
-from svu_mi.recovery.sh.angular import angular_objective
-from svu_mi.recovery.sh.spectral import SpectralObjective
+from svu_mi.recovery.path.pixel_loss import l1
+from svu_mi.recovery.recovery_options import PATH_PRESETS, SH_PRESETS
+from svu_mi.recovery.sh.angular_l1_loss import angular_objective
+from svu_mi.recovery.sh.spectral_loss import SpectralObjective
 from svu_mi.statistics.gather_statistics import flat
 
 L = 6  # l*

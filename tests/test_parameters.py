@@ -65,8 +65,8 @@ def test_a_value_of_every_parameter_is_frozen_and_can_be_shown():
 # other programs' own names for some of the parameters, and what maps other people's models make.
 NAMED = {
     "parameters.py", "reflection/principled.py", "posterior/grid.py", "evaluation/squared_errors.py",
-    "recovery/options.py", "capture/importers/mesh_materials.py", "export/images.py", "export/scene_files.py",
-    "inpaint/diffusion/model_interface.py",
+    "recovery/recovery_options.py", "capture/importers/mesh_materials.py", "export/images.py", "export/scene_files.py",
+    "recovery/inpaint/diffusion/model_interface.py",
 }  # fmt: skip
 
 

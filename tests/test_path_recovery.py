@@ -18,13 +18,13 @@ from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.texels import texels as lay_texels
 from svu_mi.parameters import NAMES
+from svu_mi.recovery.adam import descend
 from svu_mi.recovery.checkpoint import Checkpoint
-from svu_mi.recovery.descent import descend
-from svu_mi.recovery.options import DescentOptions, PathOptions
-from svu_mi.recovery.path.batches import PixelBatches
-from svu_mi.recovery.path.objective import FLOOR, LOSSES, path_objective
-from svu_mi.recovery.path.scene import PathScene
-from svu_mi.recovery.textures import Textures, uniform
+from svu_mi.recovery.path.pixel_batches import PixelBatches
+from svu_mi.recovery.path.pixel_loss import FLOOR, LOSSES, path_objective
+from svu_mi.recovery.path.textured_scene import PathScene
+from svu_mi.recovery.recovery_options import DescentOptions, PathOptions
+from svu_mi.recovery.svbrdf_textures import Textures, uniform
 
 
 def light():

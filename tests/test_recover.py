@@ -18,10 +18,10 @@ from svu_mi.errors import OptionError, ShapeError, SvuError
 from svu_mi.geometry.texels import Texels
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior.calibrated import CalibratedKernel
-from svu_mi.recovery.options import SH_PRESETS, DescentOptions, ShOptions
-from svu_mi.recovery.sh.objective import Likelihood, Pull, moments, values_of
-from svu_mi.recovery.start import posterior_means
-from svu_mi.recovery.textures import Textures, lay_out, uniform
+from svu_mi.recovery.initialisation import posterior_means
+from svu_mi.recovery.recovery_options import SH_PRESETS, DescentOptions, ShOptions
+from svu_mi.recovery.sh.likelihood import Likelihood, Pull, moments, values_of
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out, uniform
 from svu_mi.statistics.gather_statistics import Weighting
 
 SIZE = 24

@@ -23,8 +23,8 @@ from svu_mi.light.prefiltered import filter_light
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
-from svu_mi.recovery.sh.angular import angular_objective
-from svu_mi.recovery.sh.spectral import spectral_objective
+from svu_mi.recovery.sh.angular_l1_loss import angular_objective
+from svu_mi.recovery.sh.spectral_loss import spectral_objective
 from svu_mi.reflection.lobes import dielectric_albedo, profile_of, split_sum
 from svu_mi.reflection.mix_columns import radiance
 from svu_mi.reflection.principled import alpha_from_roughness

@@ -29,8 +29,8 @@ from svu_mi.output.relit import Comparison, compare, write_relit
 from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.relight import novel_light, path_length, relight
-from svu_mi.recovery.textures import Textures, lay_out, scene_textures
+from svu_mi.recovery.relighting import novel_light, path_length, relight
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out, scene_textures
 
 RNG_SEED = 1186230517
 BETTER_THAN = 40.0  # dB; below what one differing texel of a hundred would leave

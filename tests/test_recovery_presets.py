@@ -17,9 +17,10 @@ from svu_mi.geometry.neighbors import neighbors
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import SpectrumKernel
 from svu_mi.presets import PRESETS, preset
-from svu_mi.recovery import run as running
-from svu_mi.recovery.fingerprint import fingerprint
-from svu_mi.recovery.options import (
+from svu_mi.recovery import recovery_run as running
+from svu_mi.recovery.path.pixel_loss import PathObjective
+from svu_mi.recovery.recovery_hash import fingerprint
+from svu_mi.recovery.recovery_options import (
     BOTH_PRESETS,
     PATH_PRESETS,
     SH_PRESETS,
@@ -28,11 +29,10 @@ from svu_mi.recovery.options import (
     ShOptions,
     options_of,
 )
-from svu_mi.recovery.path.objective import PathObjective
-from svu_mi.recovery.sh.angular import AngularObjective
-from svu_mi.recovery.sh.spectral import SpectralObjective
-from svu_mi.regularization.sharing import GlobalSharing
-from svu_mi.regularization.tv import TotalVariation
+from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
+from svu_mi.recovery.regularizers.total_variation import TotalVariation
+from svu_mi.recovery.sh.angular_l1_loss import AngularObjective
+from svu_mi.recovery.sh.spectral_loss import SpectralObjective
 
 SH = {name: asdict(options) for name, options in SH_PRESETS.items()}
 PATH = {name: asdict(options) for name, options in PATH_PRESETS.items()}

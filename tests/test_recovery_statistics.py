@@ -11,8 +11,8 @@ import pytest
 from helpers import as_values
 
 from svu_mi.core.arrays import owned
-from svu_mi.recovery.sh.energy import energy
-from svu_mi.recovery.sh.objective import Likelihood
+from svu_mi.recovery.sh.likelihood import Likelihood
+from svu_mi.recovery.sh.quadratic_error import energy
 from svu_mi.reflection.lobes import dielectric_albedo, dielectric_fresnel, split_sum
 from svu_mi.statistics.cholesky_factors import PAIRS, Factors
 from svu_mi.statistics.gather_statistics import flat

@@ -23,9 +23,9 @@ from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.tabulated import TabulatedKernel, tabulated_posterior
 from svu_mi.presets import preset
-from svu_mi.regularization.seeds import find_seeds, least_minima
-from svu_mi.regularization.sharing import GlobalSharing, divergences
-from svu_mi.regularization.tv import TotalVariation
+from svu_mi.recovery.regularizers.global_sharing import GlobalSharing, divergences
+from svu_mi.recovery.regularizers.sharing_seeds import find_seeds, least_minima
+from svu_mi.recovery.regularizers.total_variation import TotalVariation
 
 RESOLUTION = (24, 16)
 GRID = ParameterGrid(4, 3)
@@ -386,7 +386,7 @@ def test_divergences_do_not_depend_on_chunks(monkeypatch):
     posterior = materials(11).posterior
     some = np.array([3, 40])
     whole = divergences(posterior, some, "reverse")
-    monkeypatch.setattr("svu_mi.regularization.sharing.CHUNK", 12 * 7)
+    monkeypatch.setattr("svu_mi.recovery.regularizers.global_sharing.CHUNK", 12 * 7)
     np.testing.assert_allclose(divergences(posterior, some, "reverse"), whole, atol=1e-5)
     expected = np.array(posterior.kl(posterior))[:, some].T
     np.testing.assert_allclose(divergences(posterior, some, "forward"), expected, atol=1e-4)

@@ -21,7 +21,7 @@ from svu_mi.output.report import findings, pictures, plots, report
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result
 from svu_mi.output.views import front_and_right, upright
-from svu_mi.recovery.textures import uniform
+from svu_mi.recovery.svbrdf_textures import uniform
 
 VIEWS = 5
 NAME = '<img src=x onerror="y">.exr'

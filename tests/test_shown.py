@@ -12,8 +12,8 @@ from svu_mi.capture.film_rays import Pictures
 from svu_mi.capture.sensors import scaled_sensor
 from svu_mi.capture.tonemap import shrunk
 from svu_mi.guidance.forecast import Forecast
-from svu_mi.recovery.relight import relight
-from svu_mi.recovery.textures import uniform
+from svu_mi.recovery.relighting import relight
+from svu_mi.recovery.svbrdf_textures import uniform
 
 
 def test_the_most_probable_cell_is_that_of_the_table(vase):

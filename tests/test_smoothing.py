@@ -13,8 +13,8 @@ import pytest
 import svu_mi as svu
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.sh.objective import Pull, Smoothing
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.sh.likelihood import Pull, Smoothing
+from svu_mi.recovery.svbrdf_textures import Textures
 
 STRENGTH = 30.0
 

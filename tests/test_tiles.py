@@ -11,7 +11,7 @@ from support.photographs import in_integers
 import svu_mi as svu
 from svu_mi.posterior import calibrated, estimators
 from svu_mi.posterior.tiled import TiledKernel
-from svu_mi.recovery.field.field import texture_field
+from svu_mi.recovery.uncertainty.texture_field import texture_field
 
 MAPS = [f"roughness_{what}" for what in ("mean", "sd", "low", "high")]
 

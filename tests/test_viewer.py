@@ -28,7 +28,7 @@ from svu_mi.output.viewer.model import GAIN, before_tone_mapping, frustum
 from svu_mi.output.viewer.picking import Picker, nearest_texel, says
 from svu_mi.output.viewer.viewer import Viewer
 from svu_mi.pipeline import estimate
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 SIZE = (40, 24)  # texels: not square, so that rows cannot pass for columns
 FILM = (48, 36)

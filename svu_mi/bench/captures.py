@@ -26,7 +26,7 @@ from svu_mi.evaluation.ground_truth import ground_truth
 from svu_mi.evaluation.image_metrics import texel_error, texture_psnr
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
 

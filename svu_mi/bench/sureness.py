@@ -27,12 +27,12 @@ from svu_mi.capture.film_rays import Pictures
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.evaluation.correlation import spearman
 from svu_mi.geometry.texels import Texels
-from svu_mi.inpaint.fill import fill
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.observations import observe
-from svu_mi.recovery.field.field import LEVEL, TextureField, texture_field
+from svu_mi.recovery.inpaint.fill import fill
 from svu_mi.recovery.recover import Recovery, recover
-from svu_mi.recovery.relight import path_length, relight_draws
+from svu_mi.recovery.relighting import path_length, relight_draws
+from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField, texture_field
 
 RELIT_CELLS, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
 FRONT_VIEWS, BACK_VIEWS = 18, 4

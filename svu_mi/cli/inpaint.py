@@ -18,15 +18,15 @@ from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.inpaint.diffusion.model_interface import DiffusionOptions
+from svu_mi.recovery.inpaint.diffusion.model_interface import DiffusionOptions
 
 if TYPE_CHECKING:
     import numpy as np
 
     from svu_mi.capture.capture import Capture
-    from svu_mi.inpaint.diffusion.model import Model
-    from svu_mi.inpaint.fill_result import Filled
-    from svu_mi.recovery.field.field import TextureField
+    from svu_mi.recovery.inpaint.diffusion.latent_diffusion import Model
+    from svu_mi.recovery.inpaint.fill_result import Filled
+    from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 Weights = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
@@ -64,7 +64,7 @@ class Inpaint(CaptureCommand, ResultCommand):
         if not self.above > 0:
             raise OptionError(f"--above must be positive, got {self.above}.")
         if self.model is not None:
-            from svu_mi.inpaint.diffusion.load_weights import require_model
+            from svu_mi.recovery.inpaint.diffusion.load_weights import require_model
 
             require_model(self.model)
         elif self.diffusion != DiffusionOptions():
@@ -78,7 +78,7 @@ class Inpaint(CaptureCommand, ResultCommand):
         from svu_mi.output.textures import read_textures, require_textures_of, settings_of
         from svu_mi.parameters import NAMES
         from svu_mi.pipeline import estimate
-        from svu_mi.recovery.field.field import field_around, weights_of
+        from svu_mi.recovery.uncertainty.texture_field import field_around, weights_of
 
         textures, model = read_textures(self.recovered), self._model(progress)
         size = textures.resolution
@@ -100,7 +100,7 @@ class Inpaint(CaptureCommand, ResultCommand):
         """Read the weights: before anything that takes long."""
         if self.model is None:
             return None
-        from svu_mi.inpaint.diffusion.load_weights import load_model
+        from svu_mi.recovery.inpaint.diffusion.load_weights import load_model
 
         with progress.stage("Reading the model"):
             return load_model(self.model, self.diffusion.device)
@@ -110,10 +110,10 @@ class Inpaint(CaptureCommand, ResultCommand):
         seen: np.ndarray,
     ) -> Filled:  # fmt: skip
         if model is None:
-            from svu_mi.inpaint.fill import fill
+            from svu_mi.recovery.inpaint.fill import fill
 
             return fill(field, seen, self.above, progress=progress)
-        from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
+        from svu_mi.recovery.inpaint.diffusion.fill_by_diffusion import fill_by_diffusion
 
         return fill_by_diffusion(
             capture, field, seen, model, self.above, self.diffusion, progress=progress

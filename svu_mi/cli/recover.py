@@ -17,7 +17,7 @@ from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.options import PRINTED_PRESETS
+from svu_mi.recovery.recovery_options import PRINTED_PRESETS
 
 if TYPE_CHECKING:
     from svu_mi.output.knowledge import Knowledge
@@ -116,9 +116,9 @@ class Recover(CaptureCommand, ResultCommand):
         from svu_mi.output.recovery import Draws, write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.posterior.observations import observe
-        from svu_mi.recovery.field.field import texture_field
+        from svu_mi.recovery.initialisation import has_field
         from svu_mi.recovery.recover import recover
-        from svu_mi.recovery.start import has_field
+        from svu_mi.recovery.uncertainty.texture_field import texture_field
 
         options = self._options()  # refused before any work
         size = opt.texel_size(self.resolution)
@@ -149,7 +149,7 @@ class Recover(CaptureCommand, ResultCommand):
 
     def _options(self) -> dict[str, Any]:
         """Return the options of the parts of the method."""
-        from svu_mi.recovery.options import options_of
+        from svu_mi.recovery.recovery_options import options_of
 
         for option, unused in (("steps", "path"), ("epochs", "sh")):
             if self.method == unused and getattr(self, option) is not None:

@@ -73,7 +73,7 @@ class Relight(CaptureCommand, ResultCommand):
         from svu_mi.output.manifest import Run
         from svu_mi.output.relit_page import doubt_sentence, write_relighting
         from svu_mi.output.textures import read_textures, require_textures_of
-        from svu_mi.recovery.relight import relight_draws
+        from svu_mi.recovery.relighting import relight_draws
 
         textures, files = read_textures(self.recovered), find_draws(self.recovered)
         need = partial(Need, "relight", resolution=textures.resolution)

@@ -18,7 +18,7 @@ from svu_mi.errors import OptionError
 
 if TYPE_CHECKING:
     from svu_mi.output.knowledge import Knowledge
-    from svu_mi.recovery.textures import Textures
+    from svu_mi.recovery.svbrdf_textures import Textures
 
 SUFFIXES = (".html", ".htm")
 SIDE = 256  # texels: as many as the maps on the page have pixels

@@ -15,7 +15,7 @@ from svu_mi.core.identifiers import plain_name
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.output.maps import padded
 from svu_mi.output.views import Axis, nearest_axis, upright
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 TEXTURES, RECORD = "textures", "asset.json"  # in an exported folder
 SD = "_sd"  # end of the names of maps of standard deviations

@@ -13,7 +13,7 @@ from svu_mi.geometry.rasterize_uv import dilate, rasterize
 from svu_mi.geometry.texels import barycentric, texels
 from svu_mi.output.maps import GUTTER
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 UNKNOWN = {"entropy": 1.0, "coverage": 0.0} | {name + SD: 0.0 for name in NAMES}  # off the surface
 COINCIDENT = 1e-6  # of the mesh's extent: vertices that close are at one point

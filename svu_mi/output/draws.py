@@ -21,7 +21,7 @@ from svu_mi.output.result import words
 from svu_mi.output.style import GREY, Block
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recover import Recovery
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 if TYPE_CHECKING:
     from svu_mi.output.style import Panel

@@ -17,7 +17,6 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.tonemap import Look, alone
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import writing
-from svu_mi.inpaint.fill_result import Filled, Invented
 from svu_mi.output import style
 from svu_mi.output.draws import texture_colors
 from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors
@@ -28,7 +27,8 @@ from svu_mi.output.result import words
 from svu_mi.output.style import Block
 from svu_mi.output.textures import write_scene
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.inpaint.fill_result import Filled, Invented
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 if TYPE_CHECKING:
     from svu_mi.output.style import Panel

@@ -14,7 +14,7 @@ from svu_mi.errors import CaptureError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.parameters import CHANNELS
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.field.field import LEVEL, TextureField
+from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField
 
 ENTROPY, COVERAGE, UNCERTAINTY = "entropy.exr", "coverage.exr", "uncertainty.exr"
 GUTTER = 4  # texels; enough for bilinear lookups down to a quarter of the resolution

@@ -30,8 +30,8 @@ from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.output.relit import compare, write_relit
 from svu_mi.output.textures import write_scene
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 LOSSES = "losses.csv"
 PAGE, RELIT = "recovery.png", "relit.png"

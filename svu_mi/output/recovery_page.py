@@ -20,8 +20,8 @@ from svu_mi.output.result import is_seen, words
 from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP, Block
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,8 +15,8 @@ from svu_mi.capture.sensors import film_size, scaled_sensor
 from svu_mi.capture.tonemap import exposure, resized, tone_mapped
 from svu_mi.output import style, views
 from svu_mi.output.style import DIFFERENCE_COLORMAP, FAINT, INK
-from svu_mi.recovery.relight import novel_light, relight
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.relighting import novel_light, relight
+from svu_mi.recovery.svbrdf_textures import Textures
 
 COLUMNS = ("Photograph", "Recovered", "Difference", "Under another light")
 CELL = 2.9  # inches

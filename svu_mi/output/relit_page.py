@@ -23,7 +23,7 @@ from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style, views
 from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
 from svu_mi.output.style import VIEWS_COLORMAP, Block
-from svu_mi.recovery.relight import RelitView
+from svu_mi.recovery.relighting import RelitView
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

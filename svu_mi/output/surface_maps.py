@@ -17,8 +17,8 @@ from svu_mi.output.result import Result, open_axes, words
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
 from svu_mi.parameters import PARAMETERS
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.field.field import LEVEL, TextureField
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
+from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField
 
 ENDS = {"specular": ("0: no gloss", "1: mirror of all light")}  # Ks of a ``ParameterGrid``
 ENDS |= {p.name: p.ends for p in PARAMETERS.values()}

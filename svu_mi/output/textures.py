@@ -24,8 +24,8 @@ from svu_mi.errors import CaptureError, SvuError, SvuWarning, excerpt
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import ENTROPY
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.relight import path_length
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.relighting import path_length
+from svu_mi.recovery.svbrdf_textures import Textures
 
 FILES = {name: f"{name}.exr" for name in NAMES}
 SCENE, ASSETS = "recovered.xml", "assets"

@@ -22,10 +22,10 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.posterior.observations import Observed
-from svu_mi.recovery.options import Method, PathOptions, ShOptions, options_of
-from svu_mi.recovery.run import Run, require_resolution
-from svu_mi.recovery.textures import Textures
-from svu_mi.regularization.sharing import GlobalSharing
+from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions, options_of
+from svu_mi.recovery.recovery_run import Run, require_resolution
+from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
+from svu_mi.recovery.svbrdf_textures import Textures
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

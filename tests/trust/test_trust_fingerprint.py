@@ -20,8 +20,8 @@ from svu_mi.errors import OptionError, SvuWarning
 from svu_mi.evaluation import reference_cache
 from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.recovery.fingerprint import fingerprint
-from svu_mi.recovery.options import SH_PRESETS, DescentOptions
+from svu_mi.recovery.recovery_hash import fingerprint
+from svu_mi.recovery.recovery_options import SH_PRESETS, DescentOptions
 
 # The scene has what is not accounted for, which is said.
 IGNORED = "ignore:.* which svu does not account for:svu_mi.errors.SvuWarning"

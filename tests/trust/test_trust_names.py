@@ -28,7 +28,7 @@ from svu_mi.output import style
 from svu_mi.output.guidance import write_sensors
 from svu_mi.output.guidance_page import _short
 from svu_mi.output.page import write_page
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 materialx = pytest.importorskip("MaterialX")
 HARMLESS = "vase"

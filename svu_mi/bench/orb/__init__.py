@@ -33,8 +33,8 @@ from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.validation import require_known
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate
-from svu_mi.recovery.options import PathOptions, ShOptions
-from svu_mi.recovery.textures import Textures, uniform
+from svu_mi.recovery.recovery_options import PathOptions, ShOptions
+from svu_mi.recovery.svbrdf_textures import Textures, uniform
 
 PLACE = "orb"  # folder of finished results
 

@@ -16,9 +16,9 @@ from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.resampling import resampled, squared
 from svu_mi.capture.importers.stanford_orb import OrbView
 from svu_mi.errors import CaptureError
-from svu_mi.recovery.path.scene import PathScene
-from svu_mi.recovery.relight import relight
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.path.textured_scene import PathScene
+from svu_mi.recovery.relighting import relight
+from svu_mi.recovery.svbrdf_textures import Textures
 
 IN_MASK = 0.5  # of a pixel's area
 ALBEDO_SAMPLES = 16  # per pixel, of pictures of the base colour

@@ -27,8 +27,8 @@ from svu_mi.evaluation.correlation import pearson
 from svu_mi.evaluation.image_metrics import image_error
 from svu_mi.geometry.texels import Texels
 from svu_mi.pipeline import estimate
-from svu_mi.recovery.relight import relight
-from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.recovery.relighting import relight
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 
 BRIEF = 4  # steps after which all kernels are compiled
 

@@ -9,9 +9,9 @@ from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_known
 from svu_mi.geometry.texels import Texels
-from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS, PathOptions, ShOptions
-from svu_mi.recovery.path.objective import path_objective
+from svu_mi.recovery.path.pixel_loss import path_objective
 from svu_mi.recovery.recover import Method, Recovery, recover
+from svu_mi.recovery.recovery_options import PATH_PRESETS, SH_PRESETS, PathOptions, ShOptions
 
 DEPTH = 2  # light straight from the environment, as in the photographs (bench.cells.DIRECT)
 

@@ -32,8 +32,8 @@ from svu_mi.output.result import is_seen, open_axes
 from svu_mi.output.surface_maps import SurfaceMap
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 SHOWN = 60  # photographs in a report; of more, every other, or fewer
 FIRST = 12  # of them that are shown without asking

@@ -26,8 +26,8 @@ from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, is_seen, known, open_axes, words
 from svu_mi.output.views import upright
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.field.field import field_of
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
+from svu_mi.recovery.uncertainty.texture_field import field_of
 
 TEMPLATE = "report.html"
 FRAMES, SIDE = 12, 400  # of the turntable; pixels

@@ -22,7 +22,7 @@ from svu_mi.output.result import open_axes, place_of, words
 from svu_mi.output.style import MARK, new_figure
 from svu_mi.output.surface_maps import Scale
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 WIDTH, DPI = 3.6, 160  # inches
 NO_BREAK, DASH = "\u00a0", "\u2060–\u2060"  # a space and a dash at which no line breaks

@@ -27,8 +27,8 @@ from svu_mi.output.viewer.picking import Pick, Picker, draw_pick, draw_scale, sa
 from svu_mi.output.viewer.server import require_viser, serve, stop
 from svu_mi.output.views import DIRECTION, Axis, front_and_right, upright
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.field.field import field_of
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
+from svu_mi.recovery.uncertainty.texture_field import field_of
 
 HOME = (2.2, 1.2, 0.8)  # in front, to the right and above, in radii: the first look at the object
 NOWHERE = "anywhere"

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
-from svu_mi.inpaint.diffusion.model import Model
-from svu_mi.inpaint.diffusion.model_interface import Family, family_of
+from svu_mi.recovery.inpaint.diffusion.latent_diffusion import Model
+from svu_mi.recovery.inpaint.diffusion.model_interface import Family, family_of
 
 NEEDED = ("torch", "diffusers", "transformers")
 PARTS = ("unet", "vae", "text_encoder")

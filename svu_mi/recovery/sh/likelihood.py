@@ -20,11 +20,11 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.recovery.options import DescentOptions
-from svu_mi.recovery.sh.energy import carry, energy, look_up
-from svu_mi.recovery.textures import Textures
-from svu_mi.regularization.gradients import known
-from svu_mi.regularization.tv import absolute
+from svu_mi.recovery.recovery_options import DescentOptions
+from svu_mi.recovery.regularizers.known_gradient import known
+from svu_mi.recovery.regularizers.total_variation import absolute
+from svu_mi.recovery.sh.quadratic_error import carry, energy, look_up
+from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.gather_statistics import Values, flat
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.errors import CaptureError, OptionError, ShapeError
-from svu_mi.inpaint.combine_predictors import mixed
-from svu_mi.inpaint.cross_validation import Judged, Trial, distances, hidden_parts
-from svu_mi.inpaint.fill_result import Filled, Filling, Weights
-from svu_mi.inpaint.texel_hierarchy import Ground
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.inpaint.combine_predictors import mixed
+from svu_mi.recovery.inpaint.cross_validation import Judged, Trial, distances, hidden_parts
+from svu_mi.recovery.inpaint.fill_result import Filled, Filling, Weights
+from svu_mi.recovery.inpaint.texel_hierarchy import Ground
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 DECIDES = "base_color"  # what photographs tell best, and so how far anything is alike
 

@@ -7,10 +7,10 @@ from collections.abc import Container, Iterator
 import numpy as np
 import scipy
 
-from svu_mi.inpaint.fill_result import SUREST, Weights
-from svu_mi.inpaint.symmetry_predictors import LIKENESSES, NEAR, Examples
-from svu_mi.inpaint.texel_hierarchy import Ground, Pieces
-from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.inpaint.fill_result import SUREST, Weights
+from svu_mi.recovery.inpaint.symmetry_predictors import LIKENESSES, NEAR, Examples
+from svu_mi.recovery.inpaint.texel_hierarchy import Ground, Pieces
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 FARTHER = {"from the border": 1e-5, "cautiously from the border": 1e-2}
 """By title, how much the mean of all that is known counts at a texel of a hole, as a precision in

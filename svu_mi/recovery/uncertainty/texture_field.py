@@ -39,15 +39,15 @@ from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.recovery.field import clipped
-from svu_mi.recovery.field.draws import SUREST, correlation_roots, prior_sds, waves
-from svu_mi.recovery.field.smoother import Nested, Smoother
-from svu_mi.recovery.options import ShOptions
+from svu_mi.recovery.initialisation import has_field
 from svu_mi.recovery.recover import Recovery
-from svu_mi.recovery.run import HOLD
-from svu_mi.recovery.sh.objective import moments
-from svu_mi.recovery.start import has_field
-from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.recovery.recovery_options import ShOptions
+from svu_mi.recovery.recovery_run import HOLD
+from svu_mi.recovery.sh.likelihood import moments
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out
+from svu_mi.recovery.uncertainty import clipped_normal
+from svu_mi.recovery.uncertainty.field_draws import SUREST, correlation_roots, prior_sds, waves
+from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 
 # Chosen on our own scenes:
 # rho, part of a seen texel's variance that its neighbourhood has in common; and of parameters that
@@ -95,7 +95,7 @@ class TextureField:
         """Return the mean of the field, (T, C) or (T,): the texture, but where that is near 0 or 1
         and the field goes on only to one side."""
         rows = self.rows(name)
-        return self._laid_out(name, clipped.moments(self.values[rows], self.width[rows])[0])
+        return self._laid_out(name, clipped_normal.moments(self.values[rows], self.width[rows])[0])
 
     def sd(self, name: str) -> np.ndarray:
         """Return standard deviations, (T, C) or (T,)."""
@@ -110,7 +110,7 @@ class TextureField:
         if not 0 < level < 1:
             raise OptionError(f"TextureField.interval(): level must be in (0, 1), got {level}.")
         rows = self.rows(name)
-        low, high = clipped.interval(self.values[rows], self.width[rows], level)
+        low, high = clipped_normal.interval(self.values[rows], self.width[rows], level)
         return self._laid_out(name, low), self._laid_out(name, high)
 
     def laid(self, values: np.ndarray) -> Textures:
@@ -174,7 +174,7 @@ class TextureField:
     @cached_property
     def sds(self) -> np.ndarray:
         """(N, T) standard deviations, of all values as ``values`` has them."""
-        return clipped.moments(self.values, self.width)[1]
+        return clipped_normal.moments(self.values, self.width)[1]
 
     @cached_property
     def width(self) -> np.ndarray:
@@ -188,7 +188,7 @@ class TextureField:
     @cached_property
     def _raised(self) -> np.ndarray:
         """The same without what all texels have in common."""
-        width = clipped.width_of(self.values, self._own_sd)
+        width = clipped_normal.width_of(self.values, self._own_sd)
         if self.least is None:
             return width
         left = np.maximum(self.least**2 - self._in_common**2, 0)

@@ -16,8 +16,8 @@ from svu_mi.core.arrays import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.recovery.sh.energy import information
-from svu_mi.recovery.sh.objective import nats, values_of
+from svu_mi.recovery.sh.likelihood import nats, values_of
+from svu_mi.recovery.sh.quadratic_error import information
 
 WAVES = 96
 SUREST = 1e-3  # standard deviation that no texel is surer than

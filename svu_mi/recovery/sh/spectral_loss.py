@@ -26,7 +26,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.frequency.spectra import Coefficients, fit_coefficients
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import Preset
-from svu_mi.recovery.sh.energy import look_up
+from svu_mi.recovery.sh.quadratic_error import look_up
 from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import (
     alpha_from_roughness,

@@ -37,11 +37,11 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.plugin_security import own_plugin
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.texels import Texels
-from svu_mi.recovery.options import PathOptions
-from svu_mi.recovery.path.batches import Batch, PixelBatches
-from svu_mi.recovery.path.scene import PathScene, key_of
-from svu_mi.recovery.textures import Textures, uniform
-from svu_mi.regularization.gradients import known
+from svu_mi.recovery.path.pixel_batches import Batch, PixelBatches
+from svu_mi.recovery.path.textured_scene import PathScene, key_of
+from svu_mi.recovery.recovery_options import PathOptions
+from svu_mi.recovery.regularizers.known_gradient import known
+from svu_mi.recovery.svbrdf_textures import Textures, uniform
 
 FLOOR = 0.1  # of the relative loss: radiance, in units of the scale, that counts as dark
 

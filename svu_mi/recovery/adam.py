@@ -27,7 +27,7 @@ from svu_mi.errors import SvuError
 from svu_mi.recovery.checkpoint import Checkpoint, State
 
 if TYPE_CHECKING:
-    from svu_mi.recovery.options import DescentOptions
+    from svu_mi.recovery.recovery_options import DescentOptions
 
 Objective = Callable[[dict[str, Any], int], Any]
 READ = 10  # steps between two looks at the losses, each of which waits for the device

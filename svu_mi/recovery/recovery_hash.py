@@ -10,8 +10,8 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import Key, capture_parts
 from svu_mi.geometry.texels import Texels
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.recovery.textures import Textures
-from svu_mi.regularization.sharing import GlobalSharing
+from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
+from svu_mi.recovery.svbrdf_textures import Textures
 
 
 def fingerprint(

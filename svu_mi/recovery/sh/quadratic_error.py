@@ -14,9 +14,9 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.parameters import CHANNELS, MIXED
+from svu_mi.recovery.regularizers.known_gradient import known
 from svu_mi.reflection.mix_columns import dot
 from svu_mi.reflection.principled import mixture, slope
-from svu_mi.regularization.gradients import known
 from svu_mi.statistics.cholesky_factors import Factors, catmull_rom, combined
 from svu_mi.statistics.gather_statistics import Values, flat, mixed_of
 

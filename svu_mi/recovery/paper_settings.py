@@ -19,8 +19,8 @@ from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import preset
-from svu_mi.recovery.start import of_roughness
-from svu_mi.regularization.sharing import PRINTED, SEEDS, GlobalSharing
+from svu_mi.recovery.initialisation import of_roughness
+from svu_mi.recovery.regularizers.global_sharing import PRINTED, SEEDS, GlobalSharing
 
 
 @dataclass(frozen=True)

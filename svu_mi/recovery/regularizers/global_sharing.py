@@ -15,8 +15,8 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.texels import Texels
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.regularization.gradients import Regularizer
-from svu_mi.regularization.seeds import find_seeds, least_minima
+from svu_mi.recovery.regularizers.known_gradient import Regularizer
+from svu_mi.recovery.regularizers.sharing_seeds import find_seeds, least_minima
 
 Divergence = Literal["forward", "reverse"]
 Seeding = Literal["spread", "least"]

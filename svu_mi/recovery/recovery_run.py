@@ -21,20 +21,20 @@ from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.recovery.adam import Descent, Objective, descend
 from svu_mi.recovery.checkpoint import Checkpoint
-from svu_mi.recovery.descent import Descent, Objective, descend
-from svu_mi.recovery.fingerprint import fingerprint
-from svu_mi.recovery.options import Method, PathOptions, ShOptions
-from svu_mi.recovery.path.objective import path_objective
-from svu_mi.recovery.printed import Printed
-from svu_mi.recovery.relight import path_length
-from svu_mi.recovery.sh.angular import angular_objective
-from svu_mi.recovery.sh.objective import Likelihood, Pull, Smoothing
-from svu_mi.recovery.sh.spectral import spectral_objective
-from svu_mi.recovery.start import estimate_for_textures, known_values, posterior_means
-from svu_mi.recovery.textures import Textures, lay_out, scene_textures, uniform
-from svu_mi.regularization.sharing import GlobalSharing
-from svu_mi.regularization.tv import TotalVariation
+from svu_mi.recovery.initialisation import estimate_for_textures, known_values, posterior_means
+from svu_mi.recovery.paper_settings import Printed
+from svu_mi.recovery.path.pixel_loss import path_objective
+from svu_mi.recovery.recovery_hash import fingerprint
+from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions
+from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
+from svu_mi.recovery.regularizers.total_variation import TotalVariation
+from svu_mi.recovery.relighting import path_length
+from svu_mi.recovery.sh.angular_l1_loss import angular_objective
+from svu_mi.recovery.sh.likelihood import Likelihood, Pull, Smoothing
+from svu_mi.recovery.sh.spectral_loss import spectral_objective
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out, scene_textures, uniform
 
 # Chosen on our own scenes:
 GENTLE = 0.6  # part of total variation that smooths a start, whose texels must tell materials apart

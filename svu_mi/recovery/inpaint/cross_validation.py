@@ -24,10 +24,10 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from svu_mi.inpaint.combine_predictors import FARTHER, TITLES, guesses
-from svu_mi.inpaint.fill_result import SUREST
-from svu_mi.inpaint.texel_hierarchy import Ground
 from svu_mi.posterior import intervals
+from svu_mi.recovery.inpaint.combine_predictors import FARTHER, TITLES, guesses
+from svu_mi.recovery.inpaint.fill_result import SUREST
+from svu_mi.recovery.inpaint.texel_hierarchy import Ground
 
 FEWEST, MOST = 2, 6  # parts of the surface that are hidden in turn
 DIVISIONS = 2  # ways to divide it, where it is divided into so few

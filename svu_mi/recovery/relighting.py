@@ -21,8 +21,8 @@ from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.core.limits import require_spp
 from svu_mi.errors import OptionError
 from svu_mi.light.environment import directions, read_environment
-from svu_mi.recovery.path.scene import PathScene
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.path.textured_scene import PathScene
+from svu_mi.recovery.svbrdf_textures import Textures
 
 MAX_DEPTH = 6  # where the scene's own integrator does not say
 COLUMNS, ROWS = 128, 65  # of the light of our own

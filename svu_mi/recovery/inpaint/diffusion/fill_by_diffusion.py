@@ -8,7 +8,7 @@ what the photographs say of that texel by theirs:
     x = (x_p / s_p^2 + x_m / s_m^2) / (1 / s_p^2 + 1 / s_m^2)
 
 s_m is found out on the object itself: parts of what is certain are hidden, guessed in the same way,
-and compared. What no view shows well is filled by likeness (``svu_mi.inpaint.fill``), and so are
+and compared. What no view shows well is filled by likeness (``svu_mi.recovery.inpaint.fill``), and so are
 the pictures that the model is shown where it has not been yet.
 """
 
@@ -25,15 +25,15 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
-from svu_mi.inpaint.cross_validation import hidden_parts
-from svu_mi.inpaint.diffusion.conditioning_views import Shots
-from svu_mi.inpaint.diffusion.load_weights import load_model
-from svu_mi.inpaint.diffusion.model_interface import DiffusionOptions, Inventor
-from svu_mi.inpaint.fill import by_likeness, fill, variance
-from svu_mi.inpaint.fill_result import Answer, Filled, Filling, Invented, Source
-from svu_mi.inpaint.texel_hierarchy import Ground
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.inpaint.cross_validation import hidden_parts
+from svu_mi.recovery.inpaint.diffusion.conditioning_views import Shots
+from svu_mi.recovery.inpaint.diffusion.load_weights import load_model
+from svu_mi.recovery.inpaint.diffusion.model_interface import DiffusionOptions, Inventor
+from svu_mi.recovery.inpaint.fill import by_likeness, fill, variance
+from svu_mi.recovery.inpaint.fill_result import Answer, Filled, Filling, Invented, Source
+from svu_mi.recovery.inpaint.texel_hierarchy import Ground
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 
 @dataclass(frozen=True)

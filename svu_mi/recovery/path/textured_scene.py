@@ -13,7 +13,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.replace_material import repaint
 from svu_mi.errors import ShapeError
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
 
 
 @dataclass(frozen=True)

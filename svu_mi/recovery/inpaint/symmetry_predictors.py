@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from svu_mi.inpaint.texel_hierarchy import APART, Pieces
+from svu_mi.recovery.inpaint.texel_hierarchy import APART, Pieces
 
 Kind = Literal[
     "all", "piece", "near", "level", "turned", "turned piece", "mirrored", "repeated"

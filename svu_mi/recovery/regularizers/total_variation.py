@@ -13,7 +13,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.core.validation import require
 from svu_mi.geometry.neighbors import Neighbors, lanes_of, over_neighbors
 from svu_mi.geometry.texels import Texels
-from svu_mi.regularization.gradients import Regularizer, sign
+from svu_mi.recovery.regularizers.known_gradient import Regularizer, sign
 
 EPSILON = 1e-2  # in units of the parameters, all in [0, 1]
 

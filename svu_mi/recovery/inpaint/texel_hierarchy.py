@@ -12,9 +12,9 @@ import numpy as np
 from svu_mi.capture.mesh import unit_vectors
 from svu_mi.geometry.neighbors import connected, means, squares_of, sums
 from svu_mi.geometry.texels import Texels
-from svu_mi.inpaint.fill_result import SUREST
-from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.field.smoother import FEWER, Smoother
+from svu_mi.recovery.inpaint.fill_result import SUREST
+from svu_mi.recovery.uncertainty.gmrf import FEWER, Smoother
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 APART = 1e3  # distance between pieces that are not to be mixed up, in extents of the object
 

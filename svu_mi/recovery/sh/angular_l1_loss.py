@@ -28,11 +28,11 @@ from svu_mi.light.band_limited import moment_map
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
-from svu_mi.recovery.sh.energy import carry, look_up
+from svu_mi.recovery.regularizers.known_gradient import sign
+from svu_mi.recovery.sh.quadratic_error import carry, look_up
 from svu_mi.reflection.lobes import reflected_at_view
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading, dot, parts_of, radiance
 from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture, slope
-from svu_mi.regularization.gradients import sign
 from svu_mi.statistics.gather_statistics import GRAZING, Values, mixed_of
 
 

@@ -26,11 +26,11 @@ from svu_mi.core.arrays import owned
 from svu_mi.geometry.packed_views import LARGEST_FILM, Views, pack_sensors
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.sample_view import Surface, look, observe
-from svu_mi.inpaint.diffusion.model_interface import Picture
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.relight import relight
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.inpaint.diffusion.model_interface import Picture
+from svu_mi.recovery.relighting import relight
+from svu_mi.recovery.svbrdf_textures import Textures
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 AROUND = 100  # views on a sphere, of which some are rendered
 STEEPEST = 0.3  # cosine to the camera, below which a view does not show a texel well

@@ -16,8 +16,8 @@ from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset, preset
-from svu_mi.recovery.sh.objective import moments, values_of
-from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.recovery.sh.likelihood import moments, values_of
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.statistics.gather_statistics import Weighting
 
 

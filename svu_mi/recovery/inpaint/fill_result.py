@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from svu_mi.recovery.field import clipped
-from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.svbrdf_textures import Textures
+from svu_mi.recovery.uncertainty import clipped_normal
+from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 Source = Literal["photographs", "renders"]
 Weights = Mapping[str, Mapping[str, float]]
@@ -120,7 +120,7 @@ class Filling:
         both = own * self.field.values[rows] + guess / off**2
         values = np.where(at, both / (own + 1 / off**2), self.values[rows])
         # Of texels that a photograph shows, nothing more is known than was.
-        least = clipped.width_of(values, np.broadcast_to(off, values.shape))
+        least = clipped_normal.width_of(values, np.broadcast_to(off, values.shape))
         least = np.maximum(least, self.field.width[rows])
         self.least[rows] = np.where(at & ~self.shown, least, self.least[rows])
         self.values[rows] = values

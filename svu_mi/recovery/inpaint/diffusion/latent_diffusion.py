@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.image_io import decoded, srgb
-from svu_mi.inpaint.diffusion.model_interface import Family, Picture, Run
 from svu_mi.parameters import CHANNELS
+from svu_mi.recovery.inpaint.diffusion.model_interface import Family, Picture, Run
 
 
 def blend(
