@@ -14,14 +14,20 @@ from svu_mi import _llvm
 from svu_mi.core import limits
 
 if TYPE_CHECKING:
+    from svu_mi.calibration.checks.check import check
+    from svu_mi.calibration.checks.check_result import Check
+    from svu_mi.calibration.exposure import equalized, estimate_gains
+    from svu_mi.calibration.light.estimate_light import estimate_light
+    from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
+    from svu_mi.calibration.light.light_folder import load_light, save_light
+    from svu_mi.calibration.light.light_options import LightOptions
+    from svu_mi.calibration.light.resolve_light import with_light
     from svu_mi.capture.capture import Capture
     from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
     from svu_mi.capture.importers.registry import read_source
     from svu_mi.capture.importers.source import Light
     from svu_mi.capture.load_capture import load_capture
     from svu_mi.capture.render_capture import render_capture
-    from svu_mi.checking.record import Check
-    from svu_mi.checking.run import check
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.evaluation.reference import Reference
     from svu_mi.evaluation.reference_posterior import reference_posterior
@@ -35,12 +41,6 @@ if TYPE_CHECKING:
     from svu_mi.guidance.guidance_options import GuidanceOptions
     from svu_mi.guidance.guidance_result import Guidance
     from svu_mi.guidance.next_view import next_best_view
-    from svu_mi.illumination.estimate import estimate_light
-    from svu_mi.illumination.exposure import equalized, estimate_gains
-    from svu_mi.illumination.folder import load_light, save_light
-    from svu_mi.illumination.options import LightOptions
-    from svu_mi.illumination.record import FoundGains, LightEstimate
-    from svu_mi.illumination.resolve_light import with_light
     from svu_mi.output.compare import Comparison, compare
     from svu_mi.output.report.report import write_report
     from svu_mi.pipeline import Estimate, estimate

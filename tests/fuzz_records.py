@@ -18,6 +18,7 @@ from fuzz_formats import Format, capture, write_scene_capture
 from helpers import made_up_light
 from mutations import BINARY
 
+from svu_mi.calibration.light.light_folder import load_light, save_light
 from svu_mi.capture import capture_folder
 from svu_mi.core.io.files import write_json, write_text
 from svu_mi.core.io.npz import DIGEST, write_arrays
@@ -27,7 +28,6 @@ from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.evaluation import reference_cache
 from svu_mi.evaluation.reference import Traced
 from svu_mi.evaluation.reference_options import ReferenceOptions
-from svu_mi.illumination.folder import load_light, save_light
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.checkpoint import Checkpoint, State
 

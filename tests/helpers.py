@@ -18,6 +18,7 @@ import numpy as np
 from PIL import Image
 
 from svu_mi import scenes
+from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers import axis_fixes
@@ -34,7 +35,6 @@ from svu_mi.core.io.files import write_json
 from svu_mi.core.io.output_folder import writing
 from svu_mi.core.progress import Progress
 from svu_mi.geometry.texels import texels
-from svu_mi.illumination.record import LightEstimate
 from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out

@@ -8,10 +8,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_transport import Materials, Transport
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.geometry.sample_view import Surface
-from svu_mi.illumination.samples import Samples
-from svu_mi.illumination.transport import Materials, Transport
 from svu_mi.presets import preset
 
 SWITCHES = preset("default", method="angular")

@@ -19,20 +19,12 @@ from support.written import write
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.importers.axis_fixes import FIXES, fixes_named, turn_of
-from svu_mi.capture.importers.mesh_files import LEFT_OUT
-from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, OPENGL
-from svu_mi.capture.render_capture import object_mask
-from svu_mi.capture.replace_material import scene_of
-from svu_mi.capture.scene import to_world
-from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.checking.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
-from svu_mi.checking.decisions import LIGHT_GAIN, judge_light, judge_poses, judge_texture
-from svu_mi.checking.light import LightScore, score_light
-from svu_mi.checking.pose_scores import check_views, score_poses
-from svu_mi.checking.run import find_mistakes
-from svu_mi.checking.surface_samples import (
+from svu_mi.calibration.checks.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
+from svu_mi.calibration.checks.check import find_mistakes
+from svu_mi.calibration.checks.decisions import LIGHT_GAIN, judge_light, judge_poses, judge_texture
+from svu_mi.calibration.checks.envmap_orientation import LightScore, score_light
+from svu_mi.calibration.checks.pose_scores import check_views, score_poses
+from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
     Sky,
     emitter_of,
@@ -42,7 +34,15 @@ from svu_mi.checking.surface_samples import (
     scatter_points,
     texture_fit,
 )
-from svu_mi.checking.thumbnails import Frames, reduced, silhouettes
+from svu_mi.calibration.checks.thumbnails import Frames, reduced, silhouettes
+from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.importers.axis_fixes import FIXES, fixes_named, turn_of
+from svu_mi.capture.importers.mesh_files import LEFT_OUT
+from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, OPENGL
+from svu_mi.capture.render_capture import object_mask
+from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.cli.main import main
 from svu_mi.light.environment import read_environment
 from svu_mi.output.check_page import verdict
@@ -56,7 +56,9 @@ SEED = 40913
 @pytest.fixture(autouse=True)
 def few_points(monkeypatch):
     """A quarter of the points is enough for photographs this small."""
-    monkeypatch.setattr("svu_mi.checking.run.scatter_points", partial(scatter_points, count=POINTS))
+    monkeypatch.setattr(
+        "svu_mi.calibration.checks.check.scatter_points", partial(scatter_points, count=POINTS)
+    )
 
 
 def quiet(done, total):

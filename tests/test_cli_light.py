@@ -14,12 +14,12 @@ from helpers import Said, fails, last_line, made_up_light, names, run, write_dar
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.calibration.light import resolve_light
 from svu_mi.capture.content_hash import capture_key, photographs_key
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, SvuWarning
-from svu_mi.illumination import resolve_light
 
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
 
@@ -132,7 +132,7 @@ def test_what_is_known_of_the_world_is_passed_on(
         asked.append(options)
         return replace(made_up_light(), moves=bool(moves))
 
-    monkeypatch.setattr("svu_mi.illumination.estimate.estimate_light", found)
+    monkeypatch.setattr("svu_mi.calibration.light.estimate_light.estimate_light", found)
     assert run("light", around, *SMALL, *words, "--no-pictures", "-o", tmp_path / "out") == 0
     assert [(one.moves, one.background) for one in asked] == [(moves, background)]
     used = record(tmp_path / "out", "light.json")["settings"]["used"]
@@ -208,7 +208,7 @@ def test_what_stops_the_search_is_one_line(dark, tmp_path, capsys, monkeypatch):
     def stopped(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("svu_mi.illumination.estimate.estimate_light", stopped)
+    monkeypatch.setattr("svu_mi.calibration.light.estimate_light.estimate_light", stopped)
     assert run("light", dark, *SMALL, "-o", tmp_path / "out") == 130
     assert last_line(capsys) == "svu: interrupted; run the same command again"
     assert not (tmp_path / "out").exists()

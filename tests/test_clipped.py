@@ -13,13 +13,13 @@ from scipy.stats import norm
 from support.photographs import in_integers
 
 import svu_mi as svu
+from svu_mi.calibration.exposure import equalized
+from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.content_hash import capture_key, photographs_key
 from svu_mi.capture.image_io import decoded
 from svu_mi.capture.photographs import SATURATED
 from svu_mi.capture.quantization import Clipped
 from svu_mi.errors import CaptureError
-from svu_mi.illumination.exposure import equalized
-from svu_mi.illumination.record import FoundGains
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.reflection.principled import mixture

@@ -14,14 +14,9 @@ from scipy.ndimage import gaussian_filter
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.core.io.npz import read_arrays, write_arrays
-from svu_mi.errors import CaptureError, OptionError
-from svu_mi.illumination.estimate import World
-from svu_mi.illumination.exposure import equalized, estimate_gains, updated, without_gains
-from svu_mi.illumination.light_summary import gain_sentences
-from svu_mi.illumination.prior import prior_of
-from svu_mi.illumination.record import FoundGains
-from svu_mi.illumination.refine import (
+from svu_mi.calibration.exposure import equalized, estimate_gains, updated, without_gains
+from svu_mi.calibration.light.estimate_light import World
+from svu_mi.calibration.light.gauss_newton import (
     ALIKE,
     BALANCE,
     EXPOSURE,
@@ -30,8 +25,13 @@ from svu_mi.illumination.refine import (
     _slopes_and_samples,
     system_of,
 )
-from svu_mi.illumination.resolve_light import illuminated
-from svu_mi.illumination.transport import Moments, Transport, columns_of, materials_of
+from svu_mi.calibration.light.light_estimate import FoundGains
+from svu_mi.calibration.light.light_prior import prior_of
+from svu_mi.calibration.light.light_summary import gain_sentences
+from svu_mi.calibration.light.light_transport import Moments, Transport, columns_of, materials_of
+from svu_mi.calibration.light.resolve_light import illuminated
+from svu_mi.core.io.npz import read_arrays, write_arrays
+from svu_mi.errors import CaptureError, OptionError
 from svu_mi.posterior.empirical_bayes import shared
 from svu_mi.posterior.observations import observe
 
@@ -245,7 +245,7 @@ def test_they_exclude_looks_at_the_background():
 
 @pytest.mark.slow
 def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path, monkeypatch):
-    from svu_mi.illumination import resolve_light
+    from svu_mi.calibration.light import resolve_light
 
     monkeypatch.setattr(resolve_light, "OPTIONS", replace(OPTIONS, depths=((64, 8),), draws=2))
     monkeypatch.setattr(resolve_light, "RESOLUTION", 48)

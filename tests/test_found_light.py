@@ -13,22 +13,22 @@ import pytest
 from helpers import ball_scene, made_up_light, names, render_ball
 
 import svu_mi as svu
-from svu_mi.capture.capture import Doubt
-from svu_mi.capture.content_hash import capture_key, capture_parts, photographs_key
-from svu_mi.core.io.exr import read_exr, write_exr
-from svu_mi.core.io.npz import read_arrays, write_arrays
-from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError
-from svu_mi.illumination import scale
-from svu_mi.illumination.folder import photographs_of
-from svu_mi.illumination.light_summary import (
+from svu_mi.calibration.light import grey_card
+from svu_mi.calibration.light.light_estimate import UNANCHORED
+from svu_mi.calibration.light.light_folder import photographs_of
+from svu_mi.calibration.light.light_summary import (
     brightest,
     likeness,
     likeness_sentence,
     scale_sentence,
     sentences,
 )
-from svu_mi.illumination.record import UNANCHORED
-from svu_mi.illumination.resolve_light import illuminated, with_map
+from svu_mi.calibration.light.resolve_light import illuminated, with_map
+from svu_mi.capture.capture import Doubt
+from svu_mi.capture.content_hash import capture_key, capture_parts, photographs_key
+from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.npz import read_arrays, write_arrays
+from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError
 from svu_mi.posterior.observations import observe
 
 FIELDS = ("logarithm", "cell_sd", "draws", "scale_sd", "misfit", "widening", "texels", "remarks")
@@ -205,7 +205,7 @@ def proportional(monkeypatch):
         posterior = SimpleNamespace(**{what: of.__getitem__ for what, of in tables.items()})
         return SimpleNamespace(posterior=posterior)
 
-    monkeypatch.setattr(scale, "estimate", estimate)
+    monkeypatch.setattr(grey_card, "estimate", estimate)
 
 
 @pytest.mark.usefixtures("proportional")
@@ -215,8 +215,8 @@ def test_known_base_colours_fix_the_brightness(gray_ball, tint):
     truth = made_up_light()
     found = replace(truth, logarithm=truth.logarithm + np.log(tint))
     seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
-    by_mean = scale.scaled_by_mean(found, seen, 0.3)
-    by_card = scale.scaled_by_card(found, seen, (0.5, 0.5), 0.3)
+    by_mean = grey_card.scaled_by_mean(found, seen, 0.3)
+    by_card = grey_card.scaled_by_card(found, seen, (0.5, 0.5), 0.3)
     ours = [np.exp(one.logarithm - found.logarithm)[0] for one in (by_mean, by_card)]
     np.testing.assert_allclose(ours[1] * tint, 1, rtol=0.02)
     np.testing.assert_allclose(ours[0], ours[0][0], rtol=1e-6)
@@ -230,7 +230,7 @@ def test_a_card_on_a_ball_fixes_the_brightness(gray_ball):
     truth = made_up_light()
     found = replace(truth, logarithm=truth.logarithm + np.log(0.6))
     seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
-    by_card = scale.scaled_by_card(found, seen, (0.5, 0.5), 0.3)
+    by_card = grey_card.scaled_by_card(found, seen, (0.5, 0.5), 0.3)
     np.testing.assert_allclose(np.exp(by_card.logarithm - found.logarithm), 1 / 0.6, rtol=0.15)
 
 
@@ -238,23 +238,23 @@ def test_a_card_on_a_ball_fixes_the_brightness(gray_ball):
 def test_a_card_that_is_none_is_named(gray_ball):
     seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
     with pytest.raises(OptionError, match=r"must be in \[0.01, 1\], got 1.2"):
-        scale.scaled_by_card(made_up_light(), seen, (0.5, 0.5), 1.2)
+        grey_card.scaled_by_card(made_up_light(), seen, (0.5, 0.5), 1.2)
     with pytest.raises(OptionError, match=r"texture coordinates are in \[0, 1\]"):
-        scale.scaled_by_card(made_up_light(), seen, (0.5, 1.5), 0.3)
+        grey_card.scaled_by_card(made_up_light(), seen, (0.5, 1.5), 0.3)
     with pytest.raises(CaptureError, match="The light turns with the camera"):
-        scale.scaled_by_mean(replace(made_up_light(), moves=True), seen, 0.3)
+        grey_card.scaled_by_mean(replace(made_up_light(), moves=True), seen, 0.3)
     blind = replace(seen.found, coverage=0 * seen.found.coverage, total=0 * seen.found.total)
     with pytest.raises(CaptureError, match="no photograph shows the surface at texture coordina"):
-        scale.scaled_by_card(made_up_light(), replace(seen, found=blind), (0.5, 0.5), 0.3)
+        grey_card.scaled_by_card(made_up_light(), replace(seen, found=blind), (0.5, 0.5), 0.3)
 
 
 @pytest.mark.usefixtures("proportional")
 def test_a_base_colour_that_no_light_explains_is_named(gray_ball, monkeypatch):
     seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
-    monkeypatch.setattr(scale, "MOST_ROUNDS", 2)
+    monkeypatch.setattr(grey_card, "MOST_ROUNDS", 2)
     far = made_up_light().scaled(1e4)
     with pytest.raises(CaptureError, match="No brightness of the light makes the base colour"):
-        scale.scaled_by_mean(far, seen, 0.3)
+        grey_card.scaled_by_mean(far, seen, 0.3)
 
 
 # --- words ------------------------------------------------------------------------------------

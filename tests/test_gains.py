@@ -15,9 +15,9 @@ from helpers import ball, memory_capture, run
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.bench.captures import some_views
-from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.checking.exposure import (
+from svu_mi.calibration.checks.check import find_gains
+from svu_mi.calibration.checks.check_result import Finding
+from svu_mi.calibration.checks.exposure_checks import (
     Arriving,
     Excess,
     Reflections,
@@ -25,10 +25,16 @@ from svu_mi.checking.exposure import (
     relative_gains,
     too_bright,
 )
-from svu_mi.checking.record import Finding
-from svu_mi.checking.run import find_gains
-from svu_mi.checking.surface_samples import Sightings, Sky, emitter_of, look, scatter_points
-from svu_mi.checking.thumbnails import Frames, reduced
+from svu_mi.calibration.checks.surface_samples import (
+    Sightings,
+    Sky,
+    emitter_of,
+    look,
+    scatter_points,
+)
+from svu_mi.calibration.checks.thumbnails import Frames, reduced
+from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.light.environment import directions, read_environment
 from svu_mi.scenes import lights
 

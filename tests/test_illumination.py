@@ -13,13 +13,19 @@ from made_up_samples import SWITCHES, free_samples, made_up, photographed, refle
 from oracle.cells import gains
 
 import svu_mi as svu
-from svu_mi.core.arrays import fibonacci, owned
-from svu_mi.errors import CaptureError, OptionError
-from svu_mi.illumination.light_summary import likeness
-from svu_mi.illumination.prior import SD, Looks, prior_of
-from svu_mi.illumination.refine import ALIKE, FREEDOM, LARGEST, STEP, Fit, Known, system_of
-from svu_mi.illumination.samples import FACING, FEWEST, Samples
-from svu_mi.illumination.transport import (
+from svu_mi.calibration.light.gauss_newton import (
+    ALIKE,
+    FREEDOM,
+    LARGEST,
+    STEP,
+    Fit,
+    Known,
+    system_of,
+)
+from svu_mi.calibration.light.light_prior import SD, Looks, prior_of
+from svu_mi.calibration.light.light_samples import FACING, FEWEST, Samples
+from svu_mi.calibration.light.light_summary import likeness
+from svu_mi.calibration.light.light_transport import (
     WIDENED,
     Columns,
     Materials,
@@ -28,11 +34,9 @@ from svu_mi.illumination.transport import (
     columns_of,
     materials_of,
 )
-from svu_mi.illumination.uncertainty import (
-    level_of,
-    sample_lights,
-    widening_of,
-)
+from svu_mi.calibration.light.light_uncertainty import level_of, sample_lights, widening_of
+from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.errors import CaptureError, OptionError
 from svu_mi.posterior.empirical_bayes import shared
 from svu_mi.reflection.lobes import ALBEDO_NODES, dielectric_albedo, split_sum
 

@@ -9,11 +9,11 @@ from helpers import render_ball, turning
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.calibration.light.light_estimate import NINETY
+from svu_mi.calibration.light.light_prior import SD, prior_of
+from svu_mi.calibration.light.light_summary import likeness
 from svu_mi.core.arrays import fibonacci
 from svu_mi.errors import SceneError
-from svu_mi.illumination.light_summary import likeness
-from svu_mi.illumination.prior import SD, prior_of
-from svu_mi.illumination.record import NINETY
 from svu_mi.light.environment import basis_at
 
 TOLD = 6  # degree of harmonics beyond which matte shading tells nothing

@@ -12,8 +12,8 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.calibration.checks.thumbnails import Frames, silhouettes
 from svu_mi.capture.scene import to_world
-from svu_mi.checking.thumbnails import Frames, silhouettes
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
 

@@ -13,6 +13,8 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.calibration.exposure import equalized
+from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.content_hash import capture_key, photographs_key
 from svu_mi.capture.image_io import decoded, quantized, srgb
 from svu_mi.capture.importers.camera_response import Response, steps
@@ -22,8 +24,6 @@ from svu_mi.capture.quantization import Rounding, variance
 from svu_mi.core.arrays import owned
 from svu_mi.geometry.sample_view import Surface, look
 from svu_mi.geometry.sample_view import observe as look_for
-from svu_mi.illumination.exposure import equalized
-from svu_mi.illumination.record import FoundGains
 from svu_mi.posterior.observations import observe
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import noise_weight

@@ -18,15 +18,15 @@ from svu_mi.bench.captures import Truth
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
 from svu_mi.bench.report import Bar, Column, columns, digits
 from svu_mi.bench.study import Asked, Study
+from svu_mi.calibration.light.estimate_light import estimate_light
+from svu_mi.calibration.light.light_estimate import LightEstimate
+from svu_mi.calibration.light.light_options import LightOptions
+from svu_mi.calibration.light.light_summary import blurred, likeness
+from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
 from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.geometry.texels import texels
-from svu_mi.illumination.estimate import estimate_light
-from svu_mi.illumination.light_summary import blurred, likeness
-from svu_mi.illumination.options import LightOptions
-from svu_mi.illumination.record import LightEstimate
-from svu_mi.illumination.resolve_light import with_light
 from svu_mi.light.environment import read_environment
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate

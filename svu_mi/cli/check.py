@@ -19,8 +19,8 @@ from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 
 if TYPE_CHECKING:
+    from svu_mi.calibration.checks.check_result import Check
     from svu_mi.capture.capture import Capture
-    from svu_mi.checking.record import Check
 
 SIDE = 1024  # pixels of large photographs, which are compared in far fewer
 SHOWN = 5  # views that fit worst, in the table
@@ -55,9 +55,9 @@ class CheckCapture(Common):
         return WRONG if self.strict and not found.fits else 0
 
     def _run(self, progress: Progress, place: Claim) -> tuple[Capture, Check]:
+        from svu_mi.calibration.checks.check import check
+        from svu_mi.calibration.light.resolve_light import found_gains
         from svu_mi.capture.crop import Detail
-        from svu_mi.checking.run import check
-        from svu_mi.illumination.resolve_light import found_gains
         from svu_mi.output.check_page import write_check
 
         need: NeedOf = partial(Need, "check")
@@ -95,7 +95,7 @@ def _views(found: Check) -> Any:
     """Return a table of the views that fit worst, and of all of them, before and after."""
     from rich.table import Table
 
-    from svu_mi.checking.record import Summary
+    from svu_mi.calibration.checks.check_result import Summary
 
     table = Table("", "IoU", "edges", "colour error", box=None)
     for view in found.worst[:SHOWN]:

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from svu_mi.calibration.light.light_options import LightOptions
 from svu_mi.cli import options as opt
 from svu_mi.cli.common import ResultCommand, interruptible
 from svu_mi.cli.loading import CaptureCommand, to_find_light
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.illumination.options import LightOptions
 
 if TYPE_CHECKING:
+    from svu_mi.calibration.light.light_estimate import LightEstimate
     from svu_mi.capture.capture import Capture
-    from svu_mi.illumination.record import LightEstimate
 
 Depths = Annotated[tuple[tuple[int, int], ...], tyro.conf.arg(metavar="CELLS ROUNDS ...")]
 Card = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="U V ALBEDO")]
@@ -64,7 +64,7 @@ class FindLight(CaptureCommand, ResultCommand):
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
-        from svu_mi.illumination.scale import require_albedo
+        from svu_mi.calibration.light.grey_card import require_albedo
 
         super().check()
         opt.texel_size(self.resolution)
@@ -97,8 +97,8 @@ class FindLight(CaptureCommand, ResultCommand):
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Find the light, write it, and say what is known of it."""
-        from svu_mi.illumination import light_summary as summary
-        from svu_mi.illumination.estimate import estimate_light
+        from svu_mi.calibration.light import light_summary as summary
+        from svu_mi.calibration.light.estimate_light import estimate_light
         from svu_mi.output.light_page import write_light
         from svu_mi.output.manifest import Run
         from svu_mi.output.views import upright
@@ -127,9 +127,9 @@ class FindLight(CaptureCommand, ResultCommand):
 
     def _scaled(self, progress: Progress, capture: Capture, found: LightEstimate) -> LightEstimate:
         """Return the light as bright as is known otherwise."""
+        from svu_mi.calibration.exposure import equalized
+        from svu_mi.calibration.light.grey_card import scaled_by_card, scaled_by_mean
         from svu_mi.geometry.texels import texels
-        from svu_mi.illumination.exposure import equalized
-        from svu_mi.illumination.scale import scaled_by_card, scaled_by_mean
         from svu_mi.posterior.observations import observe
 
         if self.light_scale is not None:

@@ -15,10 +15,10 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 
 if TYPE_CHECKING:
+    from svu_mi.calibration.light.light_options import LightOptions
     from svu_mi.capture.capture import Capture
     from svu_mi.capture.crop import Detail
     from svu_mi.geometry.texels import Texels
-    from svu_mi.illumination.options import LightOptions
     from svu_mi.pipeline import Estimate
 
 EQUATIONS = 26  # memory of six matrices of 3 N x 3 N, in that of a look
@@ -77,7 +77,7 @@ class CaptureCommand(Common):
         **options: Any,
     ) -> tuple[Capture, Texels]:  # fmt: skip
         """Load the capture with a given light, its own, or one found in the photographs."""
-        from svu_mi.illumination.resolve_light import illuminated
+        from svu_mi.calibration.light.resolve_light import illuminated
 
         need = with_search(need) if light is None else need
         capture, grid = self.load(progress, need, size, **options)
@@ -206,7 +206,7 @@ def to_find_light(sizes: Sizes, resolution: tuple[int, int], options: LightOptio
 
 def with_search(need: NeedOf) -> NeedOf:
     """Return the memory of a command that first finds the light, if there is none."""
-    from svu_mi.illumination.resolve_light import OPTIONS, RESOLUTION
+    from svu_mi.calibration.light.resolve_light import OPTIONS, RESOLUTION
 
     search = partial(to_find_light, resolution=(RESOLUTION, RESOLUTION), options=OPTIONS)
     both = larger(need, search)

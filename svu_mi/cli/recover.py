@@ -110,7 +110,7 @@ class Recover(CaptureCommand, ResultCommand):
             )
 
     def _recover(self, progress: Progress, place: Claim) -> Knowledge:
-        from svu_mi.checking.exposure import warn_if_too_bright
+        from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
         from svu_mi.output.knowledge import Knowledge
         from svu_mi.output.manifest import Run
         from svu_mi.output.recovery import Draws, write_recovery

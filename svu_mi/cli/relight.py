@@ -68,7 +68,7 @@ class Relight(CaptureCommand, ResultCommand):
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Render, and write the results."""
-        from svu_mi.illumination.resolve_light import with_map
+        from svu_mi.calibration.light.resolve_light import with_map
         from svu_mi.output.draws import find_draws, read_draws
         from svu_mi.output.manifest import Run
         from svu_mi.output.relit_page import doubt_sentence, write_relighting

@@ -81,7 +81,7 @@ class Report(EstimateCommand):
     def _write(
         self, progress: Progress, size: tuple[int, int], textures: Textures | None
     ) -> Knowledge:
-        from svu_mi.checking.exposure import warn_if_too_bright
+        from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
         from svu_mi.output.report.report import write_report
 
         capture, found = self.estimated(progress, size, "report", self.recovered)

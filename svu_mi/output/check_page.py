@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
+from svu_mi.calibration.checks.check_result import Check, Finding, Summary
+from svu_mi.calibration.checks.surface_samples import emitter_of
+from svu_mi.calibration.checks.thumbnails import Frames, outline, reduced, silhouettes
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.importers.axis_fixes import fixes_named
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere
 from svu_mi.capture.tonemap import tone_mapped
-from svu_mi.checking.axis_hypotheses import apply_fixes
-from svu_mi.checking.record import Check, Finding, Summary
-from svu_mi.checking.surface_samples import emitter_of
-from svu_mi.checking.thumbnails import Frames, outline, reduced, silhouettes
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.prefiltered import resolved

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from svu_mi.calibration.light.resolve_light import illuminated
 from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import mesh_key
@@ -29,7 +30,6 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.geometry.texels import size_of, texels
-from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.output.knowledge import median, part, plain_percent
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY, read_deviations, read_map

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from svu_mi.calibration.light.light_estimate import LightEstimate
+from svu_mi.calibration.light.light_folder import COMMAND, RECORD, light_record, write_arrays_of
+from svu_mi.calibration.light.light_summary import Likeness
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.tonemap import srgb
 from svu_mi.core.io.output_folder import writing
-from svu_mi.illumination.folder import COMMAND, RECORD, light_record, write_arrays_of
-from svu_mi.illumination.light_summary import Likeness
-from svu_mi.illumination.record import LightEstimate
 from svu_mi.light.environment import directions, radiance_from
 from svu_mi.output import style
 from svu_mi.output.knowledge import plain_percent

@@ -19,6 +19,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi import _llvm
+from svu_mi.calibration.light.light_folder import light_record
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import mesh_key
 from svu_mi.core.io.files import write_text
@@ -26,7 +27,6 @@ from svu_mi.core.io.output_folder import Draft
 from svu_mi.core.io.provenance import RUN_RECORD
 from svu_mi.core.progress import Stage
 from svu_mi.errors import OutputError
-from svu_mi.illumination.folder import light_record
 from svu_mi.output.knowledge import Knowledge
 from svu_mi.output.result import is_seen
 from svu_mi.pipeline import Estimate

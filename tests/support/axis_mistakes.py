@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
+from svu_mi.calibration.checks.check_result import Finding
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.axis_fixes import FIXES, Fix, fixes_named, turn_of
-from svu_mi.checking.axis_hypotheses import apply_fixes
-from svu_mi.checking.record import Finding
 
 OUTCOMES = ("right", "among several", "silent", "misled")
 

@@ -17,6 +17,7 @@ from support.colmap import write_colmap
 from support.owl import write_owl
 from support.photographs import white_of
 from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.calibration.checks.surface_samples import base_color
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.capture.importers.import_capture import ImportOptions
@@ -29,7 +30,6 @@ from svu_mi.capture.importers.stanford_orb import MESH, TRUTH
 from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.capture.sensors import affine
-from svu_mi.checking.surface_samples import base_color
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.light.environment import directions, radiance_from, read_environment

@@ -15,18 +15,18 @@ from svu_mi.bench.real.predictors import MEANS, POSTERIOR, WAYS, Score, Way
 from svu_mi.bench.real.tables import draw_real, real_tables
 from svu_mi.bench.report import Bar
 from svu_mi.bench.study import Asked, Study
+from svu_mi.calibration.exposure import equalized, estimate_gains
+from svu_mi.calibration.light.estimate_light import estimate_light
+from svu_mi.calibration.light.light_estimate import FoundGains
+from svu_mi.calibration.light.light_options import LightOptions
+from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.load_capture import load_capture
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.texels import Texels, texels
-from svu_mi.illumination.estimate import estimate_light
-from svu_mi.illumination.exposure import equalized, estimate_gains
-from svu_mi.illumination.options import LightOptions
-from svu_mi.illumination.record import FoundGains
-from svu_mi.illumination.resolve_light import with_light
-from svu_mi.illumination.samples import Samples
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior.observations import Observed, observe
 from svu_mi.presets import AngularPreset

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import shrunk, tone_mapped
 from svu_mi.core.arrays import evenly_spaced
-from svu_mi.illumination.record import LightEstimate
 from svu_mi.output import relit, surface_maps, views
 from svu_mi.output.figures import map_colors
 from svu_mi.output.knowledge import Intervals

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 import svu_mi
+from svu_mi.calibration.light.light_summary import sentences
 from svu_mi.capture.capture import Capture
 from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
-from svu_mi.illumination.light_summary import sentences
 from svu_mi.output import style
 from svu_mi.output.knowledge import Intervals, Knowledge, picture_intervals
 from svu_mi.output.manifest import environment_record

@@ -8,19 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture import capture_folder
-from svu_mi.capture.capture import Capture
-from svu_mi.capture.importers.axis_fixes import fixes_named, turn_of
-from svu_mi.capture.importers.mesh_files import LEFT_OUT
-from svu_mi.capture.load_warnings import MOST, has_front_outside, ignored, part_from_behind
-from svu_mi.capture.mesh import arrays
-from svu_mi.capture.scene import require_variant, to_world
-from svu_mi.checking import decisions, exposure
-from svu_mi.checking.axis_hypotheses import apply_fixes
-from svu_mi.checking.light import facing, score_light
-from svu_mi.checking.pose_scores import check_views, score_poses
-from svu_mi.checking.record import Check, Finding
-from svu_mi.checking.surface_samples import (
+from svu_mi.calibration.checks import decisions, exposure_checks
+from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
+from svu_mi.calibration.checks.check_result import Check, Finding
+from svu_mi.calibration.checks.envmap_orientation import facing, score_light
+from svu_mi.calibration.checks.pose_scores import check_views, score_poses
+from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
     Points,
     Sightings,
@@ -32,11 +25,18 @@ from svu_mi.checking.surface_samples import (
     read_texture,
     scatter_points,
 )
-from svu_mi.checking.thumbnails import Frames, reduced, some
+from svu_mi.calibration.checks.thumbnails import Frames, reduced, some
+from svu_mi.calibration.light.light_estimate import FoundGains
+from svu_mi.calibration.light.light_summary import gain_sentences
+from svu_mi.capture import capture_folder
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.importers.axis_fixes import fixes_named, turn_of
+from svu_mi.capture.importers.mesh_files import LEFT_OUT
+from svu_mi.capture.load_warnings import MOST, has_front_outside, ignored, part_from_behind
+from svu_mi.capture.mesh import arrays
+from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError
-from svu_mi.illumination.light_summary import gain_sentences
-from svu_mi.illumination.record import FoundGains
 from svu_mi.light.environment import read_environment
 
 SIDE = 128  # pixels of the photographs that are compared
@@ -165,14 +165,16 @@ def _estimated(capture: Capture, small: Capture, find: Callable[[], FoundGains])
         return decisions.unknown("gain", str(error).rstrip("."))
     emitter, excess = emitter_of(capture), None
     if emitter is not None:
-        excess = exposure.excess(*_under(small, emitter), exposure.unit_of(capture, small))
+        excess = exposure_checks.excess(
+            *_under(small, emitter), exposure_checks.unit_of(capture, small)
+        )
     return decisions.gains_found(excess, gains, gain_sentences(gains, capture))
 
 
-def _under(small: Capture, emitter: Any) -> tuple[Sightings, Points, exposure.Arriving]:
+def _under(small: Capture, emitter: Any) -> tuple[Sightings, Points, exposure_checks.Arriving]:
     """Return points with their samples and the light that arrives there."""
     points = scatter_points(small.shape)
-    arriving = exposure.Arriving.of(small.scene, points, read_environment(emitter))
+    arriving = exposure_checks.Arriving.of(small.scene, points, read_environment(emitter))
     return look(points, Frames.of(small)), points, arriving
 
 
@@ -191,11 +193,13 @@ def find_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Fi
         return decisions.unknown("gain", "cameras, mesh and light have to fit first")
     sightings, points, arriving = _under(small, emitter)
     names, gains = list(compress(small.names, small.used)), None
-    excess = exposure.excess(sightings, points, arriving, exposure.unit_of(capture, small))
-    if len(names) >= exposure.VIEWS:
+    excess = exposure_checks.excess(
+        sightings, points, arriving, exposure_checks.unit_of(capture, small)
+    )
+    if len(names) >= exposure_checks.VIEWS:
         light = Sky.of(emitter, np.eye(3)), arriving
-        reflections = exposure.Reflections.of(small.scene, points, sightings, light)
-        gains = exposure.relative_gains(reflections)
+        reflections = exposure_checks.Reflections.of(small.scene, points, sightings, light)
+        gains = exposure_checks.relative_gains(reflections)
     return decisions.judge_gains(excess, gains, names)
 
 

@@ -11,10 +11,10 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
+from svu_mi.calibration.checks.thumbnails import Frames, tone
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
 from svu_mi.capture.scene import find_environment
-from svu_mi.checking.thumbnails import Frames, tone
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.geometry.sample_view import Surface, observe
 from svu_mi.light.band_limited import band_limit, look_up

@@ -16,16 +16,13 @@ from itertools import count
 
 import numpy as np
 
-from svu_mi.capture.capture import Capture
-from svu_mi.core.progress import Progress
-from svu_mi.geometry.texels import Texels
-from svu_mi.illumination.exposure import starting_gains, updated, without_gains
-from svu_mi.illumination.options import LightOptions
-from svu_mi.illumination.prior import BACKGROUND_SD, Looks, prior_of, refined
-from svu_mi.illumination.record import FoundGains, LightEstimate
-from svu_mi.illumination.refine import Fit, Known, system_of
-from svu_mi.illumination.samples import Samples
-from svu_mi.illumination.transport import (
+from svu_mi.calibration.exposure import starting_gains, updated, without_gains
+from svu_mi.calibration.light.gauss_newton import Fit, Known, system_of
+from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
+from svu_mi.calibration.light.light_options import LightOptions
+from svu_mi.calibration.light.light_prior import BACKGROUND_SD, Looks, prior_of, refined
+from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_transport import (
     COOLING,
     HEAT,
     Moments,
@@ -34,13 +31,16 @@ from svu_mi.illumination.transport import (
     misfit_of,
     tempered,
 )
-from svu_mi.illumination.uncertainty import (
+from svu_mi.calibration.light.light_uncertainty import (
     Level,
     level_of,
     remarks_of,
     sample_lights,
     widening_of,
 )
+from svu_mi.capture.capture import Capture
+from svu_mi.core.progress import Progress
+from svu_mi.geometry.texels import Texels
 from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset

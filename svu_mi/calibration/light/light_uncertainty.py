@@ -21,11 +21,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from svu_mi.illumination.prior import COLOR, SD
-from svu_mi.illumination.record import NINETY, UNANCHORED
-from svu_mi.illumination.refine import Fit
-from svu_mi.illumination.samples import Samples
-from svu_mi.illumination.transport import (
+from svu_mi.calibration.light.gauss_newton import Fit
+from svu_mi.calibration.light.light_estimate import NINETY, UNANCHORED
+from svu_mi.calibration.light.light_prior import COLOR, SD
+from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_transport import (
     Columns,
     Moments,
     Transport,

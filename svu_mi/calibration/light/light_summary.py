@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
-from svu_mi.illumination.record import FoundGains, LightEstimate
 from svu_mi.light.band_limited import degrees
 from svu_mi.light.environment import (
     Environment,

@@ -22,9 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from svu_mi.capture.importers.axis_fixes import turn_of
-from svu_mi.checking.axis_hypotheses import FEWER, Hypothesis, light_hypotheses
-from svu_mi.checking.surface_samples import (
+from svu_mi.calibration.checks.axis_hypotheses import FEWER, Hypothesis, light_hypotheses
+from svu_mi.calibration.checks.surface_samples import (
     DARK,
     FEWEST,
     SHADING_DEGREE,
@@ -33,6 +32,7 @@ from svu_mi.checking.surface_samples import (
     Sky,
     Texture,
 )
+from svu_mi.capture.importers.axis_fixes import turn_of
 from svu_mi.light.environment import basis_at
 
 NEIGHBORS = 8

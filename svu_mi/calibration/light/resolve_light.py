@@ -13,6 +13,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.calibration.exposure import equalized, estimate_gains
+from svu_mi.calibration.light.estimate_light import estimate_light
+from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
+from svu_mi.calibration.light.light_folder import RECORD, load_light, photographs_of, save_light
+from svu_mi.calibration.light.light_options import LightOptions
+from svu_mi.calibration.light.light_summary import gain_sentences, sentences
 from svu_mi.capture.capture import Capture, Doubt
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.importers.envmap import read_environment_map
@@ -23,12 +29,6 @@ from svu_mi.core.io.provenance import LIGHT
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OutputError, SceneError
 from svu_mi.geometry.texels import texels
-from svu_mi.illumination.estimate import estimate_light
-from svu_mi.illumination.exposure import equalized, estimate_gains
-from svu_mi.illumination.folder import RECORD, load_light, photographs_of, save_light
-from svu_mi.illumination.light_summary import gain_sentences, sentences
-from svu_mi.illumination.options import LightOptions
-from svu_mi.illumination.record import FoundGains, LightEstimate
 
 ID = "found_light"  # of the emitter
 FOLDER = "light"  # in the capture's folder

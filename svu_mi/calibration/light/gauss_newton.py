@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
+from svu_mi.calibration.light.light_estimate import FoundGains
+from svu_mi.calibration.light.light_prior import CellLooks, Prior
+from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_transport import Materials, Transport, materials_of
 from svu_mi.errors import CaptureError
-from svu_mi.illumination.prior import CellLooks, Prior
-from svu_mi.illumination.record import FoundGains
-from svu_mi.illumination.samples import Samples
-from svu_mi.illumination.transport import Materials, Transport, materials_of
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.empirical_bayes import shared
 from svu_mi.posterior.posterior import Posterior

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from svu_mi.calibration.light.light_estimate import LightEstimate
+from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.neighbors import squares_of
-from svu_mi.illumination.record import LightEstimate
-from svu_mi.illumination.resolve_light import with_light
 from svu_mi.parameters import MIXED
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior.observations import Observed

@@ -8,12 +8,12 @@ from functools import partial
 
 import numpy as np
 
+from svu_mi.calibration.checks.check_result import Finding, Hypothesis, Question, Verdict
+from svu_mi.calibration.checks.envmap_orientation import Facing, LightScore
+from svu_mi.calibration.checks.exposure_checks import VIEWS, Excess, Gains
+from svu_mi.calibration.checks.pose_scores import PoseScore, certain, simplest
+from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.importers.axis_fixes import FIXES
-from svu_mi.checking.exposure import VIEWS, Excess, Gains
-from svu_mi.checking.light import Facing, LightScore
-from svu_mi.checking.pose_scores import PoseScore, certain, simplest
-from svu_mi.checking.record import Finding, Hypothesis, Question, Verdict
-from svu_mi.illumination.record import FoundGains
 
 INSIDE_OUT = "mesh-inside-out"
 POOR_OVERLAP = 0.7  # silhouettes that fit worse explain no masks

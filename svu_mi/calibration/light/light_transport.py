@@ -15,9 +15,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.calibration.light.light_samples import GRAZING, Samples
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.geometry.sample_view import fold
-from svu_mi.illumination.samples import GRAZING, Samples
 from svu_mi.light.light_visibility import is_open
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior

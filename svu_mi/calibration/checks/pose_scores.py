@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svu_mi.capture.capture import Capture
-from svu_mi.checking.axis_hypotheses import FEWER, Hypothesis, pose_hypotheses
-from svu_mi.checking.record import ViewCheck
-from svu_mi.checking.surface_samples import (
+from svu_mi.calibration.checks.axis_hypotheses import FEWER, Hypothesis, pose_hypotheses
+from svu_mi.calibration.checks.check_result import ViewCheck
+from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
     Points,
     Sky,
@@ -22,7 +21,7 @@ from svu_mi.checking.surface_samples import (
     read_texture,
     scatter_points,
 )
-from svu_mi.checking.thumbnails import (
+from svu_mi.calibration.checks.thumbnails import (
     Frames,
     contrast,
     outline,
@@ -31,6 +30,7 @@ from svu_mi.checking.thumbnails import (
     silhouettes,
     some,
 )
+from svu_mi.capture.capture import Capture
 
 VIEWS, SMALL = 24, 64  # for silhouettes of all hypotheses, and pixels of their sides
 NEAR = 0.2  # distance to the best silhouettes within which colours are compared

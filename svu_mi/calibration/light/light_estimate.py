@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from svu_mi.calibration.light.light_prior import SD
 from svu_mi.core.arrays import fibonacci
-from svu_mi.illumination.prior import SD
 from svu_mi.light.latlong import directions
 
 ROWS, COLUMNS = 129, 256  # of maps

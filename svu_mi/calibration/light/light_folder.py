@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 import svu_mi
+from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.capture.scene_xml import POLES, ROWS
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import write_json
@@ -19,7 +20,6 @@ from svu_mi.core.io.npz import Field, read_arrays, require_schema, write_arrays
 from svu_mi.core.io.output_folder import Draft, writing
 from svu_mi.core.io.provenance import LIGHT, LIGHT_RECORD, entry_of, require_one_run
 from svu_mi.errors import CaptureError
-from svu_mi.illumination.record import FoundGains, LightEstimate
 
 COMMAND, RECORD = LIGHT, LIGHT_RECORD
 MAP, ARRAYS = "light.exr", "light.npz"

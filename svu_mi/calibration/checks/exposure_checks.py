@@ -28,7 +28,7 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.checking.surface_samples import (
+from svu_mi.calibration.checks.surface_samples import (
     COARSE,
     DIRECTIONS,
     Points,
@@ -39,7 +39,7 @@ from svu_mi.checking.surface_samples import (
     read_cells,
     scatter_points,
 )
-from svu_mi.checking.thumbnails import Frames
+from svu_mi.calibration.checks.thumbnails import Frames
 from svu_mi.core.arrays import fibonacci, owned
 from svu_mi.errors import SvuWarning
 from svu_mi.light.light_tree import Cells, light_cells

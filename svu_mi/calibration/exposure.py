@@ -11,18 +11,25 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.calibration.light.gauss_newton import System, system_of
+from svu_mi.calibration.light.light_estimate import NINETY, FoundGains
+from svu_mi.calibration.light.light_options import LightOptions
+from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_transport import (
+    COOLING,
+    HEAT,
+    Moments,
+    Transport,
+    columns_of,
+    tempered,
+)
+from svu_mi.calibration.light.light_uncertainty import level_of
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.scene import require_light
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.texels import Texels
-from svu_mi.illumination.options import LightOptions
-from svu_mi.illumination.record import NINETY, FoundGains
-from svu_mi.illumination.refine import System, system_of
-from svu_mi.illumination.samples import Samples
-from svu_mi.illumination.transport import COOLING, HEAT, Moments, Transport, columns_of, tempered
-from svu_mi.illumination.uncertainty import level_of
 from svu_mi.light.light_tree import even_radiance
 from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior.observations import Observed
