@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.evaluation.reference import Reference
     from svu_mi.evaluation.reference_posterior import reference_posterior
-    from svu_mi.export.asset import Asset
-    from svu_mi.export.export import ExportOptions, export_asset
-    from svu_mi.export.reading import load_asset
     from svu_mi.frequency.fit_sh import fit_sh
     from svu_mi.frequency.harmonics import power_spectrum
     from svu_mi.geometry.texels import Texels, texels
@@ -41,7 +38,10 @@ if TYPE_CHECKING:
     from svu_mi.guidance.guidance_options import GuidanceOptions
     from svu_mi.guidance.guidance_result import Guidance
     from svu_mi.guidance.next_view import next_best_view
-    from svu_mi.output.compare import Comparison, compare
+    from svu_mi.output.compare.differences import Comparison, compare
+    from svu_mi.output.export.asset import Asset
+    from svu_mi.output.export.load_asset import load_asset
+    from svu_mi.output.export.write_asset import ExportOptions, export_asset
     from svu_mi.output.report.report import write_report
     from svu_mi.pipeline import Estimate, estimate
     from svu_mi.posterior.angular import angular_posterior

@@ -11,7 +11,7 @@ import mitsuba as mi  # isort: skip
 import numpy as np
 from numpy.testing import assert_allclose
 
-from svu_mi.output.textures import write_textures
+from svu_mi.output.texture_files import write_textures
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
 from svu_mi.reflection.principled import (
     columns,

@@ -35,7 +35,7 @@ from svu_mi.core.io.files import write_json
 from svu_mi.core.io.output_folder import writing
 from svu_mi.core.progress import Progress
 from svu_mi.geometry.texels import texels
-from svu_mi.output.textures import write_scene as write_recovered
+from svu_mi.output.texture_files import write_scene as write_recovered
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.scenes import meshes

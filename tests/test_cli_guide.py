@@ -39,7 +39,7 @@ def partial(shot, tmp_path_factory):
 def no_page(monkeypatch):
     """Leave out what takes longest and others look at."""
 
-    monkeypatch.setattr("svu_mi.output.guidance.write_guidance_overview", MagicMock())
+    monkeypatch.setattr("svu_mi.output.write_guidance.write_guidance_overview", MagicMock())
 
 
 def guide(shot, out, *words):

@@ -18,8 +18,8 @@ from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.folder_exchange import DRAFT, beside
 from svu_mi.core.io.output_folder import CHECKPOINT
 from svu_mi.errors import OutputError
-from svu_mi.output.relit_page import files_of
-from svu_mi.output.textures import read_textures, write_textures
+from svu_mi.output.relight_page import files_of
+from svu_mi.output.texture_files import read_textures, write_textures
 from svu_mi.parameters import NAMES
 from svu_mi.recovery import adam
 from svu_mi.recovery.svbrdf_textures import Textures
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Of a recovery's results, they take longest, and others look at them."""
-    monkeypatch.setattr("svu_mi.output.recovery._draw", MagicMock())
+    monkeypatch.setattr("svu_mi.output.write_recovery._draw", MagicMock())
 
 
 def recover(shot, out, *words):
@@ -302,7 +302,7 @@ def test_a_page_that_cannot_be_drawn_is_an_error_and_leaves_no_result(
     def refuse(*_, **__):
         raise OutputError("relit.png: the disk is full.")
 
-    monkeypatch.setattr("svu_mi.output.recovery.write_relit", refuse)
+    monkeypatch.setattr("svu_mi.output.write_recovery.write_relit", refuse)
     assert recover(shot, tmp_path) == 2
     assert last_line(capsys) == "svu: relit.png: the disk is full."
     assert not set(FILES) & set(names(tmp_path))

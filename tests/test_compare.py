@@ -14,8 +14,8 @@ from svu_mi import scenes
 from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.output.compare import difference
-from svu_mi.output.compare_page import write_comparison
+from svu_mi.output.compare.compare_page import write_comparison
+from svu_mi.output.compare.differences import difference
 from svu_mi.parameters import NAMES
 
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one

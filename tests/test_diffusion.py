@@ -20,7 +20,7 @@ from svu_mi.capture.sensors import film_size, windowed_sensor
 from svu_mi.capture.tonemap import Look, alone
 from svu_mi.errors import OptionError, SvuEnvironmentError
 from svu_mi.geometry.neighbors import neighbors
-from svu_mi.output.filled import fill_sentences, write_filled
+from svu_mi.output.write_fill import fill_sentences, write_filled
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.inpaint.diffusion import load_weights
 from svu_mi.recovery.inpaint.diffusion.fill_by_diffusion import fill_by_diffusion

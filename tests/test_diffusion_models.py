@@ -17,7 +17,7 @@ from tiny_diffusion import write_model
 from svu_mi.capture.image_io import decoded, srgb
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError
-from svu_mi.output.textures import read_textures
+from svu_mi.output.texture_files import read_textures
 from svu_mi.recovery.inpaint.diffusion.latent_diffusion import Model
 from svu_mi.recovery.inpaint.diffusion.load_weights import load_model
 from svu_mi.recovery.inpaint.diffusion.model_interface import FAMILIES, Picture

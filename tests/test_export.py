@@ -25,9 +25,9 @@ from svu_mi.capture.image_io import srgb
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, ShapeError
-from svu_mi.export.charts import at_vertices, inside_charts, with_gutters
-from svu_mi.export.export import FORMATS
-from svu_mi.export.glb import front_faces
+from svu_mi.output.export.glb import front_faces
+from svu_mi.output.export.uv_gutters import at_vertices, inside_charts, with_gutters
+from svu_mi.output.export.write_asset import FORMATS
 from svu_mi.recovery.svbrdf_textures import Textures
 
 RNG_SEED = 2061455329

@@ -19,7 +19,7 @@ from svu_mi.capture.image_io import srgb
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.sensors import describe, make_sensor
 from svu_mi.evaluation.image_metrics import psnr
-from svu_mi.output.textures import MESH
+from svu_mi.output.texture_files import MESH
 
 SPP = 16
 BETTER_THAN = 35.0  # dB, of 8-bit textures against single precision

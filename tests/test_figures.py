@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from svu_mi.errors import OptionError
 from svu_mi.evaluation.ground_truth import GroundTruth
-from svu_mi.output.figures import (
+from svu_mi.output.panels import (
     all_seen,
     draw_map,
     draw_marginal,

@@ -21,11 +21,11 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe, make_sensor
 from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.output import directions as sky
+from svu_mi.output import direction_map as sky
 from svu_mi.output import guidance_page
-from svu_mi.output.guidance import file_names, write_guidance, write_sensors
-from svu_mi.output.manifest import Run
-from svu_mi.output.views import facing
+from svu_mi.output.object_views import facing
+from svu_mi.output.run_record import Run
+from svu_mi.output.write_guidance import file_names, write_guidance, write_sensors
 
 RNG_SEED = 1630517742
 FILES = [

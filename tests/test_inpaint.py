@@ -17,7 +17,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.neighbors import neighbors
-from svu_mi.output.textures import read_textures, settings_of
+from svu_mi.output.texture_files import read_textures, settings_of
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.inpaint import texel_hierarchy
 from svu_mi.recovery.inpaint.combine_predictors import FARTHER, TITLES, spreads

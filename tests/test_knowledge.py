@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.output.knowledge import Knowledge
+from svu_mi.output.interval_summary import Knowledge
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import spread
 from svu_mi.posterior.tabulated import tabulated_posterior

@@ -18,11 +18,11 @@ import svu_mi as svu
 from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.errors import OutputError
-from svu_mi.output import views
-from svu_mi.output.knowledge import Knowledge
-from svu_mi.output.manifest import Run, write_manifest
+from svu_mi.output import object_views
+from svu_mi.output.interval_summary import Knowledge
 from svu_mi.output.maps import write_maps
 from svu_mi.output.overview import _hatch, write_overview
+from svu_mi.output.run_record import Run, write_manifest
 from svu_mi.output.style import new_figure
 from svu_mi.output.write_entropy import write_outputs
 
@@ -103,17 +103,17 @@ def test_one_column_of_texels_can_be_drawn():
 def test_the_views_shown_are_far_apart(vase):
     """First the one that sees most, then the used one in the most different direction."""
     capture = replace(vase.capture, used=(True, True, True, False))
-    first, second = views.far_apart(capture, [5, 9, 3])
+    first, second = object_views.far_apart(capture, [5, 9, 3])
     matrices = [np.array(s.world_transform().matrix).reshape(4, 4) for s in capture.sensors]
     forward = np.array([m[:3, 2] for m in matrices])
     assert first == 1
     assert second == min((0, 2), key=lambda i: forward[i] @ forward[1])
-    assert sorted(views.far_apart(vase.capture, None, 9)) == [0, 1, 2, 3]
+    assert sorted(object_views.far_apart(vase.capture, None, 9)) == [0, 1, 2, 3]
 
 
 def test_a_picture_shows_the_object_where_the_photograph_does(vase):
     color = np.broadcast_to(np.float32([0.2, 0.4, 0.8]), (8, 8, 3))
-    shown = views.picture(vase.capture, color, vase.capture.sensors[1])
+    shown = object_views.picture(vase.capture, color, vase.capture.sensors[1])
     assert shown.shape == (36, 48, 4)
     covered, empty = shown[..., 3] == 1, shown[..., 3] == 0
     assert covered.any() and empty.any()
@@ -121,7 +121,7 @@ def test_a_picture_shows_the_object_where_the_photograph_does(vase):
     assert (np.abs(shown[empty][:, :3] - 1) < 1e-6).mean() > 0.98
     hue = shown[covered][:, 2] / shown[covered][:, 0]  # shading keeps it
     assert (np.abs(hue - 4) < 1e-3).mean() > 0.98
-    left, right, top, bottom = views.object_window(shown[..., 3] > 0)
+    left, right, top, bottom = object_views.object_window(shown[..., 3] > 0)
     rows, columns = np.nonzero(shown[..., 3])
     assert left * 48 <= columns.min() and columns.max() < right * 48
     assert top * 36 <= rows.min() and rows.max() < bottom * 36

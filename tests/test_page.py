@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svu_mi.errors import OutputError
-from svu_mi.output import page
+from svu_mi.output import html
 
 TEMPLATE = """{% extends "base.html" %}
 {% import "parts.html" as parts %}
@@ -38,16 +38,16 @@ def written(tmp_path_factory, server):
     """A page of all parts; its template smuggles in a script, a picture and a style sheet."""
     path = tmp_path_factory.mktemp("pâge & <b>") / "page.html"
     rng = np.random.default_rng(71)
-    photograph = page.photograph(rng.uniform(size=(30, 400, 3)))
-    drawing = page.drawing(rng.uniform(size=(20, 10, 4)))
+    photograph = html.photograph(rng.uniform(size=(30, 400, 3)))
+    drawing = html.drawing(rng.uniform(size=(20, 10, 4)))
     frames = [(photograph, "one", NAME), (drawing, "two", "")]
     elsewhere = f"http://127.0.0.1:{server.getsockname()[1]}"
     raw = (
         "<script>document.title = 'taken over'</script>"
         f"<img src='{elsewhere}/x.png'><link rel=stylesheet href='{elsewhere}/x.css'>"
     )
-    template = page._environment().from_string(TEMPLATE)
-    page.write_page(path, template, name=NAME, frames=frames, rows=[("x" * 300, 1e9)], raw=raw)
+    template = html._environment().from_string(TEMPLATE)
+    html.write_page(path, template, name=NAME, frames=frames, rows=[("x" * 300, 1e9)], raw=raw)
     return path
 
 
@@ -65,14 +65,14 @@ def test_pictures_are_inside_and_small(written):
 
 def test_a_picture_with_nan_is_refused():
     with pytest.raises(OutputError, match="NaN"):
-        page.drawing(np.full((2, 2, 3), np.nan))
+        html.drawing(np.full((2, 2, 3), np.nan))
     with pytest.raises(OutputError, match="no pixels"):
-        page.photograph(np.zeros((0, 2, 3)))
+        html.photograph(np.zeros((0, 2, 3)))
 
 
 def test_percent_does_not_round_to_nothing_or_all():
     words = {0: "0", 0.004: "under 1", 0.006: "1", 0.5: "50", 0.996: "over 99", 1: "100"}
-    assert {p: page.percent(p) for p in words} == {p: f"{w}\u202f%" for p, w in words.items()}
+    assert {p: html.percent(p) for p in words} == {p: f"{w}\u202f%" for p, w in words.items()}
 
 
 def test_a_browser_asks_nobody_and_runs_no_script_of_others(browser, written, server):

@@ -24,10 +24,10 @@ from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
 from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.light.environment import read_environment
-from svu_mi.output.recovery import write_recovery
-from svu_mi.output.relit import Comparison, compare, write_relit
-from svu_mi.output.textures import read_textures, write_textures
-from svu_mi.output.textures import write_scene as write_recovered
+from svu_mi.output.rerender import Comparison, compare, write_relit
+from svu_mi.output.texture_files import read_textures, write_textures
+from svu_mi.output.texture_files import write_scene as write_recovered
+from svu_mi.output.write_recovery import write_recovery
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.relighting import novel_light, path_length, relight
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out, scene_textures

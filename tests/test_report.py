@@ -16,11 +16,11 @@ import svu_mi as svu
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
-from svu_mi.output.knowledge import Intervals, Knowledge
-from svu_mi.output.report import findings, pictures, plots, report
+from svu_mi.output.estimate_arrays import Result
+from svu_mi.output.interval_summary import Intervals, Knowledge
+from svu_mi.output.object_views import front_and_right, upright
+from svu_mi.output.report import report, report_pictures, report_plots, summary_text
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.output.result import Result
-from svu_mi.output.views import front_and_right, upright
 from svu_mi.recovery.svbrdf_textures import uniform
 
 VIEWS = 5
@@ -90,7 +90,7 @@ def page(capture, estimate, tmp_path, monkeypatch):
     """Write a page without renders, changed in some way, and return its text."""
 
     def page(capture=capture, estimate=estimate, compared=0, **options):
-        monkeypatch.setattr(pictures, "COMPARED", compared)
+        monkeypatch.setattr(report_pictures, "COMPARED", compared)
         svu.write_report(capture, estimate, tmp_path / "page.html", **options)
         return (tmp_path / "page.html").read_text(encoding="utf-8")
 
@@ -111,7 +111,7 @@ def test_the_page_fits_and_asks_for_nothing(browser, written, width, dark):
     assert shown.overflow == 0
     assert shown.requests == [] and shown.complaints == []
     pictures = shown.evaluate("[...document.images].map(i => i.complete && i.naturalWidth > 0)")
-    assert len(pictures) > 30 and all(pictures)
+    assert len(report_pictures) > 30 and all(report_pictures)
     small = "[...document.querySelectorAll('p, td, figcaption, dd')].filter(e => e.innerText)"
     sizes = shown.evaluate(f"{small}.map(e => parseFloat(getComputedStyle(e).fontSize))")
     assert min(sizes) >= 13
@@ -150,7 +150,7 @@ def test_parts_are_of_the_area_and_sum_to_1(estimate):
     banded = Banded(estimate)
     area = np.sin(np.pi * banded.v) * (np.array(estimate.coverage) > 0)
     for name, (first, second) in banded.borders.items():
-        parts = findings.Parts.of(estimate, banded.half_width(name))
+        parts = summary_text.Parts.of(estimate, banded.half_width(name))
         below = [area[banded.v < border].sum() / area.sum() for border in (first, second)]
         assert parts.settled == pytest.approx(below[0], abs=0.02)
         assert parts.roughly == pytest.approx(below[1] - below[0], abs=0.02)
@@ -171,7 +171,7 @@ def test_all_of_the_surface_is_exactly_all(estimate):
             assert Knowledge.of(some).seen_part == seen
         some.coverage = np.ones(count)
         for width in (0.05, 0.15, 0.16):
-            parts = findings.Parts.of(some, np.full(count, width, np.float32))
+            parts = summary_text.Parts.of(some, np.full(count, width, np.float32))
             where = (width == 0.05, width == 0.15, width == 0.16)
             assert (parts.settled, parts.roughly, parts.wide) == where
 
@@ -207,7 +207,7 @@ def test_nothing_is_settled_by_its_entropy(capture, estimate, table):
 def test_points_are_shown_with_their_intervals(estimate, table):
     result = Result.of(estimate)
     (low, high) = (np.array(end) for end in estimate.posterior.interval("roughness"))
-    for example in plots.examples(table, estimate, result, 0.9, [None] * 4):
+    for example in report_plots.examples(table, estimate, result, 0.9, [None] * 4):
         column, row = map(int, re.search(r"column (\d+), row (\d+)", example["sentence"]).groups())
         texel = list(estimate.texels.index.numpy()).index(row * 48 + column)
         told = {name: interval for name, _, interval in example["plots"]}
@@ -244,21 +244,21 @@ def test_all_that_is_skipped_is_said_in_sentences(estimate):
     every = SimpleNamespace(**vars(estimate))
     for number in (1, 2):
         every.skipped = dict.fromkeys(estimate.skipped, number)
-        lines = findings.skipped(every)
+        lines = summary_text.skipped(every)
         assert len(lines) == len(estimate.skipped) >= 9
         assert not any(line.startswith(reason) for reason in estimate.skipped for line in lines)
         assert all(line.endswith(".") for line in lines)
     every.skipped = {**dict.fromkeys(estimate.skipped, 0), "new reason": 3}
-    assert findings.skipped(every) == ["new reason: 3."]
+    assert summary_text.skipped(every) == ["new reason: 3."]
 
 
 def test_what_faces_down_is_said_to(estimate):
     normals = np.array(estimate.texels.normal)
     up = np.array([0.0, 1.0, 0.0])
-    assert findings.facing(estimate, normals[1] < -0.3, up) == "downwards"
-    assert findings.facing(estimate, normals[1] > 0.3, up) == "upwards"
-    assert findings.facing(estimate, normals[0] > 0, up) is None
-    assert findings.facing(estimate, np.zeros(estimate.texels.count, bool), up) is None
+    assert summary_text.facing(estimate, normals[1] < -0.3, up) == "downwards"
+    assert summary_text.facing(estimate, normals[1] > 0.3, up) == "upwards"
+    assert summary_text.facing(estimate, normals[0] > 0, up) is None
+    assert summary_text.facing(estimate, np.zeros(estimate.texels.count, bool), up) is None
 
 
 # --- The turntable ------------------------------------------------------------------------
@@ -340,12 +340,12 @@ def test_one_view_of_the_method_as_printed(capture, estimate, page):
 def test_channels_have_lines_of_their_own(capture, estimate):
     switches = svu.preset("default", method="angular", channels="joint")
     found = svu.estimate(capture, estimate.texels, preset=switches, known={"metallic": 0.0})
-    drawn = dict(plots.marginals(found, Result.of(found)))
+    drawn = dict(report_plots.marginals(found, Result.of(found)))
     assert list(drawn) == ["roughness", "base colour"]
     assert {style for style, _, _ in drawn["base colour"].lines} >= {"red", "green", "blue"}
     assert len(drawn["roughness"].heights) == 8 and not len(drawn["base colour"].heights)
-    assert pictures.most_probable(found).resolution == (48, 24)
-    assert "metallic = 0" in " ".join(findings.skipped(found))
+    assert report_pictures.most_probable(found).resolution == (48, 24)
+    assert "metallic = 0" in " ".join(summary_text.skipped(found))
 
 
 def test_many_photographs_are_thinned_out(capture, estimate):
@@ -355,16 +355,16 @@ def test_many_photographs_are_thinned_out(capture, estimate):
                                         "exposures")}
     )  # fmt: skip
     many.count = len(many.sensors)
-    shown, left_out = pictures.thumbnails(many, estimate)
+    shown, left_out = report_pictures.thumbnails(many, estimate)
     assert (len(shown), len(left_out)) == (60, 12)
     assert sum(thumbnail["first"] for thumbnail in shown) == 12
-    assert pictures.spread(range(200), 5) == [0, 50, 100, 149, 199]
+    assert report_pictures.spread(range(200), 5) == [0, 50, 100, 149, 199]
 
 
 def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
-    monkeypatch.setattr(pictures, "COMPARED", 2)
-    good = pictures.errors(capture, pictures.most_probable(estimate), grey=True)
-    bad = pictures.errors(capture, uniform(estimate.texels, 0.02), grey=False)
+    monkeypatch.setattr(report_pictures, "COMPARED", 2)
+    good = report_pictures.errors(capture, report_pictures.most_probable(estimate), grey=True)
+    bad = report_pictures.errors(capture, uniform(estimate.texels, 0.02), grey=False)
     assert [name for name, _ in good["rows"]] == [capture.names[0], capture.names[3]]
     assert good["views"] == 4 and len(good["shown"]) == 2
     percent = [float(found["mean"].split("\u202f")[0]) for found in (good, bad)]

@@ -293,7 +293,7 @@ def test_pictures_and_record_of_what_is_known(grey, tmp_path):
 
     from matplotlib import pyplot as plt
 
-    from svu_mi.output import figures, write_outputs
+    from svu_mi.output import panels, write_outputs
 
     capture, texels = grey
     result = estimate(capture, texels, known={"metallic": 0.25})
@@ -304,7 +304,7 @@ def test_pictures_and_record_of_what_is_known(grey, tmp_path):
     assert (np.array(result.posterior.marginal_entropy("metallic")) == 0).all()
     assert (np.array(result.posterior.map()["metallic"]) == 0.25).all()
     figure, (left, right) = plt.subplots(1, 2)
-    figures.draw_posterior(left, result.posterior, 700)
+    panels.draw_posterior(left, result.posterior, 700)
     assert {left.get_xlabel(), left.get_ylabel()} == {"roughness", "base colour"}
-    figures.draw_marginal(right, result.posterior, 700, "metallic")
+    panels.draw_marginal(right, result.posterior, 700, "metallic")
     plt.close(figure)

@@ -23,10 +23,10 @@ from svu_mi.cli.view import View
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
 from svu_mi.geometry.texels import texels
 from svu_mi.output.surface_maps import surface_maps
-from svu_mi.output.viewer import model
-from svu_mi.output.viewer.model import GAIN, before_tone_mapping, frustum
+from svu_mi.output.viewer import viser_mesh
 from svu_mi.output.viewer.picking import Picker, nearest_texel, says
 from svu_mi.output.viewer.viewer import Viewer
+from svu_mi.output.viewer.viser_mesh import GAIN, before_tone_mapping, frustum
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 
@@ -188,9 +188,11 @@ def test_a_frustum_is_opencv_with_its_axis_in_the_middle(capture):
 
 def tone_mapped(linear):
     """The linear colours (..., 3) that three.js shows for linear radiance (..., 3)."""
-    x = (linear / model.EXPOSURE) @ model.TO_ACES.T
-    curve = (x * (x + model.B) - model.C) / (x * (model.D * x + model.E) + model.F)
-    return np.clip(curve @ model.FROM_ACES.T, 0, 1)
+    x = (linear / viser_mesh.EXPOSURE) @ viser_mesh.TO_ACES.T
+    curve = (x * (x + viser_mesh.B) - viser_mesh.C) / (
+        x * (viser_mesh.D * x + viser_mesh.E) + viser_mesh.F
+    )
+    return np.clip(curve @ viser_mesh.FROM_ACES.T, 0, 1)
 
 
 def test_tone_mapping_is_undone():

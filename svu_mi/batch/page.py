@@ -16,7 +16,7 @@ from svu_mi.batch.capture_list import INDEX, TABLE
 from svu_mi.batch.runner import Outcome
 from svu_mi.batch.steps import STEPS
 from svu_mi.core.io.files import write_text
-from svu_mi.output.page import Picture, drawing, write_page
+from svu_mi.output.html import Picture, drawing, write_page
 
 SIDE = 160  # pixels of a thumbnail
 COLUMNS = ("capture", "seen", "entropy", "known", "seconds", "peak_gb", "problem")

@@ -14,7 +14,7 @@ import mitsuba as mi
 
 import svu_mi
 from svu_mi.core.io.files import prepare_folder
-from svu_mi.output.manifest import write_manifest
+from svu_mi.output.run_record import write_manifest
 
 AROUND = ("bench", "cli", "output")  # parts of svu_mi that no figure depends on
 

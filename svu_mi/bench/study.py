@@ -17,7 +17,7 @@ from svu_mi.bench.report import Bar, bar_table, left_out, save
 from svu_mi.core.io.files import prepare_folder, write_text
 from svu_mi.core.validation import require_known
 from svu_mi.errors import OptionError
-from svu_mi.output.manifest import environment_record, write_manifest
+from svu_mi.output.run_record import environment_record, write_manifest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -64,8 +64,8 @@ class Compare(ResultCommand):
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Compare, write the page, and say what was found."""
         from svu_mi.capture.crop import Detail
-        from svu_mi.output.compare import plan_comparison
-        from svu_mi.output.compare_page import write_comparison
+        from svu_mi.output.compare.compare_page import write_comparison
+        from svu_mi.output.compare.differences import plan_comparison
 
         preset = self.preset[0] if len(self.preset) == 1 else self.preset
         size = texel_size(self.resolution) if self.resolution else None

@@ -30,8 +30,8 @@ class Entropy(EstimateCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Run the pipeline, write the four files, and say what is known."""
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
-        from svu_mi.output.knowledge import Knowledge
-        from svu_mi.output.manifest import Run
+        from svu_mi.output.interval_summary import Knowledge
+        from svu_mi.output.run_record import Run
         from svu_mi.output.write_entropy import write_outputs
         from svu_mi.presets import NOTHING, Skip
 

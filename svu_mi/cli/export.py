@@ -16,7 +16,7 @@ from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
 
 if TYPE_CHECKING:
-    from svu_mi.export.export import ExportOptions
+    from svu_mi.output.export.write_asset import ExportOptions
 
 Result = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
@@ -58,7 +58,7 @@ class Export(ResultCommand):
         self._options()
 
     def _options(self) -> ExportOptions:
-        from svu_mi.export.export import ExportOptions
+        from svu_mi.output.export.write_asset import ExportOptions
 
         return ExportOptions(
             formats=self.formats, bits=self.bits, half=self.half, gutter=self.gutter, up=self.up
@@ -66,8 +66,8 @@ class Export(ResultCommand):
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Read the result, and write the asset."""
-        from svu_mi.export.export import export_asset
-        from svu_mi.export.reading import plan_asset
+        from svu_mi.output.export.load_asset import plan_asset
+        from svu_mi.output.export.write_asset import export_asset
 
         with progress.stage("Reading the result"):
             plan = plan_asset(self.result, self.entropy)

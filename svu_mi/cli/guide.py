@@ -72,9 +72,9 @@ class Guide(EstimateCommand):
 
     def run(self, console: Console) -> int:
         """Judge the candidates, and write the results."""
-        from svu_mi.output.guidance import write_guidance
-        from svu_mi.output.knowledge import Knowledge
-        from svu_mi.output.manifest import Run
+        from svu_mi.output.interval_summary import Knowledge
+        from svu_mi.output.run_record import Run
+        from svu_mi.output.write_guidance import write_guidance
 
         self.check()
         with claimed(self.output, "guide", overwrite=self.overwrite) as place:

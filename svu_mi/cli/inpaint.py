@@ -73,9 +73,9 @@ class Inpaint(CaptureCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> Iterable[str]:
         """Fill, and write the results."""
         from svu_mi.geometry.neighbors import neighbors
-        from svu_mi.output.filled import fill_sentences, write_filled
-        from svu_mi.output.manifest import Run
-        from svu_mi.output.textures import read_textures, require_textures_of, settings_of
+        from svu_mi.output.run_record import Run
+        from svu_mi.output.texture_files import read_textures, require_textures_of, settings_of
+        from svu_mi.output.write_fill import fill_sentences, write_filled
         from svu_mi.parameters import NAMES
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.uncertainty.texture_field import field_around, weights_of

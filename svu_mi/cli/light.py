@@ -100,8 +100,8 @@ class FindLight(CaptureCommand, ResultCommand):
         from svu_mi.calibration.light import light_summary as summary
         from svu_mi.calibration.light.estimate_light import estimate_light
         from svu_mi.output.light_page import write_light
-        from svu_mi.output.manifest import Run
-        from svu_mi.output.views import upright
+        from svu_mi.output.object_views import upright
+        from svu_mi.output.run_record import Run
 
         options, size = self._options(), opt.texel_size(self.resolution)
         need = partial(to_find_light, resolution=size, options=options)

@@ -144,7 +144,7 @@ class EstimateCommand(CaptureCommand):
         recovered: Path | None = None, **options: Any,
     ) -> tuple[Capture, Estimate]:  # fmt: skip
         """Load the capture, which ``recovered`` must show, and estimate its posterior."""
-        from svu_mi.output.textures import require_textures_of
+        from svu_mi.output.texture_files import require_textures_of
 
         need = partial(Need, command, resolution=size, model=self.estimation.model)
         capture, grid = self.load_lit(progress, need, size, self.light)

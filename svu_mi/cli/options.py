@@ -259,7 +259,7 @@ def recovered_textures(
     folder: Path | None, resolution: tuple[int, ...], default: int = 0, one_run: bool = True
 ) -> tuple[tuple[int, int], Textures | None]:
     """Return the (width, height) of a grid, and the textures of a folder, which must have it."""
-    from svu_mi.output.textures import read_textures
+    from svu_mi.output.texture_files import read_textures
 
     if folder is None:
         return pair(resolution or (default,), "--resolution"), None

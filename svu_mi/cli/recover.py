@@ -20,7 +20,7 @@ from svu_mi.parameters import NAMES
 from svu_mi.recovery.recovery_options import PRINTED_PRESETS
 
 if TYPE_CHECKING:
-    from svu_mi.output.knowledge import Knowledge
+    from svu_mi.output.interval_summary import Knowledge
 
 MOST_DRAWS = 1000
 Name = Literal[NAMES]  # type: ignore[valid-type]
@@ -111,9 +111,9 @@ class Recover(CaptureCommand, ResultCommand):
 
     def _recover(self, progress: Progress, place: Claim) -> Knowledge:
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
-        from svu_mi.output.knowledge import Knowledge
-        from svu_mi.output.manifest import Run
-        from svu_mi.output.recovery import Draws, write_recovery
+        from svu_mi.output.interval_summary import Knowledge
+        from svu_mi.output.run_record import Run
+        from svu_mi.output.write_recovery import Draws, write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.posterior.observations import observe
         from svu_mi.recovery.initialisation import has_field

@@ -69,10 +69,10 @@ class Relight(CaptureCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Render, and write the results."""
         from svu_mi.calibration.light.resolve_light import with_map
-        from svu_mi.output.draws import find_draws, read_draws
-        from svu_mi.output.manifest import Run
-        from svu_mi.output.relit_page import doubt_sentence, write_relighting
-        from svu_mi.output.textures import read_textures, require_textures_of
+        from svu_mi.output.relight_page import doubt_sentence, write_relighting
+        from svu_mi.output.run_record import Run
+        from svu_mi.output.texture_files import read_textures, require_textures_of
+        from svu_mi.output.texture_samples import find_draws, read_draws
         from svu_mi.recovery.relighting import relight_draws
 
         textures, files = read_textures(self.recovered), find_draws(self.recovered)
@@ -105,7 +105,7 @@ class Relight(CaptureCommand, ResultCommand):
         """Return the sensors that pictures are made from, and their names."""
         from svu_mi.capture.sensors import scaled_sensor
         from svu_mi.guidance.candidates import Candidates
-        from svu_mi.output.views import far_apart
+        from svu_mi.output.object_views import far_apart
 
         if self.sensors is not None:
             read = Candidates.read(self.sensors)

@@ -17,7 +17,7 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 
 if TYPE_CHECKING:
-    from svu_mi.output.knowledge import Knowledge
+    from svu_mi.output.interval_summary import Knowledge
     from svu_mi.recovery.svbrdf_textures import Textures
 
 SUFFIXES = (".html", ".htm")

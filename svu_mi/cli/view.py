@@ -33,7 +33,7 @@ class View(EstimateCommand):
 
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""
-        from svu_mi.output.viewer.server import require_port, require_viser
+        from svu_mi.output.viewer.access_control import require_port, require_viser
         from svu_mi.output.viewer.viewer import Viewer
 
         self.check()

@@ -21,10 +21,10 @@ from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.prefiltered import resolved
-from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
+from svu_mi.output.html import THUMBNAIL, Picture, photograph, write_page
+from svu_mi.output.object_views import facing, up_of
+from svu_mi.output.run_record import environment_record, write_manifest
 from svu_mi.output.style import AFTER, BEFORE
-from svu_mi.output.views import facing, up_of
 
 AXES = ("poses", "light", "texture")  # what corrections are about
 TEMPLATE, RECORD = "check.html", "check.json"

@@ -16,11 +16,11 @@ from svu_mi.core.identifiers import plain_name
 from svu_mi.guidance.guidance_result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import style
-from svu_mi.output.directions import color_range, draw_directions, numbered
-from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors
-from svu_mi.output.page import grouped
+from svu_mi.output.direction_map import color_range, draw_directions, numbered
+from svu_mi.output.html import grouped
+from svu_mi.output.object_views import UP
+from svu_mi.output.panels import all_seen, draw_look, draw_map, map_colors
 from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE, Block
-from svu_mi.output.views import UP
 from svu_mi.pipeline import Estimate
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from svu_mi.capture.tonemap import srgb
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import directions, radiance_from
 from svu_mi.output import style
-from svu_mi.output.knowledge import plain_percent
-from svu_mi.output.manifest import Run, environment_record, inputs_record, write_manifest
+from svu_mi.output.interval_summary import plain_percent
+from svu_mi.output.run_record import Run, environment_record, inputs_record, write_manifest
 from svu_mi.output.style import LEFT, RIGHT, Block
 
 if TYPE_CHECKING:

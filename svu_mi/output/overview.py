@@ -10,11 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.output import style, views
-from svu_mi.output.figures import draw_photograph, draw_scaled_map, map_colors
-from svu_mi.output.knowledge import Knowledge, plain_percent
-from svu_mi.output.page import grouped
-from svu_mi.output.result import (
+from svu_mi.output import object_views, style
+from svu_mi.output.estimate_arrays import (
     Result,
     known,
     mean_marginals,
@@ -22,6 +19,9 @@ from svu_mi.output.result import (
     prior_marginal,
     words,
 )
+from svu_mi.output.html import grouped
+from svu_mi.output.interval_summary import Knowledge, plain_percent
+from svu_mi.output.panels import draw_photograph, draw_scaled_map, map_colors
 from svu_mi.output.style import LEFT, RIGHT, RULE, Block
 from svu_mi.pipeline import Estimate
 
@@ -81,12 +81,12 @@ def _notes(capture: Capture, estimate: Estimate, result: Result) -> list[str]:
 def _objects(capture: Capture, estimate: Estimate) -> Iterator[Panel]:
     """Yield photograph and entropy side by side, for two views far apart."""
     texture = map_colors(estimate)
-    for view in views.far_apart(capture, getattr(estimate, "seen_per_view", None)):
-        shown = views.picture(capture, texture, capture.sensors[view])
-        window = views.object_window(shown[..., 3] > 0)
+    for view in object_views.far_apart(capture, getattr(estimate, "seen_per_view", None)):
+        shown = object_views.picture(capture, texture, capture.sensors[view])
+        window = object_views.object_window(shown[..., 3] > 0)
         draw = partial(draw_photograph, capture=capture, view=view, window=window)
         yield f"Photograph {view}", draw
-        entropy = views.crop(shown[..., :3], window)
+        entropy = object_views.crop(shown[..., :3], window)
         yield "Entropy seen from there", partial(style.draw_image, image=entropy)
 
 

@@ -12,12 +12,12 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import Look, alone, srgb
 from svu_mi.output import style
-from svu_mi.output.draws import texture_colors
-from svu_mi.output.figures import all_seen, draw_look, draw_scaled_map, map_colors
-from svu_mi.output.page import grouped
-from svu_mi.output.relit import SIDE, Comparison
-from svu_mi.output.result import is_seen, words
+from svu_mi.output.estimate_arrays import is_seen, words
+from svu_mi.output.html import grouped
+from svu_mi.output.panels import all_seen, draw_look, draw_scaled_map, map_colors
+from svu_mi.output.rerender import SIDE, Comparison
 from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP, Block
+from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.recover import Recovery

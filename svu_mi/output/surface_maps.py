@@ -11,9 +11,9 @@ import numpy as np
 
 from svu_mi.capture.tonemap import srgb
 from svu_mi.output import style
-from svu_mi.output.figures import GUTTER, albedo_colors, map_colors
-from svu_mi.output.knowledge import TOLERANCE, WIDEST, Intervals
-from svu_mi.output.result import Result, open_axes, words
+from svu_mi.output.estimate_arrays import Result, open_axes, words
+from svu_mi.output.interval_summary import TOLERANCE, WIDEST, Intervals
+from svu_mi.output.panels import GUTTER, albedo_colors, map_colors
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
 from svu_mi.parameters import PARAMETERS
 from svu_mi.pipeline import Estimate

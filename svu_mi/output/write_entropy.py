@@ -7,10 +7,10 @@ import os
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.core.io.output_folder import writing
-from svu_mi.output.knowledge import Knowledge
-from svu_mi.output.manifest import RECORD, Run, run_record, write_run
+from svu_mi.output.interval_summary import Knowledge
 from svu_mi.output.maps import write_maps
 from svu_mi.output.overview import write_overview
+from svu_mi.output.run_record import RECORD, Run, run_record, write_run
 from svu_mi.pipeline import Estimate
 
 

@@ -34,7 +34,7 @@ from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.output_folder import CHECKPOINT
 from svu_mi.core.io.provenance import RECORDS, entry_of
-from svu_mi.output.textures import read_textures
+from svu_mi.output.texture_files import read_textures
 
 SMALL = ("--resolution", "24")
 LIMIT = 300.0  # seconds that a command may take

@@ -15,8 +15,8 @@ from svu_mi.core.io.exr import read_header, write_exr
 from svu_mi.core.io.files import stamp, stamped, write_json
 from svu_mi.core.io.provenance import are_of_one_capture, marks_of, require_one_run
 from svu_mi.errors import CaptureError, SvuWarning
-from svu_mi.export.reading import load_asset
-from svu_mi.output.textures import write_textures
+from svu_mi.output.export.load_asset import load_asset
+from svu_mi.output.texture_files import write_textures
 from svu_mi.output.viewer.viewer import Viewer
 
 SMALL = ("--resolution", 16)

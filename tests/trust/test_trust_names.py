@@ -22,12 +22,12 @@ from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.sensors import make_sensor
 from svu_mi.core.identifiers import materialx_name, obj_name, plain_name, xml_id
 from svu_mi.errors import CaptureError
-from svu_mi.export.asset import Asset
-from svu_mi.export.export import export_asset
 from svu_mi.output import style
-from svu_mi.output.guidance import write_sensors
+from svu_mi.output.export.asset import Asset
+from svu_mi.output.export.write_asset import export_asset
 from svu_mi.output.guidance_page import _short
-from svu_mi.output.page import write_page
+from svu_mi.output.html import write_page
+from svu_mi.output.write_guidance import write_sensors
 from svu_mi.recovery.svbrdf_textures import Textures
 
 materialx = pytest.importorskip("MaterialX")
@@ -169,7 +169,7 @@ def test_pages_of_a_folder_with_markup_in_its_name(command, shot, tmp_path, caps
 def test_a_page_holds_any_name_as_text(name, tmp_path, monkeypatch):
     template = {"a.html": "<p title='{{ name }}'>{{ name }}</p>"}
     plain = Environment(loader=DictLoader(template), autoescape=True)
-    monkeypatch.setattr("svu_mi.output.page._environment", lambda: plain)
+    monkeypatch.setattr("svu_mi.output.html._environment", lambda: plain)
     write_page(tmp_path / "a.html", "a.html", name=name)
     assert Tags((tmp_path / "a.html").read_text("utf-8")).found == [("p", "title")]
 

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from svu_mi.errors import SvuEnvironmentError
-from svu_mi.output.viewer.server import Guard, is_closed, serve, stop
+from svu_mi.output.viewer.access_control import Guard, is_closed, serve, stop
 
 pytest.importorskip("viser")
 client = pytest.importorskip("websockets.sync.client")

@@ -17,14 +17,14 @@ from svu_mi.capture.capture import Capture
 from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
 from svu_mi.output import style
-from svu_mi.output.knowledge import Intervals, Knowledge, picture_intervals
-from svu_mi.output.manifest import environment_record
-from svu_mi.output.page import NARROW_SPACE, grouped, page_of, percent
-from svu_mi.output.relit import WORST
-from svu_mi.output.report import findings, pictures, plots
+from svu_mi.output.estimate_arrays import Result, is_seen, known, open_axes, words
+from svu_mi.output.html import NARROW_SPACE, grouped, page_of, percent
+from svu_mi.output.interval_summary import Intervals, Knowledge, picture_intervals
+from svu_mi.output.object_views import upright
+from svu_mi.output.report import report_pictures, report_plots, summary_text
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.output.result import Result, is_seen, known, open_axes, words
-from svu_mi.output.views import upright
+from svu_mi.output.rerender import WORST
+from svu_mi.output.run_record import environment_record
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import field_of
@@ -68,7 +68,7 @@ def write_report(
     """
     report = progress or Stage().update
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
-    intervals = picture_intervals(estimate, pictures.MAP_SIDE)
+    intervals = picture_intervals(estimate, report_pictures.MAP_SIDE)
     shown = _pictures(capture, estimate, textures, table, intervals, report)
     knowledge = Knowledge.of(estimate, intervals)
     today = datetime.date.today()
@@ -76,7 +76,7 @@ def write_report(
         TEMPLATE,
         title=title or _name(capture), date=f"{today.day} {today:%B %Y}",
         summary=_summary(capture, estimate, result, intervals, knowledge, table),
-        histogram=plots.histogram(result), marginals=list(plots.marginals(estimate, result)),
+        histogram=report_plots.histogram(result), marginals=list(report_plots.marginals(estimate, result)),
         given=[(name, _plain(value)) for name, value in (settings or {}).items()],
         **shown, **_settings(capture, estimate), **_environment(estimate.timings),
     )  # fmt: skip
@@ -90,18 +90,18 @@ def _pictures(
     intervals: Intervals, report: Callable[[int, int], None],
 ) -> dict[str, Any]:  # fmt: skip
     """Return what the page shows of photographs, maps, textures and errors."""
-    thumbnails, left_out = pictures.thumbnails(capture, estimate)
-    frames = list(pictures.turning(table, estimate))
+    thumbnails, left_out = report_pictures.thumbnails(capture, estimate)
+    frames = list(report_pictures.turning(table, estimate))
     report(1, 5)
-    maps, recovered = pictures.maps(table, estimate, intervals), []
+    maps, recovered = report_pictures.maps(table, estimate, intervals), []
     report(2, 5)
     if textures is not None:
         field = field_of(textures, estimate, capture.mesh)
-        recovered = pictures.texture_maps(table, estimate, textures, field)
+        recovered = report_pictures.texture_maps(table, estimate, textures, field)
     report(3, 5)
     turned = [frame[0] for frame in frames]
     result = Result.of(estimate)
-    examples = list(plots.examples(table, estimate, result, intervals.level, turned))
+    examples = list(report_plots.examples(table, estimate, result, intervals.level, turned))
     report(4, 5)
     warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     return {
@@ -111,7 +111,7 @@ def _pictures(
         "errors": _errors(capture, estimate, textures), "error_end": WORST,
         "error_colormap": style.DIFFERENCE_COLORMAP, "colors": style.SETTLED_COLORS,
         "unseen": style.UNSEEN, "color": estimate.posterior.groups == 3,
-        "skipped": findings.skipped(estimate), "warnings": warnings[:WARNINGS],
+        "skipped": summary_text.skipped(estimate), "warnings": warnings[:WARNINGS],
         "more_warnings": warnings[WARNINGS:],
     }  # fmt: skip
 
@@ -122,7 +122,7 @@ def _light(capture: Capture) -> dict[str, Any] | None:
     if found is None:
         return None
     return {
-        "maps": pictures.light_maps(found),
+        "maps": report_pictures.light_maps(found),
         "sentences": list(sentences(found, upright(capture))),
     }
 
@@ -132,8 +132,8 @@ def _errors(
 ) -> dict[str, Any] | None:
     grey = textures is None and estimate.posterior.groups == 1
     if textures is None and is_seen(estimate).any():
-        textures = pictures.most_probable(estimate)
-    return None if textures is None else pictures.errors(capture, textures, grey)
+        textures = report_pictures.most_probable(estimate)
+    return None if textures is None else report_pictures.errors(capture, textures, grey)
 
 
 def _summary(
@@ -147,7 +147,7 @@ def _summary(
     return {
         "seen": knowledge.seen_part,
         "settled": [
-            (words(name), findings.Parts.of(estimate, intervals.half_width(name)),
+            (words(name), summary_text.Parts.of(estimate, intervals.half_width(name)),
              f"±{knowledge.median_half_width[name]:.2f}")
             for name in knowledge.known_part
         ],
@@ -157,7 +157,7 @@ def _summary(
         "cell": f"{max(knowledge.cell_width.values(), default=0):.2f}",
         "coarse": [words(name) for name in knowledge.cell_width],
         "texture": f"{width} × {height}",
-        "direction": findings.facing(estimate, ~result.seen, table.up),
+        "direction": summary_text.facing(estimate, ~result.seen, table.up),
         "numbers": [
             ("Photographs used", grouped(sum(capture.used)), f"of {grouped(capture.count)}"),
             ("Points of the surface", grouped(len(result.seen)),

@@ -16,8 +16,8 @@ from svu_mi.capture.tonemap import Look, alone
 from svu_mi.core.arrays import owned
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
-from svu_mi.output import views
-from svu_mi.output.views import front_and_right, upright
+from svu_mi.output import object_views
+from svu_mi.output.object_views import front_and_right, upright
 
 ELEVATION = 20.0  # degrees
 FOV, ROOM = 30.0, 1.02  # degrees; distance, relative to where the bounding sphere just fits
@@ -37,7 +37,7 @@ class Turntable:
 
     scene: Any
     sensors: tuple[Any, ...]
-    window: views.Window
+    window: object_views.Window
     up: np.ndarray
 
     @classmethod
@@ -75,7 +75,7 @@ class Turntable:
         color = np.clip((image[..., :3] + alpha - 1) / np.maximum(alpha, EMPTY), 0, 1)
         # Colour and coverage are sampled apart, so that a silhouette keeps some of the white.
         color = dilate(color, image[..., 3] == 1, EDGE)
-        return views.crop(np.dstack([color, alpha]), self.window)
+        return object_views.crop(np.dstack([color, alpha]), self.window)
 
     def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
         """Return the one of some texels (t,) that is shown best: its index, frame, x and y.

@@ -16,9 +16,9 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
-from svu_mi.output.figures import draw_marginal
-from svu_mi.output.knowledge import Intervals
-from svu_mi.output.result import open_axes, place_of, words
+from svu_mi.output.estimate_arrays import open_axes, place_of, words
+from svu_mi.output.interval_summary import Intervals
+from svu_mi.output.panels import draw_marginal
 from svu_mi.output.style import MARK, new_figure
 from svu_mi.output.surface_maps import Scale
 from svu_mi.pipeline import Estimate

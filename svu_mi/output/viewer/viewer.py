@@ -17,15 +17,15 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import srgb
 from svu_mi.capture.sensors import bounding_sphere
 from svu_mi.core.identifiers import obj_name
-from svu_mi.output.knowledge import Intervals
-from svu_mi.output.page import percent
-from svu_mi.output.result import is_seen
+from svu_mi.output.estimate_arrays import is_seen
+from svu_mi.output.html import percent
+from svu_mi.output.interval_summary import Intervals
+from svu_mi.output.object_views import DIRECTION, Axis, front_and_right, upright
 from svu_mi.output.style import MARK
 from svu_mi.output.surface_maps import surface_maps
-from svu_mi.output.viewer.model import GAIN, Frustum, frustum, material_colors, model
+from svu_mi.output.viewer.access_control import require_viser, serve, stop
 from svu_mi.output.viewer.picking import Pick, Picker, draw_pick, draw_scale, says
-from svu_mi.output.viewer.server import require_viser, serve, stop
-from svu_mi.output.views import DIRECTION, Axis, front_and_right, upright
+from svu_mi.output.viewer.viser_mesh import GAIN, Frustum, frustum, material_colors, model
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import field_of

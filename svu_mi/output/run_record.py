@@ -27,8 +27,8 @@ from svu_mi.core.io.output_folder import Draft
 from svu_mi.core.io.provenance import RUN_RECORD
 from svu_mi.core.progress import Stage
 from svu_mi.errors import OutputError
-from svu_mi.output.knowledge import Knowledge
-from svu_mi.output.result import is_seen
+from svu_mi.output.estimate_arrays import is_seen
+from svu_mi.output.interval_summary import Knowledge
 from svu_mi.pipeline import Estimate
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from svu_mi.capture.tonemap import srgb
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style
-from svu_mi.output.compare import AROUND, CERTAIN, Comparison, largest
-from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.output.page import Picture, drawing, write_page
-from svu_mi.output.result import words
+from svu_mi.output.compare.differences import AROUND, CERTAIN, Comparison, largest
+from svu_mi.output.estimate_arrays import words
+from svu_mi.output.html import Picture, drawing, write_page
+from svu_mi.output.run_record import environment_record, write_manifest
 from svu_mi.output.surface_maps import ENDS, ENTROPY
 
 TEMPLATE, RECORD = "compare.html", "compare.json"

@@ -12,11 +12,9 @@ from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import shrunk, tone_mapped
 from svu_mi.core.arrays import evenly_spaced
-from svu_mi.output import relit, surface_maps, views
-from svu_mi.output.figures import map_colors
-from svu_mi.output.knowledge import Intervals
-from svu_mi.output.light_page import deviation_colors, known_colors, light_colors
-from svu_mi.output.page import (
+from svu_mi.output import object_views, rerender, surface_maps
+from svu_mi.output.estimate_arrays import is_seen, open_axes
+from svu_mi.output.html import (
     NARROW_SPACE,
     THUMBNAIL,
     Picture,
@@ -25,10 +23,12 @@ from svu_mi.output.page import (
     percent,
     photograph,
 )
-from svu_mi.output.relit import Comparison
-from svu_mi.output.report.plots import Plot
+from svu_mi.output.interval_summary import Intervals
+from svu_mi.output.light_page import deviation_colors, known_colors, light_colors
+from svu_mi.output.panels import map_colors
+from svu_mi.output.report.report_plots import Plot
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.output.result import is_seen, open_axes
+from svu_mi.output.rerender import Comparison
 from svu_mi.output.surface_maps import SurfaceMap
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import Estimate
@@ -224,7 +224,7 @@ def _compare(
 ) -> list[Comparison]:
     """Compare views in pictures of some size: pixels of their longer side, and samples of each."""
     side, spp = size
-    compared = relit.compare(capture, textures, chosen, spp, side, relit=False)
+    compared = rerender.compare(capture, textures, chosen, spp, side, relit=False)
 
     def brightness(image: np.ndarray) -> np.ndarray:
         return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)
@@ -236,10 +236,10 @@ def _compare(
 
 
 def _compared(comparison: Comparison) -> list[Picture]:
-    window = views.object_window(comparison.inside)
+    window = object_views.object_window(comparison.inside)
     usable = np.isfinite(comparison.difference)
     image, render, difference, inside, usable = (
-        views.crop(i, window) for i in (*comparison.pictures, comparison.inside, usable)
+        object_views.crop(i, window) for i in (*comparison.pictures, comparison.inside, usable)
     )
     return [
         photograph(image), drawing(np.dstack([render, inside])),

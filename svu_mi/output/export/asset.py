@@ -14,7 +14,7 @@ from svu_mi.capture.replace_material import is_two_sided
 from svu_mi.core.identifiers import plain_name
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.output.maps import padded
-from svu_mi.output.views import Axis, nearest_axis, upright
+from svu_mi.output.object_views import Axis, nearest_axis, upright
 from svu_mi.recovery.svbrdf_textures import Textures
 
 TEXTURES, RECORD = "textures", "asset.json"  # in an exported folder

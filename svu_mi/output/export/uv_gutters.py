@@ -8,9 +8,9 @@ import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.errors import CaptureError, MeshError
-from svu_mi.export.asset import SD, Asset
 from svu_mi.geometry.rasterize_uv import dilate, rasterize
 from svu_mi.geometry.texels import barycentric, texels
+from svu_mi.output.export.asset import SD, Asset
 from svu_mi.output.maps import GUTTER
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.svbrdf_textures import Textures

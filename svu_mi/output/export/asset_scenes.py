@@ -19,10 +19,10 @@ from svu_mi.capture.mesh import make
 from svu_mi.capture.sensors import bounding_sphere, sphere_sensors
 from svu_mi.core.identifiers import materialx_name, obj_name
 from svu_mi.core.io.files import write_text
-from svu_mi.export.asset import TEXTURES, Asset, Written
-from svu_mi.export.glb import as_trimesh, upward_uvs
-from svu_mi.output.textures import FILES, object_node
-from svu_mi.output.views import DIRECTION, Axis
+from svu_mi.output.export.asset import TEXTURES, Asset, Written
+from svu_mi.output.export.glb import as_trimesh, upward_uvs
+from svu_mi.output.object_views import DIRECTION, Axis
+from svu_mi.output.texture_files import FILES, object_node
 from svu_mi.parameters import CHANNELS
 
 OBJECT, PREVIEW, MESH = "object.xml", "preview.xml", "mesh.ply"

@@ -15,9 +15,7 @@ from svu_mi.capture.content_hash import capture_key
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import write_text
 from svu_mi.core.io.output_folder import writing
-from svu_mi.output import views
-from svu_mi.output.draws import SHEET, write_draws, write_sheet
-from svu_mi.output.manifest import RECORD, Run, recovery_record, write_run
+from svu_mi.output import object_views
 from svu_mi.output.maps import (
     COVERAGE,
     header,
@@ -27,8 +25,10 @@ from svu_mi.output.maps import (
     write_uncertainty,
 )
 from svu_mi.output.recovery_page import write_recovery_overview
-from svu_mi.output.relit import compare, write_relit
-from svu_mi.output.textures import write_scene
+from svu_mi.output.rerender import compare, write_relit
+from svu_mi.output.run_record import RECORD, Run, recovery_record, write_run
+from svu_mi.output.texture_files import write_scene
+from svu_mi.output.texture_samples import SHEET, write_draws, write_sheet
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.recover import Recovery
 from svu_mi.recovery.uncertainty.texture_field import TextureField
@@ -91,7 +91,9 @@ def write_recovery(
         if field is not None and draws is not None:
             first = write_draws(field.draw(draws.count, draws.seed), target, about)
             if pictures:
-                view = views.far_apart(capture, getattr(estimate, "seen_per_view", None), 1)[0]
+                view = object_views.far_apart(capture, getattr(estimate, "seen_per_view", None), 1)[
+                    0
+                ]
                 write_sheet(capture, recovery, first, target / SHEET, view)
         run.progress(4, 4)
         write_run(draft, record, run)
@@ -102,7 +104,7 @@ def _draw(
     folder: Path,
 ) -> None:  # fmt: skip
     """Write ``relit.png`` and ``recovery.png``."""
-    chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
+    chosen = object_views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
     comparisons = compare(capture, recovery.textures, chosen)
     write_relit(comparisons, folder / RELIT)
     write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate, field)

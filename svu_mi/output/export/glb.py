@@ -12,10 +12,10 @@ import svu_mi
 from svu_mi.capture.image_io import decoded, quantized, srgb
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.core.io.files import replacing
-from svu_mi.export.asset import Asset, Written
-from svu_mi.export.images import packed
+from svu_mi.output.export.asset import Asset, Written
+from svu_mi.output.export.asset_images import packed
+from svu_mi.output.object_views import Axis
 from svu_mi.output.style import COLORMAP
-from svu_mi.output.views import Axis
 
 ASSET, ENTROPY = "asset.glb", "entropy.glb"
 # glTF 2.0, Sec. 3.4: right-handed, +Y up.

@@ -8,11 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.output.figures import bar_edges
-from svu_mi.output.knowledge import Intervals
-from svu_mi.output.page import Picture, grouped
-from svu_mi.output.report.turntable import Turntable
-from svu_mi.output.result import (
+from svu_mi.output.estimate_arrays import (
     Result,
     mean_marginals,
     open_axes,
@@ -20,6 +16,10 @@ from svu_mi.output.result import (
     prior_marginal,
     words,
 )
+from svu_mi.output.html import Picture, grouped
+from svu_mi.output.interval_summary import Intervals
+from svu_mi.output.panels import bar_edges
+from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.style import css_colors
 
 BINS = 25  # of the histogram

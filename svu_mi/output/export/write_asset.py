@@ -14,13 +14,13 @@ from typing import Any, Literal, get_args
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.io.output_folder import writing
 from svu_mi.core.validation import require, require_types
-from svu_mi.export import glb, scene_files
-from svu_mi.export.asset import RECORD, TEXTURES, Asset, Written
-from svu_mi.export.charts import at_vertices, with_gutters
-from svu_mi.export.images import write_exr_images, write_png_images
-from svu_mi.export.reading import load_asset
-from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.output.views import Axis
+from svu_mi.output.export import asset_scenes, glb
+from svu_mi.output.export.asset import RECORD, TEXTURES, Asset, Written
+from svu_mi.output.export.asset_images import write_exr_images, write_png_images
+from svu_mi.output.export.load_asset import load_asset
+from svu_mi.output.export.uv_gutters import at_vertices, with_gutters
+from svu_mi.output.object_views import Axis
+from svu_mi.output.run_record import environment_record, write_manifest
 
 FORMAT, VERSION = "svu-asset", 1
 MODEL = "principled, specular 0.5 (F0 = 0.04), alpha = roughness^2: glTF's metallic-roughness"
@@ -113,9 +113,9 @@ def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
         if "entropy" in found:
             files.append(glb.write_entropy_glb(asset, folder, found["entropy"], up=up))
     if "xml" in formats:
-        files += scene_files.write_mitsuba(asset, folder, up=up)
+        files += asset_scenes.write_mitsuba(asset, folder, up=up)
     if "materialx" in formats:
-        files += scene_files.write_materialx(asset, folder)
+        files += asset_scenes.write_materialx(asset, folder)
     return files
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from svu_mi.geometry.rasterize_uv import dilate
-from svu_mi.output.page import NARROW_SPACE, percent
-from svu_mi.output.result import areas, is_seen, open_axes, words
+from svu_mi.output.estimate_arrays import areas, is_seen, open_axes, words
+from svu_mi.output.html import NARROW_SPACE, percent
 from svu_mi.posterior.intervals import LEVEL, spread
 from svu_mi.posterior.quadrature import cell_edges
 

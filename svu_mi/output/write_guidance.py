@@ -28,9 +28,9 @@ from svu_mi.output.guidance_page import (
     looks_of,
     write_guidance_overview,
 )
-from svu_mi.output.manifest import RECORD, Run, guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, header, padded
-from svu_mi.output.views import UP
+from svu_mi.output.object_views import UP
+from svu_mi.output.run_record import RECORD, Run, guidance_record, write_manifest, write_run
 from svu_mi.pipeline import Estimate
 
 PLAN, PAGE = "guidance.json", "guidance.png"

@@ -18,14 +18,14 @@ from svu_mi.capture.tonemap import Look, alone
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style
-from svu_mi.output.draws import texture_colors
-from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors
-from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
+from svu_mi.output.estimate_arrays import words
+from svu_mi.output.html import percent
 from svu_mi.output.maps import padded, write_field
-from svu_mi.output.page import percent
-from svu_mi.output.result import words
+from svu_mi.output.panels import all_seen, draw_look, draw_map, map_colors
+from svu_mi.output.run_record import RECORD, Run, inputs_record, write_run
 from svu_mi.output.style import Block
-from svu_mi.output.textures import write_scene
+from svu_mi.output.texture_files import write_scene
+from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.inpaint.fill_result import Filled, Invented
 from svu_mi.recovery.uncertainty.texture_field import TextureField

@@ -24,11 +24,11 @@ from svu_mi.core.io.provenance import (
 )
 from svu_mi.core.memory import Size
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
-from svu_mi.export.asset import Asset, bad_values
-from svu_mi.output.manifest import RECORD
+from svu_mi.output.export.asset import Asset, bad_values
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
-from svu_mi.output.textures import FILES, MESH, SCENE, read_textures
-from svu_mi.output.views import nearest_axis, up_of
+from svu_mi.output.object_views import nearest_axis, up_of
+from svu_mi.output.run_record import RECORD
+from svu_mi.output.texture_files import FILES, MESH, SCENE, read_textures
 
 HEADER = 4096  # bytes that hold the header of a PLY file
 

@@ -23,8 +23,8 @@ from svu_mi.capture.tonemap import Look, alone, srgb, tone_mapped
 from svu_mi.errors import OptionError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
-from svu_mi.output import style, views
-from svu_mi.output.result import is_seen, prior_marginal, words
+from svu_mi.output import object_views, style
+from svu_mi.output.estimate_arrays import is_seen, prior_marginal, words
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior.posterior import Posterior
 
@@ -42,14 +42,14 @@ KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn
 
 
 def draw_photograph(
-    axes: Axes, capture: Capture, view: int, window: views.Window | None = None
+    axes: Axes, capture: Capture, view: int, window: object_views.Window | None = None
 ) -> None:
     """Draw a photograph, exposed for the object and cropped: to a window, by default its mask's."""
     mask = capture.masks[view] if capture.masks else None
     image = tone_mapped(capture.images[view], mask)
     if window is None and mask is not None:
-        window = views.object_window(mask)
-    style.draw_image(axes, image if window is None else views.crop(image, window))
+        window = object_views.object_window(mask)
+    style.draw_image(axes, image if window is None else object_views.crop(image, window))
 
 
 def draw_map(
@@ -109,7 +109,9 @@ def draw_on_object(
 def draw_look(axes: Axes, look: Look, colors: np.ndarray) -> None:
     """Draw screen colours (H, W, 3) on what a sensor sees of the object, cut to it."""
     shown = look.painted(colors)
-    style.draw_image(axes, views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
+    style.draw_image(
+        axes, object_views.crop(shown[..., :3], object_views.object_window(shown[..., 3] > 0))
+    )
 
 
 def map_colors(

@@ -21,8 +21,8 @@ from svu_mi.core.io.files import prepare_folder, read_json
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.provenance import marks_of, mesh_of, require_one_run, require_recovery
 from svu_mi.errors import CaptureError, SvuError, SvuWarning, excerpt
-from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import ENTROPY
+from svu_mi.output.run_record import RECORD
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.relighting import path_length
 from svu_mi.recovery.svbrdf_textures import Textures

@@ -12,8 +12,8 @@ from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import replacing
 from svu_mi.errors import OutputError
-from svu_mi.export.asset import TEXTURES, Asset, Written
-from svu_mi.output.textures import FILES, write_textures
+from svu_mi.output.export.asset import TEXTURES, Asset, Written
+from svu_mi.output.texture_files import FILES, write_textures
 from svu_mi.parameters import CHANNELS
 
 LINEAR = "linear"

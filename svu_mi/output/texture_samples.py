@@ -16,8 +16,8 @@ from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
-from svu_mi.output.figures import all_seen, draw_look, map_colors
-from svu_mi.output.result import words
+from svu_mi.output.estimate_arrays import words
+from svu_mi.output.panels import all_seen, draw_look, map_colors
 from svu_mi.output.style import GREY, Block
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recover import Recovery

@@ -10,8 +10,8 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.output import style
+from svu_mi.output.object_views import UP, facing
 from svu_mi.output.style import FAINT, INK, RULE, UNSEEN
-from svu_mi.output.views import UP, facing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from svu_mi.output.knowledge import TOLERANCE, part, within
-from svu_mi.output.page import grouped
-from svu_mi.output.result import areas, is_seen, known, words
+from svu_mi.output.estimate_arrays import areas, is_seen, known, words
+from svu_mi.output.html import grouped
+from svu_mi.output.interval_summary import TOLERANCE, part, within
 
 ROUGHLY = 0.15  # half-width of an interval up to which a parameter counts as roughly known
 STEEP = 0.5  # mean sine of elevation from which a part of the surface faces up, or down

@@ -13,7 +13,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import Pictures
 from svu_mi.capture.sensors import film_size, scaled_sensor
 from svu_mi.capture.tonemap import exposure, resized, tone_mapped
-from svu_mi.output import style, views
+from svu_mi.output import object_views, style
 from svu_mi.output.style import DIFFERENCE_COLORMAP, FAINT, INK
 from svu_mi.recovery.relighting import novel_light, relight
 from svu_mi.recovery.svbrdf_textures import Textures
@@ -74,8 +74,8 @@ class Comparison:
 
     def cropped(self) -> list[np.ndarray]:
         """Return ``pictures``, cut to the object."""
-        window = views.object_window(self.inside)
-        return [views.crop(image, window) for image in self.pictures]
+        window = object_views.object_window(self.inside)
+        return [object_views.crop(image, window) for image in self.pictures]
 
     @cached_property
     def _exposed(self) -> tuple[np.ndarray, np.ndarray]:

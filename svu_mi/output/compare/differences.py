@@ -30,11 +30,11 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.geometry.texels import size_of, texels
-from svu_mi.output.knowledge import median, part, plain_percent
-from svu_mi.output.manifest import RECORD
+from svu_mi.output.estimate_arrays import words
+from svu_mi.output.interval_summary import median, part, plain_percent
 from svu_mi.output.maps import COVERAGE, ENTROPY, read_deviations, read_map
-from svu_mi.output.result import words
-from svu_mi.output.textures import MESH, find_textures, read_texture
+from svu_mi.output.run_record import RECORD
+from svu_mi.output.texture_files import MESH, find_textures, read_texture
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.presets import preset as find_preset

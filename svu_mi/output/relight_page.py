@@ -20,8 +20,8 @@ from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import replacing
 from svu_mi.core.io.output_folder import writing
-from svu_mi.output import style, views
-from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
+from svu_mi.output import object_views, style
+from svu_mi.output.run_record import RECORD, Run, inputs_record, write_run
 from svu_mi.output.style import VIEWS_COLORMAP, Block
 from svu_mi.recovery.relighting import RelitView
 
@@ -112,18 +112,18 @@ def write_relit_page(
     shown = list(zip(found, names, strict=True))[:ROWS]
     panels: list[Panel] = []
     for view, name in shown:
-        window = views.object_window(view.inside)
+        window = object_views.object_window(view.inside)
         sd = np.where(view.inside, view.sd.mean(axis=-1), np.nan)
         level = np.where(view.inside, view.picture.mean(axis=-1), np.nan)
         top = float(f"{np.nanpercentile(sd, 99):.1g}") if view.inside.any() else 1.0
         picture = tone_mapped(view.picture, view.inside)
         relative = sd / np.maximum(level, DARK * float(np.nanmedian(level)))
         panels += [
-            (name, partial(style.draw_image, image=views.crop(picture, window))),
+            (name, partial(style.draw_image, image=object_views.crop(picture, window))),
             ("Standard deviation", partial(
-                _scaled, values=views.crop(sd, window), limits=(0, max(top, 1e-6)))),
+                _scaled, values=object_views.crop(sd, window), limits=(0, max(top, 1e-6)))),
             ("Relative to the picture", partial(
-                _scaled, values=views.crop(relative, window), limits=(0, WIDEST))),
+                _scaled, values=object_views.crop(relative, window), limits=(0, WIDEST))),
         ]  # fmt: skip
     height = CELL * len(shown) + 1.45
     block = Block(
