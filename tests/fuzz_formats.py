@@ -23,7 +23,7 @@ from PIL import Image
 from support.colmap import write_colmap
 from support.owl import write_owl
 
-from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.capture import capture_folder, load_capture
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture_folder import Description

@@ -20,11 +20,11 @@ import tyro
 from helpers import fails, run
 
 from svu_mi import scenes
-from svu_mi.batch import page
-from svu_mi.batch.capture_list import Item, read_list, require_apart
-from svu_mi.batch.page import write_index
-from svu_mi.batch.runner import BatchRunner, Commands, Ended, sentence_of, work_there
-from svu_mi.batch.steps import STEPS, key_of, read_done, words_of, write_done
+from svu_mi.cli.batch import batch_page
+from svu_mi.cli.batch.batch_page import write_index
+from svu_mi.cli.batch.capture_list import Item, read_list, require_apart
+from svu_mi.cli.batch.runner import BatchRunner, Commands, Ended, sentence_of, work_there
+from svu_mi.cli.batch.steps import STEPS, key_of, read_done, words_of, write_done
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.main import Command
 from svu_mi.cli.options import given as options_given
@@ -288,8 +288,8 @@ def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/full/batch.json")
         write_done(folder, done)
 
-    monkeypatch.setattr("svu_mi.batch.runner.write_done", written)
-    monkeypatch.setattr("svu_mi.batch.runner.Commands", lambda _: Made())
+    monkeypatch.setattr("svu_mi.cli.batch.runner.write_done", written)
+    monkeypatch.setattr("svu_mi.cli.batch.runner.Commands", lambda _: Made())
     found = {one.name: one for one in BatchRunner(output=out).run(read_list(folder))}
     assert "is a file, not a folder" in found["file"].sentence
     assert found["full"].sentence.startswith("out/full/batch.json: No space left on device; ")
@@ -302,7 +302,7 @@ def test_a_file_that_vanishes_while_it_is_looked_at_is_a_row(shelf_of, tmp_path,
     def vanished(*_):
         raise FileNotFoundError(errno.ENOENT, "No such file or directory", "view_0001.exr")
 
-    monkeypatch.setattr("svu_mi.batch.steps.stamps", vanished)
+    monkeypatch.setattr("svu_mi.cli.batch.steps.stamps", vanished)
     outcome = BatchRunner(output=tmp_path / "out").work(Item("a", shelf_of("a") / "a"), Made())
     assert outcome.sentence.startswith("view_0001.exr: No such file or directory; ")
 
@@ -347,12 +347,12 @@ def test_a_picture_of_the_page_is_drawn_again_only_if_it_is_another(tmp_path, mo
 
     (tmp_path / "a" / "entropy").mkdir(parents=True)
     path, asked = tmp_path / "a" / "entropy" / "overview.png", []
-    monkeypatch.setattr(page, "drawing", lambda *_: asked.append(1))
+    monkeypatch.setattr(batch_page, "drawing", lambda *_: asked.append(1))
     for color in ("red", "red", "blue"):
         if not path.is_file() or color == "blue":
             Image.new("RGB", (32, 16), color).save(path)
             os.utime(path, (len(asked) + 1, len(asked) + 1))
-        page.thumbnail(tmp_path / "a")
+        batch_page.thumbnail(tmp_path / "a")
     assert len(asked) == 2
 
 

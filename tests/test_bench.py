@@ -20,8 +20,8 @@ from svu_mi.bench.accuracy import judge_posterior
 from svu_mi.bench.captures import capture_of, some_views
 from svu_mi.bench.cases import convert_glb, data_cells, own_cells
 from svu_mi.bench.experiment import Bench, Experiment
+from svu_mi.bench.markdown import Bar, bar_table
 from svu_mi.bench.problem_sizes import Sizes
-from svu_mi.bench.report import Bar, bar_table
 from svu_mi.bench.result_cache import Store, key_of
 from svu_mi.bench.study import Asked, Study, run_bench
 from svu_mi.capture.scene import load_scene

@@ -14,14 +14,14 @@ from scipy import stats
 
 from svu_mi.bench import speed
 from svu_mi.bench.cases import own_cells
-from svu_mi.bench.estimators import Variant
+from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import Bench
 from svu_mi.bench.guidance import Shoot
-from svu_mi.bench.guidance.tables import compare, mean_gain, times_as_many, views_needed
+from svu_mi.bench.guidance.guidance_tables import compare, mean_gain, times_as_many, views_needed
 from svu_mi.bench.problem_sizes import GuidanceSizes, RecoverySizes, Sizes
 from svu_mi.bench.recovery import Judge, Relit, under_another_light
 from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER, SH_PATH
-from svu_mi.bench.recovery.tables import find_bars
+from svu_mi.bench.recovery.recovery_tables import find_bars
 from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.evaluation.image_metrics import CEILING_DB

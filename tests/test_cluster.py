@@ -14,7 +14,7 @@ import pytest
 from helpers import run
 
 from svu_mi import scenes
-from svu_mi.batch import runner
+from svu_mi.cli.batch import runner
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import SvuError
 

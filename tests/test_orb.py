@@ -18,13 +18,21 @@ from svu_mi import scenes
 from svu_mi.bench import orb
 from svu_mi.bench.cases import own_cells
 from svu_mi.bench.experiment import Bench
-from svu_mi.bench.orb import ROWS, STUDY, OrbSizes, Setting, chosen_captures, chosen_rows, dataset
-from svu_mi.bench.orb import metrics as orb_metrics
+from svu_mi.bench.orb import (
+    ROWS,
+    STUDY,
+    OrbSizes,
+    Setting,
+    chosen_captures,
+    chosen_rows,
+    dataset,
+    orb_metrics,
+)
 from svu_mi.bench.orb.dataset import DatasetSizes, find_captures, render_dataset
-from svu_mi.bench.orb.metrics import orb_albedo_error, orb_error
-from svu_mi.bench.orb.tables import GREY, orb_lines
-from svu_mi.bench.orb.targets import Target, judge_pictures
-from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.bench.orb.orb_metrics import orb_albedo_error, orb_error
+from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.bench.orb.orb_tables import GREY, orb_lines
+from svu_mi.bench.orb.orb_targets import Target, judge_pictures
 from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.image_io import read_planes

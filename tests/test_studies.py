@@ -11,12 +11,12 @@ import svu_mi as svu
 from svu_mi.bench import BENCHMARKS, calibration, light, paper, scaling
 from svu_mi.bench.captures import FRONT, uneven_views
 from svu_mi.bench.cases import own_cells
-from svu_mi.bench.estimators import Variant
+from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import Bench
 from svu_mi.bench.paper import figure9, table2, table3
 from svu_mi.bench.problem_sizes import RecoverySizes, Sizes
 from svu_mi.bench.scaling import line, repeated
-from svu_mi.bench.speed import go_all_the_way, kernels
+from svu_mi.bench.speed import go_all_the_way, timed_kernels
 from svu_mi.bench.study import Asked, study_of
 from svu_mi.bench.timing import in_new_process, run, spread
 from svu_mi.capture.scene import to_world
@@ -82,17 +82,17 @@ def test_parts_of_the_paper_are_chosen_by_name(tmp_path):
 
 
 def test_the_survey_and_both_bare_ways_trace_the_same_rays():
-    capture = kernels.fine_capture(3, 24)
+    capture = timed_kernels.fine_capture(3, 24)
     layout = svu.texels(capture.mesh, 32)
     views, surface = pack_views(capture), Surface.of(layout)
-    rays = kernels.record_rays(views, surface)
+    rays = timed_kernels.record_rays(views, surface)
     slot = np.array(rays.slot).reshape(3, layout.count)
-    traced = slot != kernels.NO_RAY
+    traced = slot != timed_kernels.NO_RAY
     np.testing.assert_array_equal(slot[traced], np.arange(rays.count))
     normal = np.array(layout.geometric_normal)[:, np.nonzero(traced)[1]]
     assert (np.array(rays.direction) * normal).sum(axis=0).min() > 0
     assert (traced.sum(axis=0) >= np.array(survey(views, surface).coverage)).all()
-    found = kernels.measure_gather(capture, 32, 1)
+    found = timed_kernels.measure_gather(capture, 32, 1)
     assert found["triangles"] > 70_000 and 0 < found["rays"] == rays.count
     free = {way["free"] for way in found["ways"].values()}
     assert len(free) == 1 and 0 < free.pop() < rays.count

@@ -24,7 +24,7 @@ import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
-from svu_mi.bench.report import Column, columns, digits, table
+from svu_mi.bench.markdown import Column, columns, digits, table
 from svu_mi.bench.study import Asked, Study
 from svu_mi.evaluation.correlation import pearson, sparsification, spearman
 from svu_mi.evaluation.credible_sets import credible_coverage, nearest_cells

@@ -16,7 +16,7 @@ import numpy as np
 
 from svu_mi.bench.captures import Truth
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
-from svu_mi.bench.report import Bar, Column, columns, digits
+from svu_mi.bench.markdown import Bar, Column, columns, digits
 from svu_mi.bench.study import Asked, Study
 from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import LightEstimate

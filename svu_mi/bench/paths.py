@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
-from svu_mi.bench.estimators import Variant
+from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
-from svu_mi.bench.report import Column, columns, digits
+from svu_mi.bench.markdown import Column, columns, digits
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.evaluation.correlation import pearson

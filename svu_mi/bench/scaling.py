@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
-from svu_mi.bench.report import Bar, Column, columns, digits, seconds
+from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import allocated_mib, run, spread
 from svu_mi.capture.capture import Capture

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from svu_mi.bench import BENCHMARKS
 from svu_mi.bench.cases import Cell
-from svu_mi.bench.estimators import VARIANTS, Variant
+from svu_mi.bench.compared_estimators import VARIANTS, Variant
 from svu_mi.bench.experiment import Bench, Experiment, Record
-from svu_mi.bench.report import Bar, bar_table, left_out, save
+from svu_mi.bench.markdown import Bar, bar_table, left_out, save
 from svu_mi.core.io.files import prepare_folder, write_text
 from svu_mi.core.validation import require_known
 from svu_mi.errors import OptionError

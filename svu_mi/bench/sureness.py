@@ -20,7 +20,7 @@ import numpy as np
 from svu_mi.bench.captures import Truth, chosen_views, nearest_to_front, some_views, uneven_views
 from svu_mi.bench.cases import Cell, chosen_cells
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
-from svu_mi.bench.report import Bar, Column, columns, digits, seconds
+from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import Pictures

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 from svu_mi import __version__
-from svu_mi.cli.batch import Batch
+from svu_mi.cli.batch.batch import Batch
 from svu_mi.cli.bench import Bench
 from svu_mi.cli.check import CheckCapture
 from svu_mi.cli.common import was_interrupted

@@ -16,7 +16,7 @@ from trimesh.visual.material import PBRMaterial
 from support.colmap import write_colmap
 from support.owl import write_owl
 from support.photographs import white_of
-from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.calibration.checks.surface_samples import base_color
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import quantized, srgb

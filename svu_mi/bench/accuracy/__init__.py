@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.accuracy.tables import (
+from svu_mi.bench.accuracy.accuracy_tables import (
     accuracy_tables,
     agreement_lines,
     curves,
@@ -17,7 +17,7 @@ from svu_mi.bench.accuracy.tables import (
     summarize,
     time_error,
 )
-from svu_mi.bench.estimators import Variant
+from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import Timed, warm

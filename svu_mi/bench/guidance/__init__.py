@@ -14,7 +14,7 @@ import numpy as np
 from svu_mi.bench.captures import Truth, chosen_views
 from svu_mi.bench.cases import Cell
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
-from svu_mi.bench.guidance.tables import draw_guidance, find_bars, guidance_tables
+from svu_mi.bench.guidance.guidance_tables import draw_guidance, find_bars, guidance_tables
 from svu_mi.bench.problem_sizes import GuidanceSizes
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.sensors import bounding_sphere, directions_of

@@ -17,8 +17,8 @@ import numpy as np
 
 from svu_mi.bench.experiment import Bench, Experiment, Record, file_name
 from svu_mi.bench.orb.dataset import find_captures, own_dataset
-from svu_mi.bench.orb.tables import draw_pictures, orb_lines, orb_tables, write_csv
-from svu_mi.bench.orb.targets import Target, judge_albedo, judge_pictures
+from svu_mi.bench.orb.orb_tables import draw_pictures, orb_lines, orb_tables, write_csv
+from svu_mi.bench.orb.orb_targets import Target, judge_albedo, judge_pictures
 from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.recovery import figures, run_warm
 from svu_mi.bench.recovery import methods as ways

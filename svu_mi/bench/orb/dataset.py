@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from svu_mi.bench.captures import contents
 from svu_mi.bench.cases import Cell, own_cells
 from svu_mi.bench.experiment import Bench
-from svu_mi.bench.orb.targets import albedo_pictures
-from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.bench.orb.orb_targets import albedo_pictures
 from svu_mi.bench.result_cache import Store
 from svu_mi.capture.importers.stanford_orb import SUFFIXES, TRUTH
 from svu_mi.capture.mesh import arrays

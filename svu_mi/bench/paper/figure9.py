@@ -30,8 +30,8 @@ import scipy
 from svu_mi.bench.captures import Truth, chosen_views
 from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.guidance import Strategy
-from svu_mi.bench.guidance.tables import views_needed
-from svu_mi.bench.report import COLORS, INK, MARKS, page, table, tidy
+from svu_mi.bench.guidance.guidance_tables import views_needed
+from svu_mi.bench.markdown import COLORS, INK, MARKS, page, table, tidy
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.geometry.texels import Texels, texels

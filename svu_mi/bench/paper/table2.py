@@ -23,8 +23,8 @@ import numpy as np
 
 from svu_mi.bench.captures import Truth, uneven_views
 from svu_mi.bench.experiment import OnCell, Record
+from svu_mi.bench.markdown import Column, columns, digits, table
 from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, Row
-from svu_mi.bench.report import Column, columns, digits, table
 from svu_mi.capture.capture import Capture
 from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels

@@ -22,7 +22,7 @@ import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import OnCell, Record
-from svu_mi.bench.report import Column, columns, digits
+from svu_mi.bench.markdown import Column, columns, digits
 from svu_mi.evaluation.correlation import pearson
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior.tabulated import tabulated_posterior

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.experiment import Bench, Experiment, Record
+from svu_mi.bench.markdown import Bar
 from svu_mi.bench.real.predictors import MEANS, POSTERIOR, WAYS, Score, Way
-from svu_mi.bench.real.tables import draw_real, real_tables
-from svu_mi.bench.report import Bar
+from svu_mi.bench.real.real_tables import draw_real, real_tables
 from svu_mi.bench.study import Asked, Study
 from svu_mi.calibration.exposure import equalized, estimate_gains
 from svu_mi.calibration.light.estimate_light import estimate_light

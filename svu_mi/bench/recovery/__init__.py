@@ -15,7 +15,7 @@ from svu_mi.bench.cases import Cell, chosen_cells
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
 from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.recovery.methods import Row, choose_rows
-from svu_mi.bench.recovery.tables import draw_recovery, find_bars, recovery_tables
+from svu_mi.bench.recovery.recovery_tables import draw_recovery, find_bars, recovery_tables
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import Timed, warm
 from svu_mi.capture.capture import Capture

@@ -15,17 +15,17 @@ import numpy as np
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.cases import Cell
-from svu_mi.bench.estimators import VARIANTS, Variant
+from svu_mi.bench.compared_estimators import VARIANTS, Variant
 from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
-from svu_mi.bench.report import Bar
-from svu_mi.bench.speed.kernels import (
+from svu_mi.bench.markdown import Bar
+from svu_mi.bench.speed.speed_tables import scaling, speed_tables
+from svu_mi.bench.speed.timed_kernels import (
     MIN_TRIANGLES,
     RATIO_BAR,
     fine_capture,
     kernels_of,
     measure_gather,
 )
-from svu_mi.bench.speed.tables import scaling, speed_tables
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import WARM_UP, in_new_process, once, spread, warm
 from svu_mi.capture.capture import Capture

@@ -12,9 +12,9 @@ from urllib.parse import quote
 
 import numpy as np
 
-from svu_mi.batch.capture_list import INDEX, TABLE
-from svu_mi.batch.runner import Outcome
-from svu_mi.batch.steps import STEPS
+from svu_mi.cli.batch.capture_list import INDEX, TABLE
+from svu_mi.cli.batch.runner import Outcome
+from svu_mi.cli.batch.steps import STEPS
 from svu_mi.core.io.files import write_text
 from svu_mi.output.html import Picture, drawing, write_page
 

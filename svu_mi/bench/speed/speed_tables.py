@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svu_mi.bench.experiment import Record
-from svu_mi.bench.report import (
+from svu_mi.bench.markdown import (
     COLORS,
     INK,
     Column,

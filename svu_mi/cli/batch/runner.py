@@ -19,8 +19,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from svu_mi.batch.capture_list import PATHS, Item
-from svu_mi.batch.steps import STEPS, inputs_key, key_of, read_done, words_of, write_done
+from svu_mi.cli.batch.capture_list import PATHS, Item
+from svu_mi.cli.batch.steps import STEPS, inputs_key, key_of, read_done, words_of, write_done
 from svu_mi.core.io.files import prepare_folder, read_json
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.limits import FEWEST_THREADS
@@ -270,7 +270,7 @@ class Commands:
         """Run ``svu`` with words, to its end."""
         own = [str(os.getpid()), str(self._memory)]
         # -P: Python would look for every module in the working directory first.
-        line = [sys.executable, "-P", "-m", "svu_mi.batch.child_process", *own, *words]
+        line = [sys.executable, "-P", "-m", "svu_mi.cli.batch.child_process", *own, *words]
         with self._lock:
             if self._over:
                 return Ended(INTERRUPTED, "not begun", 0)

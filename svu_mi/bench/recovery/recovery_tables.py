@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.bench.experiment import Record
-from svu_mi.bench.recovery.methods import PATH, ROWS, SH, SH_PAPER, SH_PATH, Row
-from svu_mi.bench.report import (
+from svu_mi.bench.markdown import (
     COLORS,
     INK,
     MARKS,
@@ -25,6 +24,7 @@ from svu_mi.bench.report import (
     tidy,
     time_axis,
 )
+from svu_mi.bench.recovery.methods import PATH, ROWS, SH, SH_PAPER, SH_PATH, Row
 from svu_mi.parameters import NAMES
 
 if TYPE_CHECKING:

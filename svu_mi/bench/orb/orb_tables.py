@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.experiment import Record
-from svu_mi.bench.orb.metrics import channel_scale
-from svu_mi.bench.orb.targets import FIGURES, Target
-from svu_mi.bench.report import FAINT, INK, number, page, seconds, table
+from svu_mi.bench.markdown import FAINT, INK, number, page, seconds, table
+from svu_mi.bench.orb.orb_metrics import channel_scale
+from svu_mi.bench.orb.orb_targets import FIGURES, Target
 from svu_mi.capture.image_io import srgb
 from svu_mi.core.io.files import replacing
 from svu_mi.output.style import save_figure
@@ -106,7 +106,7 @@ def _heading(record: Record) -> str:
     text = (
         f"Captures: {len(captures)}; photographs reduced to {first['film']} pixels, "
         f"{first['resolution']} x {first['resolution']} texels. Means and standard deviations over "
-        "captures, by the rules of the data set (`svu_mi/bench/orb/metrics.py`). Relighting: "
+        "captures, by the rules of the data set (`svu_mi/bench/orb/orb_metrics.py`). Relighting: "
         f"photographs of the object in other places ({count} in all), each under its own "
         "light, channels scaled. New views: test "
         "photographs of the same place, not scaled. Base colour: against the data set's own, "

@@ -20,7 +20,7 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 
 if TYPE_CHECKING:
-    from svu_mi.batch.runner import BatchRunner, Outcome
+    from svu_mi.cli.batch.runner import BatchRunner, Outcome
 
 Address = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
 FAILED = 1  # exit status if a capture failed
@@ -55,8 +55,8 @@ class Batch(Common):
 
     def run(self, console: Console) -> int:
         """Work on all captures, and write the page after each."""
-        from svu_mi.batch.capture_list import read_list, require_apart
-        from svu_mi.batch.page import write_index
+        from svu_mi.cli.batch.batch_page import write_index
+        from svu_mi.cli.batch.capture_list import read_list, require_apart
 
         runner, items = self._runner(), read_list(self.captures)
         require_apart(self.output, items)
@@ -86,8 +86,8 @@ class Batch(Common):
 
     def _runner(self) -> BatchRunner:
         """Return how captures are worked on."""
-        from svu_mi.batch.runner import BatchRunner
-        from svu_mi.batch.steps import STEPS
+        from svu_mi.cli.batch.runner import BatchRunner
+        from svu_mi.cli.batch.steps import STEPS
 
         require_range("--workers", self.workers, 1)
         if self.scheduler and self.workers > 1:

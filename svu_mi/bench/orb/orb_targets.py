@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.bench.orb.metrics import OrbError, orb_albedo_error, orb_error
+from svu_mi.bench.orb.orb_metrics import OrbError, orb_albedo_error, orb_error
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import decoded, read_planes
 from svu_mi.capture.importers.envmap import read_environment_map

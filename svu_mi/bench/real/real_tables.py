@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svu_mi.bench.experiment import Record
+from svu_mi.bench.markdown import COLORS, FAINT, MARKS, Column, columns, digits, page, seconds, tidy
 from svu_mi.bench.real.predictors import LEVELS
-from svu_mi.bench.report import COLORS, FAINT, MARKS, Column, columns, digits, page, seconds, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

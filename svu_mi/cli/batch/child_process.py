@@ -1,6 +1,6 @@
 """A command in a process of its own, which ends with the batch that started it.
 
-    python -m svu_mi.batch.child_process PARENT MEMORY entropy capture -o out/entropy ...
+    python -m svu_mi.cli.batch.child_process PARENT MEMORY entropy capture -o out/entropy ...
 
 MEMORY is the number of bytes that it may take; 0 for all.
 """

@@ -8,8 +8,19 @@ import numpy as np
 import scipy
 
 from svu_mi.bench.experiment import Record
+from svu_mi.bench.markdown import (
+    COLORS,
+    INK,
+    MARKS,
+    Bar,
+    Column,
+    columns,
+    number,
+    page,
+    table,
+    tidy,
+)
 from svu_mi.bench.problem_sizes import GuidanceSizes
-from svu_mi.bench.report import COLORS, INK, MARKS, Bar, Column, columns, number, page, table, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

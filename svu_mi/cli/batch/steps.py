@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from svu_mi import __version__
-from svu_mi.batch.capture_list import OPTIONS, Item, places_of, real
 from svu_mi.capture.capture_folder import FILE, read, stamps
+from svu_mi.cli.batch.capture_list import OPTIONS, Item, places_of, real
 from svu_mi.core.io.files import read_json, write_json
 from svu_mi.core.io.folder_exchange import DRAFT
 from svu_mi.core.io.hashes import Key
