@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
     from svu_mi.capture.importers.registry import read_source
     from svu_mi.capture.importers.source import Light
-    from svu_mi.capture.load_capture import load_capture
-    from svu_mi.capture.render_capture import render_capture
+    from svu_mi.capture.loading import load_capture
+    from svu_mi.capture.rendering import render_capture
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.evaluation.reference import Reference
     from svu_mi.evaluation.reference_posterior import reference_posterior

@@ -24,7 +24,7 @@ from support.colmap import write_colmap
 from support.owl import write_owl
 
 from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
-from svu_mi.capture import capture_folder, load_capture
+from svu_mi.capture import capture_folder, loading
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.image_io import open_picture
@@ -38,7 +38,7 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.registry import read_source
 from svu_mi.capture.importers.resampling import fitted, squared
 from svu_mi.capture.importers.source import Frame, Light, Source
-from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap, unwrapped
 from svu_mi.cli.main import main
@@ -127,7 +127,7 @@ def response(folder: Path, out: Path) -> None:
 
 def capture(folder: Path, out: Path) -> None:
     """Read a capture folder, without what is kept there when a mesh has lost its UVs."""
-    with mock.patch.object(load_capture, "unwrapped", lambda shape, _: unwrapped(shape, None)):
+    with mock.patch.object(loading, "unwrapped", lambda shape, _: unwrapped(shape, None)):
         load_capture(folder)
 
 

@@ -24,7 +24,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers import axis_fixes
 from svu_mi.capture.importers.resampling import squared
 from svu_mi.capture.importers.source import Frame, Source
-from svu_mi.capture.render_capture import render_capture
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors

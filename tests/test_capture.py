@@ -13,14 +13,14 @@ import pytest
 from helpers import ball, fails, names, run, sensor_xml, write_scene
 from PIL import Image
 
-from svu_mi.capture import render_capture
+from svu_mi.capture import rendering
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.image_io import open_picture
-from svu_mi.capture.load_capture import load_capture, plan_photographs
 from svu_mi.capture.load_warnings import ignored
+from svu_mi.capture.loading import load_capture, plan_photographs
 from svu_mi.capture.match_photographs import NoPhotographsError
 from svu_mi.capture.mesh import arrays, make
-from svu_mi.capture.render_capture import render_capture
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.capture.unwrap import unwrap
@@ -174,7 +174,7 @@ def test_a_capture_folder_and_other_images_are_a_capture(tmp_path):
 @pytest.fixture
 def stopping(monkeypatch):
     """Stops a render before view 2, once; keeps the numbers of the views that are rendered."""
-    render, seen = render_capture._radiance, []
+    render, seen = rendering._radiance, []
 
     def stop(scene, sensor, spp, seed):  # the seed of view k is k
         if seed == 2 and 2 not in seen:
@@ -183,7 +183,7 @@ def stopping(monkeypatch):
         seen.append(seed)
         return render(scene, sensor, spp, seed)
 
-    monkeypatch.setattr(render_capture, "_radiance", stop)
+    monkeypatch.setattr(rendering, "_radiance", stop)
     return seen
 
 

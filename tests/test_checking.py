@@ -39,7 +39,7 @@ from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.importers.axis_fixes import FIXES, fixes_named, turn_of
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, OPENGL
-from svu_mi.capture.render_capture import object_mask
+from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import sphere_sensors

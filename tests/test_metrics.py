@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import ball_scene, memory_capture
 
-from svu_mi.capture.render_capture import render_capture
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.errors import OptionError, SceneError, ShapeError
 from svu_mi.evaluation.correlation import (

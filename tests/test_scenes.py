@@ -11,7 +11,7 @@ from PIL import Image
 
 from svu_mi import scenes
 from svu_mi.capture.mesh import arrays
-from svu_mi.capture.render_capture import object_mask
+from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_environment, find_sensors, find_shape, load_scene
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError, OutputError

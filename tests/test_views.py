@@ -11,9 +11,9 @@ import pytest
 from helpers import ball_scene, memory_capture, write_scene
 
 from svu_mi import scenes
-from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.pixel_buffer import PixelBuffer
-from svu_mi.capture.render_capture import render_capture
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sensors
 from svu_mi.errors import CaptureError

@@ -14,8 +14,8 @@ from svu_mi.bench.problem_sizes import Sizes
 from svu_mi.bench.result_cache import Store, key_of
 from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.load_capture import load_capture
-from svu_mi.capture.render_capture import render_capture
+from svu_mi.capture.loading import load_capture
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.core.io.hashes import digest_of_file

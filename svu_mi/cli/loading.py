@@ -54,7 +54,7 @@ class CaptureCommand(Common):
         """
         from svu_mi.capture.crop import Detail
         from svu_mi.capture.match_photographs import has_photographs
-        from svu_mi.capture.render_capture import require_rendered
+        from svu_mi.capture.rendering import require_rendered
         from svu_mi.geometry.texels import texels
 
         photographs = self.capture.photographs
@@ -110,7 +110,7 @@ class CaptureCommand(Common):
             ) from error
 
     def _render(self, progress: Progress, need: NeedOf) -> Capture:
-        from svu_mi.capture.render_capture import plan_render
+        from svu_mi.capture.rendering import plan_render
 
         source, unwrap = self.capture.source, self.capture.rendering.unwrap
         with progress.stage("Rendering photographs") as stage:
@@ -164,7 +164,7 @@ def read_capture(
     unwrap: bool = False,
 ) -> Capture:
     """Plan a capture, check its memory, and read it (see ``capture.loading.plan_capture``)."""
-    from svu_mi.capture.load_capture import plan_capture
+    from svu_mi.capture.loading import plan_capture
 
     with progress.stage("Loading the capture"):
         plan = plan_capture(

@@ -41,7 +41,7 @@ class Render(Common):
 
     def run(self, console: Console) -> int:
         """Render the views."""
-        from svu_mi.capture.render_capture import VIEWS
+        from svu_mi.capture.rendering import VIEWS
 
         size, defines = pair(self.resolution, "--resolution"), self.source.defines()
         require_spp(self.spp, "--spp")
@@ -56,7 +56,7 @@ class Render(Common):
     def _render(
         self, progress: Progress, size: tuple[int, int], defines: dict[str, str], place: Claim
     ) -> int:
-        from svu_mi.capture.render_capture import plan_render
+        from svu_mi.capture.rendering import plan_render
 
         with progress.stage("Rendering photographs") as stage:
             plan = plan_render(

@@ -29,7 +29,7 @@ from helpers import ball, foreign_source, names, write_scene
 from svu_mi import scenes
 from svu_mi.calibration.light.light_folder import load_light
 from svu_mi.capture.importers.nerf import write_transforms
-from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.output_folder import CHECKPOINT

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from svu_mi.capture import capture_folder
-from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.sensors import make_sensor
 from svu_mi.core.limits import MAX_VIEWS, require_views
 from svu_mi.errors import CaptureError, OptionError

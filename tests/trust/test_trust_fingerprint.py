@@ -13,7 +13,7 @@ from helpers import ball, memory_capture, python, sensor_xml, write_scene
 
 import svu_mi as svu
 from svu_mi.capture.content_hash import Key, capture_key, capture_parts
-from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import make
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError, SvuWarning

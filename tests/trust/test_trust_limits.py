@@ -14,7 +14,7 @@ from helpers import fails, sensor_xml, write_scene
 from svu_mi import scenes
 from svu_mi.capture.crop import Window
 from svu_mi.capture.photographs import open_photographs, read_photographs
-from svu_mi.capture.render_capture import render_capture
+from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import load_scene
 from svu_mi.core import limits
 from svu_mi.core.io.exr import read_exr, read_header, write_exr

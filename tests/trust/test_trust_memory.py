@@ -17,7 +17,7 @@ from svu_mi import scenes
 from svu_mi.capture import mesh
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
-from svu_mi.capture.load_capture import plan_capture
+from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.cli.loading import announce_sizes
 from svu_mi.core import memory

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import ball, python, sensor_xml, write_ball, write_scene
 
-from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import MeshArrays, arrays, make, read_ply, write_ply
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import ball, fails, lettered, names, run, write_scene
 
-from svu_mi.capture import load_capture
+from svu_mi.capture import loading
 from svu_mi.core.io.exr import read_header, write_exr
 from svu_mi.core.io.files import stamp, stamped, write_json
 from svu_mi.core.io.provenance import are_of_one_capture, marks_of, require_one_run
@@ -140,7 +140,7 @@ def test_a_photograph_of_another_run_is_refused(made, tmp_path, capsys):
 def test_a_capture_that_is_exchanged_while_it_is_read_is_refused(made, monkeypatch):
     shot = shutil.copytree(made / "a" / "shot", made / "a" / "exchanged")
 
-    read = load_capture.read_photographs
+    read = loading.read_photographs
 
     def exchange(*arguments, **options):
         found = read(*arguments, **options)
@@ -148,9 +148,9 @@ def test_a_capture_that_is_exchanged_while_it_is_read_is_refused(made, monkeypat
         return found
 
     with monkeypatch.context() as patch:
-        patch.setattr(load_capture, "read_photographs", exchange)
+        patch.setattr(loading, "read_photographs", exchange)
         with pytest.raises(CaptureError, match="changed while it was being read; load it again"):
-            load_capture.load_capture(shot)
+            loading.load_capture(shot)
 
 
 def test_textures_made_by_hand_are_anybody_s(result, tmp_path):

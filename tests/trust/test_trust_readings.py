@@ -16,7 +16,7 @@ from svu_mi.capture.image_io import decoded, open_picture, read_planes
 from svu_mi.capture.importers.convert_photographs import about, convert
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.source import Frame, Light
-from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.photographs import SATURATED
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, SceneError, SvuWarning

@@ -28,7 +28,7 @@ from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
 from svu_mi.capture.importers.stanford_orb import Split, read_orb, read_views
-from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.validation import require_known
 from svu_mi.geometry.texels import Texels, texels

@@ -25,7 +25,7 @@ from svu_mi.bench.orb.orb_targets import albedo_pictures
 from svu_mi.bench.result_cache import Store
 from svu_mi.capture.importers.stanford_orb import SUFFIXES, TRUTH
 from svu_mi.capture.mesh import arrays
-from svu_mi.capture.render_capture import object_mask
+from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_environment, find_shape, load_scene, to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor, sphere_sensors
 from svu_mi.core.progress import Progress

@@ -19,7 +19,7 @@ from svu_mi.bench.recovery.recovery_tables import draw_recovery, find_bars, reco
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import Timed, warm
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.render_capture import object_mask
+from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError

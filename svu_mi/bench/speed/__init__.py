@@ -29,7 +29,7 @@ from svu_mi.bench.speed.timed_kernels import (
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import WARM_UP, in_new_process, once, spread, warm
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.load_capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
 from svu_mi.evaluation.correlation import pearson

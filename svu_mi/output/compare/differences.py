@@ -20,7 +20,7 @@ from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import mesh_key
 from svu_mi.capture.crop import Detail
-from svu_mi.capture.load_capture import plan_capture
+from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.mesh import make, read_ply
 from svu_mi.core.io.files import read_json
 from svu_mi.core.io.folder_exchange import restore

@@ -19,7 +19,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.content_hash import integrator_key, scene_key
 from svu_mi.capture.film_rays import Pictures
-from svu_mi.capture.load_capture import map_size, plan_photographs
+from svu_mi.capture.loading import map_size, plan_photographs
 from svu_mi.capture.mesh import covered_by_charts
 from svu_mi.capture.scene import (
     find_environment,
