@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from svu_mi.capture.rendering import render_capture
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.evaluation.reference import Reference
-    from svu_mi.evaluation.reference_posterior import reference_posterior
+    from svu_mi.evaluation.traced_posterior import reference_posterior
     from svu_mi.frequency.fit_sh import fit_sh
     from svu_mi.frequency.harmonics import power_spectrum
     from svu_mi.geometry.texels import Texels, texels

@@ -18,9 +18,9 @@ from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
-from svu_mi.evaluation import path_trace, reference_posterior, visible_pairs
-from svu_mi.evaluation.reference_posterior import reference_posterior
+from svu_mi.evaluation import path_trace, traced_posterior, visible_pairs
 from svu_mi.evaluation.squared_errors import PerTexel, brute, linear
+from svu_mi.evaluation.traced_posterior import reference_posterior
 from svu_mi.geometry.texels import texels
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.grid import PrincipledGrid
@@ -238,12 +238,12 @@ def ball_part(tmp_path, kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
 def asked(monkeypatch):
     """Pairs and traced halves that a reference asks for, in lists that fill up."""
     found, rendered = [], []
-    find, render = reference_posterior.visible_pairs, reference_posterior.trace
+    find, render = traced_posterior.visible_pairs, traced_posterior.trace
     monkeypatch.setattr(
-        reference_posterior, "visible_pairs", lambda *args: found.append(find(*args)) or found[-1]
+        traced_posterior, "visible_pairs", lambda *args: found.append(find(*args)) or found[-1]
     )
     monkeypatch.setattr(
-        reference_posterior, "trace", lambda *args: rendered.append(render(*args)) or rendered[-1]
+        traced_posterior, "trace", lambda *args: rendered.append(render(*args)) or rendered[-1]
     )
     return found, rendered
 
@@ -343,7 +343,7 @@ def test_weights_go_through_the_four_corners():
 @pytest.mark.slow
 def test_batches_change_nothing_but_the_random_numbers(capture, layout, monkeypatch):
     whole = reference_posterior(capture, layout, 60, 32, grid=GRID, seed=SEED)
-    monkeypatch.setattr(reference_posterior, "LANES", 600)  # 25 texels of 24 views
+    monkeypatch.setattr(traced_posterior, "LANES", 600)  # 25 texels of 24 views
     parts = reference_posterior(capture, layout, 60, 32, grid=GRID, seed=SEED)
     assert np.array_equal(parts.subset, whole.subset)
     assert np.array_equal(parts.coverage, whole.coverage)
@@ -410,7 +410,7 @@ def test_split_half_tells_noise(capture, layout):
 @pytest.mark.slow
 def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch):
     """After two renders of the first batch, everything is found in the cache."""
-    monkeypatch.setattr(reference_posterior, "LANES", 600)
+    monkeypatch.setattr(traced_posterior, "LANES", 600)
     monkeypatch.setattr(path_trace, "LANES", 500)
     done: list[int] = []
 
@@ -461,7 +461,7 @@ def traced(monkeypatch):
         calls.append(1)
         return path_trace.trace(*args, **kwargs)
 
-    monkeypatch.setattr(reference_posterior, "trace", counted)
+    monkeypatch.setattr(traced_posterior, "trace", counted)
     return calls
 
 

@@ -111,7 +111,7 @@ def test_the_page_fits_and_asks_for_nothing(browser, written, width, dark):
     assert shown.overflow == 0
     assert shown.requests == [] and shown.complaints == []
     pictures = shown.evaluate("[...document.images].map(i => i.complete && i.naturalWidth > 0)")
-    assert len(report_pictures) > 30 and all(report_pictures)
+    assert len(pictures) > 30 and all(pictures)
     small = "[...document.querySelectorAll('p, td, figcaption, dd')].filter(e => e.innerText)"
     sizes = shown.evaluate(f"{small}.map(e => parseFloat(getComputedStyle(e).fontSize))")
     assert min(sizes) >= 13

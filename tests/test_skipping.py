@@ -293,7 +293,8 @@ def test_pictures_and_record_of_what_is_known(grey, tmp_path):
 
     from matplotlib import pyplot as plt
 
-    from svu_mi.output import panels, write_outputs
+    from svu_mi.output import panels
+    from svu_mi.output.write_entropy import write_outputs
 
     capture, texels = grey
     result = estimate(capture, texels, known={"metallic": 0.25})

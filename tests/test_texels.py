@@ -11,7 +11,7 @@ from helpers import ball
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.unwrap import unwrap, unwrapped
 from svu_mi.errors import MeshError, OptionError, ShapeError
-from svu_mi.geometry import texels
+from svu_mi.geometry import texels as texels_module
 from svu_mi.geometry.rasterize_uv import rasterize
 from svu_mi.geometry.texels import texels
 
@@ -150,7 +150,7 @@ def test_an_empty_mesh_cannot_be_unwrapped():
 
 def test_texels_interpolated_some_at_a_time_are_the_same(monkeypatch, vase):
     whole = texels(vase.capture.mesh, 64)
-    monkeypatch.setattr(texels, "CHUNK", 333)
+    monkeypatch.setattr(texels_module, "CHUNK", 333)
     parts = texels(vase.capture.mesh, 64)
     for name in ("position", "normal", "geometric_normal", "uv", "footprint"):
         one, other = (np.array(getattr(found, name)) for found in (parts, whole))

@@ -1,1 +1,1 @@
-"""What was seen: scene, sensors, photographs, masks, exposures."""
+"""A capture: scene, sensors, photographs with masks and exposures."""

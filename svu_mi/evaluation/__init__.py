@@ -1,6 +1,5 @@
-"""How good an uncertainty is, against a reference posterior and against the truth; how good
-recovered textures are, and pictures made with them.
+"""Ground truth and figures of merit: a path-traced posterior, metrics, predicted photographs.
 
-Plain NumPy and SciPy. Nothing here returns NaN: where a figure is not defined, such as the
+Metrics are NumPy and SciPy. Nothing here returns NaN: where a figure is not defined, such as the
 correlation with a constant, the docstring says what comes instead.
 """

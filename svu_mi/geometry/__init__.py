@@ -1,1 +1,1 @@
-"""Texels of a UV-mapped mesh as surface points, their neighbours, gutters around their charts."""
+"""The surface in texels, and which photograph shows which of them."""

@@ -4,7 +4,8 @@ If psi_0 is true, the photographs' spectrum is S_L' Ks_0^2 e_l, and Eq. 11 becom
 
     d(psi_0, psi) = sum_{l=1}^{l*} (Ks_0^2 e_l(alpha_0) - Ks^2 e_l(alpha))^2 S_L'(l)^2.
 
-A candidate is a rank-1 change of the fit of the mirrored light S_L' (``frequency/solve_primal.py``).
+A candidate is a rank-1 change of the fit of the mirrored light S_L'
+(``frequency/solve_primal.py``).
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The light of a capture: read, filtered for lobes, gathered into cells."""
+"""The light of a capture: read, filtered for lobes, in cells, and which of these texels see."""

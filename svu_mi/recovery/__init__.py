@@ -1,1 +1,1 @@
-"""SVBRDF recovery: textures from photographs."""
+"""SVBRDF recovery: textures from photographs, their uncertainty, and what nobody saw."""

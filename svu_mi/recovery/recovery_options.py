@@ -80,7 +80,7 @@ class ShOptions:
         tv_epsilon: differences far below it count as squares; 0, as printed, for absolute values.
         sharing: weight of a ``GlobalSharing``, if there is any. A prior in common has none, but
             there is none either if this is 0.
-        common_prior: share by a prior that texels have in common (``posterior/empirical_bayes.py``);
+        common_prior: share by a prior of all texels (``posterior/empirical_bayes.py``);
             else as the paper prints Eq. 14 and 15 (``GlobalSharing.printed``), by the posterior
             of Eq. 11.
         descent: how to descend.

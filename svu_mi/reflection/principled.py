@@ -1,7 +1,7 @@
 """Principled parameters in the reflection model (Sec. 3.2 of the paper).
 
 Plain arithmetic for floats, NumPy and Dr.Jit arrays; dimensionless, linear colours, index of
-refraction 1.5. Radiance mixes parts of the light (``reflection/reflection_model.py``): diffuse shading e, a
+refraction 1.5. Radiance mixes parts of the light (``reflection_model.py``): diffuse shading e, a
 dielectric's lobe d, and p and q, which R0 = c scales and Fresnel adds in a metal's lobe:
 
     r = (1 - m) (c e + d) + m (c p + q).

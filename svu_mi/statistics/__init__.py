@@ -1,1 +1,1 @@
-"""What remains of the photographs: sums of all views, and what the posterior reads of them."""
+"""Sums over the views of a texel, and their square-root form, which the posterior reads."""

@@ -31,7 +31,7 @@ SCRIPT = """
 import sys
 import svu_mi, mitsuba as mi
 mi.set_variant("llvm_ad_rgb")
-from svu_mi.capture import load_capture
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import make
 from svu_mi.capture.content_hash import capture_key
 print(capture_key(load_capture(sys.argv[1], unwrap=True)))

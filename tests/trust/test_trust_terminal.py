@@ -135,7 +135,7 @@ def test_names_outside_of_ascii_are_escaped(scene, tmp_path):
 def test_a_live_line_on_a_terminal_without_unicode():
     ours, theirs = pty.openpty()
     code = (
-        "from svu_mi.cli.terminal import *; from svu_mi.core.progress import Progress; import time\n"
+        "import time; from svu_mi.cli.terminal import *; from svu_mi.core.progress import *\n"
         "with forgiving_streams():\n"
         "    with Progress(OneLine()).stage('\\xe9'): time.sleep(0.3)"
     )

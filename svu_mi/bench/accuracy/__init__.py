@@ -26,7 +26,7 @@ from svu_mi.errors import ShapeError
 from svu_mi.evaluation.correlation import pearson, sparsification, spearman
 from svu_mi.evaluation.credible_sets import credible_coverage, nearest_cells
 from svu_mi.evaluation.ground_truth import GroundTruth, error_summary, ground_truth
-from svu_mi.evaluation.reference_posterior import reference_posterior
+from svu_mi.evaluation.traced_posterior import reference_posterior
 from svu_mi.geometry.texels import Texels
 
 DIGITS = 4  # of the entropies that are kept for scatter plots

@@ -1,1 +1,1 @@
-"""Do cameras, object, light and photographs fit each other? And if not, what would make them?"""
+"""Checks whether cameras, object, light and photographs fit each other."""

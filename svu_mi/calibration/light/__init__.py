@@ -1,1 +1,1 @@
-"""Light from the photographs themselves, where nobody has measured it."""
+"""Light estimated from the photographs, where nobody has measured it."""

@@ -1,7 +1,7 @@
 """Radiance of samples under even cells of light, and the posterior of their materials.
 
 Radiance is linear in the light: r = sum_j K_j L_j over N cells, with the K of the reflection
-model (``reflection/wide_lobes.py``, ``reflection/mix_columns.py``) and traced visibility. A lobe that is
+model (``reflection/wide_lobes.py``, ``mix_columns.py``) and traced visibility. A lobe that is
 narrower than the cells is widened to their size, so that it gathers all of its light.
 """
 

@@ -1,1 +1,1 @@
-"""TODO."""
+"""``svu compare``: two results about one object, side by side."""

@@ -76,7 +76,8 @@ def write_report(
         TEMPLATE,
         title=title or _name(capture), date=f"{today.day} {today:%B %Y}",
         summary=_summary(capture, estimate, result, intervals, knowledge, table),
-        histogram=report_plots.histogram(result), marginals=list(report_plots.marginals(estimate, result)),
+        histogram=report_plots.histogram(result),
+        marginals=list(report_plots.marginals(estimate, result)),
         given=[(name, _plain(value)) for name, value in (settings or {}).items()],
         **shown, **_settings(capture, estimate), **_environment(estimate.timings),
     )  # fmt: skip
@@ -152,7 +153,7 @@ def _summary(
             for name in knowledge.known_part
         ],
         "all_settled": knowledge.all_known_part,
-        "tolerance": f"±{knowledge.tolerance:g}", "roughly": f"±{findings.ROUGHLY:g}",
+        "tolerance": f"±{knowledge.tolerance:g}", "roughly": f"±{summary_text.ROUGHLY:g}",
         "level": f"{100 * knowledge.level:g}{NARROW_SPACE}%",
         "cell": f"{max(knowledge.cell_width.values(), default=0):.2f}",
         "coarse": [words(name) for name in knowledge.cell_width],

@@ -1,1 +1,1 @@
-"""What nobody saw: texels filled by likeness, or by a model, with how sure that is."""
+"""Texels that no photograph shows: filled by symmetry or by a model, with their uncertainty."""

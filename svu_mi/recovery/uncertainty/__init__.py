@@ -1,1 +1,1 @@
-"""How sure recovered textures are: a Gaussian Markov random field around them."""
+"""Uncertainty of recovered textures: a Gaussian Markov random field around them."""

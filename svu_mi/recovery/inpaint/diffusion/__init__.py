@@ -1,1 +1,1 @@
-"""What a diffusion model makes of what nobody knows (Sec. 5.3 of the paper)."""
+"""Filling by a diffusion model (Sec. 5.3 of the paper)."""
