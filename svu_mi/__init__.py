@@ -1,17 +1,18 @@
 """Uncertainty for SVBRDF acquisition using frequency analysis, on Mitsuba 3 and Dr.Jit.
 
 ``import svu_mi as svu`` is light: it finds a usable LLVM library (``svu_mi._llvm``) and, except on
-one core (``svu_mi.core.limits``), imports nothing else. Every public name below is loaded on first
-use; no Mitsuba variant is ever set on import.
+one core, imports nothing else. Every public name below is loaded on first use; no Mitsuba
+variant is ever set on import.
 """
 
 from __future__ import annotations
 
 import importlib
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from svu_mi import _llvm
-from svu_mi.core import limits
+from svu_mi.core.memory import cores
 
 if TYPE_CHECKING:
     from svu_mi.calibration.checks.check import check
@@ -62,34 +63,41 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "Capture": "capture.record", "load_capture": "capture.loading",
-    "render_capture": "capture.rendering", "Texels": "surface.layout", "texels": "surface.layout",
-    "ImportOptions": "formats.importing", "import_capture": "formats.importing",
-    "read_source": "formats.reading", "Light": "formats.source", "fit_sh": "frequency.fit",
-    "power_spectrum": "frequency.harmonics", "ParameterGrid": "posterior.grid",
-    "PrincipledGrid": "posterior.grid", "Posterior": "posterior.posterior",
-    "angular_posterior": "posterior.angular", "calibrated_posterior": "posterior.calibrated",
-    "spectrum_posterior": "posterior.spectrum", "AngularPreset": "options", "Fit": "options",
-    "Preset": "options", "Skip": "options", "preset": "options", "Check": "checking.record",
-    "check": "checking.run", "Candidates": "guidance.candidates", "Guidance": "guidance.result",
-    "GuidanceOptions": "guidance.options", "next_best_view": "guidance.next_view",
-    "Estimate": "pipeline", "estimate": "pipeline", "LightEstimate": "illumination.record",
-    "LightOptions": "illumination.options", "FoundGains": "illumination.record",
-    "estimate_gains": "illumination.exposure", "equalized": "illumination.exposure",
-    "estimate_light": "illumination.estimate", "with_light": "illumination.resolve_light",
-    "load_light": "illumination.folder", "save_light": "illumination.folder",
-    "Comparison": "output.compare", "compare": "output.compare",
-    "write_report": "output.report.report", "Reference": "reference.record",
-    "reference_posterior": "reference.posterior", "Recovery": "recovery.recover",
-    "recover": "recovery.recover", "TextureField": "recovery.field.field",
-    "texture_field": "recovery.field.field", "Filled": "inpaint.fill_result",
-    "fill": "inpaint.fill", "DiffusionOptions": "inpaint.diffusion.model_interface",
-    "fill_by_diffusion": "inpaint.diffusion.fill", "RelitView": "recovery.relight",
-    "relight_draws": "recovery.relight", "DescentOptions": "recovery.options",
-    "PathOptions": "recovery.options", "ShOptions": "recovery.options",
-    "GlobalSharing": "regularization.sharing", "TotalVariation": "regularization.tv",
-    "Asset": "export.asset", "ExportOptions": "export.export", "export_asset": "export.export",
-    "load_asset": "export.reading", "SvuError": "errors", "SvuWarning": "errors",
+    "Capture": "capture.capture", "load_capture": "capture.loading",
+    "render_capture": "capture.rendering", "Texels": "geometry.texels", "texels": "geometry.texels",
+    "ImportOptions": "capture.importers.import_capture",
+    "import_capture": "capture.importers.import_capture",
+    "read_source": "capture.importers.registry", "Light": "capture.importers.source",
+    "fit_sh": "frequency.fit_sh", "power_spectrum": "frequency.harmonics",
+    "ParameterGrid": "posterior.grid", "PrincipledGrid": "posterior.grid",
+    "Posterior": "posterior.posterior", "angular_posterior": "posterior.angular",
+    "calibrated_posterior": "posterior.calibrated", "spectrum_posterior": "posterior.spectrum",
+    "AngularPreset": "presets", "Fit": "presets", "Preset": "presets", "Skip": "presets",
+    "preset": "presets", "Check": "calibration.checks.check_result",
+    "check": "calibration.checks.check", "Candidates": "guidance.candidates",
+    "Guidance": "guidance.guidance_result", "GuidanceOptions": "guidance.guidance_options",
+    "next_best_view": "guidance.next_view", "Estimate": "pipeline", "estimate": "pipeline",
+    "LightEstimate": "calibration.light.light_estimate",
+    "LightOptions": "calibration.light.light_options",
+    "FoundGains": "calibration.light.light_estimate", "estimate_gains": "calibration.exposure",
+    "equalized": "calibration.exposure", "estimate_light": "calibration.light.estimate_light",
+    "with_light": "calibration.light.resolve_light", "load_light": "calibration.light.light_folder",
+    "save_light": "calibration.light.light_folder", "Comparison": "output.compare.differences",
+    "compare": "output.compare.differences", "write_report": "output.report.report",
+    "Reference": "evaluation.reference", "reference_posterior": "evaluation.traced_posterior",
+    "Recovery": "recovery.recover", "recover": "recovery.recover",
+    "TextureField": "recovery.uncertainty.texture_field",
+    "texture_field": "recovery.uncertainty.texture_field", "Filled": "recovery.inpaint.fill_result",
+    "fill": "recovery.inpaint.fill",
+    "DiffusionOptions": "recovery.inpaint.diffusion.model_interface",
+    "fill_by_diffusion": "recovery.inpaint.diffusion.fill_by_diffusion",
+    "RelitView": "recovery.relighting", "relight_draws": "recovery.relighting",
+    "DescentOptions": "recovery.recovery_options", "PathOptions": "recovery.recovery_options",
+    "ShOptions": "recovery.recovery_options",
+    "GlobalSharing": "recovery.regularizers.global_sharing",
+    "TotalVariation": "recovery.regularizers.total_variation", "Asset": "output.export.asset",
+    "ExportOptions": "output.export.write_asset", "export_asset": "output.export.write_asset",
+    "load_asset": "output.export.load_asset", "SvuError": "errors", "SvuWarning": "errors",
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
@@ -107,7 +115,11 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
 ]  # fmt: skip
 
 _llvm.bootstrap()
-limits.bootstrap()
+if cores() < 2:  # of which Mitsuba needs two threads
+    with suppress(ImportError):  # svu doctor says what is wrong with it
+        from svu_mi.core.threads import ensure_threads
+
+        ensure_threads()
 
 
 def __getattr__(name: str) -> Any:

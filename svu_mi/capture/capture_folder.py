@@ -14,7 +14,7 @@ from svu_mi.core.io.files import is_temporary, read_json, write_json
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.output_folder import Draft, is_kept
 from svu_mi.core.io.provenance import RESULT, Entry, entry_of
-from svu_mi.core.limits import require_views
+from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, excerpt
 
 FILE = "capture.json"

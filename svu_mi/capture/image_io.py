@@ -13,6 +13,8 @@ from typing import Any, Literal
 
 import mitsuba as mi
 import numpy as np
+from PIL import Image
+from PIL.JpegImagePlugin import JpegImageFile
 
 from svu_mi.capture.hdr_pfm import hdr_size, pfm_size, read_hdr, read_pfm
 from svu_mi.core.io.exr import Header, read_header, read_pixels
@@ -83,7 +85,6 @@ class Picture:
 
         Nothing here does that: pixels are those that are stored.
         """
-        from PIL import Image
 
         if not self.bits:
             return False
@@ -241,7 +242,6 @@ def _is_png(path: Path) -> bool:
 
 def _jpeg(path: Path) -> Any:
     """Open a JPEG file; not by ``Image.open``, which tries every other format and warns."""
-    from PIL.JpegImagePlugin import JpegImageFile
 
     with _opening, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # damaged EXIF data does not matter here

@@ -16,8 +16,8 @@ from svu_mi.capture.match_photographs import masks_of
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.quantization import Clipped, Rounding
 from svu_mi.core.io.provenance import RUN
-from svu_mi.core.limits import require_photographs
 from svu_mi.core.memory import STORED, Size, decoders
+from svu_mi.core.validation import require_photographs
 from svu_mi.errors import CaptureError
 
 # Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.

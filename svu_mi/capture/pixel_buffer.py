@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.core.limits import require_files
+from svu_mi.core.io.files import require_files
 from svu_mi.core.memory import READING, STORED, Size, decoders, free_memory
 from svu_mi.errors import CaptureError
 

@@ -35,8 +35,8 @@ from svu_mi.core.io.exr import read_header, read_pixels, write_exr
 from svu_mi.core.io.hashes import Key
 from svu_mi.core.io.output_folder import Claim, claimed, writing
 from svu_mi.core.io.provenance import RUN
-from svu_mi.core.limits import require_render, require_spp
 from svu_mi.core.memory import Size, Sizes
+from svu_mi.core.validation import require_render, require_spp
 from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError, excerpt
 
 VIEWS = "view_*.exr"  # what an interrupted run leaves to resume

@@ -20,7 +20,7 @@ from svu_mi.capture.plugin_security import (
     searching,
 )
 from svu_mi.capture.scene_files import check_files, check_xml
-from svu_mi.core.limits import ensure_threads
+from svu_mi.core.threads import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 
 LONGEST = 400  # letters of what Mitsuba says
@@ -222,9 +222,11 @@ def _ids(shapes: Sequence[Any]) -> str:
 
 def is_closed(mesh: MeshArrays) -> bool:
     """Return whether the surface has an inside; a bowl seen from above has none."""
-    import trimesh  # takes long to import, and is rarely needed here
-
-    return bool(trimesh.Trimesh(mesh.positions, mesh.faces, process=True).is_watertight)
+    _, vertex = np.unique(mesh.positions, axis=0, return_inverse=True)
+    corners = vertex.reshape(-1)[mesh.faces]
+    edges = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
 
 
 def _check_buffers(mesh: MeshArrays, label: str) -> None:

@@ -17,7 +17,7 @@ from xml.parsers import expat
 import mitsuba as mi
 
 from svu_mi.capture.mesh import READING, missing_corner, refusal
-from svu_mi.core.limits import require_views
+from svu_mi.core.validation import require_views
 from svu_mi.errors import SceneError, excerpt
 
 DEEPEST = 500  # elements in one another; the parser calls itself for each, and 10 000 are too many

@@ -13,7 +13,7 @@ import scipy
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import last_sentence, to_world
 from svu_mi.core.arrays import fibonacci
-from svu_mi.core.limits import require_views
+from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, OptionError
 
 LARGEST = 1e30  # of any number of a sensor; single precision ends soon after

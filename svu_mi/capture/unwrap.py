@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xatlas
 
 from svu_mi.capture.mesh import MeshArrays, arrays, make, read_ply, write_ply
 from svu_mi.core.io.files import clear_temporaries
@@ -30,7 +31,6 @@ def unwrap(mesh: Any, label: str = "") -> Any:
     The atlas differs between xatlas versions, so whoever needs the same texels twice
     saves the result (``unwrapped``).
     """
-    import xatlas  # noqa: PLC0415 - needed only for meshes without UVs
 
     source, label = arrays(mesh), label or f"Shape '{mesh.id()}'"
     if len(source.faces) == 0:

@@ -16,8 +16,8 @@ from svu_mi import _llvm
 from svu_mi.cli.options import Output, Overwrite, require_range
 from svu_mi.cli.terminal import say
 from svu_mi.core.io.output_folder import Claim, claimed
-from svu_mi.core.limits import FEWEST_THREADS, ensure_threads
 from svu_mi.core.progress import Progress
+from svu_mi.core.threads import FEWEST_THREADS, ensure_threads
 from svu_mi.errors import SvuEnvironmentError, excerpt
 
 log = logging.getLogger(__name__)

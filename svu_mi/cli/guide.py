@@ -17,9 +17,9 @@ from svu_mi.cli import options as opt
 from svu_mi.cli.loading import EstimateCommand
 from svu_mi.cli.terminal import cell, say
 from svu_mi.core.io.output_folder import claimed
-from svu_mi.core.limits import require_views
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
+from svu_mi.core.validation import require_views
 from svu_mi.errors import OptionError
 from svu_mi.guidance.guidance_options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE

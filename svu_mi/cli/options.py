@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from svu_mi.core.limits import require_spp, require_texels
+from svu_mi.core.validation import require_spp, require_texels
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
 from svu_mi.presets import preset as find_preset

@@ -13,9 +13,9 @@ from svu_mi.cli.loading import announce_sizes
 from svu_mi.cli.options import Output, Overwrite, SceneOptions, Size, pair
 from svu_mi.cli.terminal import say
 from svu_mi.core.io.output_folder import Claim, claimed
-from svu_mi.core.limits import require_spp, require_views
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
+from svu_mi.core.validation import require_spp, require_views
 
 
 @dataclass(frozen=True, kw_only=True)

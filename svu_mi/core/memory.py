@@ -18,6 +18,11 @@ from pathlib import Path, PurePosixPath
 
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 PROCESS = Path("/proc/self")
 MEMINFO = Path("/proc/meminfo")
 GROUPS = Path("/sys/fs/cgroup")
@@ -309,9 +314,7 @@ def address_space() -> tuple[int, int] | None:
 
     None without a limit.
     """
-    try:
-        import resource  # not on Windows
-    except ImportError:
+    if resource is None:
         return None
     most = resource.getrlimit(resource.RLIMIT_AS)[0]
     return None if most in (-1, resource.RLIM_INFINITY) else (most, held("VmSize") or 0)

@@ -18,12 +18,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich import progress as rich
+from rich.console import Console
+from rich.text import Text
 
 from svu_mi.errors import printable
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 COMPILING = "compiling kernels (first run only)"
 PATIENCE = 2.0  # seconds of silence after which a stage says that it may be compiling
@@ -125,9 +126,6 @@ def _can_redraw(console: Console) -> bool:
 
 
 def _bar(console: Console) -> Any:
-    # Importing rich takes longer than a whole silent run's bookkeeping.
-    from rich import progress as rich
-    from rich.text import Text
 
     class Steps(rich.ProgressColumn):
         """Steps, and the stage's own word; after a silence, the likely reason."""

@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 
 from svu_mi.core.arrays import owned
-from svu_mi.core.limits import require_memory
 from svu_mi.core.memory import light_bytes
+from svu_mi.core.validation import require_memory
 from svu_mi.errors import SceneError, excerpt
 
 SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled

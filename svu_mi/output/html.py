@@ -13,17 +13,17 @@ import io
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from PIL import Image
 
 from svu_mi.capture.image_io import quantized
 from svu_mi.core.io.files import write_text
 from svu_mi.errors import OutputError
 from svu_mi.output.style import PNG_LEVEL, css, css_gradient
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 TEMPLATES = Path(__file__).parent / "templates"
 STYLE, SCRIPT = "page.css", "page.js"
@@ -82,7 +82,6 @@ def percent(part: float) -> str:
 
 def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) -> Picture:
     # Pillow takes a while to import, and most of this package does without.
-    from PIL import Image
 
     if not (image.size and np.isfinite(image).all()):
         raise OutputError(f"A picture of a page has NaN, or no pixels: {image.shape}.")
@@ -97,8 +96,6 @@ def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) ->
 
 @cache
 def _environment() -> Environment:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    from markupsafe import Markup
 
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),

@@ -18,9 +18,9 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.replace_material import constant_parameters
 from svu_mi.core.arrays import owned
-from svu_mi.core.limits import MAX_LANES
 from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress, Stage
+from svu_mi.core.validation import MAX_LANES
 from svu_mi.errors import OptionError
 from svu_mi.frequency.spectra import fit_spectra
 from svu_mi.posterior.angular import angular_posterior

@@ -12,7 +12,7 @@ import pytest
 from svu_mi.capture import capture_folder
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.sensors import make_sensor
-from svu_mi.core.limits import MAX_VIEWS, require_views
+from svu_mi.core.validation import MAX_VIEWS, require_views
 from svu_mi.errors import CaptureError, OptionError
 
 

@@ -16,7 +16,7 @@ from svu_mi.capture.crop import Window
 from svu_mi.capture.photographs import open_photographs, read_photographs
 from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import load_scene
-from svu_mi.core import limits
+from svu_mi.core import validation
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, SceneError
 from svu_mi.light.environment import radiance_from, read_environment
@@ -44,7 +44,7 @@ ABSURD = [
 
 
 def free(monkeypatch, size: int) -> None:
-    monkeypatch.setattr(limits, "free_memory", lambda: size)
+    monkeypatch.setattr(validation, "free_memory", lambda: size)
 
 
 @pytest.mark.parametrize("words, says", ABSURD)
@@ -103,8 +103,8 @@ def test_forty_films_of_20000_pixels_are_not_rendered(monkeypatch, tmp_path):
 
 def test_the_most_samples_are_named(tmp_path):
     with pytest.raises(OptionError, match="spp must be at most 42949 for a film of 1000 x 100 pix"):
-        limits.require_render([(1000, 100)], 42_950, "scene")
-    limits.require_render([(1000, 100)], 42_949, "scene")
+        validation.require_render([(1000, 100)], 42_950, "scene")
+    validation.require_render([(1000, 100)], 42_949, "scene")
 
 
 def test_photographs_that_do_not_fit_into_memory_are_not_read(monkeypatch, tmp_path):

@@ -10,6 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
+from PIL import Image
+
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.importers.source_files import lines_of
 from svu_mi.errors import CaptureError
@@ -85,7 +87,6 @@ def _positive(gain: float, label: str) -> float:
 
 
 def _exif_gain(path: Path) -> float:
-    from PIL import Image
 
     try:
         with warnings.catch_warnings():

@@ -40,8 +40,8 @@ from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.core.io.output_folder import writing
-from svu_mi.core.limits import require_views
 from svu_mi.core.memory import Sizes
+from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, OptionError
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"

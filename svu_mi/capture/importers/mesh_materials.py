@@ -15,6 +15,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
+from PIL import Image
 from trimesh.visual.material import empty_material
 
 from svu_mi.capture.image_io import decoded, quantized, srgb
@@ -97,7 +98,6 @@ def load_pictures(visual: Any) -> None:
 
 def write_pictures(textures: Textures, folder: Path) -> None:
     """Write ``base_color.png``, ``roughness.png`` and ``metallic.png``, those that there are."""
-    from PIL import Image
 
     for name, pixels in textures.items():
         with replacing(folder / f"{name}.png") as temporary:

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 # LLFF's and IDR's tables are often made of a COLMAP model beside them, which knows the lens.
 FORMATS = {
     "stanford-orb": "stanford_orb",
-    "transforms": "transforms",
-    "colmap": "colmap.source",
+    "transforms": "nerf",
+    "colmap": "colmap.project",
     "llff": "llff",
     "idr": "idr",
     "owl": "objects_with_lighting",

@@ -15,8 +15,8 @@ from svu_mi.cli.common import Common, interruptible
 from svu_mi.cli.options import Output, pair, require_range
 from svu_mi.cli.terminal import say
 from svu_mi.core.io.folder_exchange import locked
-from svu_mi.core.limits import FEWEST_THREADS
 from svu_mi.core.progress import Progress
+from svu_mi.core.threads import FEWEST_THREADS
 from svu_mi.errors import OptionError
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ from svu_mi.cli.batch.capture_list import PATHS, Item
 from svu_mi.cli.batch.steps import STEPS, inputs_key, key_of, read_done, words_of, write_done
 from svu_mi.core.io.files import prepare_folder, read_json
 from svu_mi.core.io.folder_exchange import locked
-from svu_mi.core.limits import FEWEST_THREADS
 from svu_mi.core.memory import free_memory
+from svu_mi.core.threads import FEWEST_THREADS
 from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
 
 TRIES = 3  # of a command that is killed from outside

@@ -17,8 +17,8 @@ import numpy as np
 import OpenEXR
 
 from svu_mi.core.io.files import may_hold, replacing, stamp
-from svu_mi.core.limits import require_memory
 from svu_mi.core.silence_openexr import quiet
+from svu_mi.core.validation import require_memory
 from svu_mi.errors import CaptureError, OutputError, ShapeError
 
 MAGIC = b"\x76\x2f\x31\x01"

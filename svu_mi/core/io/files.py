@@ -16,8 +16,9 @@ from svu_mi.errors import CaptureError, OutputError, excerpt
 
 try:
     import fcntl
+    import resource
 except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+    fcntl = resource = None  # type: ignore[assignment]
 
 MAX_RATIO, FREE = 2000, 2**26  # no codec packs more; bytes that are harmless anyway
 OURS = ".svu-"  # in the names of temporary files and folders, which are hidden
@@ -174,3 +175,27 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8-sig"))  # Windows' tools write a mark first
     except (OSError, ValueError, RecursionError) as error:
         raise CaptureError(f"{path}: not a readable JSON file ({excerpt(error)}).") from error
+
+
+def require_files(more: int) -> None:
+    """Let this process open so many more files; a system's default is 1024 in all, or 256."""
+    if resource is None:
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or (count := _open_files(soft) + more) <= soft:
+        return
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (count, hard))
+    except (OSError, ValueError) as error:
+        raise CaptureError(
+            f"Photographs in files need {count} open files, ulimit -n allows {soft}; raise it, or "
+            "give --memory more."
+        ) from error
+
+
+def _open_files(most: int) -> int:
+    """Return how many files this process has open; ``most`` where there is none left to ask by."""
+    try:
+        return len(os.listdir("/dev/fd"))
+    except OSError:
+        return most

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from PIL import Image
 
 from svu_mi.calibration.light.resolve_light import illuminated
 from svu_mi.capture import capture_folder
@@ -25,8 +26,8 @@ from svu_mi.capture.mesh import make, read_ply
 from svu_mi.core.io.files import read_json
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.provenance import text_in
-from svu_mi.core.limits import require_texels
 from svu_mi.core.progress import Progress
+from svu_mi.core.validation import require_texels
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.geometry.texels import size_of, texels
@@ -424,7 +425,6 @@ def largest(image: np.ndarray) -> np.ndarray:
 
 def _resized(image: np.ndarray, weight: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return a map (H, W, C) in another size, by weights (H, W) of its texels; NaN without any."""
-    from PIL import Image
 
     smaller = size[0] <= image.shape[1] and size[1] <= image.shape[0]
     kind = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR  # means of areas

@@ -12,6 +12,8 @@ from xml.etree.ElementTree import Comment, Element, SubElement
 
 import mitsuba as mi
 import numpy as np
+from trimesh.exchange.obj import export_obj
+from trimesh.visual import TextureVisuals
 
 import svu_mi
 from svu_mi.capture import scene_xml
@@ -128,8 +130,6 @@ def _input(parent: Element, name: str, kind: str, **attributes: str) -> Element:
 
 
 def _write_obj(asset: Asset, path: Path) -> None:
-    from trimesh.exchange.obj import export_obj
-    from trimesh.visual import TextureVisuals
 
     mesh = as_trimesh(asset.mesh, TextureVisuals(uv=upward_uvs(asset.mesh)))
     text, _ = export_obj(

@@ -7,6 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
+from PIL import Image
+from trimesh.exchange.gltf import export_glb
+from trimesh.visual import ColorVisuals, TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 import svu_mi
 from svu_mi.capture.image_io import decoded, quantized, srgb
@@ -30,9 +35,6 @@ def write_asset_glb(
 
     Maps at the vertices (N,) become the attributes ``_ENTROPY`` and so on, which viewers ignore.
     """
-    from PIL import Image
-    from trimesh.visual import TextureVisuals
-    from trimesh.visual.material import PBRMaterial
 
     base_color = np.array(asset.textures.base_color)
     material = PBRMaterial(
@@ -59,7 +61,6 @@ def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Ax
     A file of its own, since glTF multiplies vertex colours with the textures.
     """
     from matplotlib import colormaps
-    from trimesh.visual import ColorVisuals
 
     shown = colormaps[COLORMAP](entropy)[:, :3].astype(np.float32)
     colors = quantized(decoded(shown))  # COLOR_0 is linear (Sec. 3.7.2.1)
@@ -85,8 +86,6 @@ def _write(
     path: Path, asset: Asset, visual: Any, up: Axis, attributes: Mapping[str, np.ndarray],
     change: Any = None,
 ) -> None:  # fmt: skip
-    import trimesh
-    from trimesh.exchange.gltf import export_glb
 
     def finish(tree: dict[str, Any]) -> None:
         tree["asset"]["generator"] = f"svu_mi {svu_mi.__version__}"
@@ -108,7 +107,6 @@ def as_trimesh(
     mesh: MeshArrays, visual: Any, attributes: Mapping[str, np.ndarray] | None = None
 ) -> Any:
     """Return a ``trimesh.Trimesh`` with the same vertices in the same order, and normals if any."""
-    import trimesh
 
     return trimesh.Trimesh(
         mesh.positions, front_faces(mesh), vertex_normals=mesh.normals, visual=visual,

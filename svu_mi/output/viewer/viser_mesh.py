@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import trimesh
 from PIL import Image
 
 from svu_mi.capture import mesh as meshes
@@ -39,7 +40,6 @@ def model(mesh: Any, colors: np.ndarray) -> Any:
 
     ``colors`` (H, W, 3) are those that it appears in under white light of strength ``GAIN``.
     """
-    import trimesh  # takes long to import
 
     source = meshes.arrays(mesh)
     assert source.uvs is not None

@@ -8,8 +8,8 @@ what the photographs say of that texel by theirs:
     x = (x_p / s_p^2 + x_m / s_m^2) / (1 / s_p^2 + 1 / s_m^2)
 
 s_m is found out on the object itself: parts of what is certain are hidden, guessed in the same
-way, and compared. What no view shows well is filled by symmetry (``fill.py``), and so are the pictures
- that the model is shown where it has not been yet.
+way, and compared. What no view shows well is filled by symmetry (``fill.py``), and so
+are the pictures that the model is shown where it has not been yet.
 """
 
 from __future__ import annotations
