@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from browser import Browser
+from support.browser import Browser
 
 import svu_mi  # noqa: F401
 
@@ -87,7 +87,7 @@ def variant() -> Iterator[str]:
 @pytest.fixture(scope="session")
 def shot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A capture folder rendered by ``svu``: the vase, 8 views placed on a sphere. Read only."""
-    from helpers import run
+    from support.helpers import run
 
     from svu_mi import scenes
 

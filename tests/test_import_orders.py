@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from helpers import python
+from support.helpers import python
 
 from svu_mi import _llvm
 

@@ -7,7 +7,7 @@ import os
 import sys
 
 import pytest
-from helpers import python
+from support.helpers import python
 
 from svu_mi import _llvm
 from svu_mi.errors import SvuEnvironmentError

@@ -9,7 +9,7 @@ from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import pytest
-from helpers import python
+from support.helpers import python
 
 import svu_mi
 from svu_mi import plugins, scenes
@@ -45,7 +45,7 @@ def test_one_more_parameter_goes_from_photographs_to_textures(tmp_path):
         text = (package / file).read_text()
         assert text.count(old) == 1, (file, old)
         (package / file).write_text(text.replace(old, new))
-    script = Path(__file__).with_name("another_parameter.py")
+    script = Path(__file__).parent / "support" / "another_parameter.py"
     result = python(script, tmp_path, PYTHONPATH=str(tmp_path))
     assert result.returncode == 0, result.stderr
     assert str(tmp_path) in result.stdout

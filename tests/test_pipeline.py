@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import ball_scene, memory_capture, render_ball
 from oracle import frequency as oracle_frequency
 from oracle import posterior as oracle_posterior
+from support.helpers import ball_scene, memory_capture, render_ball
 
 import svu_mi as svu
 from svu_mi import scenes

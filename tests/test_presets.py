@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import render_ball
+from support.helpers import render_ball
 
 import svu_mi as svu
 from svu_mi import scenes

@@ -1,7 +1,7 @@
 """Entropy of cells that are integrated, in double precision, and how far single may be from it.
 
 The noise of a texel is taken as it was estimated: it comes from all texels together, and has an
-oracle of its own (tests/test_calibrated.py).
+oracle of its own (tests/posterior/test_calibrated.py).
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from helpers import ball, foreign_source, names, write_scene
 
+from support.helpers import ball, foreign_source, names, write_scene
 from svu_mi import scenes
 from svu_mi.calibration.light.light_folder import load_light
 from svu_mi.capture.importers.nerf import write_transforms

@@ -1,0 +1,529 @@
+"""Mistakes about axes are found, named, and never invented."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shlex
+import shutil
+from dataclasses import replace
+from functools import partial
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from support.axis_mistakes import CASES, Case, outcome, same, spoil
+from support.helpers import ball, memory_capture
+from support.photographs import before_wall, eight_bit, without_masks
+from support.written import write
+
+import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.calibration.checks.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
+from svu_mi.calibration.checks.check import find_mistakes
+from svu_mi.calibration.checks.decisions import LIGHT_GAIN, judge_light, judge_poses, judge_texture
+from svu_mi.calibration.checks.envmap_orientation import LightScore, score_light
+from svu_mi.calibration.checks.pose_scores import check_views, score_poses
+from svu_mi.calibration.checks.surface_samples import (
+    DIRECTIONS,
+    Sky,
+    emitter_of,
+    look,
+    open_cosines,
+    read_texture,
+    scatter_points,
+    texture_fit,
+)
+from svu_mi.calibration.checks.thumbnails import Frames, reduced, silhouettes
+from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.importers.axis_fixes import FIXES, fixes_named, turn_of
+from svu_mi.capture.importers.mesh_files import LEFT_OUT
+from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, OPENGL
+from svu_mi.capture.rendering import object_mask
+from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import sphere_sensors
+from svu_mi.cli.main import main
+from svu_mi.light.environment import read_environment
+from svu_mi.output.check_page import verdict
+from svu_mi.scenes import lights, meshes
+
+VIEWS, FILM, SPP, POINTS = 8, (48, 36), 16, 400
+SEED = 40913
+
+
+@pytest.fixture(autouse=True)
+def few_points(monkeypatch):
+    """A quarter of the points is enough for photographs this small."""
+    monkeypatch.setattr(
+        "svu_mi.calibration.checks.check.scatter_points", partial(scatter_points, count=POINTS)
+    )
+
+
+def quiet(done, total):
+    """No progress."""
+
+
+def cluster():
+    """Balls of four sizes that look different from every side, in a mirror too."""
+    theta = np.linspace(0, np.pi, 13)
+    profile = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
+    parts = []
+    places = ((0, 0, 0, 0.5), (0.6, 0.15, 0, 0.28), (0.05, 0.6, 0.2, 0.22), (-0.1, -0.2, 0.65, 0.3))
+    for k, (x, y, z, radius) in enumerate(places):
+        low = (0.5 * (k % 2), 0.5 * (k // 2))
+        ball = meshes.revolve(radius * profile, 24) + [x, y, z]
+        parts.append(meshes.sheet(ball, low, (low[0] + 0.5, low[1] + 0.5)))
+    points, faces, uvs = meshes.join(parts)
+    return capture_mesh.make("cluster", capture_mesh.MeshArrays(points, faces, None, uvs))
+
+
+def photographed(shape, light, bsdf, count=VIEWS, film=FILM):
+    """A capture of a live mesh, with masks."""
+    shape.set_bsdf(mi.load_dict(bsdf))
+    scene = mi.load_dict(
+        {"type": "scene", "integrator": {"type": "direct"}, "light": light, shape.id(): shape},
+        optimize=False,
+    )
+    sensors = sphere_sensors(shape, count, film)
+    images = [
+        np.array(mi.render(scene, sensor=sensor, spp=SPP, seed=SEED + index))[..., :3]
+        for index, sensor in enumerate(sensors)
+    ]
+    masks = tuple(object_mask(scene, shape, sensor) >= 0.999 for sensor in sensors)
+    return memory_capture(scene, images, sensors, masks=masks)
+
+
+def sky(picture):
+    small = np.ascontiguousarray(picture[::2, ::2], np.float32)
+    return {"type": "envmap", "bitmap": mi.Bitmap(small)}
+
+
+@pytest.fixture(scope="module")
+def capture():
+    """Everything right: textured, a little glossy, without symmetry, wider than high."""
+    colors = np.random.default_rng(SEED).random((16, 16, 3)) ** 2 * 0.9 + 0.05
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(colors.astype(np.float32)), "raw": True}
+    bsdf = {"type": "principled", "base_color": texture, "roughness": 0.35}
+    return photographed(cluster(), sky(lights.window() + 0.3 * lights.studio()), bsdf)
+
+
+@pytest.fixture(scope="module")
+def grey_ball():
+    """A ball of one colour: nothing is more symmetric."""
+    shape = capture_mesh.make("ball", ball(24, 12))
+    bsdf = {"type": "principled", "base_color": {"type": "rgb", "value": 0.4}, "roughness": 0.4}
+    return photographed(shape, sky(lights.studio()), bsdf, count=8)
+
+
+@pytest.fixture(scope="module")
+def knot(tmp_path_factory):
+    """A capture in a folder, with masks."""
+    return svu.render_capture(
+        scenes.path("knot"), 8, folder=tmp_path_factory.mktemp("knot") / "capture", views=10,
+        resolution=FILM, defines={"max_depth": "2"},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def lit(capture):
+    """What light is judged by; it does not depend on how the light lies."""
+    return seen_by(capture)
+
+
+def seen_by(capture):
+    points = scatter_points(capture.shape, POINTS)
+    seen = look(points, Frames.of(reduced(capture, 64)))
+    cosines = open_cosines(capture.scene, points, DIRECTIONS)
+    return points, seen, cosines, read_texture(capture, points)
+
+
+def pose_finding(capture):
+    points, small = scatter_points(capture.shape, POINTS), reduced(capture, 48)
+    return judge_poses(score_poses(small, points, read_texture(capture, points), quiet))
+
+
+def light_finding(capture, lit):
+    return judge_light(score_light(Sky.of(emitter_of(capture), np.eye(3)), *lit, quiet))
+
+
+INVERSE = "camera-inverse"
+POSES = [case for case in CASES if case.group in ("camera", "mesh")]
+POSES += [Case((INVERSE,), OPENGL), Case((INVERSE,), OPENCV)]
+UNMASKED = [Case((name,)) for name in (INVERSE, "mesh-mirror")]
+# Every other one: all 48 ways are tried alike, and the benchmark takes each.
+LIGHTS = [case for case in CASES if case.group == "light"][::2]
+LIGHTS += [Case(("light-mirror", "light-flip", "light-turn-90"))]
+
+
+def names(case):
+    return "+".join(case.fixes) + ("*" if not np.array_equal(case.camera_axes, np.eye(4)) else "")
+
+
+@pytest.mark.few(6)
+@pytest.mark.parametrize("case", POSES, ids=names)
+def test_wrong_poses_are_named(capture, case):
+    finding, chosen = pose_finding(case.made(capture))
+    assert (finding.verdict, finding.fixes) == ("wrong", case.fixes), finding.sentence
+    if case.fixes == (INVERSE,):
+        np.testing.assert_array_equal(chosen.hypothesis.camera_axes, case.camera_axes)
+
+
+@pytest.mark.parametrize("case", UNMASKED, ids=names)
+def test_wrong_poses_are_named_without_masks(capture, case):
+    """The light itself is behind the object."""
+    finding, _ = pose_finding(case.made(without_masks(capture)))
+    assert (finding.verdict, finding.fixes) == ("wrong", case.fixes), finding.sentence
+
+
+@pytest.mark.few(6)
+@pytest.mark.parametrize("case", LIGHTS, ids=names)
+def test_a_wrong_light_is_named(capture, lit, case):
+    finding = light_finding(case.made(capture), lit)
+    assert finding.verdict == "wrong", finding.sentence
+    assert same(finding.fixes, case.fixes)
+
+
+def test_a_right_capture_is_left_alone(capture):
+    assert pose_finding(without_masks(capture))[0].verdict == "fits"
+    findings, _ = find_mistakes(eight_bit(before_wall(capture)))
+    assert [one.verdict for one in findings] == ["fits", "fits", "fits"]
+
+
+@pytest.mark.slow
+def test_two_mistakes_and_a_flipped_texture_are_found_together(capture):
+    case = Case(("camera-x180", "light-x90", "light-turn-90", "texture-flip-v"))
+    found = svu.check(case.made(capture))
+    assert not found.fits and same(found.fixes, case.fixes)
+    assert np.mean([view.overlap for view in found.views]) < 0.2
+    assert np.mean([view.overlap for view in found.corrected]) > 0.9
+    right = [view.color_error for view in check_views(reduced(capture, 128))]
+    corrected = [view.color_error for view in found.corrected]
+    np.testing.assert_allclose(corrected, right, rtol=0.05)
+    assert np.mean(right) < 0.4
+
+
+def test_a_wrong_mesh_leaves_the_light_with_the_cameras(capture):
+    case = Case(("mesh-x90", "light-turn-180"))
+    findings, _ = find_mistakes(case.made(capture))
+    assert outcome(findings, case) == "right"
+
+
+@pytest.mark.parametrize("fix", ["mesh-mirror", "mesh-x90", "mesh-x180"])
+def test_of_a_ball_nothing_is_said_that_cannot_be_known(grey_ball, fix):
+    finding, _ = pose_finding(spoil(grey_ball, FIXES[fix]))
+    assert finding.verdict == "fits"  # a ball that is turned is the same ball
+    assert (fix,) in finding.alternatives and "would fit as well" in finding.sentence
+
+
+def test_a_camera_that_looks_away_from_a_ball_is_never_corrected_wrongly(grey_ball):
+    finding, _ = pose_finding(spoil(grey_ball, FIXES["camera-x180"]))
+    assert finding.fixes == ("camera-x180",) or ("camera-x180",) in finding.alternatives
+
+
+def test_photographs_of_something_else_are_explained_by_nothing(capture):
+    """Every photograph beside the pose of another, and a mesh of a tenth of the size."""
+    shuffled = replace(
+        capture,
+        images=capture.images[5:] + capture.images[:5],
+        masks=capture.masks[5:] + capture.masks[:5],
+    )
+    small = replace(FIXES["mesh-x180"], matrix=np.eye(3) * 0.1)
+    finding, _ = pose_finding(apply_fixes(shuffled, [small]))
+    assert finding.verdict == "unclear" and not finding.fixes
+    assert "scale" in finding.sentence
+
+
+def test_light_without_a_direction_cannot_be_told(capture):
+    """A gradient tells up from down, but not east from west."""
+    overcast = photographed(cluster(), sky(lights.overcast()), {"type": "diffuse"}, count=8)
+    sideways = spoil(overcast, FIXES["light-turn-90"])
+    finding = light_finding(sideways, seen_by(overcast))
+    assert finding.verdict in ("fits", "unknown") and not finding.fixes
+
+
+CONSTANT = {"type": "constant"}
+
+
+def even_map():
+    return {"type": "envmap", "bitmap": mi.Bitmap(np.full((8, 16, 3), 0.7, np.float32))}
+
+
+@pytest.mark.parametrize("light", [lambda: CONSTANT, even_map], ids=["constant", "map"])
+def test_an_even_light_in_place_of_that_of_the_photographs_is_doubted(capture, light):
+    """It said "fits", and base colours were wrong by twice as much."""
+    lit = {"type": "scene", "light": light(), "shape": capture.shape}
+    placeholder = replace(capture, scene=mi.load_dict(lit, optimize=False))
+    finding = find_mistakes(placeholder)[0][1]
+    assert finding.verdict == "unclear" and not finding.fixes
+    assert re.search(r"brighter where the surface faces some sides, by a factor of [\d.]+: unless",
+                     finding.sentence), finding.sentence  # fmt: skip
+
+
+def stripes():
+    rows = np.arange(32)[:, None, None] // 4 % 2 * 0.7 + 0.1
+    pixels = np.ascontiguousarray(np.broadcast_to(rows, (32, 32, 3)), np.float32)
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True}
+    return {"type": "diffuse", "reflectance": texture}
+
+
+PAINTS = {
+    "white": lambda: {"type": "diffuse"},
+    "gloss": lambda: {"type": "principled", "roughness": 0.15},
+    "metal": lambda: {"type": "principled", "metallic": 1.0, "roughness": 0.3},
+    "stripes": stripes,
+}
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("paint", PAINTS)
+def test_an_even_light_that_is_right_is_left_alone(paint):
+    finding = find_mistakes(photographed(cluster(), CONSTANT, PAINTS[paint]()))[0][1]
+    assert finding.verdict == "unknown" and "everywhere" in finding.sentence
+
+
+@pytest.mark.parametrize(("part", "verdict"), [(0.9, "fits"), (1.1, "wrong")])
+def test_a_light_is_wrong_if_another_way_explains_enough_more(part, verdict):
+    """Two cues speak for it; all other ways are worse by far."""
+    hypotheses = light_hypotheses()
+    current = next(one for one in hypotheses if not one.fixes)
+    best = next(one for one in hypotheses if one.names == ("light-mirror",))
+    scores = [LightScore(one, 0.5, 0.5, 0.0) for one in hypotheses if one is not best]
+    now = next(one for one in scores if one.hypothesis is current)
+    scores = [replace(one, shading=0.1) for one in scores if one is not now] + [now]
+    plain = LightScore(best, 0.52, 0.52, 0.0)
+    rest = now.total + part * LIGHT_GAIN - plain.total  # that highlights explain
+    scores.append(replace(plain, highlights=1 - np.exp(-rest)))
+    finding = judge_light(sorted(scores, key=lambda one: -one.total))
+    assert finding.verdict == verdict, finding.sentence
+
+
+@pytest.mark.slow
+def test_of_one_plane_the_light_is_not_told():
+    """Highlights alone would speak for a turn of the map; they are not believed."""
+    points = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    plane = capture_mesh.make("plane", capture_mesh.MeshArrays(points, faces, None, points[:, :2]))
+    bsdf = {"type": "principled", "base_color": {"type": "rgb", "value": 0.3}, "roughness": 0.3}
+    taken = photographed(plane, sky(lights.window()), bsdf, count=6)
+    lit = seen_by(taken)
+    assert light_finding(taken, lit).verdict == "fits"
+    finding = light_finding(spoil(taken, FIXES["light-flip"]), lit)
+    assert finding.verdict == "unknown" and "one cue" in finding.sentence
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_photographs_that_show_nothing_say_nothing(capture, value):
+    """All black, or all saturated: silhouettes alone are judged, and no number is NaN."""
+    few = slice(0, 4)
+    blank = replace(
+        capture, sensors=capture.sensors[few], masks=capture.masks[few], used=(True,) * 4,
+        names=capture.names[few], exposures=(1.0,) * 4, unusable=(0,) * 4,
+        images=tuple(np.full_like(image, value) for image in capture.images[few]),
+    )  # fmt: skip
+    assert pose_finding(spoil(blank, FIXES["camera-y180"]))[0].fixes == ("camera-y180",)
+    views = check_views(reduced(blank, 128))
+    assert all(view.color_error is None for view in views)
+    assert all(np.isfinite([view.overlap, view.contrast]).all() for view in views)
+    with pytest.raises(svu.SvuError, match="given can be used"):
+        svu.check(replace(blank, used=(False,) * 4))
+
+
+def test_texture_without_likeness_is_not_judged(capture):
+    points, seen, *_ = seen_by(capture)
+    noise = np.random.default_rng(SEED).random((2, POINTS, 3))
+    fits = tuple(texture_fit(seen, points, one) for one in noise)
+    assert judge_texture(*fits).verdict == "unknown"
+
+
+@pytest.mark.parametrize("name", FIXES)
+def test_a_fix_undoes_its_mistake_and_changes_nothing_else(capture, name):
+    before = [to_world(s) for s in capture.sensors], capture_mesh.arrays(capture.shape)
+    wrong = spoil(capture, FIXES[name])
+    again = apply_fixes(wrong, fixes_named([name]))
+    for one in (capture, again):
+        np.testing.assert_allclose([to_world(s) for s in one.sensors], before[0], atol=1e-6)
+        mesh = capture_mesh.arrays(one.shape)
+        np.testing.assert_allclose(mesh.positions, before[1].positions, atol=1e-6)
+        np.testing.assert_allclose(mesh.uvs, before[1].uvs, atol=1e-6)
+        np.testing.assert_array_equal(mesh.faces, before[1].faces)
+    old, new = (read_environment(one.scene.emitters()[0]) for one in (capture, again))
+    np.testing.assert_allclose(new.radiance, old.radiance, rtol=1e-5)
+    np.testing.assert_allclose(new.to_local, old.to_local, atol=1e-6)
+    mesh, light = capture_mesh.arrays(wrong.shape), read_environment(wrong.scene.emitters()[0])
+    kept = {
+        "camera": np.allclose([to_world(s) for s in wrong.sensors], before[0]),
+        "mesh": np.allclose(mesh.positions, before[1].positions),
+        "texture": np.allclose(mesh.uvs, before[1].uvs),
+        "light": np.allclose(light.to_local, old.to_local),
+        # A mirrored mesh is wound the other way, too, to keep its front.
+        "winding": name == "mesh-mirror" or np.array_equal(mesh.faces, before[1].faces),
+    }
+    assert [kind for kind, same in kept.items() if not same] == [FIXES[name].kind]
+
+
+def test_turned_cameras_see_what_a_turned_mesh_shows(capture):
+    """Hypotheses about the mesh move the cameras instead; a rendered mask says the same."""
+    frames = Frames.of(reduced(capture, max(FILM)))
+    for fix in (FIXES["mesh-x90"], FIXES["mesh-mirror"], FIXES["camera-z180"]):
+        hypothesis = next(h for h in pose_hypotheses() if h.fixes == (fix,))
+        moved = frames.posed(hypothesis.relative_poses(frames.poses))
+        corrected = apply_fixes(capture, [fix])
+        seen = silhouettes(moved)
+        for one, sensor in zip(seen, corrected.sensors, strict=True):
+            mask = object_mask(corrected.scene, corrected.shape, sensor) >= 0.5
+            assert (one != mask).mean() < 0.01
+
+
+def test_every_way_to_lay_axes_is_tried_once():
+    found = light_hypotheses()
+    turns = [turn_of(one.fixes, "light") for one in found]
+    assert len({turn.round().astype(int).tobytes() for turn in turns}) == len(found) == 48
+    assert [len(one.fixes) for one in found] == sorted(len(one.fixes) for one in found)
+    for right in ENVIRONMENT_AXES.values():  # any convention that was read as any other
+        for wrong in ENVIRONMENT_AXES.values():
+            assert any(np.allclose(wrong @ turn, right) for turn in turns)
+    assert not pose_hypotheses()[0].fixes and len(pose_hypotheses()) == 80
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::svu_mi.SvuWarning")
+def test_the_command_says_what_is_wrong_and_how_to_mend_it(knot, tmp_path, capsys, browser):
+    folder, out = tmp_path / "capture", tmp_path / "out"
+    shutil.copytree(knot.source, folder)
+    assert main(["check", str(tmp_path / "none"), "-o", str(out)]) == 2
+    words = ["check", str(folder), "-o", str(out), "--strict"]
+    assert main(words) == 0
+    assert "The capture fits" in capsys.readouterr().out
+    path = folder / "capture.json"
+    record = json.loads(path.read_text())
+    for sensor in record["sensors"]:
+        sensor["to_world"] = (np.array(sensor["to_world"]) @ np.diag([1, -1, -1, 1])).tolist()
+    path.write_text(json.dumps(record))
+    assert main(words) == 3
+    printed = capsys.readouterr().out
+    assert "svu import ... --fix camera-x180" in printed and "poses (WRONG)" in printed
+    record = json.loads((out / "check.json").read_text())
+    assert record["fixes"] == ["camera-x180"] and not record["fits"]
+    assert len(record["check"]["views"]) == 10
+    for width in (1280, 400):
+        shown = browser.open(out / "check.html", width)
+        assert shown.requests == [] and shown.overflow == 0
+        assert "--fix camera-x180" in shown.evaluate("document.body.innerText")
+        # A thumbnail per view, and the light before and after.
+        widths = shown.evaluate("[...document.images].map(i => i.naturalWidth)")
+        assert len(widths) == 10 + 2 and min(widths) > 0
+        shown.close()
+
+
+def without_light(capture):
+    others = [s for s in capture.scene.shapes() if s is not capture.shape]
+    return replace(capture, scene=scene_of([capture.shape, *others]))
+
+
+def test_poses_and_texture_are_checked_without_a_light(capture):
+    """Silhouettes, agreement of views and the texture tell; of light and gains nothing is said."""
+    dark = without_light(capture)
+    assert dark.environment is None
+    found = svu.check(dark)
+    assert [one.verdict for one in found.findings] == ["fits", "unknown", "fits", "unknown"]
+    light, gain = (one.sentence for one in found.findings if one.verdict == "unknown")
+    assert light == "The orientation of the light cannot be determined: the capture has none."
+    assert gain.endswith("have the same gain cannot be determined: the capture has no light.")
+    assert found.fits and all(view.color_error is None for view in found.views)
+    case = Case(("camera-x180", "texture-flip-v"))
+    assert same(svu.check(case.made(dark)).fixes, case.fixes)
+
+
+@pytest.mark.slow
+def test_a_mesh_that_shows_its_back_is_turned(capture):
+    """Before, light and texture were judged by the few points that happened to be seen."""
+    wrong = spoil(capture, FIXES["mesh-inside-out"])
+    found = svu.check(wrong)
+    assert found.fixes == ("mesh-inside-out",)
+    assert [one.verdict for one in found.findings[:3]] == ["wrong", "fits", "fits"]
+    assert found.findings[0].sentence.startswith(
+        "The faces of the mesh are wound the wrong way: 100% of what the photographs show of it is "
+        "its back (in a Mitsuba scene, set flip_normals on the shape). Cameras and mesh fit"
+    )
+    assert all(view.color_error is None for view in found.views)
+    assert np.mean([view.color_error for view in found.corrected]) < 0.4
+    both = Case(("camera-x180", "mesh-inside-out"))
+    assert same(svu.check(both.made(capture)).fixes, both.fixes)
+
+
+def test_cameras_within_a_mesh_do_not_show_its_back(capture):
+    """Of a mesh that is ten times too large they see the inside; that is not a wrong winding."""
+    large = apply_fixes(capture, [replace(FIXES["mesh-x180"], matrix=np.eye(3) * 10.0)])
+    findings, _ = find_mistakes(large)
+    assert findings[0].verdict == "unclear" and not findings[0].fixes
+    assert "scale" in findings[0].sentence
+
+
+@pytest.mark.slow
+def test_what_is_ignored_has_the_last_word(capture):
+    """Axes and gains fit, and yet base colours near a bright table will be wrong.
+
+    It is no mistake to have one: --strict lets it pass.
+    """
+    below = mi.ScalarTransform4f().translate([0, 0, -8]).scale(4)
+    table = mi.load_dict(
+        {"type": "rectangle", "id": "table", "to_world": below, "bsdf": {"type": "diffuse"}}
+    )
+    scene = scene_of([capture.shape, table, *capture.scene.emitters()])
+    found = svu.check(replace(capture, scene=scene))
+    ignored = found.findings[-1]
+    assert (ignored.question, ignored.verdict, found.fits) == ("ignored", "note", True)
+    assert ignored.sentence.startswith("Light reflected by 'table' falls on")
+    assert verdict(found) == (
+        "The capture fits its photographs, as far as can be determined; results may be off by what "
+        "is ignored."
+    )
+    gain = replace(found.findings[3], verdict="unclear")
+    unsure = replace(found, findings=(*found.findings[:3], gain, ignored))
+    assert not unsure.fits
+    assert verdict(unsure) == "Axes fit, but results may be wrong for another reason: gain."
+    assert svu.check(capture).findings[-1].question == "gain"
+
+
+def test_what_an_import_has_left_out_is_said_again(capture, tmp_path):
+    note = f"scan.glb: has a normal map, {LEFT_OUT}"
+    record = {"format": "svu-capture", "import": {"notes": ["Something else.", note]}}
+    (tmp_path / "capture.json").write_text(json.dumps(record))
+    found = svu.check(replace(capture, source=tmp_path))
+    assert found.findings[-1].sentence == note
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::svu_mi.SvuWarning")
+def test_the_whole_corrected_command_can_be_pasted(knot, tmp_path, capsys, monkeypatch):
+    """Import wrongly, check, paste what is printed, check again."""
+    wrong = Case(("camera-x180",)).made(knot)
+    written = write(wrong, "colmap", tmp_path / "my project")
+    monkeypatch.chdir(tmp_path)
+    options = written.options
+    words = ["import", str(written.path), "--mesh", str(options.mesh), "--environment",
+             str(options.environment.path), "-o", "imported capture"]  # fmt: skip
+    assert main(words) == 0
+    np.testing.assert_allclose(
+        poses_of(svu.load_capture("imported capture")), poses_of(wrong), atol=1e-5
+    )
+    assert main(["check", "imported capture", "-o", "out"]) == 0
+    lines = [x for x in capsys.readouterr().out.splitlines() if x.startswith("Import it again")]
+    line = lines[0].removeprefix("Import it again with: ")
+    assert line.startswith("svu import ") and line.endswith("-o 'imported capture'")
+    assert "--fix camera-x180" in line and "..." not in line
+    assert line in html.unescape((tmp_path / "out/check.html").read_text())
+    program, *again = shlex.split(line)
+    assert program == "svu" and main(again) == 0
+    found = svu.load_capture("imported capture")
+    np.testing.assert_allclose(poses_of(found), poses_of(knot), atol=1e-5)
+    assert not np.allclose(poses_of(found), poses_of(wrong), atol=0.1)
+    assert main(["check", "imported capture", "-o", "out"]) == 0
+    assert "Import it again" not in capsys.readouterr().out
+
+
+def poses_of(capture):
+    return np.array([to_world(sensor) for sensor in capture.sensors])

@@ -1,0 +1,434 @@
+"""How light is found: what it makes of samples, what is likely, and what a step of it knows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracle.cells import gains
+from support.helpers import made_up_light, render_ball, turning
+from support.made_up_samples import (
+    SWITCHES,
+    free_samples,
+    made_up,
+    photographed,
+    reflected,
+    smooth_light,
+)
+
+import svu_mi as svu
+from svu_mi.calibration.light.gauss_newton import (
+    ALIKE,
+    FREEDOM,
+    LARGEST,
+    STEP,
+    Fit,
+    Known,
+    system_of,
+)
+from svu_mi.calibration.light.light_prior import SD, Looks, prior_of
+from svu_mi.calibration.light.light_samples import FACING, FEWEST, Samples
+from svu_mi.calibration.light.light_summary import likeness
+from svu_mi.calibration.light.light_transport import (
+    WIDENED,
+    Columns,
+    Materials,
+    Moments,
+    Transport,
+    columns_of,
+    materials_of,
+)
+from svu_mi.calibration.light.light_uncertainty import level_of, sample_lights, widening_of
+from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.posterior.empirical_bayes import shared
+from svu_mi.reflection.lobes import ALBEDO_NODES, dielectric_albedo, split_sum
+
+SHINY = {"type": "principled", "roughness": 0.25, "metallic": 1.0,
+         "base_color": {"type": "rgb", "value": [0.7, 0.6, 0.5]}}  # fmt: skip
+
+
+def of_oracle(samples: Samples, materials: Materials, number: int) -> np.ndarray:
+    """(S, N, 3) gains of every sample."""
+    cells, normals = fibonacci(number), samples.surface.normal.numpy().T
+    return np.stack([
+        gains(cells, normals[t], direction, materials.roughness[t], *materials.mixed[t],
+              materials.color[t], WIDENED)
+        for t, direction in zip(samples.owner, samples.direction.astype(np.float64), strict=True)
+    ])  # fmt: skip
+
+
+# --- transport --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [64, 700])
+def test_transport_is_that_of_the_equations(number):
+    samples, materials = made_up(12, 5)
+    light = np.exp(smooth_light(number))
+    truth = np.einsum("snc,nc->sc", of_oracle(samples, materials, number), light)
+    transport = Transport.of(samples, number)
+    np.testing.assert_allclose(reflected(transport, light, materials), truth, rtol=1e-4)
+    K = transport.matrix(materials).astype(np.float64)
+    np.testing.assert_allclose(np.einsum("csn,nc->sc", K, light), truth, rtol=1e-4)
+
+
+def test_light_that_moves_is_that_of_turned_cameras():
+    samples, materials = made_up(6, 4)
+    cells = fibonacci(64)
+    turns = np.stack([np.linalg.qr(np.random.default_rng(k).normal(size=(3, 3)))[0]
+                      for k in range(4)])  # fmt: skip
+    turns *= np.sign(np.linalg.det(turns))[:, None, None]
+    moving = Transport.of(replace(samples, cameras=turns), 64, moves=True).matrix(materials)
+    normals = samples.surface.normal.numpy().T
+    for s in (0, 5, 23):
+        t = samples.owner[s]
+        truth = gains(
+            cells @ turns[samples.view[s]].T, normals[t], samples.direction[s].astype(np.float64),
+            materials.roughness[t], *materials.mixed[t], materials.color[t], WIDENED,
+        )  # fmt: skip
+        np.testing.assert_allclose(moving[:, s].T, truth, rtol=1e-3, atol=1e-5 * truth.max())
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
+def test_constant_light_reflects_as_the_directional_albedo_says(roughness):
+    cosine = (np.array([16, 22, 30]) + 0.5) / ALBEDO_NODES
+    directions = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], axis=1)[None]
+    transport = Transport.of(free_samples(np.array([[0, 0, 1.0]]), directions), 4096)
+    found = transport.columns(np.ones((4096, 3)), np.array([roughness]))
+    alpha = np.array([roughness**2])
+    A, B = split_sum(alpha)[0, [16, 22, 30]].T
+    np.testing.assert_allclose(found.p[:, 0, 0], A, rtol=0.04)
+    np.testing.assert_allclose(found.q[:, 0, 0], B, rtol=0.04, atol=2e-3)
+    np.testing.assert_allclose(
+        found.d[:, 0, 0], dielectric_albedo(alpha)[0, [16, 22, 30]], rtol=0.04
+    )
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_cell_right_behind_the_texel_is_hidden(moves):
+    """It has no half vector with the direction to the camera, which is opposite."""
+    behind = fibonacci(64)[:9].astype(np.float32).astype(np.float64)
+    samples = free_samples(-behind, np.repeat(-behind[:, None], 2, axis=1))
+    transport = Transport.of(samples, 64, moves)
+    found = transport.columns(np.ones((64, 3)), np.array([0.0, 0.5, 1.0]))
+    assert all(np.isfinite(part).all() for part in found)
+    materials = Materials(np.full(9, 0.5), np.zeros((9, 1)), np.full((9, 3), 0.5))
+    matrix = transport.matrix(materials)
+    assert np.isfinite(matrix).all()
+    assert not matrix[:, np.arange(18), np.arange(9).repeat(2)].any() and matrix.any()
+
+
+def test_a_narrow_lobe_gathers_its_light_wherever_it_points():
+    """No cell is missed, however much wider than the lobe it is."""
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    directions = np.stack([0.5 * np.cos(turn), 0.5 * np.sin(turn), 0 * turn + 0.75**0.5], axis=1)
+    transport = Transport.of(free_samples(np.array([[0, 0, 1.0]]), directions[None]), 256)
+    found = transport.columns(np.ones((256, 3)), np.array([0.0]))
+    whole = (found.p + found.q)[:, 0, 0]
+    assert whole.min() > 0.8 and whole.max() < 1.3  # a lobe points at a cell, or between them
+    assert abs(whole.mean() - 1) < 0.06
+
+
+# --- prior ------------------------------------------------------------------------------------
+
+
+def test_the_prior_is_a_distribution():
+    prior = prior_of(64)
+    x = np.random.default_rng(3).normal(size=(64, 3))
+    for matrix in (prior.brightness, prior.color, prior.precision()):
+        np.testing.assert_allclose(matrix, matrix.T, atol=1e-9 * np.abs(matrix).max())
+        assert np.linalg.eigvalsh(matrix).min() > 0
+    np.testing.assert_allclose(
+        prior.pull(x).T.ravel(), prior.precision() @ x.T.ravel(), atol=1e-9 * np.abs(x).max() * 100
+    )
+    covariance = np.linalg.inv(prior.brightness)
+    assert covariance[0, 0] == pytest.approx(3.0**2 + SD**2)  # its level is not known
+
+
+# --- a step of the light ----------------------------------------------------------------------
+
+
+def fit_of(samples: Samples, x: np.ndarray) -> Fit:
+    transport = Transport.of(samples, len(x))
+    found = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
+    posterior = found.posterior(SWITCHES)
+    system = system_of(
+        transport, np.exp(x), posterior, SWITCHES.overdispersion, Known(prior_of(len(x)))
+    )
+    return Fit(transport, x, system, 0.1)
+
+
+class Joint:
+    """Light and materials together, in double precision: nothing is eliminated."""
+
+    def __init__(self, samples, x, materials, w):
+        self.samples, self.x, self.materials, self.w = samples, x, materials, w
+        self.texels, self.number = samples.texels, len(x)
+        self.precision = prior_of(self.number).precision()
+        self.freedom = np.tile(1 / np.square([*FREEDOM, *[ALIKE] * 3]), self.texels)
+
+    def moved(self, k: int, by: np.ndarray) -> Materials:
+        """Materials whose parameter k, of five, is another."""
+        table = np.column_stack(self.materials)
+        table[:, k] += by
+        return Materials(table[:, 0], table[:, 1:2], table[:, 2:])
+
+    def predicted(self, x, materials) -> np.ndarray:
+        found = of_oracle(self.samples, materials, self.number)
+        return np.einsum("snc,nc->sc", found, np.exp(x))
+
+    def jacobian(self) -> np.ndarray:
+        """(S, 3, 3 N + 5 n)."""
+        samples, N = self.samples, self.number
+        J = np.zeros((samples.count, 3, 3 * N + 5 * self.texels))
+        K = of_oracle(samples, self.materials, N) * np.exp(self.x)
+        for c in range(3):
+            J[:, c, c * N : (c + 1) * N] = K[:, :, c]
+        r = self.materials.roughness
+        for k in range(5):
+            # Roughness as the solver has it: between two that are possible.
+            ends = (np.clip(r - STEP, 0, 1) - r, np.clip(r + STEP, 0, 1) - r) if k == 0 else (
+                np.full(self.texels, -0.01), np.full(self.texels, 0.01))  # fmt: skip
+            low, high = (self.predicted(self.x, self.moved(k, end)) for end in ends)
+            slope = (high - low) / (ends[1] - ends[0])[samples.owner, None]
+            for s, t in enumerate(samples.owner):
+                J[s, :, 3 * N + 5 * t + k] = slope[s]
+        return J
+
+    def energy(self, x) -> float:
+        off = self.samples.radiance - self.predicted(x, self.materials)
+        flat = x.T.ravel()
+        return float(0.5 * (self.w[:, None] * off**2).sum() + 0.5 * flat @ self.precision @ flat)
+
+    def normal(self) -> tuple[np.ndarray, np.ndarray]:
+        J, N = self.jacobian(), self.number
+        off = self.samples.radiance - self.predicted(self.x, self.materials)
+        H = np.einsum("s,sci,scj->ij", self.w, J, J, optimize=True)
+        H[: 3 * N, : 3 * N] += self.precision
+        H[3 * N :, 3 * N :] += np.diag(self.freedom)
+        g = -np.einsum("s,sci,sc->i", self.w, J, off, optimize=True)
+        g[: 3 * N] += self.precision @ self.x.T.ravel()
+        color = self.materials.color
+        g[3 * N :].reshape(-1, 5)[:, 2:] += (color - color.mean(axis=0)) / ALIKE**2
+        return H, g
+
+
+def test_materials_are_eliminated_as_from_the_whole_normal_equations():
+    samples, truth = photographed(8, 6, 64, noise=0.05)
+    x = truth + 0.3 * np.random.default_rng(2).normal(size=truth.shape)
+    transport = Transport.of(samples, 64)
+    found = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
+    posterior = found.posterior(SWITCHES)
+    tau = SWITCHES.overdispersion
+    found = system_of(transport, np.exp(x), posterior, tau, Known(prior_of(64)))
+    w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
+    joint = Joint(samples, x, materials_of(shared(posterior)), w)
+    H, g = joint.normal()
+    n = 3 * 64
+    taken = np.linalg.solve(H[n:, n:], np.column_stack([H[n:, :n], g[n:]]))
+    matrix, gradient = H[:n, :n] - H[:n, n:] @ taken[:, :-1], g[:n] - H[:n, n:] @ taken[:, -1]
+    np.testing.assert_allclose(found.matrix, matrix, atol=2e-4 * np.abs(matrix).max())
+    np.testing.assert_allclose(found.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
+    # It matters: less is known of the light where materials can follow it.
+    assert np.abs(H[:n, :n] - matrix).max() > 0.02 * np.abs(matrix).max()
+    step = np.clip(np.linalg.solve(H, -g)[:n].reshape(3, 64).T, -LARGEST, LARGEST)
+    np.testing.assert_allclose(found.step(), step, atol=0.02)
+    for seed in range(3):  # the gradient of the energy itself
+        d = np.random.default_rng(seed).normal(size=x.shape)
+        slope = (joint.energy(x + 1e-4 * d) - joint.energy(x - 1e-4 * d)) / 2e-4
+        assert slope == pytest.approx(g[:n] @ d.T.ravel(), rel=1e-4, abs=1e-4 * np.abs(g).max())
+
+
+# --- what else it may be ----------------------------------------------------------------------
+
+
+def test_the_level_is_asked_of_views_that_face_the_surface():
+    """Steep views go, and texels that few others are left of; the rest stays as it is."""
+    samples, _ = made_up(12, 9)
+    steep = np.where(samples.owner < 3, 0.2, 0.9).astype(np.float32)
+    steep[samples.owner == 5] = np.where(np.arange(9) < FEWEST - 1, 0.9, FACING)
+    samples = replace(samples, cosine=steep)
+    facing, which = samples.facing()
+    left = [3, 4, 6, 7, 8, 9, 10, 11]
+    np.testing.assert_array_equal(which, np.flatnonzero(np.isin(samples.owner, left)))
+    np.testing.assert_array_equal(facing.owner, np.repeat(np.arange(8), 9))
+    for name in ("direction", "radiance", "weight", "view"):
+        np.testing.assert_array_equal(getattr(facing, name), getattr(samples, name)[which])
+    normals = (each.surface.normal.numpy().T for each in (facing, samples))
+    np.testing.assert_array_equal(next(normals), next(normals)[left])
+    everything, which = replace(samples, cosine=np.full(samples.count, 0.1)).facing()
+    assert everything.count == len(which) == samples.count  # better than nothing
+
+
+def test_sums_of_dimmer_light_are_those_of_its_columns():
+    samples, x = photographed(12, 8, 64, noise=0.05)
+    found = columns_of(Transport.of(samples, 64), np.exp(x), SWITCHES)
+    dimmed = Columns(*(0.6 * part for part in found))
+    first = Moments.of(samples, found).posterior(SWITCHES, 0.6)
+    second = Moments.of(samples, dimmed).posterior(SWITCHES)
+    np.testing.assert_allclose(first.kernel.noise, second.kernel.noise, rtol=1e-4)
+    for one, other in zip(materials_of(first), materials_of(second), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-4)
+
+
+def test_light_that_is_twice_as_bright_is_found_out():
+    samples, x = photographed(80, 12, 64, noise=0.02)
+    transport = Transport.of(samples, 64)
+    right, double = (
+        level_of(samples, columns_of(transport, np.exp(x + added), SWITCHES), SWITCHES)
+        for added in (0, np.log(2))
+    )
+    assert (abs(double.best + np.log(2)) < 1.645 * double.sd).all()
+    assert (abs(right.best) < 1.645 * right.sd).all()
+    np.testing.assert_allclose(double.best - right.best, -np.log(2), atol=0.15)
+    assert right.anchored and 1.645 * right.common < np.log(2)
+
+
+def test_light_of_another_colour_is_found_out():
+    samples, x = photographed(80, 12, 64, noise=0.02)
+    transport = Transport.of(samples, 64)
+    right, red = (
+        level_of(samples, columns_of(transport, np.exp(x + added), SWITCHES), SWITCHES)
+        for added in (np.zeros(3), np.array([0.3, 0, -0.15]))
+    )
+    tint, wrong = (one.best - one.best.mean() for one in (right, red))
+    assert (abs(tint) < 1.645 * right.tint).all() and (right.tint < 0.3).all()
+    np.testing.assert_allclose(wrong - tint, [-0.25, 0.05, 0.2], atol=0.08)
+    assert (right.sd >= right.common).all()
+
+
+def test_other_lights_are_as_bright_and_textures_less_certain():
+    samples, x = photographed(24, 8, 64, noise=0.05)
+    fit = fit_of(samples, x)
+    found = sample_lights(fit, 6)
+    level = np.exp(found.draws).mean(axis=1)
+    np.testing.assert_allclose(level, np.tile(np.exp(x).mean(axis=0), (6, 1)), rtol=1e-9)
+    np.testing.assert_array_equal(found.draws, sample_lights(fit, 6).draws)
+    assert not np.array_equal(found.draws, sample_lights(fit, 6, seed=1).draws)
+    mean = np.kron(np.full((1, 3), 1 / 3), np.eye(64))
+    share = np.exp(x).mean(axis=1) / np.exp(x).mean(axis=1).sum()
+    mean = (np.eye(64) - share) @ mean  # at a given level
+    covariance = mean @ np.linalg.inv(fit.system.matrix) @ mean.T
+    np.testing.assert_allclose(found.cell_sd, np.sqrt(np.diag(covariance)), rtol=1e-4)
+    columns = columns_of(fit.transport, np.exp(x), SWITCHES)
+    right = level_of(samples, columns, SWITCHES)
+    several = widening_of(fit.transport, columns, found.draws, right, SWITCHES)
+    same, nowhere = np.tile(x, (6, 1, 1)), replace(right, best=np.zeros(3), common=1e-6)
+    sure = widening_of(fit.transport, columns, same, nowhere, SWITCHES)
+    assert sure == pytest.approx(1, abs=1e-3) and several > sure
+
+
+# --- background -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def outdoors(tmp_path_factory):
+    """A shiny ball in a light that is no mirror image of itself; the light is in the pictures."""
+    rng, cells = np.random.default_rng(9), fibonacci(256)
+    uneven = sum(np.sin(k * cells @ rng.normal(size=(3, 3)) + rng.uniform(0, 6, 3))
+                 for k in (1, 2, 3))  # fmt: skip
+    light = replace(made_up_light(), logarithm=uneven).radiance
+    folder = tmp_path_factory.mktemp("outdoors")
+    emitter = {"type": "envmap", "bitmap": mi.Bitmap(light), "to_world":
+               mi.ScalarTransform4f().rotate([0.6, 0.8, 0], 77)}  # fmt: skip
+    return render_ball(folder, emitter, SHINY, views=16, resolution=(48, 48), spp=16)
+
+
+def seen_from(emitter, directions: np.ndarray) -> np.ndarray:
+    """(N, 3) radiance of an emitter from directions, as Mitsuba has it."""
+    si = dr.zeros(mi.SurfaceInteraction3f, len(directions))
+    si.wi = -owned(mi.Vector3f, directions.T.astype(np.float32))
+    return np.array(emitter.eval(si)).T
+
+
+def alike(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("moves", [False, True])
+def test_the_background_is_light_from_where_the_camera_looks(outdoors, moves):
+    """Of a turntable, in camera space: what all photographs show is the same part of it."""
+    capture = turning(outdoors, spp=16) if moves else outdoors
+    looks = Looks.of(capture, moves=moves)
+    truth = seen_from(outdoors.environment, looks.direction)
+    assert alike(looks.radiance, truth) > 0.99
+    np.testing.assert_allclose(looks.radiance.mean(axis=0), truth.mean(axis=0), rtol=0.02)
+    other = Looks.of(capture, moves=not moves)  # in the frame of the other world
+    assert alike(other.radiance, seen_from(outdoors.environment, other.direction)) < 0.5
+
+
+def test_cells_have_the_mean_of_the_pixels_that_show_them(outdoors):
+    number = 256
+    precision, found = Looks.of(outdoors).at(number)
+    cells = precision > 0
+    assert 0.5 < cells.mean() <= 1
+    points = fibonacci(64 * number)
+    owner = (points @ fibonacci(number).T).argmax(axis=1)
+    sums = [np.bincount(owner, channel) for channel in seen_from(outdoors.environment, points).T]
+    truth = np.log(np.stack(sums, axis=1) / np.bincount(owner)[:, None])[cells]
+    assert alike(found[cells], truth) > 0.95
+    assert abs((found[cells] - truth).mean()) < 0.05
+    assert not found[~cells].any()
+
+
+def test_there_may_be_no_background(outdoors):
+    masks = tuple(np.ones(image.shape[:2], bool) for image in outdoors.images)
+    with pytest.raises(CaptureError, match="^No photograph shows anything beyond the object, so "):
+        Looks.of(replace(outdoors, masks=masks))
+
+
+def test_an_object_that_was_cut_out_shows_no_light(outdoors):
+    masked = [image * 0 for image in outdoors.images]
+    with pytest.raises(CaptureError, match="^All that the photographs show beyond the object is b"):
+        Looks.of(replace(outdoors, images=tuple(masked)))
+
+
+def test_a_black_object_is_refused_whatever_its_light(outdoors):
+    images = tuple(image * 0 for image in outdoors.images)
+    with pytest.raises(CaptureError, match="black"):
+        svu.estimate_light(replace(outdoors, images=images), svu.texels(outdoors.mesh, 16))
+
+
+@pytest.mark.slow
+def test_the_background_helps(outdoors):
+    texels = svu.texels(outdoors.mesh, 32)
+    options = svu.LightOptions(texels=60, depths=((128, 4),), draws=2, moves=False)
+    without, looked = (
+        svu.estimate_light(outdoors, texels, replace(options, background=name))
+        for name in ("none", "distant")
+    )
+    first, second = (likeness(one, outdoors.environment) for one in (without, looked))
+    assert second.correlation > max(first.correlation + 0.2, 0.8)  # .64 and .95
+    assert looked.known_part > without.known_part
+    # The level was looked at, and stays: nothing is left to fix.
+    assert np.abs(np.log(second.scale)).max() < 0.15 and looked.scale_interval[1].max() < 1.3
+    assert not any("level of the light" in remark for remark in looked.remarks)
+
+
+# --- options ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"texels": 15}, r"texels must be in \[16, 10000\], got 15\.$"),
+        ({"texels": 99.5}, r"texels must be a whole number, got 99\.5\.$"),
+        ({"draws": 1}, r"draws must be in \[2, 64\], got 1\.$"),
+        ({"seed": -1}, r"seed must be in \[0, .*\], got -1\.$"),
+        ({"background": "near"}, r"background must be one of none, distant, got 'near'\.$"),
+        ({"moves": "yes"}, r"moves must be True, False or None, got 'yes'\.$"),
+        ({"depths": ()}, r"depths must be \(cells, rounds\), ascending, of 64 .*, got \(\)\.$"),
+        ({"depths": ((256, 3), (64, 3))}, "depths must be "),
+        ({"depths": ((63, 3),)}, r"depths must be \(cells, rounds\), ascending, of 64 "),
+        ({"depths": ((64, 0),)}, "depths must be "),
+        ({"depths": (64, 3)}, "depths must be "),
+        ({"depths": ((64.5, 3),)}, "depths must be "),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(given, message):
+    with pytest.raises(OptionError, match=f"^LightOptions: {message}"):
+        svu.LightOptions(**given)

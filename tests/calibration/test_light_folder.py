@@ -1,0 +1,328 @@
+"""Light that was found: kept in a folder and read back, scaled by what is known, put in words."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from support.helpers import ball_scene, made_up_light, names, render_ball
+
+import svu_mi as svu
+from svu_mi.calibration.light import grey_card
+from svu_mi.calibration.light.light_estimate import UNANCHORED
+from svu_mi.calibration.light.light_folder import photographs_of
+from svu_mi.calibration.light.light_summary import (
+    brightest,
+    likeness,
+    likeness_sentence,
+    scale_sentence,
+    sentences,
+)
+from svu_mi.calibration.light.resolve_light import illuminated, with_map
+from svu_mi.capture.capture import Doubt
+from svu_mi.capture.content_hash import capture_key, capture_parts, photographs_key
+from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.npz import read_arrays, write_arrays
+from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError
+from svu_mi.posterior.observations import observe
+
+FIELDS = ("logarithm", "cell_sd", "draws", "scale_sd", "misfit", "widening", "texels", "remarks")
+PAINT = {"type": "principled", "roughness": 0.5, "metallic": 0.0,
+         "base_color": {"type": "rgb", "value": [0.3, 0.3, 0.3]}}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def gray_ball(tmp_path_factory):
+    """A ball of base colour .3 from all sides, in a light that is brighter from one of them."""
+    light = {"type": "envmap", "bitmap": mi.Bitmap(made_up_light().radiance)}
+    return render_ball(tmp_path_factory.mktemp("ball"), light, PAINT, views=12, spp=32)
+
+
+@pytest.fixture
+def kept(tmp_path):
+    svu.save_light(made_up_light(), tmp_path / "light", photographs="0" * 32)
+    return tmp_path / "light"
+
+
+def test_what_is_read_is_what_was_written(kept):
+    written, found = made_up_light(), svu.load_light(kept)
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(written, name), name)
+    assert found.radiance.tobytes() == written.radiance.tobytes()
+    assert photographs_of(kept) == "0" * 32
+    layers = read_exr(kept / "light.exr")
+    assert sorted(layers) == ["B", "G", "R", "known.Y", "sd.Y"]
+    np.testing.assert_array_equal(layers["R"], found.radiance[..., 0])
+    np.testing.assert_array_equal(layers["sd.Y"], found.sd)
+    record = json.loads((kept / "light.json").read_text())["light"]
+    assert record["known"] == pytest.approx(written.known_part)
+    assert record["misfit"] == {"still": 0.02, "moving": None}
+    assert record["remarks"] == ["Nothing is seen from below."]
+
+
+def test_an_older_result_is_replaced_but_not_other_files(kept):
+    svu.save_light(made_up_light(seed=2), kept)
+    (kept / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="notes.txt was not written by svu light"):
+        svu.save_light(made_up_light(seed=3), kept)
+    assert names(kept) == ["light.exr", "light.json", "light.npz", "notes.txt"]
+    assert not np.array_equal(svu.load_light(kept).logarithm, made_up_light().logarithm)
+
+
+def test_a_folder_that_is_none_is_named(kept, tmp_path):
+    with pytest.raises(CaptureError, match=r"no such folder; give one that svu light wrote\.$"):
+        svu.load_light(tmp_path / "nothing")
+    (kept / "light.npz").unlink()
+    with pytest.raises(CaptureError, match=r"has no light\.npz, so it is not a result of svu ligh"):
+        svu.load_light(kept)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="is a file, not a folder"):
+        svu.save_light(made_up_light(), tmp_path / "file")
+
+
+@pytest.mark.parametrize("name", ["light.exr", "light.npz"])
+def test_files_of_two_runs_are_refused(kept, tmp_path, name):
+    svu.save_light(made_up_light(seed=2), tmp_path / "other")
+    shutil.copy(tmp_path / "other" / name, kept / name)
+    with pytest.raises(CaptureError, match="different run|another run"):
+        svu.load_light(kept)
+
+
+def test_a_map_that_was_painted_over_is_not_taken_for_what_was_found(kept):
+    marks = {"svu:run": json.loads((kept / "light.json").read_text())["written"]["run"]}
+    layers = read_exr(kept / "light.exr")
+    write_exr(kept / "light.exr", {name: 2 * plane for name, plane in layers.items()}, marks)
+    with pytest.raises(CaptureError, match=r"light\.exr: was changed since svu light wrote it"):
+        svu.load_light(kept)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"logarithm": np.full((64, 3), np.nan)}, "logarithm has values out of range"),
+        ({"draws": np.zeros((2, 63, 3))}, r"draws has the shape \(2, 63, 3\)"),
+        ({"cell_sd": -np.ones(64)}, "cell_sd has values out of range"),
+        ({"widening": 0.5}, "widening has values out of range"),
+        ({"moves": 2}, "moves has values out of range"),
+        ({"texels": "many"}, "texels has the type <U4"),
+        ({"remarks": 3}, "remarks has the type int64"),
+        ({"misfit": None}, "it lacks misfit"),
+    ],
+    ids=lambda value: "_".join(value) if isinstance(value, dict) else "",
+)
+def test_arrays_that_are_none_are_named(kept, changes, message):
+    arrays = {**read_arrays(kept / "light.npz"), **changes}
+    kept_ones = {name: value for name, value in arrays.items() if value is not None}
+    write_arrays(kept / "light.npz", kept_ones)
+    with pytest.raises(CaptureError, match=rf"light\.npz: cannot be used \({message}"):
+        svu.load_light(kept)
+
+
+def test_a_cut_file_is_named(kept):
+    path = kept / "light.npz"
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(CaptureError, match=r"light\.npz: cannot be used \(.*\); run svu light"):
+        svu.load_light(kept)
+
+
+# --- captures under it ------------------------------------------------------------------------
+
+
+def test_photographs_have_a_key_whatever_their_light_and_material(gray_ball, tmp_path):
+    lit = svu.with_light(gray_ball, made_up_light())
+    scene = ball_scene(tmp_path, {"type": "constant"}, {"type": "diffuse"})
+    other = replace(gray_ball, scene=scene, shape=scene.shapes()[0], mesh=scene.shapes()[0])
+    key = photographs_key(gray_ball)
+    assert photographs_key(lit) == photographs_key(other) == key
+    assert capture_key(lit) != capture_key(gray_ball)
+    brighter = [2 * image for image in gray_ball.images]
+    assert photographs_key(replace(gray_ball, images=tuple(brighter))) != key
+    unused = (True,) * 11 + (False,)
+    left_out = replace(gray_ball, used=unused)
+    assert photographs_key(left_out) != key
+    changed = (*gray_ball.images[:11], brighter[11])
+    assert photographs_key(replace(left_out, images=changed)) == photographs_key(left_out)
+
+
+def test_doubt_is_a_part_of_the_light(gray_ball):
+    """A recovery does not go on under light that is better known now."""
+    known, doubtful = (
+        svu.with_light(gray_ball, replace(made_up_light(), widening=widening))
+        for widening in (1.0, 2.0)
+    )
+    first, second = capture_parts(known), capture_parts(doubtful)
+    assert [name for name in first if first[name] != second[name]] == ["light"]
+
+
+def test_the_scene_keeps_its_integrator(gray_ball):
+    lit = svu.with_light(gray_ball, made_up_light())
+    assert lit.scene.integrator().class_name() == gray_ball.scene.integrator().class_name()
+    assert lit.found_light is not None and lit.environment.id() == "found_light"
+
+
+def test_a_map_replaces_the_light_and_is_certain(gray_ball, kept):
+    lit, notes = with_map(svu.with_light(gray_ball, made_up_light()), kept / "light.exr")
+    assert not notes and lit.doubt is None and lit.found_light is None
+    data = mi.traverse(lit.environment)["data"].numpy()[:, 1:-1]
+    np.testing.assert_array_equal(data, made_up_light().radiance)
+
+
+def test_a_capture_without_a_light_names_the_way_to_one(gray_ball):
+    dark = replace(gray_ball, scene=mi.load_dict({"type": "scene"}))
+    with pytest.raises(SceneError) as refused:
+        svu.estimate(dark, svu.texels(dark.mesh, 16))
+    assert str(refused.value) == (
+        "The scene: the capture has no light; use svu.with_light(capture, "
+        "svu.estimate_light(capture, texels)), which finds it in the photographs."
+    )
+
+
+def test_a_light_that_moves_is_refused_in_one_sentence(gray_ball, kept):
+    svu.save_light(replace(made_up_light(), moves=True), kept)
+    with pytest.raises(SceneError, match="The light turns with the camera"):
+        illuminated(gray_ball, kept)
+
+
+# --- brightness -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def proportional(monkeypatch):
+    """Base colours of .3 under the true light, and as much too bright as it is too dark."""
+
+    def estimate(seen, known=None):
+        light, truth = seen.capture.found_light.logarithm, made_up_light().logarithm
+        mean = np.tile(0.3 * np.exp((truth - light).mean(axis=0)), (seen.texels.count, 1))
+        sd = np.full_like(mean, 0.1)
+        sd[::2] = 0.01  # where base colours are uncertain they are others
+        mean[1::2] *= 1 if known is None else 1.05
+        tables = {"mean": {"base_color": mean}, "sd": {"base_color": sd}}
+        posterior = SimpleNamespace(**{what: of.__getitem__ for what, of in tables.items()})
+        return SimpleNamespace(posterior=posterior)
+
+    monkeypatch.setattr(grey_card, "estimate", estimate)
+
+
+@pytest.mark.usefixtures("proportional")
+@pytest.mark.parametrize("tint", [(0.6, 0.6, 0.6), (1.7, 1.7, 1.7), (1.3, 1.0, 0.8)])
+def test_known_base_colours_fix_the_brightness(gray_ball, tint):
+    """Light that is found too dark, or too bright, by a factor; a card tells that of channels."""
+    truth = made_up_light()
+    found = replace(truth, logarithm=truth.logarithm + np.log(tint))
+    seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
+    by_mean = grey_card.scaled_by_mean(found, seen, 0.3)
+    by_card = grey_card.scaled_by_card(found, seen, (0.5, 0.5), 0.3)
+    ours = [np.exp(one.logarithm - found.logarithm)[0] for one in (by_mean, by_card)]
+    np.testing.assert_allclose(ours[1] * tint, 1, rtol=0.02)
+    np.testing.assert_allclose(ours[0], ours[0][0], rtol=1e-6)
+    np.testing.assert_allclose((1 / ours[0]).mean(), np.mean(tint), rtol=0.05)
+    assert not by_mean.scale_sd.any() and not by_card.scale_sd.any()
+
+
+@pytest.mark.slow
+def test_a_card_on_a_ball_fixes_the_brightness(gray_ball):
+    """And posteriors are what says so."""
+    truth = made_up_light()
+    found = replace(truth, logarithm=truth.logarithm + np.log(0.6))
+    seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
+    by_card = grey_card.scaled_by_card(found, seen, (0.5, 0.5), 0.3)
+    np.testing.assert_allclose(np.exp(by_card.logarithm - found.logarithm), 1 / 0.6, rtol=0.15)
+
+
+@pytest.mark.usefixtures("proportional")
+def test_a_card_that_is_none_is_named(gray_ball):
+    seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
+    with pytest.raises(OptionError, match=r"must be in \[0.01, 1\], got 1.2"):
+        grey_card.scaled_by_card(made_up_light(), seen, (0.5, 0.5), 1.2)
+    with pytest.raises(OptionError, match=r"texture coordinates are in \[0, 1\]"):
+        grey_card.scaled_by_card(made_up_light(), seen, (0.5, 1.5), 0.3)
+    with pytest.raises(CaptureError, match="The light turns with the camera"):
+        grey_card.scaled_by_mean(replace(made_up_light(), moves=True), seen, 0.3)
+    blind = replace(seen.found, coverage=0 * seen.found.coverage, total=0 * seen.found.total)
+    with pytest.raises(CaptureError, match="no photograph shows the surface at texture coordina"):
+        grey_card.scaled_by_card(made_up_light(), replace(seen, found=blind), (0.5, 0.5), 0.3)
+
+
+@pytest.mark.usefixtures("proportional")
+def test_a_base_colour_that_no_light_explains_is_named(gray_ball, monkeypatch):
+    seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
+    monkeypatch.setattr(grey_card, "MOST_ROUNDS", 2)
+    far = made_up_light().scaled(1e4)
+    with pytest.raises(CaptureError, match="No brightness of the light makes the base colour"):
+        grey_card.scaled_by_mean(far, seen, 0.3)
+
+
+# --- words ------------------------------------------------------------------------------------
+
+
+def test_the_brightest_direction_is_where_the_light_is():
+    found = brightest(made_up_light())
+    assert found is not None and found @ np.array([1, 0, 0]) > np.cos(np.radians(15))
+    even = replace(made_up_light(), logarithm=np.zeros((64, 3)))
+    assert brightest(even) is None
+    said = list(sentences(made_up_light()))
+    assert said[0].startswith("Of the light from all directions, photographs tell ")
+    assert "azimuth 9" in said[1] or "azimuth 8" in said[1]  # from -Z towards +X
+    assert said[-1] == "Nothing is seen from below."
+    assert "no direction stands out" in list(sentences(even))[1]
+
+
+def test_the_scale_is_said_as_long_as_it_is_open():
+    assert scale_sentence(made_up_light()) == (
+        "Base colours are known up to a common factor between 0.72 and 1.39; --grey-card or "
+        "--mean-albedo of svu light fix it."
+    )
+    assert "brightness was given" in scale_sentence(made_up_light().scaled(2))
+
+
+def test_a_level_that_was_given_is_known():
+    """What was not known of it is said no more, and it lies in no interval."""
+    light = made_up_light()
+    light = replace(light, remarks=(*light.remarks, UNANCHORED))
+    given = light.scaled(2.0)
+    assert given.remarks == light.remarks[:-1]
+    np.testing.assert_allclose(given.radiance, 2 * light.radiance, rtol=1e-5)
+    emitter = mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(light.radiance)})
+    assert likeness(given, emitter).inside is None
+    assert "the interval" not in likeness_sentence(likeness(given, emitter))
+
+
+def test_doubt_counts_once_however_often_it_is_asked(gray_ball):
+    doubted = replace(gray_ball, doubt=Doubt(3.0, (0.2, 0.2, 0.2)))
+    texels = svu.texels(gray_ball.mesh, 16)
+    first = svu.estimate(doubted, texels)
+    second = svu.estimate(first, preset=first.preset)
+    assert first.preset == svu.preset("default", method="angular")
+    assert first.switches.overdispersion == 3 * first.preset.overdispersion
+    np.testing.assert_array_equal(np.array(first.entropy), np.array(second.entropy))
+    own = replace(first.posterior, kernel=first.posterior.kernel.apart())
+    seen = np.array(first.coverage) > 0
+    for name in ("base_color", "roughness"):
+        wide, narrow = (np.array(one.sd(name))[seen] for one in (first.posterior, own))
+        assert (wide >= narrow).all() and ((wide > narrow).any() == (name == "base_color"))
+
+
+def test_possible_maps_differ_about_as_much_as_their_cells():
+    """Those of the same cells are equal; more than there are are not made up."""
+    light = made_up_light()
+    same = replace(light, draws=np.tile(light.logarithm, (2, 1, 1)))
+    np.testing.assert_array_equal(same.drawn(2), np.stack([light.radiance] * 2))
+    maps = light.drawn(9)
+    assert maps.shape == (2, 129, 256, 3)
+    assert 0.1 < np.log(maps / light.radiance).std() < 0.25
+
+
+def test_likeness_is_that_of_the_maps():
+    truth = made_up_light()
+    emitter = mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(truth.radiance)})
+    same = likeness(truth.scaled(0.5), emitter)
+    assert same.correlation > 0.999 and same.angle < 3
+    np.testing.assert_allclose(same.scale, 2, rtol=1e-3)
+    assert not same.inside and likeness(truth, emitter).inside
+    opposite = likeness(made_up_light(side=-1), emitter)
+    assert opposite.correlation < 0 and opposite.angle > 150

@@ -1,0 +1,146 @@
+"""Light that is found in rendered captures: of what worlds, and what is not known of it."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from support.helpers import render_ball, turning
+
+import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.calibration.light.light_estimate import NINETY
+from svu_mi.calibration.light.light_prior import SD, prior_of
+from svu_mi.calibration.light.light_summary import likeness
+from svu_mi.core.arrays import fibonacci
+from svu_mi.errors import SceneError
+from svu_mi.light.environment import basis_at
+
+TOLD = 6  # degree of harmonics beyond which matte shading tells nothing
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def vase():
+    """The vase by the window from 24 sides, and the light that is found: neither is changed."""
+    capture = svu.render_capture(
+        scenes.path("vase"), spp=32, views=24, resolution=(96, 96), defines={"light": "window"}
+    )
+    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96))
+
+
+@pytest.fixture(scope="module")
+def window(vase):
+    """The light of that capture, for other scenes."""
+    params = mi.traverse(vase[0].environment)
+    pixels = np.ascontiguousarray(params["data"].numpy()[:, 1:-1])  # without what wraps around
+    return {"type": "envmap", "bitmap": mi.Bitmap(pixels)}
+
+
+def painted(folder, light, **material):
+    """A ball from all sides; its base colour is one of a texture of stripes and spots."""
+    u, v = np.meshgrid(np.arange(64) / 64, np.arange(32) / 32)
+    color = 0.45 + 0.25 * np.stack(
+        [np.sin(30 * u), np.cos(25 * v) * np.sin(12 * u), np.sin(20 * (u + v))], axis=-1
+    )
+    texture = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(color.astype(np.float32))}
+    bsdf = {"type": "principled", "base_color": texture, **material}
+    return render_ball(folder, light, bsdf, views=24, resolution=(96, 96), spp=64)
+
+
+def test_the_light_of_the_vase_is_found(vase):
+    capture, found = vase
+    like = likeness(found, capture.environment)
+    assert like.correlation > 0.9
+    assert like.angle < 15
+
+
+def test_the_sun_is_brighter_and_not_the_paint_in_it():
+    """Base colours could be bright in the sun and dark in the shade, but hardly are."""
+    capture = svu.render_capture(
+        scenes.path("vase"), spp=32, views=40, resolution=(96, 96), defines={"light": "clear"}
+    )
+    options = svu.LightOptions(moves=False, texels=400)
+    found = svu.estimate_light(capture, svu.texels(capture.mesh, 96), options)
+    like = likeness(found, capture.environment)
+    assert like.correlation > 0.8 and like.angle < 10  # .84; .73 if they may be anything
+
+
+def test_the_light_is_the_same_every_time(vase):
+    texels = svu.texels(vase[0].mesh, 96)
+    options = svu.LightOptions(texels=120, depths=((128, 3), (256, 2)), draws=3)
+    first, second = (svu.estimate_light(vase[0], texels, options) for _ in range(2))
+    for name in ("logarithm", "cell_sd", "draws", "scale_sd"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name), name)
+    assert (first.widening, first.misfit) == (second.widening, second.misfit)
+
+
+def test_a_turntable_is_recognised(vase):
+    capture, still = vase
+    assert not still.moves and still.misfit[0] < still.misfit[1]
+    table = turning(capture)
+    found = svu.estimate_light(table, svu.texels(table.mesh, 96))
+    like = likeness(found, capture.environment)  # turned as in camera space
+    assert found.moves and found.misfit[1] < 0.5 * found.misfit[0]
+    assert like.correlation > 0.8
+    with pytest.raises(SceneError, match=r"^The light turns with the camera [^\n]*\.$"):
+        svu.with_light(table, found)
+
+
+@pytest.fixture(scope="module")
+def matte(tmp_path_factory):
+    """What is found of even light of radiance 1, from a matte ball."""
+    folder = tmp_path_factory.mktemp("matte")
+    capture = painted(folder, {"type": "constant"}, roughness=0.9, metallic=0.0)
+    return svu.estimate_light(capture, svu.texels(capture.mesh, 96))
+
+
+def dimmer_half(found):
+    """Which directions of its map are no brighter than the median, and radiance."""
+    grey = found.radiance.mean(axis=2)
+    return grey <= np.median(grey), grey
+
+
+def test_details_that_a_matte_object_cannot_show_are_within_what_is_not_known(matte):
+    """Even light comes out uneven, but no more than its standard deviation says."""
+    dim, grey = dimmer_half(matte)
+    off = np.abs(np.log(grey[dim]))
+    assert not matte.moves
+    assert (off < NINETY * matte.sd[dim]).mean() > 0.9  # all of it
+    assert np.sqrt(np.mean(np.square(off / matte.sd[dim]))) < 1  # .54
+    assert np.median(matte.sd[dim]) > 0.5 * SD  # .56
+
+
+def test_details_of_a_matte_object_s_light_are_as_unknown_as_before(matte):
+    """Matte shading tells harmonics up to degree 4 or so; beyond, the prior is left."""
+    cells = fibonacci(matte.cells)
+    basis = basis_at(cells, TOLD)
+    fine = np.eye(matte.cells) - basis @ np.linalg.pinv(basis)
+    before = np.sqrt(np.diag(fine @ np.linalg.inv(prior_of(matte.cells).brightness) @ fine))
+    drawn = matte.draws.mean(axis=2)
+    off = (drawn - drawn.mean(axis=0)) @ fine
+    grey = matte.logarithm.mean(axis=1)
+    dim = grey <= np.median(grey)
+    left = np.sqrt(np.square(off[:, dim]).sum() / (len(drawn) - 1) / dim.sum())
+    assert left > 0.9 * np.sqrt(np.square(before[dim]).mean())  # .95
+
+
+@pytest.fixture(scope="module")
+def metal(window, tmp_path_factory):
+    """A capture of metal alone, and the light that is found."""
+    folder = tmp_path_factory.mktemp("metal")
+    capture = painted(folder, window, roughness=0.3, metallic=1.0)
+    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96))
+
+
+def test_the_light_that_metal_mirrors_is_found(metal):
+    capture, found = metal
+    like = likeness(found, capture.environment)
+    assert like.correlation > 0.95 and like.inside  # .99
+
+
+def test_metal_alone_does_not_tell_how_bright_the_light_is(metal):
+    low, high = metal[1].scale_interval
+    wide = bool((high > 2 * low).all())
+    assert wide and any("level of the light is not known" in each for each in metal[1].remarks)

@@ -1,0 +1,351 @@
+"""COLMAP: its models read within their bounds, written as pycolmap reads them, and straightened.
+
+pycolmap runs in processes of its own, as in the package: its zlib and Pillow's do not get along.
+"""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.colmap import write_colmap
+from support.helpers import foreign_source, projected
+
+from svu_mi.capture.importers.colmap import project as colmap
+from svu_mi.capture.importers.colmap import undistortion
+from svu_mi.capture.importers.colmap.project import find_model
+from svu_mi.capture.importers.colmap.sparse_model import Camera, View, read_model, write_model
+from svu_mi.capture.importers.lens_distortion import Lens
+from svu_mi.capture.importers.registry import ReadOptions, read_source
+from svu_mi.capture.importers.source import OPENCV, Source
+from svu_mi.errors import CaptureError, SvuEnvironmentError
+
+POINTS = np.random.default_rng(4401).uniform(-0.4, 0.4, (6, 3))
+# Projects points by a model, and makes another of a kind that has rigs, frames and points.
+PYCOLMAP = """
+import sys
+import numpy as np
+import pycolmap
+pycolmap.logging.minloglevel = 3
+root = sys.argv[1]
+model = pycolmap.Reconstruction(f"{root}/given/sparse/0")
+points = np.load(f"{root}/points.npy")
+images = sorted(model.images.values(), key=lambda image: image.name)
+np.save(f"{root}/pixels.npy", [[image.project_point(p) for p in points] for image in images])
+options = pycolmap.SyntheticDatasetOptions()
+options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 2, 2, 2
+options.num_points3D = 12
+made = pycolmap.synthesize_dataset(options)
+made.write_binary(f"{root}/bin")
+made.write_text(f"{root}/txt")
+images = sorted(made.images.values(), key=lambda image: image.name)
+np.save(f"{root}/poses.npy", [image.cam_from_world().matrix() for image in images])
+"""
+
+
+def read_colmap(path: Path, **options: Path) -> Source:
+    return colmap.read(path, ReadOptions(**options))
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    return foreign_source(tmp_path_factory.mktemp("source"))
+
+
+@pytest.fixture(scope="module")
+def project(source, tmp_path_factory):
+    """A project that write_colmap has written, with what pycolmap makes of it beside it."""
+    root = tmp_path_factory.mktemp("colmap")
+    write_colmap(root / "given", source)
+    np.save(root / "points.npy", POINTS)
+    for name in ("bin", "txt"):
+        (root / name).mkdir()
+    subprocess.run([sys.executable, "-c", PYCOLMAP, str(root)], check=True)
+    return root
+
+
+def test_what_is_written_is_read(source, project):
+    found = read_colmap(project / "given")
+    assert found.format == "colmap" and (found.camera_axes == OPENCV).all()
+    assert "unit" in found.notes[0]
+    for got, wanted in zip(found.frames, source.frames, strict=True):
+        np.testing.assert_allclose(got.to_world, wanted.to_world, atol=1e-12)
+        assert (got.focal, got.center, got.size) == (wanted.focal, wanted.center, wanted.size)
+        assert got.image.read_bytes() == wanted.image.read_bytes()
+        assert (got.mask is None) == (wanted.mask is None)
+        if got.mask is not None:
+            assert got.mask.name == f"{got.image.name}.png"
+            assert got.mask.read_bytes() == wanted.mask.read_bytes()
+    assert len(read_model(project / "given/sparse/0")[0]) == 2  # two frames share a camera
+
+
+def test_pycolmap_projects_as_mitsuba_does(project):
+    pixels = np.load(project / "pixels.npy")
+    for frame, wanted in zip(read_colmap(project / "given").frames, pixels, strict=True):
+        assert (wanted.min(axis=0) > 0).all() and (wanted.max(axis=0) < frame.size).all()
+        np.testing.assert_allclose(projected(frame, POINTS), wanted, atol=1e-3)
+
+
+def test_models_of_pycolmap_are_read_from_both_kinds_of_file(project):
+    cameras, views = read_model(project / "bin")
+    assert (cameras, views) == read_model(project / "txt")
+    assert {camera.model for camera in cameras.values()} == {"SIMPLE_RADIAL"}
+    assert len(cameras) == 4 and len(views) == 8
+    images = project / "bin" / "images"
+    images.mkdir()
+    for view in views:
+        (images / view.name).touch()
+    straight = {k: replace(c, model="SIMPLE_PINHOLE", parameters=c.parameters[:3])
+                for k, c in cameras.items()}  # fmt: skip
+    write_model(project / "bin", straight, views)
+    poses = np.load(project / "poses.npy")
+    for frame, wanted in zip(read_colmap(project / "bin").frames, poses, strict=True):
+        np.testing.assert_allclose(np.linalg.inv(frame.to_world @ OPENCV)[:3], wanted, atol=1e-9)
+
+
+# Models made by hand.
+
+CAMERA = Camera("PINHOLE", 8, 6, (9.0, 9.5, 4.0, 3.0))
+VIEW = View("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0))
+CAMERA_LINE = "1 PINHOLE 8 6 9 9.5 4 3"
+VIEW_LINE = "1 1 0 0 0 0 0 4 1 a.png"
+
+
+def put(root: Path, camera: Camera = CAMERA, view: View = VIEW, model: str = "sparse/0") -> Path:
+    """Write a project of one view."""
+    (root / model).mkdir(parents=True, exist_ok=True)
+    write_model(root / model, {1: camera}, [view])
+    (root / "images").mkdir(exist_ok=True)
+    (root / "images" / "a.png").touch()
+    return root
+
+
+def put_text(root: Path, cameras: str = CAMERA_LINE, images: str = VIEW_LINE) -> Path:
+    (root / "cameras.txt").write_text(f"# cameras\n{cameras}\n")
+    (root / "images.txt").write_text(f"# images\n\n{images}\n\n")
+    (root / "images").mkdir()
+    (root / "images" / "a.png").touch()
+    return root
+
+
+@pytest.mark.parametrize("place", ["sparse/0", "sparse", "dense/sparse", "."])
+def test_a_model_is_found_in_its_project(tmp_path, place):
+    put(tmp_path, model=place)
+    for path in (tmp_path, tmp_path / place):
+        assert find_model(path) == tmp_path / place
+        (frame,) = read_colmap(path).frames
+        assert frame.image == tmp_path / "images" / "a.png"
+    assert find_model(tmp_path / "images") is None
+
+
+def test_the_folder_that_has_the_model_0_will_do(tmp_path):
+    """``svu import project/sparse`` and nerfstudio's ``svu import data/colmap/sparse``."""
+    put(tmp_path / "project")
+    put(tmp_path / "data", model="colmap/sparse/0")
+    for folder, parts in (("project", "sparse"), ("data", "colmap/sparse")):
+        source = read_source(tmp_path / folder / parts)
+        assert source.format == "colmap"
+        assert source.frames[0].image == tmp_path / folder / "images" / "a.png"
+
+
+def test_the_undistorted_model_and_its_images_go_first(tmp_path):
+    put(tmp_path, camera=replace(CAMERA, model="OPENCV", parameters=(9.0,) * 8))
+    put(tmp_path / "dense", model="sparse")
+    (frame,) = read_colmap(tmp_path).frames
+    assert frame.image == tmp_path / "dense" / "images" / "a.png"
+
+
+def test_several_models_are_told(tmp_path):
+    put(put(tmp_path), model="sparse/1")
+    assert "several models" in read_colmap(tmp_path).notes[1]
+
+
+@pytest.mark.parametrize("name", ["a.png.png", "a.png", "a.jpg"])
+def test_masks_are_found_by_any_of_their_names(tmp_path, name):
+    put(tmp_path)
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / name).touch()
+    assert read_colmap(tmp_path).frames[0].mask is None
+    (frame,) = read_colmap(tmp_path, masks=tmp_path / "shapes").frames
+    assert frame.mask == tmp_path / "shapes" / name
+
+
+def test_folders_that_are_not_there(tmp_path):
+    put(tmp_path)
+    with pytest.raises(CaptureError, match="none: not a COLMAP model"):
+        read_colmap(tmp_path / "none")
+    with pytest.raises(CaptureError, match="none: no such folder; .* masks with --masks"):
+        read_colmap(tmp_path, masks=tmp_path / "none")
+    with pytest.raises(CaptureError, match="none: no such folder; .* --images"):
+        read_colmap(tmp_path, images=tmp_path / "none")
+    with pytest.raises(CaptureError, match="1 of 1 photographs are missing, a.png first"):
+        read_colmap(tmp_path, images=tmp_path / "sparse")
+
+
+STRAIGHT = {"SIMPLE_DIVISION": (9.0, 4.0, 3.0, 0.0),
+            "FULL_OPENCV": (9.0, 9.5, 4.0, 3.0, *[0] * 8)}  # fmt: skip
+BENT = {"SIMPLE_RADIAL": {"k1": 1e-3}, "RADIAL": {"k1": 1e-3, "k2": 2e-3},
+        "OPENCV": {"k1": 1e-3, "k2": 2e-3, "p1": 3e-3, "p2": 4e-3},
+        "FULL_OPENCV": {"k1": 1e-3, "k2": 2e-3, "p1": 3e-3, "p2": 4e-3, "k3": 5e-3}}  # fmt: skip
+
+
+@pytest.mark.parametrize("model", BENT)
+def test_lenses_of_opencvs_model_are_straightened_by_the_import(tmp_path, model):
+    """Without pycolmap, and photographs of floats, too."""
+    focal = (9.0, 9.5) if "OPENCV" in model else (9.0,)
+    rest = [0.0] * (3 if model == "FULL_OPENCV" else 0)
+    parameters = (*focal, 4.0, 3.0, *BENT[model].values(), *rest)
+    camera = replace(CAMERA, model=model, parameters=parameters)
+    (frame,) = read_colmap(put(tmp_path, camera=camera)).frames
+    assert frame.lens == Lens(**BENT[model]) and frame.center == (4.0, 3.0)
+    assert frame.focal == (focal[0], focal[-1])
+
+
+@pytest.mark.parametrize("model", STRAIGHT)
+def test_other_lenses_that_bend_lines_are_refused(tmp_path, model):
+    camera = replace(CAMERA, model=model, parameters=STRAIGHT[model])
+    (frame,) = read_colmap(put(tmp_path / "straight", camera=camera)).frames
+    assert frame.focal[0] == 9.0 and frame.center == (4.0, 3.0) and frame.lens is None
+    bent = replace(camera, parameters=(*camera.parameters[:-1], 1e-3))
+    with pytest.raises(CaptureError, match=rf"camera 1: .*\({model}\).*--undistort"):
+        read_colmap(put(tmp_path / "bent", camera=bent))
+
+
+def test_a_text_model_of_two_lines_per_image(tmp_path):
+    lines = f"{VIEW_LINE}\n1.5 2.5 -1 3 4 7\n2 1 0 0 0 0 0 4 1 a name.png"
+    put_text(tmp_path, images=lines)
+    cameras, views = read_model(tmp_path)
+    assert cameras == {1: CAMERA} and views[1] == VIEW and views[0].name == "a name.png"
+
+
+TEXT = {
+    "too few numbers": ({"cameras": "1 PINHOLE 8 6 9 9 4"}, "PINHOLE has 4 parameters, not 3"),
+    "an unknown model": ({"cameras": "1 GLASS 8 6 9 9 4 3"}, "camera model 'GLASS' is unknown"),
+    "half a camera": ({"cameras": "1 PINHOLE"}, "CAMERA_ID MODEL"),
+    "words": ({"cameras": "1 PINHOLE 8 six 9 9 4 3"}, "'six'"),
+    "nan": ({"cameras": "1 PINHOLE 8 6 nan 9 4 3"}, "NaN"),
+    "no size": ({"cameras": "1 PINHOLE 0 6 9 9 4 3"}, "must be 1 to 65536"),
+    "a huge size": ({"cameras": "1 PINHOLE 99999999999 6 9 9 4 3"}, "must be 1 to 65536"),
+    "a huge centre": ({"cameras": "1 PINHOLE 8 6 9 9 4e300 3"}, "principal point"),
+    "a negative camera": ({"cameras": f"-{CAMERA_LINE}"}, "-1 is not the number"),
+    "no image": ({"images": ""}, "has no images"),
+    "half an image": ({"images": "1 1 0 0 0 0 0 4"}, "IMAGE_ID QW"),
+    "no line of points": ({"images": f"{VIEW_LINE}\n2{VIEW_LINE}"}, "a line of points"),
+    "another camera": ({"images": VIEW_LINE.replace("1 a.", "2 a.")}, "no camera 2"),
+    "no rotation": ({"images": VIEW_LINE.replace("1 1 0", "1 0 0")}, "a unit quaternion"),
+    "far away": ({"images": VIEW_LINE.replace("4", "1e12")}, "1e.12 units .* than 1e.09"),
+    "twice": ({"images": f"{VIEW_LINE}\n\n{VIEW_LINE}"}, "occurs twice"),
+    "a name above": ({"images": VIEW_LINE.replace("a.png", "../a.png")}, "lies outside"),
+    "a name elsewhere": ({"images": VIEW_LINE.replace("a.png", "/a.png")}, "lies outside"),
+    "an endless name": ({"images": VIEW_LINE.replace("a.png", "a" * 600)}, "no end"),
+}
+
+
+@pytest.mark.parametrize("case", TEXT)
+def test_a_broken_text_model_is_named(tmp_path, case):
+    changes, sentence = TEXT[case]
+    with pytest.raises(CaptureError, match=sentence) as error:
+        read_colmap(put_text(tmp_path, **changes))
+    assert str(tmp_path) in str(error.value) and "\n" not in str(error.value)
+
+
+BINARY = {
+    "empty": ("cameras.bin", lambda b: b[:0], "empty"),
+    "short": ("cameras.bin", lambda b: b[:-1], "ends too early"),
+    "long": ("cameras.bin", lambda b: b + b"\0", "1 bytes too many"),
+    "many cameras": ("cameras.bin", lambda b: b"\xff" * 8 + b[8:], "ends too early"),
+    "a model of none": ("cameras.bin", lambda b: b[:12] + b"\x63" + b[13:], "model 99 is unknown"),
+    "nan": ("cameras.bin", lambda b: b[:-8] + struct.pack("<d", np.nan), "NaN"),
+    "a huge width": ("cameras.bin", lambda b: b[:16] + b"\xff" * 8 + b[24:], "must be 1 to 65536"),
+    "half an image": ("images.bin", lambda b: b[:40], "ends too early"),
+    "many images": ("images.bin", lambda b: b"\xff" * 8 + b[8:], "ends too early"),
+    "many points": ("images.bin", lambda b: b[:-8] + b"\xff" * 8, "ends too early"),
+    "a name that goes on": ("images.bin", lambda b: b.replace(b"\0" * 9, b"x" * 9), "no end"),
+    "a name in no alphabet": ("images.bin", lambda b: b.replace(b"a.png", b"a.\xff\xfeg"), "utf-8"),
+    "a name above": ("images.bin", lambda b: b.replace(b"a.png", b"../.."), "lies outside"),
+}
+
+
+@pytest.mark.parametrize("case", BINARY)
+def test_a_broken_binary_model_is_named(tmp_path, case):
+    name, change, sentence = BINARY[case]
+    path = put(tmp_path) / "sparse/0" / name
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(CaptureError, match=sentence) as error:
+        read_colmap(tmp_path)
+    assert str(path.parent) in str(error.value)
+
+
+# Undistortion.
+
+LENS = Camera("SIMPLE_RADIAL", 90, 60, (75.0, 46.0, 28.0, -0.15))
+
+
+def put_lens(root: Path, directions: list[tuple[float, float]], lens: Camera = LENS) -> Path:
+    """Write photographs of a spot in each direction (x/z, y/z) through a lens, spots masked."""
+    f, cx, cy, k = lens.parameters
+    y, x = np.mgrid[: lens.height, : lens.width] + 0.5
+    views = []
+    for index, (u, v) in enumerate(directions):
+        bent = 1 + k * (u * u + v * v)
+        spot = np.exp(-((x - f * u * bent - cx) ** 2 + (y - f * v * bent - cy) ** 2) / 8)
+        views.append(replace(VIEW, name=f"a place/{index}.png"))
+        for name, values in (("images", spot), ("masks", spot > 0.1)):
+            path = root / name / views[-1].name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.uint8(255 * values)).save(path)
+    (root / "sparse").mkdir()
+    write_model(root / "sparse", {1: lens, 2: CAMERA}, views)
+    return root
+
+
+def test_a_bent_lens_is_straightened_with_its_masks(tmp_path):
+    directions = [(0.3, 0.1), (-0.4, -0.25)]
+    put_lens(tmp_path / "bent", directions)
+    straight = undistortion.undistort(tmp_path / "bent", tmp_path / "straight")
+    assert straight == tmp_path / "straight"
+    assert sorted(p.name for p in straight.iterdir()) == ["images", "masks", "sparse"]
+    for frame, (u, v) in zip(read_colmap(straight).frames, directions, strict=True):
+        wanted = frame.focal[0] * u + frame.center[0], frame.focal[1] * v + frame.center[1]
+        for path in (frame.image, frame.mask):
+            values = np.array(Image.open(path).convert("L"), np.float64)
+            assert values.shape == frame.size[::-1]
+            y, x = np.mgrid[: values.shape[0], : values.shape[1]] + 0.5
+            found = (values * x).sum() / values.sum(), (values * y).sum() / values.sum()
+            np.testing.assert_allclose(found, wanted, atol=0.2)  # the lens moves the second by 1.2
+
+
+def test_what_cannot_be_straightened_leaves_nothing_behind(tmp_path, monkeypatch):
+    small = put_lens(tmp_path / "small", [(0, 0)])
+    write_model(small / "sparse", {1: replace(LENS, width=91)}, read_model(small / "sparse")[1])
+    with pytest.raises(CaptureError, match="0.png: has 90 x 60 pixels, but its camera 91 x 60"):
+        undistortion.undistort(small, tmp_path / "straight")
+    globe = put_lens(tmp_path / "globe", [(0, 0)])
+    sphere = replace(LENS, model="EQUIRECTANGULAR", parameters=(90.0, 60.0))
+    write_model(globe / "sparse", {1: sphere}, read_model(globe / "sparse")[1])
+    with pytest.raises(CaptureError, match="images: COLMAP cannot undistort .* EQUIRECTANGULAR"):
+        undistortion.undistort(globe, tmp_path / "straight")
+    ring = put_lens(tmp_path / "ring", [(0, 0)])
+    folded = replace(LENS, parameters=(*LENS.parameters[:3], -2.0))
+    write_model(ring / "sparse", {1: folded}, read_model(ring / "sparse")[1])
+    with pytest.raises(CaptureError, match=r"sparse: camera 1: the lens \(k1 -2\) folds over"):
+        undistortion.undistort(ring, tmp_path / "straight")
+    with monkeypatch.context() as patch:
+        patch.setattr(undistortion, "SCRIPT", "import sys; sys.exit('lost')")
+        with pytest.raises(CaptureError, match=r"images: COLMAP cannot undistort these \(lost\)"):
+            undistortion.undistort(globe, tmp_path / "straight")
+    radiance = put(tmp_path / "radiance", view=replace(VIEW, name="a.exr"))
+    (radiance / "images" / "a.exr").touch()
+    with pytest.raises(CaptureError, match="a.exr: COLMAP undistorts"):
+        undistortion.undistort(radiance, tmp_path / "straight")
+    monkeypatch.setattr(undistortion.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(SvuEnvironmentError, match=r"svu_mi\[colmap\]"):
+        undistortion.undistort(small, tmp_path / "straight")
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"small", "globe", "ring", "radiance"}

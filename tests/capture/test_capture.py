@@ -1,0 +1,858 @@
+"""Captures: what goes into a folder comes out again, and bad input says what to do."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import shutil
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from PIL import Image
+from support.helpers import ball, fails, names, run, sensor_xml, write_scene
+
+from svu_mi.capture import rendering
+from svu_mi.capture.capture_folder import Description
+from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.load_warnings import ignored
+from svu_mi.capture.loading import load_capture, plan_photographs
+from svu_mi.capture.match_photographs import NoPhotographsError
+from svu_mi.capture.mesh import arrays, make
+from svu_mi.capture.rendering import render_capture
+from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
+from svu_mi.capture.unwrap import unwrap
+from svu_mi.core.io.exr import read_exr, read_header, write_exr
+from svu_mi.core.io.folder_exchange import DRAFT, beside
+from svu_mi.core.io.provenance import RUN
+from svu_mi.errors import (
+    CaptureError,
+    OptionError,
+    OutputError,
+    SceneError,
+    SvuEnvironmentError,
+    SvuWarning,
+)
+from svu_mi.geometry.texels import texels
+from svu_mi.pipeline import estimate
+
+
+def write_images(folder, count, shape=(24, 24), value=0.5):
+    """Write ``count`` grey photographs."""
+    folder.mkdir(exist_ok=True)
+    for index in range(count):
+        write_exr(folder / f"view_{index:04d}.exr", {"RGB": np.full((*shape, 3), value)})
+    return folder
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A scene with three sensors and its three photographs."""
+    path = write_scene(tmp_path)
+    write_images(tmp_path / "images", 3)
+    return path
+
+
+# --- what goes in comes out -----------------------------------------------------------------
+
+
+def test_a_rendered_folder_is_read_again_as_it_was(tmp_path):
+    path = write_scene(tmp_path)
+    first = render_capture(path, spp=4, seed=831, folder=tmp_path / "shot", views=4,
+                           resolution=(20, 12))  # fmt: skip
+    again = load_capture(tmp_path / "shot")
+    assert first.count == again.count == 4
+    for a, b in zip(first.images, again.images, strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert a.shape == (12, 20, 3)
+    for a, b in zip(first.sensors, again.sensors, strict=True):
+        assert describe(a) == describe(b)
+    for mask in again.masks:
+        assert 0.1 < mask.mean() < 0.9
+        assert not mask[0, 0]
+
+
+def test_rendering_twice_with_one_seed_is_the_same_and_views_differ(tmp_path):
+    path = write_scene(tmp_path)
+
+    def image(seed):
+        """Without its scene: beside one that is alive, another takes a kernel of its own."""
+        capture = render_capture(path, spp=2, seed=seed)
+        assert capture.source is None  # in memory alone
+        return capture.images[1]
+
+    a, b, other = image(99), image(99), image(100)
+    # Threads add up in any order: equal to rounding.
+    np.testing.assert_allclose(a, b, rtol=1e-5)
+    assert np.abs(a - other).max() > 1e-2
+
+
+def test_a_live_scene_can_be_rendered(tmp_path):
+    scene = mi.load_file(str(write_scene(tmp_path)), optimize=False)
+    capture = render_capture(scene, spp=2, folder=tmp_path / "shot")
+    assert capture.count == 3
+    with pytest.raises(CaptureError, match="neither a Mitsuba XML scene"):
+        load_capture(tmp_path / "shot")  # the folder cannot know a scene that was never a file
+
+
+def test_exposure_is_divided_out(scene):
+    folder = scene.parent / "images"
+    record = {"format": "svu-capture", "exposure": [1, 2, 4]}
+    (folder / "capture.json").write_text(json.dumps(record))
+    capture = load_capture(scene)
+    assert [float(image.mean()) for image in capture.images] == [0.5, 0.25, 0.125]
+
+
+@pytest.mark.parametrize("gain", [0.0, -1.0, float("nan"), 1e-40, 10**400])
+def test_the_first_exposure_out_of_range_is_named(scene, gain):
+    """Whether a file says it or Python."""
+    folder, gains = scene.parent / "images", [1, gain, 0]
+    message = rf"capture.json: the exposure of view 1 is {str(gain)[:40]}.*; it must be in \[1e-30"
+    live = mi.load_file(str(scene), optimize=False)
+    with pytest.raises(CaptureError, match=message):
+        plan_photographs(live, live.sensors(), folder, Description(exposures=gains))
+    (folder / "capture.json").write_text(json.dumps({"format": "svu-capture", "exposure": gains}))
+    with pytest.raises(CaptureError, match=message):
+        load_capture(scene)
+
+
+def test_sensors_survive_their_description(tmp_path):
+    target = mi.load_dict({"type": "sphere"})
+    record = {**describe(sphere_sensors(target, 3, (40, 30))[1]), "crop_offset": [3, 4],
+              "crop_size": [20, 10], "principal_point_offset": [0.125, -0.25]}  # fmt: skip
+    again = describe(make_sensor(record, "odd"))
+    assert again.keys() == record.keys()
+    for key, value in record.items():
+        np.testing.assert_allclose(again[key], value, atol=1e-6, err_msg=key)
+
+
+def test_alpha_and_mask_files_are_masks(scene):
+    folder = scene.parent / "images"
+    rgba = np.ones((24, 24, 4), np.float32)
+    rgba[:, :5, 3] = 0
+    write_exr(folder / "view_0000.exr", {"RGBA": rgba})
+    write_exr(folder / "mask_0001.exr", {"Y": rgba[..., 3]})
+    capture = load_capture(scene)
+    assert not capture.masks[0][:, :5].any()
+    assert capture.masks[0][:, 5:].all()
+    np.testing.assert_array_equal(capture.masks[0], capture.masks[1])
+    assert capture.masks[2] is None
+
+
+def test_defines_reach_the_scene(tmp_path):
+    sensors = '<default name="size" value="24"/>' + sensor_xml(2).replace(
+        '<integer name="width" value="24"/><integer name="height" value="24"/>',
+        '<integer name="width" value="$size"/><integer name="height" value="$size"/>',
+    )
+    sensors = sensors.replace('<integer name="width" value="24"/>', "")
+    path = write_scene(tmp_path, sensors=sensors)
+    write_images(tmp_path / "images", 2, (16, 16))
+    assert load_capture(path, defines={"size": "16"}).images[0].shape == (16, 16, 3)
+    with pytest.raises(CaptureError, match="24 x 24"):
+        load_capture(path)
+    with pytest.raises(SceneError, match="scene.xml.*unused"):
+        load_capture(path, defines={"colour": "red"})
+
+
+def test_photographs_beside_the_scene_are_found_although_there_is_an_empty_folder(tmp_path):
+    path = write_scene(tmp_path)
+    write_images(tmp_path, 3)
+    (tmp_path / "images").mkdir()
+    assert load_capture(path).count == 3
+
+
+def test_a_capture_folder_and_other_images_are_a_capture(tmp_path):
+    path = write_scene(tmp_path)
+    render_capture(path, spp=1, folder=tmp_path / "shot")
+    write_images(tmp_path / "other", 3, value=0.25)
+    capture = load_capture(tmp_path / "shot", tmp_path / "other")
+    assert float(capture.images[0].mean()) == 0.25
+
+
+@pytest.fixture
+def stopping(monkeypatch):
+    """Stops a render before view 2, once; keeps the numbers of the views that are rendered."""
+    render, seen = rendering._radiance, []
+
+    def stop(scene, sensor, spp, seed):  # the seed of view k is k
+        if seed == 2 and 2 not in seen:
+            seen.append(2)
+            raise KeyboardInterrupt
+        seen.append(seed)
+        return render(scene, sensor, spp, seed)
+
+    monkeypatch.setattr(rendering, "_radiance", stop)
+    return seen
+
+
+def draft_of(out):
+    return beside(out, DRAFT)
+
+
+def test_an_interrupted_render_is_continued(tmp_path, capsys, stopping, variant):
+    """By the photographs that it would have made, and no view is rendered twice."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    words = ("render", path, "--spp", 2, "-o", out)
+    assert fails(capsys, *words, "--resume") == (
+        f"svu: {out}: there is nothing of an interrupted run to resume; omit --resume."
+    )
+    assert run(*words) == 130
+    assert capsys.readouterr().err == (
+        "svu: interrupted; 2 views are kept: continue with the same command and --resume\n"
+    )
+    assert fails(capsys, *words, "--resume", "--spp", 3) == (
+        f"svu: {out}: what an interrupted run has left was made with other options, or of "
+        "something else; restore these, or omit --resume to start again."
+    )
+    del stopping[:-1]
+    assert run(*words, "--resume") == 0
+    assert stopping == [2, 2, 3]
+    whole = render_capture(path, spp=2)
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+    again = load_capture(out)
+    for one, other in zip(again.images, whole.images, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5)
+
+
+INTEGRATOR = '<integrator type="path">'
+CHANGES = {
+    "max_depth": (INTEGRATOR, INTEGRATOR + '<integer name="max_depth" value="2"/>'),
+    "hide_emitters": (INTEGRATOR, INTEGRATOR + '<boolean name="hide_emitters" value="true"/>'),
+    "integrator": ('"path"', '"direct"'),
+    "filter": ("</film>", '<rfilter type="box"/></film>'),
+    "sampler": ("</sensor>", '<sampler type="stratified"/></sensor>'),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+@pytest.mark.usefixtures("stopping")
+def test_an_interrupted_render_is_not_mixed_with_another(tmp_path, change):
+    """What renders otherwise is something else."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    plain = path.read_text().replace('<integrator type="direct"/>', INTEGRATOR + "</integrator>")
+    path.write_text(plain)
+    with pytest.raises(KeyboardInterrupt):
+        render_capture(path, spp=1, folder=out, resume=False)
+    assert plain.replace(*change) != plain
+    path.write_text(plain.replace(*change))
+    with pytest.raises(OutputError, match="made with other options, or of something else"):
+        render_capture(path, spp=1, folder=out, resume=True)
+    path.write_text(plain)
+    assert render_capture(path, spp=1, folder=out, resume=True).count == 4
+
+
+def linked(path, foreign):
+    path.unlink()
+    path.symlink_to(foreign)
+
+
+UNUSABLE = {
+    "a link": linked,
+    "cut": lambda path, _: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "of another run": lambda path, foreign: shutil.copy(foreign, path),
+    "of another size": lambda path, _: write_exr(
+        path, {"RGB": np.ones((8, 8, 3))}, {RUN: read_header(path).attributes[RUN]}
+    ),
+    "a folder": lambda path, _: (path.unlink(), path.mkdir()),
+}
+
+
+@pytest.mark.parametrize("spoil", UNUSABLE.values(), ids=UNUSABLE)
+def test_only_whole_views_of_an_interrupted_render_are_kept(tmp_path, stopping, spoil):
+    """Another one is rendered again, and what is no view at all does not get into the capture."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    foreign = tmp_path / "foreign.exr"
+    write_exr(foreign, {"RGB": np.ones((24, 24, 3))}, {RUN: "0" * 16})
+    with pytest.raises(KeyboardInterrupt):
+        render_capture(path, spp=1, folder=out, resume=False)
+    draft = draft_of(out)
+    spoil(draft / "view_0001.exr", foreign)
+    (draft / "mask_0000.png").symlink_to(foreign)
+    before = foreign.read_bytes()
+    del stopping[:-1]
+    capture = render_capture(path, spp=1, folder=out, resume=True)
+    assert stopping == [2, 1, 2, 3] and foreign.read_bytes() == before
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+    assert not any(file.is_symlink() for file in out.iterdir())
+    whole = render_capture(path, spp=1)
+    np.testing.assert_allclose(capture.images[1], whole.images[1], rtol=1e-5)
+
+
+@pytest.mark.usefixtures("stopping")
+def test_a_render_that_keeps_nothing_clears_what_was_kept(tmp_path):
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    with pytest.raises(KeyboardInterrupt):
+        render_capture(path, spp=1, folder=out, resume=False)
+    assert len(names(draft_of(out))) == 2
+    render_capture(path, spp=1, folder=out)
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+    assert not draft_of(out).exists()
+
+
+def test_a_luminance_film_gives_grey_photographs(tmp_path):
+    luminance = '<string name="pixel_format" value="luminance"/>'
+    sensors = sensor_xml(1).replace('"hdrfilm">', f'"hdrfilm">{luminance}')
+    image = render_capture(write_scene(tmp_path, sensors=sensors), spp=2).images[0]
+    assert image.shape == (24, 24, 3)
+    np.testing.assert_array_equal(image[..., 0], image[..., 2])
+
+
+def test_noise_in_an_8_bit_mask_does_not_matter(scene):
+    pixels = np.full((24, 24), 250, np.uint8)
+    pixels[:, :5] = 6
+    Image.fromarray(pixels).save(scene.parent / "images" / "mask_0000.png")
+    mask = load_capture(scene).masks[0]
+    assert mask[:, 5:].all()
+    assert not mask[:, :5].any()
+
+
+# --- bad photographs ------------------------------------------------------------------------
+
+
+def test_sensors_without_a_photograph_can_be_left_out(scene):
+    """They are views that are not used; with no photograph at all there is nothing to load."""
+    images = scene.parent / "images"
+    capture = load_capture(scene)
+    for name in ("view_0001.exr", "view_0002.exr"):
+        (images / name).unlink()
+    partly = load_capture(scene, missing="leave-out")
+    assert partly.used == (True, False, False)
+    assert partly.names == ("view_0000.exr", "view_0001.exr", "view_0002.exr")
+    np.testing.assert_array_equal(partly.images[0], capture.images[0])
+    assert partly.masks[1] is None and partly.unusable == (0, 0, 0)
+    for image in partly.images[1:]:
+        assert image.shape == (24, 24, 3) and image.dtype == np.float32 and np.isnan(image).all()
+        assert image.strides == (0, 0, 0)  # one number, whatever the film
+    (images / "view_0000.exr").unlink()
+    with pytest.raises(CaptureError, match="3 of 3 photographs are missing"):
+        load_capture(scene, missing="leave-out")
+    with pytest.raises(OptionError, match="'refuse', 'leave-out', got 'ignore'"):
+        load_capture(scene, missing="ignore")
+
+
+def renamed(folder, name):
+    """Give the photographs of a folder other names, by their number."""
+    for index, path in enumerate(sorted(folder.glob("view_*"))):
+        path.rename(folder / f"{name(index)}.exr")
+
+
+def test_photographs_are_matched_by_the_ids_of_their_sensors(scene):
+    """In whatever order their names are: here the reverse one."""
+    folder = scene.parent / "images"
+    scene.write_text(scene.read_text().replace("cam0", "night").replace("cam1", "evening"))
+    for index in range(3):
+        image = np.full((24, 24, 3), 0.1 * (index + 1))
+        write_exr(folder / f"view_{index:04d}.exr", {"RGB": image})
+    renamed(folder, ["night", "evening", "cam2"].__getitem__)
+    capture = load_capture(scene)
+    assert capture.names == capture.files == ("night.exr", "evening.exr", "cam2.exr")
+    assert [round(float(image.mean()), 3) for image in capture.images] == [0.1, 0.2, 0.3]
+    (folder / "cam2.exr").rename(folder / "cam3.exr")
+    message = r"1 of 3 photographs are missing, first cam2.exr; give the others, or --missing leave"
+    with pytest.raises(CaptureError, match=message):
+        load_capture(scene)
+    with pytest.raises(CaptureError, match="cam3.exr: there are 3 photographs but only 3 sensors"):
+        load_capture(scene, missing="leave-out")
+    (folder / "cam3.exr").unlink()
+    assert load_capture(scene, missing="leave-out").used == (True, True, False)
+
+
+@pytest.mark.parametrize("mask", ["IMG_{}_mask", "mask_IMG_{}"])
+def test_photographs_of_any_name_are_taken_in_their_natural_order(tmp_path, mask):
+    """2 before 10; their masks are none of them, nor what macOS hides beside them."""
+    path = write_scene(tmp_path, sensors=sensor_xml(11))
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for index in range(11):
+        image = np.full((24, 24, 3), 0.01 * (index + 1))
+        write_exr(folder / f"IMG_{index}.exr", {"RGB": image})
+        (folder / f"._IMG_{index}.exr").write_bytes(b"")
+    inside = np.zeros((24, 24), np.uint8)
+    inside[:7] = 255
+    Image.fromarray(inside).save(folder / f"{mask.format(3)}.png")
+    with pytest.warns(SvuWarning) as said:
+        capture = load_capture(path, folder)
+    assert [str(warning.message) for warning in said] == [
+        f"{folder}: 11 photographs are taken in the order of their names: IMG_0.exr is sensor 0 "
+        "('cam0'), ..., IMG_10.exr is sensor 10 ('cam10')."
+    ]
+    assert capture.names == tuple(f"IMG_{index}.exr" for index in range(11))
+    assert [round(100 * float(image.mean())) for image in capture.images] == list(range(1, 12))
+    assert [mask is None for mask in capture.masks] == [index != 3 for index in range(11)]
+    assert capture.masks[3][:7].all() and not capture.masks[3][7:].any()
+
+
+def test_textures_beside_a_scene_are_no_photographs(tmp_path):
+    path = write_scene(tmp_path, sensors=sensor_xml(1))
+    write_exr(tmp_path / "base_color.exr", {"RGB": np.ones((24, 24, 3))})
+    message = f"{tmp_path}: 1 of 1 photographs are missing, first view_0000.exr; no picture there"
+    with pytest.raises(CaptureError, match=message):
+        load_capture(path)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_textures_in_images_are_no_photographs(tmp_path, capsys, count):
+    """The usual folder of a scene's textures; as many as sensors are still none of them."""
+    path, folder = write_scene(tmp_path), tmp_path / "images"
+    folder.mkdir()
+    for name in ("base_color", "metallic", "roughness")[:count]:
+        write_exr(folder / f"{name}.exr", {"RGB": np.ones((24, 24, 3))})
+    assert fails(capsys, "entropy", path, "-o", tmp_path / "out") == (
+        f"svu: {path}: no photographs beside it; give their folder with --images, or --render to "
+        "render the scene itself (3 sensors)."
+    )
+    for index in range(3):  # beside the scene, by the ids of their sensors
+        write_exr(tmp_path / f"cam{index}.exr", {"RGB": np.full((24, 24, 3), 0.5)})
+    assert load_capture(path).names == ("cam0.exr", "cam1.exr", "cam2.exr")
+
+
+def test_an_error_comes_back_from_another_process(tmp_path):
+    with pytest.raises(NoPhotographsError) as caught:
+        load_capture(write_scene(tmp_path))
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.sensors) == (str(caught.value), 3)
+
+
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_imported_photographs_keep_the_names_that_they_had(scene):
+    """In messages; their files are called by their number."""
+    folder = scene.parent / "images"
+    paths = ["left/IMG_7.JPG", "left/IMG_8.JPG", "right/IMG_9.JPG"]
+    record = {"format": "svu-capture", "import": {"photographs": paths}}
+    write_exr(folder / "view_0001.exr", {"RGB": np.zeros((24, 24, 3))})
+
+    def load():
+        (folder / "capture.json").write_text(json.dumps(record))
+        return load_capture(scene)
+
+    capture = load()
+    assert capture.names == ("IMG_7.JPG", "IMG_8.JPG", "IMG_9.JPG")
+    assert capture.files == ("view_0000.exr", "view_0001.exr", "view_0002.exr")
+    assert capture.warnings == (
+        f"{folder / 'view_0001.exr'} (IMG_8.JPG): entirely black, so left out; check the "
+        "exposure, or remove the photograph and its sensor.",
+    )
+    paths[2] = "right/IMG_7.JPG"  # a camera of its own, that counts like the first
+    assert load().names == tuple(paths)
+    for odd in ([*paths, "more.jpg"], paths[:2], [1, 2, 3], "three"):
+        record["import"]["photographs"] = odd
+        assert load().names == capture.files
+
+
+def copied(name):
+    return lambda folder: shutil.copy(folder / "view_0000.exr", folder / name)
+
+
+def written(data):
+    return lambda folder: (folder / "view_0002.exr").write_bytes(data)
+
+
+PHOTOGRAPHS = {
+    "missing": (
+        lambda folder: (folder / "view_0001.exr").unlink(),
+        "1 of 3 photographs are missing, first view_0001.exr",
+    ),
+    "extra": (copied("view_0003.exr"), "view_0003.exr.*4 photographs but only 3 sensors"),
+    "twice": (copied("view_0000.hdr"), "are the same view"),
+    "empty": (written(b""), "view_0002.exr: an empty file"),
+    "another": (written(b"not an image"), "view_0002.exr: not an EXR file"),
+    "cut": (written(b"\x76\x2f\x31\x01\x02\0\0\0"), "view_0002.exr: a damaged EXR file"),
+    "of another size": (
+        lambda folder: write_exr(folder / "view_0001.exr", {"RGB": np.ones((12, 24, 3))}),
+        "view_0001.exr.*24 x 12 pixels.*film has 24 x 24",
+    ),
+}
+
+
+@pytest.mark.parametrize(("spoil", "message"), PHOTOGRAPHS.values(), ids=PHOTOGRAPHS)
+def test_photographs_that_will_not_do_are_named(scene, spoil, message):
+    spoil(scene.parent / "images")
+    with pytest.raises(CaptureError, match=message):
+        load_capture(scene)
+
+
+@pytest.mark.parametrize("worst", [0, 7])
+def test_the_first_bad_image_in_order_is_named_whichever_thread_meets_it_first(tmp_path, worst):
+    path = write_scene(tmp_path, sensors=sensor_xml(12))
+    folder = write_images(tmp_path / "images", 12)
+    for index in range(worst, 12):
+        (folder / f"view_{index:04d}.exr").write_bytes(b"" if index % 2 else b"no image")
+    with pytest.raises(CaptureError, match=f"view_{worst:04d}.exr"):
+        load_capture(path)
+
+
+def test_a_photograph_that_is_exchanged_while_it_is_read_is_refused(scene):
+    path = scene.parent / "images" / "view_0000.exr"
+    picture = open_picture(path)
+    write_exr(path, {"RGB": np.ones((24, 24, 3))}, {"svu:run": "12ab"})
+    with pytest.raises(CaptureError, match="view_0000.exr: changed while it was being read"):
+        picture.planes()
+
+
+def test_pixels_that_are_no_radiance_are_masked_and_counted(scene):
+    image = np.full((24, 24, 3), 0.5, np.float32)
+    image[0, 0, 0], image[3, 4, 1], image[5, 5, 2], image[6, 6] = np.nan, np.inf, -1, -np.inf
+    path = scene.parent / "images" / "view_0001.exr"
+    shutil.copy(path, path.with_suffix(".bak"))
+    _write_raw_exr(path, image)
+    with pytest.warns(SvuWarning, match="view_0001.exr: 4 pixels are NaN, infinite or negative"):
+        capture = load_capture(scene)
+    assert capture.unusable == (0, 4, 0)
+    assert np.isnan(capture.images[1][0, 0]).all()
+    assert np.isfinite(capture.images[1]).all(axis=-1).sum() == 24 * 24 - 4
+
+
+def _write_raw_exr(path, image):
+    """Write values that our own writer refuses."""
+    import OpenEXR
+
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": image}) as file:
+        file.write(str(path))
+
+
+def test_a_black_photograph_is_left_out_with_a_warning(scene):
+    write_exr(scene.parent / "images" / "view_0001.exr", {"RGB": np.zeros((24, 24, 3))})
+    with pytest.warns(SvuWarning, match="view_0001.exr: entirely black, so left out"):
+        capture = load_capture(scene)
+    assert capture.used == (True, False, True)
+
+
+def test_all_black_photographs_are_refused(scene):
+    write_images(scene.parent / "images", 3, value=0.0)
+    with pytest.raises(CaptureError, match="all 3 photographs are entirely black"):
+        load_capture(scene)
+
+
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
+    path = write_scene(tmp_path, sensors=sensor_xml(30))
+    folder = tmp_path / "images"
+    folder.mkdir()
+    pixels = np.full((24, 24, 3), 188, np.uint8)
+    pixels[:2] = 255
+    for index in range(30):
+        Image.fromarray(pixels).save(folder / f"view_{index:04d}.png")
+    assert load_capture(path).warnings == (
+        f"{folder}: all 30 photographs: 8-bit, not HDR; decoded as sRGB, 1440 saturated "
+        "pixels count as at least so bright. Clipped highlights hide gloss: use HDR.",
+    )
+    for index in (3, 4, 9, 20, 21):
+        write_exr(folder / f"view_{index:04d}.exr", {"RGB": np.zeros((24, 24, 3))})
+        (folder / f"view_{index:04d}.png").unlink()
+    found = load_capture(path).warnings
+    assert found == (
+        f"{folder}: 25 of 30 photographs (view_0000.png, view_0001.png, view_0002.png and 22 "
+        "more): 8-bit, not HDR; decoded as sRGB, 1200 saturated pixels count as at least so "
+        "bright. Clipped highlights hide gloss: use HDR.",
+        f"{folder}: 5 of 30 photographs (view_0003.exr, view_0004.exr, view_0009.exr and 2 more): "
+        "entirely black, so left out; check the exposure, or remove the photograph and its "
+        "sensor.",
+    )
+
+
+# --- bad scenes -----------------------------------------------------------------------------
+
+
+def test_places_that_there_are_not(scene):
+    with pytest.raises(CaptureError, match="nothing.xml: no such file"):
+        load_capture(scene.parent / "nothing.xml")
+    with pytest.raises(CaptureError, match="nowhere: no such folder"):
+        load_capture(scene, scene.parent / "nowhere")
+
+
+BROKEN = {
+    "unknown plugin": ({"extra": '<bsdf type="plyx"/>'}, r'scene.xml: .*"plyx" not found'),
+    "no sensor": ({"sensors": ""}, "no sensor, so there is no view"),
+    "point light": ({"emitter": "point"}, "'light'.*PointLight.*not supported"),
+    "two lights": ({"extra": '<emitter type="directional" id="sun"/>'}, "'sun'"),
+    "mirrored camera": (
+        {"sensors": sensor_xml(1, matrix='<scale x="-1"/><translate z="4"/>')}, "mirrored to_world"
+    ),
+    "scaled camera": (
+        {"sensors": sensor_xml(1, matrix='<scale value="2"/><translate z="4"/>')}, "Scale factors"
+    ),
+    "orthographic camera": (
+        {"sensors": sensor_xml(1).replace('"perspective"', '"orthographic"').replace(
+            '<float name="fov" value="35"/>', "")}, "'cam0'.*Orthographic.*only 'perspective'",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "message"), BROKEN.values(), ids=BROKEN)
+def test_a_scene_that_will_not_do_is_named(tmp_path, changes, message):
+    with pytest.raises(SceneError, match=message):
+        load_capture(write_scene(tmp_path, **changes))
+
+
+def test_no_emitter(tmp_path):
+    """What can do without a light asks for that."""
+    path = write_scene(tmp_path)
+    write_images(tmp_path / "images", 3)
+    assert load_capture(path, light="optional").environment.id() == "light"
+    path.write_text(path.read_text().replace('<emitter type="constant" id="light"/>', ""))
+    with pytest.raises(SceneError, match="no emitter"):
+        load_capture(path)
+    capture = load_capture(path, light="optional")
+    assert capture.environment is None
+    with pytest.raises(SceneError, match=r"the capture has no light; use svu\.with_light\("):
+        estimate(capture, texels(capture.mesh, 16))
+    with pytest.raises(OptionError, match="light must be one of 'required', 'optional', got 'no'"):
+        load_capture(path, light="no")
+    record = {"format": "svu-capture", "import": {"format": "nerf"}}
+    (tmp_path / "images" / "capture.json").write_text(json.dumps(record))
+    with pytest.raises(SceneError) as refused:
+        load_capture(path)
+    start = f"{tmp_path / 'images'}: was imported without a light; "
+    assert str(refused.value).startswith(f'{start}load it with light="optional", and find one with')
+    assert refused.value.shell.startswith(f"{start}find it in the photographs with svu light, or")
+
+
+def test_a_light_on_a_shape_is_named(tmp_path):
+    lamp = '<shape type="sphere" id="lamp"><emitter type="area"/></shape>'
+    with pytest.raises(SceneError, match=r"emitter of shape 'lamp' \(AreaLight\) is not supported"):
+        load_capture(write_scene(tmp_path, extra=lamp))
+
+
+# --- what is ignored is said ----------------------------------------------------------------
+
+
+PRINCIPLED = {"type": "principled", "id": "paint"}
+IGNORED = {
+    "clearcoat and anisotropy": (
+        {**PRINCIPLED, "clearcoat": 1.0, "anisotropic": 0.8}, "clearcoat 1 and anisotropic 0.8"
+    ),
+    "a clearcoat texture": (
+        {**PRINCIPLED, "clearcoat": {"type": "checkerboard"}}, "a clearcoat texture"
+    ),
+    "sheen and transmission": (
+        {**PRINCIPLED, "sheen": 1.0, "spec_trans": 0.5}, "sheen 1 and spec_trans 0.5"
+    ),
+    "specular": ({**PRINCIPLED, "specular": 0.9}, "specular 0.9"),
+    "a refractive index": ({**PRINCIPLED, "eta": 1.8}, "eta 1.8"),
+    "a normal map": (
+        {"type": "normalmap", "normalmap": {"type": "checkerboard"}, "inner": PRINCIPLED},
+        "a normal map",
+    ),
+    "a bump map on both sides": (
+        {"type": "twosided", "inner": {
+            "type": "bumpmap", "bump": {"type": "checkerboard"}, "inner": PRINCIPLED}},
+        "a bump map",
+    ),
+    "opacity": ({"type": "mask", "opacity": 0.4, "inner": PRINCIPLED}, "an opacity"),
+}  # fmt: skip
+
+
+def shape_of(bsdf, name="ball", **changes):
+    return mi.load_dict({"type": "sphere", "id": name, "bsdf": bsdf, **changes})
+
+
+@pytest.mark.parametrize(("bsdf", "words"), IGNORED.values(), ids=IGNORED)
+def test_parts_of_a_material_that_are_not_accounted_for_are_said(bsdf, words):
+    shape = shape_of(bsdf)
+    assert ignored(scene_of([shape]), shape) == [
+        f"Shape 'ball' has {words}, which svu does not account for: if the photographs show that, "
+        "roughness and base colour will be off."
+    ]
+
+
+@pytest.mark.parametrize("bsdf", [
+    PRINCIPLED, {"type": "twosided", "inner": PRINCIPLED}, {"type": "diffuse"},
+    {"type": "principled", "eta": 1.5, "base_color": {"type": "checkerboard"}, "metallic": 1.0},
+])  # fmt: skip
+def test_nothing_is_said_of_materials_that_are_accounted_for(bsdf):
+    shape = shape_of(bsdf)
+    assert ignored(scene_of([shape]), shape) == []
+
+
+def test_a_grey_table_under_the_object_is_said(tmp_path):
+    table = (
+        '<shape type="rectangle" id="table"><transform name="to_world"><rotate x="1" angle="-90"/>'
+        '<translate y="-1.1"/></transform><bsdf type="diffuse"><rgb name="reflectance" '
+        'value="0.5"/></bsdf></shape>'
+    )
+    sentence = (
+        "Light reflected by 'table' falls on 'ball', which svu does not account for: base colours "
+        "near there will be too bright; put something black around the object when it is "
+        "photographed."
+    )
+    with pytest.warns(SvuWarning) as said:
+        capture = render_capture(write_scene(tmp_path, extra=table), spp=1, shape="ball")
+    assert [str(warning.message) for warning in said] == [sentence]
+    assert capture.warnings == (sentence,)
+    del capture  # beside which the next would take kernels of its own
+    black = table.replace('value="0.5"', 'value="0"')
+    assert render_capture(write_scene(tmp_path, extra=black), spp=1).warnings == ()
+
+
+GREY = {"type": "diffuse"}
+DARK = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.05}}
+SPOT = np.zeros((4, 4, 3), np.float32)
+SPOT[1, 2] = 0.5
+
+
+def painted(data):
+    return {"type": "bitmap", "bitmap": mi.Bitmap(data), "raw": True}
+
+
+BLACK = {
+    "dark": lambda: DARK,
+    "two-sided": lambda: {"type": "twosided", "inner": DARK},
+    "bitmap": lambda: {"type": "diffuse", "reflectance": painted(0 * SPOT)},
+    "invisible": lambda: {"type": "mask", "opacity": 0.0, "inner": GREY},
+    "half": lambda: {"type": "mask", "opacity": 0.5, "inner": DARK},
+    "plastic": lambda: {"type": "roughplastic", "diffuse_reflectance": 0.02},
+    "blend": lambda: {"type": "blendbsdf", "weight": 0.5, "a": DARK, "b": DARK},
+}
+BRIGHT = {
+    "grey": lambda: {"type": "diffuse", "reflectance": 0.06},
+    "spot": lambda: {"type": "diffuse", "reflectance": painted(SPOT)},
+    "seen": lambda: {"type": "mask", "opacity": 0.5, "inner": GREY},
+    "plastic": lambda: {"type": "plastic", "diffuse_reflectance": 0.3},
+    "gloss": lambda: {"type": "plastic", "diffuse_reflectance": 0.0, "int_ior": 2.4},
+    "blend": lambda: {"type": "blendbsdf", "weight": 0.5, "a": DARK, "b": GREY},
+    "metal": lambda: {"type": "conductor"},
+    "glass": lambda: {"type": "dielectric"},
+}
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "said"), [*((b, False) for b in BLACK.values()), *((b, True) for b in BRIGHT.values())]
+)
+def test_shapes_that_are_not_black_are_said(bsdf, said):
+    target = shape_of(PRINCIPLED)
+    found = ignored(scene_of([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
+    assert [each.startswith("Light reflected by 'wall' falls") for each in found] == [True] * said
+
+
+def test_several_shapes_that_reflect_are_one_sentence():
+    target = shape_of(PRINCIPLED)
+    others = [shape_of({"type": "diffuse"}, f"wall{k}", center=[3 + k, 0, 0]) for k in range(7)]
+    (sentence,) = ignored(scene_of([target, *others[:2]]), target)
+    assert sentence.startswith("Light reflected by 'wall0' and 'wall1' falls on 'ball', which")
+    far = shape_of({"type": "diffuse"}, "moon", center=[1000, 0, 0], radius=100.0)
+    (sentence,) = ignored(scene_of([target, others[0], far]), target)
+    assert sentence.startswith("Light reflected by 'wall0' falls on 'ball', which")
+    (sentence,) = ignored(scene_of([target, *others]), target)
+    assert "'wall0', 'wall1', 'wall2', 'wall3', 'wall4' and others falls on" in sentence
+
+
+# --- scenes with several shapes -------------------------------------------------------------
+
+
+SECOND = (
+    '<shape type="ply" id="other"><string name="filename" value="ball.ply"/>'
+    '<bsdf type="principled"/></shape>'
+)
+
+
+def test_two_candidate_shapes_need_a_choice(tmp_path):
+    path = write_scene(tmp_path, extra=SECOND)
+    write_images(tmp_path / "images", 3)
+    with pytest.raises(SceneError, match=r"several shapes.*'ball', 'other'.*--shape"):
+        load_capture(path)
+    with pytest.warns(SvuWarning, match="by 'ball' falls on 'other'"):
+        assert load_capture(path, shape="other").shape.id() == "other"
+    with pytest.raises(SceneError, match=r"no shape 'third'.*'ball', 'other'"):
+        load_capture(path, shape="third")
+
+
+def test_a_shape_that_is_no_mesh_is_named(tmp_path):
+    path = write_scene(tmp_path, extra='<shape type="sphere" id="round"/>')
+    with pytest.raises(SceneError, match="'round'.*not a triangle mesh"):
+        load_capture(path, shape="round")
+
+
+def test_a_mesh_without_uvs_is_unwrapped_with_a_warning(tmp_path):
+    path = write_scene(tmp_path, uvs=None)
+    write_images(tmp_path / "images", 3)
+    with pytest.warns(SvuWarning, match="'ball' has no UVs.*unwrapped.ply"):
+        capture = load_capture(path)
+    assert capture.mesh is not capture.shape
+    assert (tmp_path / "images" / "unwrapped.ply").exists()
+
+
+def test_a_mirrored_camera_in_a_capture_folder_is_refused(scene):
+    folder = scene.parent / "images"
+    record = describe(sphere_sensors(mi.load_dict({"type": "sphere"}), 1, (24, 24))[0])
+    record["to_world"] = (np.array(record["to_world"]) @ np.diag([-1, 1, 1, 1])).tolist()
+    text = json.dumps({"format": "svu-capture", "sensors": [record] * 3})
+    (folder / "capture.json").write_text(text)
+    with pytest.raises(SceneError, match="sensor 0.*mirrored"):
+        load_capture(scene)
+
+
+def test_a_mirrored_mesh_keeps_its_outside_if_it_has_normals(tmp_path):
+    mirror = '<transform name="to_world"><scale x="-1"/></transform>'
+    path = write_scene(tmp_path, transform=mirror)
+    write_images(tmp_path / "images", 3)
+    load_capture(path)
+    path = write_scene(tmp_path, transform=mirror, normals=None)
+    with pytest.raises(SceneError, match="point inwards.*flip_normals"):
+        load_capture(path)
+    # The fix that the sentence names works.
+    flipped = mirror + '<boolean name="flip_normals" value="true"/>'
+    capture = load_capture(write_scene(tmp_path, transform=flipped, normals=None))
+    outward = texels(capture.mesh, 32)
+    assert (outward.normal.numpy() * outward.position.numpy()).sum(axis=0).min() > 0.9
+
+
+def test_an_open_bowl_seen_from_inside_is_accepted(tmp_path):
+    """Its normals point towards its centre, and that is right."""
+    flat = ball()
+    lower = flat.positions[flat.faces].mean(axis=1)[:, 1] < -0.1
+    path = write_scene(tmp_path, faces=flat.faces[lower][:, ::-1], normals=-flat.normals)
+    write_images(tmp_path / "images", 3)
+    assert load_capture(path).shape.id() == "ball"
+
+
+@pytest.mark.parametrize("name", ["scalar_rgb", "llvm_ad_spectral", "llvm_ad_mono"])
+def test_variants_that_cannot_run_are_refused(scene, variant, name):
+    try:
+        mi.set_variant(name)
+        with pytest.raises(SvuEnvironmentError, match=f"'{name}' is not supported.*llvm_ad_rgb"):
+            load_capture(scene)
+    finally:
+        mi.set_variant(variant)
+
+
+def test_spp_and_views_must_be_positive(tmp_path):
+    path = write_scene(tmp_path)
+    with pytest.raises(OptionError, match="spp must be at least 1"):
+        render_capture(path, spp=0)
+    with pytest.raises(OptionError, match="seed must not be negative"):
+        render_capture(path, seed=-1)
+    with pytest.raises(OptionError, match="Cannot place 0 sensors"):
+        render_capture(path, views=0)
+
+
+def test_somebody_elses_photographs_are_not_overwritten(scene):
+    folder = scene.parent / "images"
+    with pytest.raises(OutputError, match="view_0000.exr was not written by svu render"):
+        render_capture(scene, spp=1, folder=folder)
+    assert read_exr(folder / "view_0000.exr")["R"].mean() == 0.5
+
+
+def test_tiny_meshes_are_unwrapped_like_large_ones():
+    """xatlas alone takes the triangles of a ball of 3 mm, in metres, for degenerate ones."""
+    given = ball(24, 12)
+    small = make("ball", replace(given, positions=given.positions * 1e-3, uvs=None))
+    assert np.isfinite(arrays(unwrap(small)).uvs).all()
+
+
+def test_views_that_are_not_read_are_not_used(shot):
+    some, whole = load_capture(shot, views=[2, 5]), load_capture(shot)
+    assert some.used == tuple(view in (2, 5) for view in range(8))
+    assert some.names == whole.names and some.count == 8
+    np.testing.assert_array_equal(some.images[5], whole.images[5])
+    assert np.isnan(some.images[0]).all() and some.images[0].strides == (0, 0, 0)
+    assert not any(load_capture(shot, views=()).used)
+
+
+def test_one_photograph_as_two_files_is_refused(scene):
+    folder = scene.parent / "images"
+    renamed(folder, "DSC{}".format)
+    shutil.copy(folder / "DSC1.exr", folder / "DSC1.hdr")
+    with pytest.raises(CaptureError, match=r"DSC1.exr and DSC1.hdr are the same view; keep one"):
+        load_capture(scene, folder)

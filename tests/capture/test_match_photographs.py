@@ -1,0 +1,237 @@
+"""What is not there, or is of another kind, is counted, named, and the way out is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import trimesh
+from support.helpers import run, sensor_xml, write_scene
+
+import svu_mi as svu
+from svu_mi.capture.scene import find_environment, load_scene
+from svu_mi.core.io.exr import write_exr
+from svu_mi.errors import CaptureError, OptionError, SceneError, SvuEnvironmentError, SvuError
+from svu_mi.posterior.row_entropy import log_prior
+
+pytestmark = pytest.mark.usefixtures("variant")
+SENSORS = 8
+
+
+@pytest.fixture
+def nerf(tmp_path) -> Path:
+    """Photographs as Blender's add-ons write them: no sizes, names without suffixes."""
+    folder = tmp_path / "nerf"
+    (folder / "shots").mkdir(parents=True)
+    frames = []
+    for number in range(4):
+        write_exr(folder / "shots" / f"DSC_{number}.exr", {"RGB": np.full((24, 32, 3), 0.5)})
+        pose = np.eye(4)
+        pose[:3, 3] = (0.2 * number, 0, 4)
+        frames.append({"file_path": f"shots/DSC_{number}", "transform_matrix": pose.tolist()})
+    record = {"camera_angle_x": 0.7, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(record))
+    trimesh.creation.icosphere(subdivisions=2).export(folder / "ball.ply")
+    write_exr(folder / "probe.exr", {"RGB": np.ones((8, 16, 3))})
+    return folder
+
+
+def words(nerf: Path, *more: object) -> list[object]:
+    light = [] if "--environment" in more else ["--environment", nerf / "probe.exr"]
+    out = nerf.parent / "capture"
+    return ["import", nerf, "--mesh", nerf / "ball.ply", *light, *more, "-o", out]
+
+
+def test_missing_photographs_of_an_import_are_counted(nerf, capsys):
+    (nerf / "shots" / "DSC_2.exr").unlink()
+    (nerf / "shots" / "DSC_3.exr").unlink()
+    assert run(*words(nerf)) == 2
+    lack = f"{nerf}: 2 of 4 photographs are missing, first shots/DSC_2"
+    assert capsys.readouterr().err == (
+        f"svu: {lack}; add them, or --missing leave-out to go on without them.\n"
+    )
+    assert run(*words(nerf, "--missing", "leave-out")) == 0
+    assert f"{lack}; left out." in capsys.readouterr().out.splitlines()
+    assert svu.load_capture(nerf.parent / "capture").count == 2
+
+
+def test_without_any_photograph_nothing_is_imported(nerf, capsys):
+    for file in (nerf / "shots").iterdir():
+        file.unlink()
+    for more in ((), ("--missing", "leave-out")):
+        assert run(*words(nerf, *more)) == 2
+        assert capsys.readouterr().err == (
+            f"svu: {nerf}/transforms.json: 4 of 4 photographs are missing, first shots/DSC_0; put "
+            "them where the poses name them.\n"
+        )
+
+
+def test_a_missing_light_is_no_photograph(nerf, capsys):
+    assert run(*words(nerf, "--environment", nerf / "probe.hdr")) == 2
+    assert capsys.readouterr().err == (
+        f"svu: {nerf}/probe.hdr: no such file, which should be the light; give an HDR or EXR map "
+        "with --environment.\n"
+    )
+
+
+@pytest.mark.parametrize(("files", "instead"), [
+    ([f"IMG_{k}.CR2" for k in range(8)], "the folder holds no picture that svu can read "
+     "(8 .CR2: develop them to linear EXR first)"),
+    (["IMG_0.heic"], "the folder holds no picture that svu can read "
+     "(1 .heic: convert them to EXR, or to PNG first)"),
+    ([], "the folder holds no picture: give that of the photographs with --images"),
+])  # fmt: skip
+def test_a_folder_without_photographs_says_what_it_holds(tmp_path, capsys, files, instead):
+    path, raw = write_scene(tmp_path, sensors=sensor_xml(SENSORS)), tmp_path / "raw"
+    raw.mkdir()
+    for name in files:
+        (raw / name).touch()
+    assert run("entropy", path, "--images", raw, "-o", tmp_path / "out") == 2
+    assert capsys.readouterr().err == (
+        f"svu: {raw}: 8 of 8 photographs are missing, first view_0000.exr; {instead}.\n"
+    )
+
+
+def test_pictures_beside_the_scene_have_to_have_names(tmp_path, capsys):
+    """``--images .``, where textures may lie, too."""
+    path = write_scene(tmp_path, sensors=sensor_xml(1))
+    write_exr(tmp_path / "IMG_1.exr", {"RGB": np.ones((24, 24, 3))})
+    assert run("entropy", path, "--images", tmp_path, "-o", tmp_path / "out") == 2
+    assert capsys.readouterr().err == (
+        f"svu: {tmp_path}: 1 of 1 photographs are missing, first view_0000.exr; no picture there "
+        "has such a name: put the photographs into a folder of their own, and give it with "
+        "--images.\n"
+    )
+
+
+def test_names_tell_which_photographs_are_missing(tmp_path):
+    path, folder = write_scene(tmp_path, sensors=sensor_xml(SENSORS)), tmp_path / "mine"
+    folder.mkdir()
+    for number in range(SENSORS - 1):
+        write_exr(folder / f"IMG_{number}.exr", {"RGB": np.ones((24, 24, 3))})
+    lack = f"{folder}: 7 photographs for 8 sensors, and none has a name that says "
+    names = "call them view_0000, ... by the number of their sensor, or by its id"
+    with pytest.raises(CaptureError) as caught:
+        svu.load_capture(path, folder)
+    assert str(caught.value) == f"{lack}whose it is; {names}, or give one for each."
+    with pytest.raises(CaptureError) as caught:
+        svu.load_capture(path, folder, missing="leave-out")
+    assert str(caught.value) == f"{lack}which are missing; {names}."
+
+
+def test_mitsubas_reason_is_told_once(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        '<scene version="3.0.0">\n<default name="light" value="window"/>\n'
+        '<include filename="$light.xml"/>\n</scene>'
+    )
+    with pytest.raises(SceneError) as caught:
+        load_scene(path, {"light": "windw"})
+    assert str(caught.value) == f'{path}: line 3: included file "windw.xml" not found.'
+    (tmp_path / "window.xml").write_text('<scene version="3.0.0">\n<flot/>\n</scene>')
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert str(caught.value) == (
+        f"{path}: window.xml, line 2: encountered an unsupported XML element: <flot>."
+    )
+
+
+def test_a_lamp_without_an_id_is_an_area_light():
+    lamp = mi.load_dict(
+        {"type": "scene", "lamp": {"type": "rectangle", "id": "", "emitter": {"type": "area"}}}
+    )
+    with pytest.raises(SceneError, match=r"^lamp: an area light \(AreaLight\) is not supported; "):
+        find_environment(lamp, "lamp")
+
+
+def test_a_mistaken_argument_is_named(tmp_path):
+    scene = mi.load_file(str(write_scene(tmp_path)))
+    for call, sentence in (
+        (lambda: svu.texels("ball.ply", 64),
+         "texels(): a mesh or a capture is needed, got a str; use capture.mesh."),
+        (lambda: svu.Candidates.around("capture", 5), "Candidates.around(): a capture is needed, "
+         "got a str; read one with svu.load_capture(path)."),
+        (lambda: svu.load_capture(scene),
+         "load_capture(): the path of a scene or a capture is needed, got a Scene."),
+    ):  # fmt: skip
+        with pytest.raises(OptionError) as caught:
+            call()
+        assert str(caught.value) == sentence
+
+
+def test_another_variant_is_named_before_any_work(variant):
+    mi.set_variant("scalar_rgb")
+    try:
+        for call in (svu.estimate, svu.texels):
+            with pytest.raises(SvuEnvironmentError, match="Variant 'scalar_rgb' is not supported"):
+                call(None)
+    finally:
+        mi.set_variant(variant)
+
+
+def test_version_and_several_values(capsys):
+    from svu_mi.cli.options import with_known_repeated
+
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"svu {svu.__version__}\n"
+    given = ["entropy", "--known", "metallic=0", "roughness=0.5", "a=b.xml", "--known", "scene"]
+    assert with_known_repeated(given) == [
+        "entropy", "--known", "metallic=0", "--known", "roughness=0.5", "a=b.xml",
+        "--known", "scene",
+    ]  # fmt: skip
+    command = ["entropy", "none.xml", "--known", "metallic=0", "roughness=2"]
+    assert run(*command) == 2
+    assert "Unrecognized" not in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_line_says_what_an_object_is(tmp_path):
+    """A notebook shows the last value of each cell."""
+    path = write_scene(tmp_path)
+    capture = svu.render_capture(path, spp=4, folder=tmp_path / "shot")
+    texels = svu.texels(capture, 16)
+    assert repr(capture) == (
+        "<Capture ball: 3 photographs of 24 x 24, light ConstantBackgroundEmitter, from "
+        f"{tmp_path}/shot>"
+    )
+    assert repr(texels) == f"<Texels: {texels.count} on the surface, of 16 x 16>"
+    estimate = svu.estimate(capture, texels)
+    seen = (np.array(estimate.coverage) > 0).mean()
+    assert repr(estimate) == (
+        f"<Estimate angular: mean entropy {np.array(estimate.entropy).mean():.2f} of "
+        f"{texels.count} texels, {seen:.0%} seen in 3 photographs>"
+    )
+    guidance = svu.next_best_view(estimate, svu.Candidates.around(capture, 4))
+    assert repr(guidance) == (
+        f"<Guidance: {guidance.proposals[0].name} of 4 candidates, mean entropy "
+        f"{guidance.entropy:.2f} so far>"
+    )
+    check = svu.check(capture)
+    assert repr(check).splitlines()[0] == "<Check of 3 photographs"
+    assert all(finding.sentence in repr(check) for finding in check.findings)
+    recovery = svu.recover(estimate, method="sh")
+    assert repr(recovery).startswith(f"<Recovery sh: textures of 16 x 16, {texels.count} texels, ")
+
+
+@pytest.mark.parametrize(
+    "prior", ["uniform", [[1, 2], [3]], {"roughness": 1}, object(), 1j * np.ones(8), [None] * 8]
+)
+def test_a_prior_that_is_no_numbers_is_a_sentence(prior):
+    kind = type(prior).__name__
+    with pytest.raises(OptionError) as error:
+        log_prior(prior, (8, 8, 8), "estimate()")
+    assert str(error.value) == (
+        f"estimate(): the prior must be numbers, (8, 8, 8) or (8,), got a {kind}."
+    )
+
+
+def test_what_is_no_capture_estimate_or_candidate_is_a_sentence(vase):
+    with pytest.raises(SvuError, match=r"check\(\): a capture is needed, got a str; read one with"):
+        svu.check("cap")
+    with pytest.raises(SvuError, match=r"next_best_view\(\): an estimate is needed, got a str;"):
+        svu.next_best_view("cap")
+    with pytest.raises(SvuError, match="candidates must be Candidates or sensors, got 100; place"):
+        svu.next_best_view(vase.estimate, 100, 5)

@@ -1,0 +1,264 @@
+"""``svu light``, and commands on a capture without a light: it is found once, kept, and reused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.helpers import Said, fails, last_line, made_up_light, names, run, write_dark
+
+import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.calibration.light import resolve_light
+from svu_mi.capture.content_hash import capture_key, photographs_key
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
+from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.errors import CaptureError, SvuWarning
+
+pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
+
+SMALL = ("--texels", 100, "--depths", 64, 6, "--resolution", 48)
+FILES = ["light.exr", "light.json", "light.npz"]
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch):
+    """What commands look for is small, too."""
+    options = svu.LightOptions(texels=100, depths=((64, 6),), draws=2)
+    monkeypatch.setattr(resolve_light, "OPTIONS", options)
+    monkeypatch.setattr(resolve_light, "RESOLUTION", 48)
+
+
+@pytest.fixture(scope="module")
+def around(tmp_path_factory):
+    """The vase from so many sides that some of its texels are in four photographs. Read only."""
+    folder = tmp_path_factory.mktemp("around")
+    words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 24)
+    assert run(*words, "--resolution", 48, "--spp", 16, "-o", folder) == 0
+    return folder
+
+
+@pytest.fixture
+def dark(around, tmp_path):
+    """The capture in a scene without a light."""
+    return write_dark(around, tmp_path / "dark")
+
+
+@pytest.fixture
+def made_up(monkeypatch):
+    """Light is not searched for; how often it was asked for is counted."""
+    asked = []
+
+    def found(capture, *_):
+        asked.append(capture)
+        return made_up_light()
+
+    monkeypatch.setattr(resolve_light, "estimate_light", found)
+    return asked
+
+
+def lit(folder: Path, given: Path | None = None, elsewhere: Path | None = None) -> Any:
+    """Return the capture of a folder with a light, and what was said."""
+    progress = Said()
+    capture = svu.load_capture(folder, light="optional")
+    lit = resolve_light.illuminated(capture, given, elsewhere=elsewhere, progress=progress)
+    return lit, "\n".join(progress.lines)
+
+
+def entropy(capture: Path, out: Path, *words: object) -> int:
+    return run("entropy", capture, "--resolution", 24, "--no-pictures", "-o", out, *words)
+
+
+def record(folder: Path, name: str = "run.json") -> dict:
+    return json.loads((folder / name).read_text())
+
+
+@pytest.mark.slow
+def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, capsys):
+    assert run("light", around, *SMALL, "-o", tmp_path / "a") == 0
+    said = capsys.readouterr().out
+    assert names(tmp_path / "a") == sorted([*FILES, "light.png"])
+    assert "The capture has a light; it is not looked at, but compared with." in said
+    assert "Base colours are known up to a common factor between " in said
+    assert "Against the capture's own light: correlation " in said
+    against = record(tmp_path / "a", "light.json")["against"]
+    assert against["correlation"] > 0.4  # .57, of 64 cells and 100 texels
+    scaled = (*SMALL, "--light-scale", 2, "--no-pictures")
+    assert run("light", around, *scaled, "-o", tmp_path / "b") == 0
+    assert "Its brightness was given" in capsys.readouterr().out
+    assert names(tmp_path / "b") == FILES
+    first, second = (svu.load_light(tmp_path / name) for name in "ab")  # the same every time
+    np.testing.assert_allclose(second.radiance, 2 * first.radiance, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--light-moves", "--light-fixed"), "--light-moves and --light-fixed exclude each other"),
+        (("--light-scale", 2, "--mean-albedo", 0.3), "say the same thing twice; give one."),
+        (("--mean-albedo", 1.5), "--mean-albedo: a base colour must be in [0.01, 1], got 1.5."),
+        (("--grey-card", 0.5, 0.5, 0), "--grey-card: a base colour must be in [0.01, 1], got 0."),
+        (("--grey-card", 0.5, 2, 0.2), "texture coordinates are in [0, 1], got 0.5 2."),
+        (("--light-scale", 0), "--light-scale must be in [1e-06, 1e+06], got 0."),
+        (("--depths", 10, 2), "depths must be (cells, rounds), ascending, of 64 to 4096 cells"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(tmp_path, capsys, words, message):
+    assert message in fails(capsys, "light", tmp_path, *words, "-o", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "moves", "background"),
+    [
+        ((), None, "none"),
+        (("--light-moves",), True, "none"),
+        (("--light-fixed",), False, "none"),
+        (("--background", "distant"), None, "distant"),
+    ],
+)
+def test_what_is_known_of_the_world_is_passed_on(
+    around, tmp_path, monkeypatch, words, moves, background
+):
+    asked = []
+
+    def found(capture, grid, options, progress):
+        asked.append(options)
+        return replace(made_up_light(), moves=bool(moves))
+
+    monkeypatch.setattr("svu_mi.calibration.light.estimate_light.estimate_light", found)
+    assert run("light", around, *SMALL, *words, "--no-pictures", "-o", tmp_path / "out") == 0
+    assert [(one.moves, one.background) for one in asked] == [(moves, background)]
+    used = record(tmp_path / "out", "light.json")["settings"]["used"]
+    assert (used["moves"], used["background"]) == (moves, background)
+
+
+@pytest.mark.slow
+def test_it_is_found_once_and_reused(dark, tmp_path, capsys, made_up):
+    assert entropy(dark, tmp_path / "first") == 0
+    said = capsys.readouterr().out
+    assert "The capture has no light: it is found in the photographs first." in said
+    assert f"The light is kept in {dark / 'light'}." in said
+    assert names(dark / "light") == FILES
+    assert entropy(dark, tmp_path / "second") == 0
+    assert f"Using the light found before in {dark / 'light'}." in capsys.readouterr().out
+    assert len(made_up) == 1
+    first, second = (record(tmp_path / name) for name in ("first", "second"))
+    assert first["inputs"]["light"] == second["inputs"]["light"]
+    assert first["inputs"]["light"]["scale_interval"][0][0] == pytest.approx(0.72, abs=0.01)
+    assert first["written"]["capture"] == second["written"]["capture"]
+
+
+@pytest.mark.slow
+def test_it_is_found_again_in_other_photographs(dark, made_up):
+    first, said = lit(dark)
+    assert "The light is kept in " in said
+    assert "Using the light found before in " in lit(dark)[1]
+    path = dark / "view_0003.exr"
+    layers = read_exr(path)
+    write_exr(path, {c: plane * (1 if c == "A" else 1.5) for c, plane in layers.items()})
+    second, said = lit(dark)
+    assert "the light there was found in other photographs." in said
+    assert len(made_up) == 2 and photographs_key(first) != photographs_key(second)
+    kept = record(dark / "light", "light.json")
+    assert kept["written"]["capture"] == photographs_key(second)
+
+
+def test_a_broken_one_is_said_and_found_again(dark, made_up):
+    lit(dark)
+    path = dark / "light" / "light.npz"
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.warns(SvuWarning, match="what was there is kept as light.before"):
+        assert "light.npz: cannot be used" in lit(dark)[1]
+    assert len(made_up) == 2 and svu.load_light(dark / "light").texels == 99
+
+
+@pytest.mark.slow
+def test_it_is_kept_beside_the_results_where_the_capture_is_read_only(dark, tmp_path, made_up):
+    (dark / "light").write_text("in the way")
+    place = tmp_path / "out" / "light"
+    assert f"The light is kept in {place}." in lit(dark, elsewhere=place)[1]
+    assert f"Using the light found before in {place}." in lit(dark, elsewhere=place)[1]
+    assert len(made_up) == 1
+    assert "The light is not kept: it will be found again, and be the same." in lit(dark)[1]
+
+
+def test_a_given_light_is_taken_instead(around, dark, tmp_path, made_up):
+    svu.save_light(made_up_light(), tmp_path / "light", photographs="0" * 32)
+    given, said = lit(around, tmp_path / "light")
+    assert "found in other photographs; it is used as it is." in said
+    assert given.found_light.texels == 99 and given.doubt.widening == 1.3
+    as_map, said = lit(dark, tmp_path / "light" / "light.exr")
+    assert as_map.found_light is None and as_map.doubt is None and not said
+    own = lit(around)[0]
+    assert own.environment.id() == "light" and own.found_light is None
+    assert len({capture_key(one) for one in (given, as_map, own)}) == 3
+    assert not made_up and not (around / "light").exists()
+    with pytest.raises(CaptureError, match="give a folder that svu light wrote, or a map of the"):
+        lit(around, tmp_path / "nothing")
+
+
+def test_what_stops_the_search_is_one_line(dark, tmp_path, capsys, monkeypatch):
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("svu_mi.calibration.light.estimate_light.estimate_light", stopped)
+    assert run("light", dark, *SMALL, "-o", tmp_path / "out") == 130
+    assert last_line(capsys) == "svu: interrupted; run the same command again"
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
+    """Everything that goes on from them, under one light."""
+    out = tmp_path / "textures"
+    size = ("--resolution", 24)
+    assert run("entropy", dark, *size, "-o", tmp_path / "entropy") == 0
+    assert run("recover", dark, *size, "--steps", 10, "-o", out) == 0
+    assert run("report", dark, "--recovered", out, "-o", tmp_path / "page.html") == 0
+    assert run("guide", dark, *size, "--candidates", 6, "--add", 1, "-o", tmp_path / "next") == 0
+    assert run("compare", dark, out, *size, "-o", tmp_path / "compared") == 0
+    assert run("export", out, "-o", tmp_path / "asset") == 0
+    said = capsys.readouterr()
+    assert said.out.count("it is found in the photographs first") == 1
+    assert said.out.count("Using the light found before in ") == 4
+    assert "come from another capture" not in said.err  # textures and report are of one
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "<h2>The light was found in the photographs</h2>" in page
+    assert 'alt="Radiance of the light"' in page
+    runs = [record(tmp_path / name) for name in ("entropy", "textures", "next")]
+    assert len({one["written"]["capture"] for one in runs}) == 1
+    assert len({json.dumps(one["inputs"]["light"]) for one in runs}) == 1
+    scene = svu.load_capture(out / "recovered.xml", dark)
+    assert scene.environment.class_name() == "EnvironmentMapEmitter"
+
+
+@pytest.mark.slow
+def test_an_import_is_done_again_over_light_that_was_kept(around, tmp_path, made_up):
+    """The light stays, and is found again if the photographs are others now."""
+    source = tmp_path / "source"
+    shutil.copytree(around, source)
+    capture = svu.load_capture(around)
+    write_transforms(source / "transforms.json", [
+        frame_of(sensor, source / name)
+        for sensor, name in zip(capture.sensors, capture.names, strict=True)
+    ])  # fmt: skip
+    (source / "capture.json").unlink()
+    capture.shape.write_ply(str(tmp_path / "mesh.ply"))
+    line = ("import", source, "--mesh", tmp_path / "mesh.ply", "-o", tmp_path / "mine")
+    assert run(*line) == 0
+    assert entropy(tmp_path / "mine", tmp_path / "out") == 0
+    assert run(*line) == 0
+    assert entropy(tmp_path / "mine", tmp_path / "out") == 0
+    assert len(made_up) == 1
+    assert run(*line, "--shrink", 2) == 0
+    assert entropy(tmp_path / "mine", tmp_path / "out") == 0
+    assert len(made_up) == 2
+    (tmp_path / "mine" / "light" / "notes.txt").write_text("mine")
+    assert run(*line) == 0 and (tmp_path / "mine" / "light" / "notes.txt").is_file()

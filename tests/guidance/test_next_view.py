@@ -1,0 +1,932 @@
+"""Capture guidance: Eq. 13 against brute force, greedy choice, and what it is good for."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from functools import cache
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracle import guidance as oracle
+from scipy import stats
+from support.helpers import render_ball
+
+import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import directions_of, sphere_sensors
+from svu_mi.core.arrays import owned
+from svu_mi.core.local_memory import padded
+from svu_mi.guidance import guidance_result as results
+from svu_mi.guidance import strategies as baselines
+from svu_mi.guidance import strategy_inputs as prospects
+from svu_mi.guidance.angular_forecast import AngularForecast
+from svu_mi.guidance.forecast import Hypotheses
+from svu_mi.guidance.greedy import GROWTH, Greedy
+from svu_mi.guidance.growing_band_limit import GrowingForecast
+from svu_mi.guidance.objectives import Colors, Entropy, Variance, prior_tables
+from svu_mi.guidance.predicted_responses import Responses
+from svu_mi.guidance.spectral_forecast import SpectrumForecast
+from svu_mi.guidance.strategies import STRATEGIES, TABLE
+from svu_mi.guidance.strategy_inputs import Prospect
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.quadrature import cell_edges
+from svu_mi.presets import preset
+
+SUN = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0.4, 0.8, 0.45]}
+LOW = 3  # degree, where kernels of the usual one do the same and take ten times as long to compile
+SHARP = preset("paper", sigma=1e-3)  # with .1, spectra under this sky say next to nothing
+PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.2]},
+         "roughness": 0.4, "metallic": 0.0}  # fmt: skip
+
+
+def responses_of(table: np.ndarray) -> Responses:
+    """Responses that hold a table (V, T, K)."""
+    _, count, columns = table.shape
+    made = Responses.of(owned(mi.Float, table[..., 0].ravel()), columns, count)
+    rest = np.zeros((int((table[..., 0] > 0).sum()), padded(columns - 1)), np.float32)
+    rest[:, : columns - 1] = table[table[..., 0] > 0, 1:]
+    return dataclasses.replace(made, rest=owned(mi.Float, rest.ravel()))
+
+
+def test_responses_of_texels_that_no_view_sees():
+    found = Responses.of(owned(mi.Float, np.zeros(15, np.float32)), 7, 5)
+    assert not found.seen.any() and found.table().shape == (3, 5, 7) and not found.table().any()
+    assert not np.array(found.read(mi.UInt32(2), 1)).any()
+
+
+def posteriors(rng: np.random.Generator, count: int, cells: int) -> np.ndarray:
+    """Peaked and flat distributions (T, N)."""
+    p = rng.dirichlet(np.full(cells, 0.2), count)
+    p[0] = 1 / cells
+    return p
+
+
+def angular_forecast(
+    rng: np.random.Generator, views: int, count: int, grid: PrincipledGrid, *,
+    nodes: bool = True, channels: int = 1, lobes: int = 1, copies: int = 1, kappa: float = np.inf,
+    averaged: bool = True, prior: np.ndarray | None = None, hypotheses: int = 4096,
+    brightness: float = 1.5,
+) -> tuple[AngularForecast, np.ndarray, np.ndarray]:  # fmt: skip
+    """A forecast of random lobes; its table and the probabilities of its truths."""
+    levels, metallic, cells = grid.shape
+    table = rng.gamma(1.0, brightness, (views, count, 1 + 4 * levels * lobes)).astype(np.float32)
+    table[..., 0] = rng.uniform(0.05, 1.0, (views, count))
+    table *= rng.random((views, count, 1)) < 0.6
+    p = posteriors(rng, count, levels * metallic)
+    edges, axis = cell_edges(grid.base_color_nodes), grid.axes["base_color"]
+    width = np.diff(edges) if cells > 1 else np.ones(1)
+    if nodes:
+        truths, width = rng.choice(axis, (count, levels * metallic, channels)), np.ones(cells)
+    elif cells > 1:
+        truths = rng.random((count, levels * metallic, channels))
+    else:
+        truths = np.full((count, levels * metallic, channels), axis[0])
+    if prior is None:
+        prior = np.ones((levels, metallic, 1)) * width
+    prior = prior / prior.sum()
+    rows, given = prior_tables(prior, width / width.sum())
+    forecast = AngularForecast(
+        responses=responses_of(table), prior=rows, grid=grid, kappa=kappa, averaged=averaged,
+        truths=owned(mi.Float, truths.ravel()), channels=channels,
+        precision=owned(mi.Float, rng.uniform(0.5, 1.5, count)),
+        colors=Colors(edges, copies, given, axis if nodes else None),
+        hypotheses=Hypotheses.draw(p, hypotheses, np.zeros(count)),
+        measure=Entropy(float(np.log(np.prod(grid.shape)))),
+    )  # fmt: skip
+    return forecast, table.astype(np.float64), p
+
+
+def angular_oracle(forecast, table, texel, views, prior=None):
+    """The same forecast of one texel, by brute force, and its truths (R * M, C)."""
+    grid, colors = forecast.grid, forecast.colors
+    levels, metallic, cells = grid.shape
+    seen = [v for v in views if table[v, texel, 0] > 0]
+    if prior is None:
+        width = np.ones(cells)
+        if colors.nodes is None and cells > 1:
+            width = np.diff(cell_edges(grid.base_color_nodes))
+        prior = np.ones((levels * metallic, 1)) * width
+    found = oracle.Angular(
+        lobes=table[seen, texel, 1:].reshape(len(seen), levels, -1, 4),
+        metallic=grid.axes["metallic"], prior=(prior / prior.sum()).reshape(-1, cells),
+        precision=float(forecast.precision.numpy()[texel]), kappa=forecast.kappa,
+        averaged=forecast.averaged, copies=colors.copies,
+        colors=grid.axes["base_color"] if cells == 1 else colors.nodes,
+    )  # fmt: skip
+    shape = (-1, levels * metallic, forecast.channels)
+    return found, forecast.truths.numpy().reshape(shape)[texel].astype(np.float64)
+
+
+def exact_entropy(forecast, table, p, views, texel, prior=None):
+    found, truths = angular_oracle(forecast, table, texel, views, prior)
+    total = sum(w * found.entropy(row, truths[row]) for row, w in enumerate(p[texel]) if w > 0)
+    return total / np.log(np.prod(forecast.grid.shape))
+
+
+GRIDS = {
+    "cube": PrincipledGrid(4, 3, 5),
+    "8 x 8": PrincipledGrid(8, 8, 8, known={"metallic": 0.0}),
+    "known colour": PrincipledGrid(3, 6, 8, known={"base_color": 0.4}),
+}
+RULES = {  # of colours, and how errors of views combine
+    "at nodes, averaged": {},
+    "in colour, added": {"nodes": False, "channels": 3, "lobes": 3, "averaged": False,
+                         "kappa": 2.0},
+    "grey light": {"nodes": False, "channels": 3, "averaged": False},
+    "all grey": {"nodes": False, "copies": 3, "averaged": False, "brightness": 0.5},
+}  # fmt: skip
+
+
+class TestAngular:
+    @pytest.mark.few(3)
+    @pytest.mark.parametrize(("name", "rule"), [
+        *(("cube", rule) for rule in RULES), ("8 x 8", "grey light"),
+        ("known colour", "in colour, added"),
+    ])  # fmt: skip
+    def test_equals_brute_force(self, name, rule):
+        rng, grid = np.random.default_rng(1), GRIDS[name]
+        forecast, table, p = angular_forecast(rng, 7, 19, grid, **RULES[rule])
+        views, candidates = np.arange(4), np.array([6, 4, 5])
+        now = forecast.now(views)
+        texels = np.array([0, 3, 12])
+        found = forecast.expected(views, candidates, texels)
+        near = 1e-4  # the oracle's quadrature of colours
+        for t in texels:
+            seen = table[:4, t, 0].any()
+            before = exact_entropy(forecast, table, p, range(4), t) if seen else 1.0
+            assert now[t] == pytest.approx(before, abs=near)
+        for (a, v), (i, t) in [(x, y) for x in enumerate(candidates) for y in enumerate(texels)]:
+            if table[v, t, 0] == 0:
+                assert np.isnan(found[a, i])
+            else:
+                exact = exact_entropy(forecast, table, p, [*range(4), v], t)
+                assert found[a, i] == pytest.approx(exact, abs=near)
+
+    @pytest.mark.parametrize("averaged", [True, False])
+    def test_prior_and_noise_that_grows(self, averaged):
+        rng, grid = np.random.default_rng(2), GRIDS["cube"]
+        prior = rng.dirichlet(np.ones(60)).reshape(grid.shape) + 1e-3
+        forecast, table, p = angular_forecast(
+            rng, 5, 6, grid, kappa=1 / 0.7, prior=prior, averaged=averaged, nodes=averaged
+        )
+        found = forecast.expected(np.arange(3), np.array([3, 4]), np.arange(6))
+        for a, v in enumerate((3, 4)):
+            for t in np.flatnonzero(table[v, :, 0]):
+                exact = exact_entropy(forecast, table, p, [0, 1, 2, v], t, prior)
+                assert found[a, t] == pytest.approx(exact, abs=1e-4)
+
+    @pytest.mark.parametrize("rule", ["at nodes, averaged", "in colour, added"])
+    def test_expected_error(self, rule):
+        rng, grid = np.random.default_rng(6), GRIDS["cube"]
+        forecast, table, p = angular_forecast(rng, 5, 8, grid, **RULES[rule])
+        present, prior = (0.1, 0.05, 0.02), (0.14, 0.17, 0.125)
+        judged = dataclasses.replace(forecast, measure=Variance(present, prior, forecast.channels))
+        axes = (grid.axes["roughness"], grid.axes["metallic"])
+        values = np.stack([x.ravel() for x in np.meshgrid(*axes, indexing="ij")], axis=1)
+        found = judged.expected(np.arange(3), np.array([3, 4]), np.arange(8))
+        now = judged.now(np.arange(3))
+        for t in range(8):
+            for views, got in (([0, 1, 2], now[t]), ([0, 1, 2, 3], found[0, t])):
+                if np.isnan(got) or not table[views, t, 0].any():
+                    continue
+                exact, truths = angular_oracle(forecast, table, t, views)
+                spread = sum(
+                    w * exact.variance(row, truths[row], values) for row, w in enumerate(p[t])
+                )
+                assert got == pytest.approx((spread / present).sum(), rel=1e-3, abs=1e-5)
+        unseen = ~(table[:3, :, 0] > 0).any(axis=0)
+        assert (now[unseen] == np.float32(1.4 + 3.4 + 6.25)).all()
+
+    @pytest.mark.parametrize("rule", ["at nodes, averaged", "in colour, added"])
+    def test_bright_light_leaves_no_nan_and_the_truth_its_place(self, rule):
+        rng, grid = np.random.default_rng(3), GRIDS["cube"]
+        forecast, table, p = angular_forecast(rng, 4, 5, grid, **RULES[rule])
+        bright = np.where(np.arange(table.shape[-1]) > 0, 1e6, 1) * table.astype(np.float32)
+        blinding = dataclasses.replace(forecast, kappa=np.inf, responses=responses_of(bright))
+        found = blinding.expected(np.arange(3), np.array([3]), np.arange(5))
+        seen = table[3, :, 0] > 0
+        # Everything is told apart, but for cells that are the same whatever the light.
+        assert np.isfinite(found[0, seen]).all() and (found[0, seen] < 0.2).all()
+
+
+class TestRankOne:
+    """Must show 1: a fit with one more sample is the fit from scratch."""
+
+    @pytest.mark.few(1)
+    @pytest.mark.parametrize("switches", [
+        preset("paper", degree=LOW, sigma=0.02, regularizer=1e-2),
+        preset("default", degree=LOW, parameters="specular", sigma=0.05),
+    ])  # fmt: skip
+    def test_expected_entropy_equals_brute_force(self, switches):
+        rng, count, views = np.random.default_rng(5), 9, 8
+        grid = ParameterGrid(3, 4).resolved(switches)
+        directions = rng.normal(size=(views, count, 3))
+        directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+        light = rng.gamma(1.0, 0.3, (views, count, switches.colors))
+        table = np.concatenate([np.abs(directions[..., 2:]), directions, light], axis=2)
+        table *= rng.random((views, count, 1)) < 0.7
+        table = table.astype(np.float32)
+        p = posteriors(rng, count, 12)
+        forecast = SpectrumForecast(
+            responses=responses_of(table), prior=None,
+            hypotheses=Hypotheses.draw(p, 12, np.zeros(count)), grid=grid,
+            switches=switches, sigma=switches.sigma, prefilter=0.0,
+            measure=Entropy(float(np.log(12))),
+        )  # fmt: skip
+        alphas = grid.roughness_nodes**2
+        alphas = np.maximum(alphas, 1e-3) if switches.bounded_alpha else alphas
+
+        def exact(chosen, t):
+            rows = [v for v in chosen if table[v, t, 0] > 0]
+            samples = table[rows, t].astype(np.float64)
+            S_L = oracle.refitted_power(
+                samples[:, 1:4], samples[:, 0], samples[:, 4:], switches.degree,
+                switches.regularizer, switches.penalize_constant,
+            )  # fmt: skip
+            return oracle.expected(
+                p[t], oracle.spectrum_distances(S_L, alphas, grid.specular_nodes, switches.sigma)
+            )
+
+        known, candidates = np.arange(4), np.array([4, 5, 6, 7])
+        now = forecast.now(known)
+        found = forecast.expected(known, candidates, np.arange(count))
+        for t in range(count):
+            if table[:4, t, 0].any():
+                assert now[t] == pytest.approx(exact(range(4), t), abs=2e-5)
+            for a, v in enumerate(candidates):
+                if table[v, t, 0] > 0:
+                    assert found[a, t] == pytest.approx(exact([*range(4), v], t), abs=2e-5)
+
+
+class TestGrowing:
+    """Eq. 13 as printed: light that is sharper with every view, truths as likely as it says."""
+
+    PHOTOGRAPHS, VIEWS, COUNT = 3, 8, 11
+
+    def case(self, switches, prior=None, seed=5):
+        """A forecast on a grid of 3 x 4; its table (V, T, K) for a number of views, S_B of the
+        texels that photographs show, and alpha and Ks of the grid."""
+        rng, grid = np.random.default_rng(seed), ParameterGrid(3, 4).resolved(switches)
+        shape, colors = (self.VIEWS, self.COUNT), switches.colors
+        directions = rng.normal(size=(*shape, 3))
+        directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+        seen = rng.random((*shape, 1)) < 0.7
+        seen[:5, 0] = False  # first seen by a candidate
+        seen[: self.PHOTOGRAPHS, 1] = False
+        seen[5, :2] = True
+        light = rng.gamma(1.0, 0.3, (*shape, colors))
+        shown = rng.gamma(1.0, 0.02, (self.COUNT, switches.degree + 1, colors)).astype(np.float32)
+
+        def table(views):
+            sharp = light * (1 + 0.2 * views * np.sin(np.arange(light.size)).reshape(light.shape))
+            whole = np.concatenate([np.abs(directions[..., 2:]), directions, sharp], axis=2)
+            return (whole * seen).astype(np.float32)
+
+        observed = seen[: self.PHOTOGRAPHS, :, 0].any(axis=0)
+        cells = np.ones((self.COUNT, 12)) if prior is None else np.tile(prior, (self.COUNT, 1))
+        energies = None
+        if prior is not None:
+            energies = owned(mi.Float, np.minimum(-np.log(np.maximum(prior, 1e-300)), 1e4))
+        unseen = 1.0 if prior is None else oracle.entropy(np.zeros(12), prior)
+        forecast = GrowingForecast(
+            responses=responses_of(table(0)), hypotheses=Hypotheses.of(cells), grid=grid,
+            prior=energies, measure=Entropy(float(np.log(12)), unseen), switches=switches,
+            sigma=switches.sigma, prefilter=0.0,
+            photographs=owned(mi.Float, shown.ravel()), observed=owned(mi.Bool, observed),
+            relight=lambda views: (responses_of(table(views)), 0.0),
+        )  # fmt: skip
+        alphas = grid.roughness_nodes**2
+        alphas = np.maximum(alphas, 1e-3) if switches.bounded_alpha else alphas
+        return forecast, table, shown, observed, (alphas, grid.specular_nodes)
+
+    def exact(self, case, switches, chosen, views, t, prior=None):
+        """E[H] of a texel from some views, in the light for a number of views."""
+        _, table, shown, observed, nodes = case
+        rows = [v for v in chosen if table(views)[v, t, 0] > 0]
+        if not rows:
+            return 1.0 if prior is None else oracle.entropy(np.zeros(12), prior)
+        samples = table(views)[rows, t].astype(np.float64)
+        S_L = oracle.refitted_power(
+            samples[:, 1:4], samples[:, 0], samples[:, 4:], switches.degree,
+            switches.regularizer, switches.penalize_constant,
+        )  # fmt: skip
+        S_B = shown[t].astype(np.float64) if observed[t] else None
+        return oracle.printed(S_B, S_L, *nodes, switches.sigma, prior)
+
+    @pytest.mark.few(2)
+    @pytest.mark.parametrize("weights", [None, "prior"])
+    @pytest.mark.parametrize("switches", [
+        preset("paper", degree=LOW, sigma=0.02, regularizer=1e-2),
+        preset("paper", degree=LOW, sigma=1e-4),
+        preset("default", degree=LOW, parameters="specular", sigma=0.05),
+    ])  # fmt: skip
+    def test_equals_the_equation_step_by_step(self, switches, weights):
+        """All of the greedy loop: before, with each candidate, and again in sharper light."""
+        prior = None
+        if weights is not None:
+            prior = np.random.default_rng(3).random(12) * (np.arange(12) % 5 > 0)
+            prior /= prior.sum()
+        case, taken = self.case(switches, prior), list(range(self.PHOTOGRAPHS))
+        forecast, near = case[0], {"abs": 1e-5}
+        greedy = Greedy(forecast, self.PHOTOGRAPHS)
+        assert not case[3].all()
+        for _ in range(3):
+            views, gains = len(taken) + 1, greedy.gains()
+            before = [self.exact(case, switches, taken, views, t, prior) for t in range(self.COUNT)]
+            np.testing.assert_allclose(greedy.entropy, before, atol=1e-5)
+            for candidate in set(range(self.VIEWS)) - set(taken):
+                found = greedy.texel_gains(candidate - self.PHOTOGRAPHS)
+                for t in range(self.COUNT):
+                    after = before[t]
+                    if forecast.seen[candidate, t]:
+                        after = self.exact(case, switches, [*taken, candidate], views, t, prior)
+                    assert found[t] == pytest.approx(before[t] - after, **near)
+                assert gains[candidate - self.PHOTOGRAPHS] == pytest.approx(found.mean(), **near)
+            best = int(np.argmax(gains))
+            greedy.choose(best)
+            taken.append(self.PHOTOGRAPHS + best)
+
+    def test_truths_are_the_posterior_in_the_light_of_the_photographs(self, sunny):
+        """What they are weighed by is what the estimate has, if the light is the same."""
+        capture, texels = sunny
+        used = (0, 3, 5, 9)
+        estimate = svu.estimate(some(capture, used), texels, "spectrum", SHARP)
+        around = svu.Candidates.at(capture, [1, 2])
+        forecast = prospect(estimate, around, band_limit="growing").forecast
+        same = prospect(
+            estimate, around, hypotheses=64, band_limit="photographs"
+        ).forecast  # fmt: skip
+        assert isinstance(forecast, GrowingForecast)
+        four, _ = forecast.relight(4)
+        np.testing.assert_array_equal(four.table(), same.responses.table())
+        lit = dataclasses.replace(forecast, relight=lambda views: forecast.relight(views - 1))
+        exact = same.now(np.arange(4))
+        np.testing.assert_allclose(lit.now(np.arange(4)), exact, atol=1e-4)
+        assert np.abs(forecast.now(np.arange(4)) - exact).max() > 1e-3
+
+    def test_refused(self, estimated):
+        estimate = estimated(0, 1)
+        for strategy in ("entropy", "coverage"):
+            with pytest.raises(svu.SvuError, match="growing' is about power spectra"):
+                svu.next_best_view(estimate, band_limit="growing", strategy=strategy)
+        spectra = estimated(0, 1, method="spectrum")
+        with pytest.raises(svu.SvuError, match="parameters='specular'"):
+            svu.next_best_view(spectra, band_limit="growing")
+        with pytest.raises(svu.SvuError, match="band_limit must be one of"):
+            svu.GuidanceOptions(band_limit="sharp")
+
+
+class TestHypotheses:
+    def test_draws_are_within_one_of_their_share_and_unbiased(self):
+        p = posteriors(np.random.default_rng(1), 4, 100)
+        total = np.zeros_like(p)
+        for seed in range(400):
+            drawn = Hypotheses.draw(p, 10, np.full(4, seed / 400))
+            counts = drawn.counts.numpy()
+            cells = drawn.cells.numpy().reshape(-1, 4)
+            weights = drawn.weights.numpy().reshape(-1, 4)
+            for t in range(4):
+                shares = weights[: counts[t], t]
+                assert shares.sum() == pytest.approx(1, abs=1e-6)
+                exact = 10 * p[t, cells[: counts[t], t]]
+                assert (np.abs(10 * shares - exact) < 1 + 1e-5).all()
+                total[t, cells[: counts[t], t]] += shares / 400
+        assert np.abs(total - p).max() < 0.02
+
+
+class GrowingGains:
+    """A forecast of one texel, that one photograph and four candidates see, some of which are worth
+    more with every view."""
+
+    first, growth = np.array([1, 0.9, 0.885, 0.8]), np.array([1, 1.08, 1, 1.08])
+
+    def __init__(self, lasting):
+        self.lasting, self.seen = lasting, np.ones((5, 1), bool)
+
+    def now(self, views):
+        chosen = enumerate(np.asarray(views)[1:] - 1)
+        return np.array([10 - sum(self.gain(number, step) for step, number in chosen)])
+
+    def expected(self, views, candidates, texels):
+        assert texels.tolist() == [0]
+        gains = [self.gain(number, len(views) - 1) for number in candidates - 1]
+        return self.now(views)[None] - np.array(gains)[:, None]
+
+    def gain(self, number, step):
+        return self.first[number] * self.growth[number] ** step
+
+
+class TestGreedy:
+    def forecast(self, seed=4, views=14, count=60):
+        rng = np.random.default_rng(seed)
+        return angular_forecast(rng, views, count, GRIDS["cube"], hypotheses=6)[0]
+
+    def test_only_what_changes_is_evaluated_again_and_nothing_is_lost(self):
+        forecast, taken = self.forecast(), [0, 1, 2]
+        greedy = Greedy(forecast, 3)
+        for _ in range(5):
+            gains = greedy.gains()
+            before, exact = forecast.now(np.array(taken)), np.full(11, -np.inf)
+            free = [c for c in range(11) if 3 + c not in taken]
+            found = forecast.expected(np.array(taken), 3 + np.array(free), np.arange(60))
+            change = np.where(np.isfinite(found), before - found, 0).mean(axis=1)
+            exact[free] = change
+            np.testing.assert_allclose(gains, exact, atol=1e-6)
+            best = int(np.argmax(gains))
+            greedy.choose(best)
+            taken.append(3 + best)
+            np.testing.assert_allclose(greedy.entropy, forecast.now(np.array(taken)), atol=1e-6)
+        pairs = int(forecast.seen[3:].sum())
+        assert greedy.evaluated < 5 * pairs
+
+    def test_lazy_chooses_the_same_and_evaluates_less(self, monkeypatch):
+        monkeypatch.setattr("svu_mi.guidance.greedy.BATCH", 2)
+        chosen, evaluated = [], []
+        for lazy in (False, True):
+            greedy = Greedy(self.forecast(views=40, count=200), 3, lazy=lazy)
+            order = []
+            for _ in range(6):
+                order.append(int(np.argmax(greedy.gains())))
+                greedy.choose(order[-1])
+            chosen.append(order)
+            evaluated.append(greedy.evaluated)
+        assert chosen[0] == chosen[1]
+        assert evaluated[1] < evaluated[0]
+
+    @pytest.mark.parametrize(("growth", "lasting", "third"), [
+        (0.1, True, 3), (0.0, True, 2), (0.0, False, 3),
+    ])  # fmt: skip
+    def test_gains_that_grow_with_every_view(self, monkeypatch, growth, lasting, third):
+        """Candidate 3 is the third best, but was below the second when it was last looked at."""
+        monkeypatch.setattr("svu_mi.guidance.greedy.BATCH", 1)
+        monkeypatch.setattr("svu_mi.guidance.greedy.GROWTH", growth)
+        greedy = Greedy(GrowingGains(lasting), 1, lazy=True)
+        order = []
+        for _ in range(3):
+            order.append(int(np.argmax(greedy.gains())))
+            greedy.choose(order[-1])
+        assert order == [0, 1, third]
+
+    def test_a_candidate_that_sees_nothing_gains_nothing(self):
+        forecast = self.forecast()
+        table = forecast.responses.table().copy()
+        table[5] = 0
+        greedy = Greedy(dataclasses.replace(forecast, responses=responses_of(table)), 3)
+        assert greedy.gains()[2] == 0
+
+    def test_nothing_seen_so_far(self):
+        greedy = Greedy(self.forecast(), 0)
+        assert (greedy.entropy == 1).all()
+        assert (greedy.gains() > 0).all()
+
+
+class TestBaselines:
+    def test_farthest(self):
+        rng = np.random.default_rng(0)
+        d = rng.normal(size=(30, 3))
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        strategy, taken = baselines.Farthest(d, 4), list(range(4))
+        for _ in range(6):
+            best = int(np.argmax(strategy.gains()))
+            angles = np.arccos(np.clip(d @ d[taken].T, -1, 1)).min(axis=1)
+            assert 4 + best == int(np.argmax(angles))
+            assert strategy.gains()[best] == pytest.approx(angles.max())
+            strategy.choose(best)
+            taken.append(4 + best)
+        assert baselines.farthest(d, range(4), 6) == taken
+        assert sorted(baselines.farthest(d, [7], 99)) == list(range(30))
+
+    def test_coverage_prefers_what_few_views_see(self):
+        seen = np.zeros((4, 10), bool)
+        seen[0, :6] = True  # photographed
+        seen[1, :5], seen[2, 6:], seen[3, 4:8] = True, True, True
+        strategy = baselines.Coverage(seen, 1)
+        np.testing.assert_allclose(strategy.gains(), [0.25, 0.4, 0.3])
+        strategy.choose(1)
+        np.testing.assert_allclose(strategy.gains()[[0, 2]], [0.25, 0.2])
+
+    def test_random_is_a_permutation_that_a_seed_fixes(self):
+        a, b = baselines.Random(20, 3).gains(), baselines.Random(20, 4).gains()
+        assert sorted(a) == list(range(20)) and (a == baselines.Random(20, 3).gains()).all()
+        assert (a != b).any()
+
+
+@pytest.fixture(scope="module")
+def sunny(tmp_path_factory):
+    """A ball under a clear sky: 20 photographs from all sides, and its texels."""
+    capture = render_ball(tmp_path_factory.mktemp("sunny"), SUN, PAINT, views=20, spp=16)
+    return capture, svu.texels(capture.mesh, (48, 24))
+
+
+def some(capture, used):
+    """The capture, of which only some views are photographed."""
+    flags = tuple(i in used for i in range(capture.count))
+    return dataclasses.replace(capture, used=flags)
+
+
+@pytest.fixture(scope="module")
+def estimated(sunny):
+    """Estimates from some of the photographs, each made once."""
+    capture, texels = sunny
+
+    @cache
+    def of(*used, method="angular", preset="default"):
+        return svu.estimate(some(capture, used), texels, method, preset)
+
+    return of
+
+
+def prospect(estimate, candidates, **options):
+    """Candidates and all texels of an estimate."""
+    texels = np.arange(estimate.texels.count)
+    options = svu.GuidanceOptions(**options)
+    return Prospect(estimate, estimate.observed, candidates, texels, options)
+
+
+class TestNextBestView:
+    @pytest.mark.few(1)
+    @pytest.mark.parametrize("switches", [{}, {"method": "spectrum", "preset": "paper"}])
+    def test_photographs_of_candidates_are_never_looked_at(self, sunny, switches):
+        capture, texels = sunny
+        used = (0, 1, 2, 3)
+        clean = some(capture, used)
+        garbage = np.full_like(capture.images[0], np.nan)
+        garbage[::2] = 1e9
+        images = tuple(x if i in used else garbage for i, x in enumerate(capture.images))
+        dirty = dataclasses.replace(clean, images=images, masks=tuple(
+            None if i in used else np.zeros((64, 64), bool) for i in range(20)))  # fmt: skip
+        found = [
+            svu.next_best_view(
+                svu.estimate(c, texels, **switches), svu.Candidates.without_photograph(c), 3
+            )
+            for c in (clean, dirty)
+        ]
+        assert found[0].candidates.count == 16
+        np.testing.assert_array_equal(found[0].gains, found[1].gains)
+        assert [p.name for p in found[0].proposals] == [p.name for p in found[1].proposals]
+
+    @pytest.mark.slow
+    def test_candidates_see_what_their_photographs_show(self, sunny, estimated):
+        capture, texels = sunny
+        whole = svu.estimate(capture, texels)
+        around = svu.Candidates.at(capture, range(1, 20))
+        known = prospect(estimated(0), around, hypotheses=1, strategy="coverage")
+        assert (known.seen == known.forecast.seen).all()  # by rays alone, and as forecasts have it
+        every = known.forecast
+        bits, lanes = whole.observed.found.bits, dr.arange(mi.UInt32, texels.count)
+        exact = np.stack([np.array(bits.test(mi.UInt32(v), lanes)) for v in range(20)])
+        assert (every.seen == exact).mean() > 0.999
+        assert exact.sum() > 1000
+
+    def test_hidden_side_is_looked_at_first(self, sunny):
+        """Must show 4."""
+        capture, texels = sunny
+        towards = np.array([to_world(s)[:3, 3] for s in capture.sensors])
+        right = np.argsort(-towards[:, 0])[:4]
+        spectra = preset("default", parameters="specular", penalize_constant=True)
+        for method, named in (("angular", "default"), ("spectrum", spectra)):
+            estimate = svu.estimate(some(capture, right), texels, method, named)
+            unseen = float((np.array(estimate.coverage) == 0).mean())
+            assert 0.3 < unseen < 0.7
+            guidance = svu.next_best_view(estimate, svu.Candidates.around(capture, 40), 3)
+            assert sum(p.new for p in guidance.proposals) > 0.7 * unseen
+            sides = [to_world(p.sensor)[0, 3] for p in guidance.proposals]
+            # One sample has hardly a spectrum: there, where the light is counts for more.
+            assert max(sides) < 0 if method == "angular" else min(sides) < 0
+
+    @pytest.mark.slow
+    def test_expected_gain_of_a_sample_is_that_of_all_within_its_error(self, sunny, estimated):
+        capture, texels = sunny
+        estimate = estimated(0, 5, 9)
+        around = svu.Candidates.without_photograph(some(capture, (0, 5, 9)))
+        every = svu.next_best_view(estimate, around, texels=10**6)
+        assert every.proposals[0].error == 0
+        assert every.skipped["texels not looked at"] == 0
+        few = [svu.next_best_view(estimate, around, texels=300, seed=seed) for seed in range(5)]
+        z = [
+            (g.gains[p.candidate] - every.gains[p.candidate]) / p.error
+            for g in few
+            for p in g.proposals
+        ]
+        assert np.abs(z).max() < 4 and 0.2 < np.sqrt(np.mean(np.square(z))) < 1.5
+        assert all(0 < g.proposals[0].error < 0.02 for g in few)
+
+    @pytest.mark.slow
+    def test_a_block_of_a_large_gain_map_has_the_gain_of_one_of_its_texels(
+        self, sunny, estimated, monkeypatch
+    ):
+        _, texels = sunny
+        guidance = svu.next_best_view(estimated(0, 5, 9), count=2)
+        every = guidance.gain_maps()
+        monkeypatch.setattr(results, "FINEST", 12)  # blocks of 4 x 4
+        maps = dataclasses.replace(guidance).gain_maps()
+        assert not np.array_equal(maps, every)
+        row, column = np.divmod(texels.index.numpy(), 48)
+        block = row // 4 * 12 + column // 4
+        for found, exact in zip(maps, every, strict=True):
+            for number in np.unique(block):
+                own = found[block == number]
+                values = np.unique(own[own != 0])
+                assert len(values) <= 1 and all(np.abs(exact[block == number] - v).min() < 1e-5
+                                                for v in values)  # fmt: skip
+        assert maps.mean() == pytest.approx(every.mean(), rel=0.2)
+
+    def test_unreachable_candidates_are_never_proposed(self, sunny, estimated):
+        capture, _ = sunny
+        estimate = estimated(0, 1)
+        candidates = svu.Candidates.without_photograph(some(capture, (0, 1)))
+        best = svu.next_best_view(estimate, candidates).proposals[0].candidate
+        flags = np.ones(18, bool)
+        flags[best] = False
+        guidance = svu.next_best_view(estimate, candidates.restricted(flags), 100)
+        assert len(guidance.proposals) == 17
+        assert best not in [p.candidate for p in guidance.proposals]
+        assert np.isnan(guidance.gains[best]) and best not in guidance.ranking
+        assert sorted(guidance.ranking) == [c for c in range(18) if c != best]
+
+    @pytest.mark.slow
+    def test_every_strategy_and_what_it_reports(self, sunny, estimated):
+        capture, _ = sunny
+        estimate = estimated(0, 1, 2)
+        around = svu.Candidates.around(capture)
+        final = {}
+        for strategy in STRATEGIES:
+            guidance = svu.next_best_view(estimate, around, count=4, strategy=strategy)
+            names = [p.candidate for p in guidance.proposals]
+            assert len(set(names)) == 4
+            assert guidance.entropy == pytest.approx(np.array(estimate.entropy).mean())
+            forecast = TABLE[strategy].forecasts
+            for p in guidance.proposals:
+                assert np.isfinite([p.gain, p.error, p.entropy]).all() == forecast
+                assert 0 <= p.new <= p.sees <= 1
+            judged = prospect(estimate, around).greedy
+            for name in names:
+                judged.choose(name)
+            final[strategy] = judged.entropy.mean()
+        assert final["entropy"] <= min(final.values()) + 2e-3
+        assert final["entropy"] < final["random"]
+
+    @pytest.mark.parametrize("strategy", [name for name in STRATEGIES if not TABLE[name].forecasts])
+    @pytest.mark.parametrize("method", ["angular", "spectrum"])
+    def test_who_needs_no_forecast_pays_for_none(
+        self, sunny, estimated, monkeypatch, strategy, method
+    ):
+        """Neither responses nor truths, and no kernel but that of visibility."""
+        capture, _ = sunny
+        estimate = estimated(0, 1, 2, method=method)
+        asked = []
+        monkeypatch.setattr(prospects, "forecast_of", lambda *_: asked.append("forecast"))
+        monkeypatch.setattr(Hypotheses, "draw", lambda *_: asked.append("truths"))
+        monkeypatch.setattr(Greedy, "__init__", lambda *_: asked.append("Eq. 13"))
+        around = svu.Candidates.around(capture, 9)
+        svu.next_best_view(estimate, around, 3, strategy=strategy)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            svu.next_best_view(estimate, around, 3, strategy=strategy)
+            kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+            dr.kernel_history_clear()
+            prospect(estimate, around, strategy=strategy).seen  # noqa: B018
+            rays = {k["hash"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT}
+        # Besides, matrices of sensors are multiplied.
+        assert not asked
+        assert all(k["hash"] in rays or k["operation_count"] < 100 for k in kernels)
+
+    @pytest.mark.slow
+    def test_other_views_or_texels_are_no_other_kernels(self, sunny, estimated):
+        capture, _ = sunny
+        estimate = estimated(0, 1, 2)
+        svu.next_best_view(estimate, svu.Candidates.around(capture, 11), 3, texels=200)
+        other = estimated(4, 5, 6, 7, 8)
+        dr.kernel_history_clear()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            svu.next_best_view(other, svu.Candidates.around(capture, 23), 4, texels=333)
+        compiled = [
+            k
+            for k in dr.kernel_history()
+            if k["type"] == dr.KernelType.JIT and not k["cache_hit"] and not k["cache_disk"]
+        ]
+        assert not compiled
+
+    @pytest.mark.slow
+    def test_expected_change_is_what_photographs_then_change(self, sunny, estimated):
+        """With the photograph taken, entropy falls as was expected, over all candidates.
+
+        From one side of the ball, where candidates differ by more than the noise of all texels
+        does once there is another photograph.
+        """
+        capture, _ = sunny
+        taken, left = range(1, 9), [0, *range(9, 20)]
+        estimate = estimated(*taken)
+        guidance = svu.next_best_view(estimate, [capture.sensors[v] for v in left], hypotheses=64)
+        before = np.array(estimate.entropy).mean()
+        real = np.array([before - np.array(estimated(*taken, v).entropy).mean() for v in left])
+        # The truth is one of many that were averaged over: gains are right on average, and those
+        # of single candidates agree far beyond chance.
+        assert stats.pearsonr(guidance.gains, real, alternative="greater").pvalue < 0.01
+        assert np.corrcoef(guidance.gains, real)[0, 1] > 0.8
+        assert 0.5 < guidance.gains.mean() / real.mean() < 1.5
+
+    def test_entropy_so_far_is_the_estimate_s_where_it_is_right(self, sunny, estimated):
+        """Photographs as the model has them: what they are expected to say is what they say."""
+        capture, _ = sunny
+        estimate = estimated(0, 5, 9, 14, preset="fixed")
+        around = svu.Candidates.at(capture, [0])
+        forecast = prospect(estimate, around, hypotheses=512).forecast
+        seen = np.array(estimate.coverage) > 0
+        now, entropy = forecast.now(np.arange(4)), np.array(estimate.entropy)
+        assert np.corrcoef(now[seen], entropy[seen])[0, 1] > 0.99
+        assert np.sqrt(np.mean((now - entropy)[seen] ** 2)) < 0.03
+        assert (now[~seen] == 1).all()
+
+    def test_a_single_texel_has_no_standard_error(self, estimated):
+        assert np.isnan(svu.next_best_view(estimated(0, 1), texels=1).proposals[0].error)
+
+    def test_a_black_photograph_has_been_taken(self, sunny):
+        capture, texels = sunny
+        black = some(capture, range(1, 20))  # loading leaves view 0 out, with a warning
+        images = (np.zeros_like(capture.images[0]), *capture.images[1:])
+        estimate = svu.estimate(dataclasses.replace(black, images=images), texels)
+        assert svu.next_best_view(estimate, texels=50).candidates.count == 100
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize(
+        "switches",
+        [preset("fast", method="angular"),
+         preset("fixed", method="angular", noise="heteroscedastic", sigma=0.02)],
+        ids=lambda switches: f"{switches.name}-{switches.noise}",
+    )  # fmt: skip
+    def test_other_noise_and_prior(self, sunny, switches):
+        capture, texels = sunny
+        prior = np.ones((8, 8, 8))
+        prior[:2] = 0  # nothing is a mirror
+        estimate = svu.estimate(some(capture, (0, 1, 2)), texels, preset=switches, prior=prior)
+        guidance = svu.next_best_view(estimate, count=2)
+        assert 0 < guidance.entropy < 1
+        assert all(np.isfinite(p.gain) for p in guidance.proposals)
+
+    @pytest.mark.few(1)
+    @pytest.mark.parametrize("method, name, known, axis", [
+        ("angular", "fixed", {"metallic": 0.0}, 1), ("angular", "fixed", {"roughness": 3 / 7}, 0),
+        pytest.param("spectrum", SHARP, {"specular": 5 / 7}, 1, marks=pytest.mark.slow),
+        pytest.param("spectrum", SHARP, {"roughness": 3 / 7}, 0, marks=pytest.mark.slow),
+    ])  # fmt: skip
+    def test_what_is_known_is_a_prior_that_says_so(self, sunny, method, name, known, axis):
+        """E[H] log n is the same on the whole grid with all of the prior on that node, and so are
+        the proposals; also where nobody looked."""
+        capture, texels = sunny
+        some_views, (value,) = some(capture, (0, 5)), known.values()
+        alone = svu.estimate(some_views, texels, method, name, known=known)
+        shape = tuple(8 if n == 1 else n for n in alone.posterior.grid.shape)
+        prior = np.zeros(shape)
+        prior[(slice(None),) * axis + (round(7 * value),)] = 2.0
+        whole = svu.estimate(some_views, texels, method, name, prior=prior)
+        n = np.log([np.prod(e.posterior.grid.shape) for e in (alone, whole)])
+        unseen = np.array(alone.coverage) == 0
+        assert unseen.any()
+        assert (np.array(alone.entropy)[unseen] == 1).all()
+        assert np.array(whole.entropy)[unseen] == pytest.approx(n[0] / n[1], rel=1e-6)
+        around = svu.Candidates.at(capture, [v for v in range(20) if v not in (0, 5)])
+        forecasts = [prospect(e, around, hypotheses=4).forecast for e in (alone, whole)]
+        views, asked, every = np.arange(2), np.arange(2, 20), np.arange(texels.count)
+        for found in (lambda f: f.now(views), lambda f: f.expected(views, asked, every)):
+            both = [found(forecast) * m for forecast, m in zip(forecasts, n, strict=True)]
+            np.testing.assert_allclose(both[1], both[0], atol=2e-5 * n[1])
+        options = svu.GuidanceOptions(hypotheses=4)
+        proposed = [svu.next_best_view(e, around, 3, options=options) for e in (alone, whole)]
+        ranks = [[p.candidate for p in guidance.proposals] for guidance in proposed]
+        assert ranks[0] == ranks[1]
+        nats = [guidance.gains * m for guidance, m in zip(proposed, n, strict=True)]
+        np.testing.assert_allclose(nats[1], nats[0], atol=1e-5)
+
+    @pytest.mark.parametrize("method, name", [("angular", "fixed"), ("spectrum", SHARP)])
+    def test_truths_of_texels_nobody_saw_are_the_priors(self, sunny, method, name):
+        capture, texels = sunny
+        estimate = svu.estimate(
+            some(capture, (0, 5)), texels, method, name, prior=np.eye(8)[3] + 0.5 * np.eye(8)[6]
+        )
+        around = svu.Candidates.around(capture, 4)
+        forecast = prospect(estimate, around, hypotheses=4096).forecast
+        unseen = np.flatnonzero(np.array(estimate.coverage) == 0)
+        table = np.zeros((8, len(unseen)))
+        columns = np.prod(estimate.posterior.grid.shape[1:-1] if method == "angular" else 8)
+        for k in range(int(forecast.hypotheses.counts.numpy().max())):
+            cell, weight = forecast.hypotheses.at(mi.UInt32(k), mi.UInt32(unseen))
+            active = k < forecast.hypotheses.counts.numpy()[unseen]
+            rows = cell.numpy().astype(int) // int(columns)
+            np.add.at(table, (rows[active], np.flatnonzero(active)), weight.numpy()[active])
+        exact = np.zeros((8, 1))
+        exact[3], exact[6] = 2 / 3, 1 / 3
+        np.testing.assert_allclose(table, np.broadcast_to(exact, table.shape), atol=1e-6)
+        H = estimate.posterior.prior_entropy
+        assert 0.3 < H < 0.9
+        np.testing.assert_allclose(forecast.now(np.arange(2))[unseen], H, rtol=1e-6)
+
+    def test_bad_input(self, sunny, estimated):
+        capture, texels = sunny
+        estimate = estimated(0, 1)
+        with pytest.raises(svu.SvuError, match="count must be at least 1"):
+            svu.next_best_view(estimate, count=0)
+        with pytest.raises(svu.SvuError, match="whole number"):
+            svu.next_best_view(estimate, count=2.5)
+        with pytest.raises(svu.SvuError, match="unknown option 'texel'"):
+            svu.next_best_view(estimate, texel=3)
+        with pytest.raises(svu.SvuError, match="strategy must be one of"):
+            svu.next_best_view(estimate, strategy="best")
+        with pytest.raises(svu.SvuError, match="texels must be at least 1"):
+            svu.next_best_view(estimate, texels=0)
+        with pytest.raises(svu.SvuError, match="proposal must be 0 to 0"):
+            svu.next_best_view(estimate).image(1)
+        with pytest.raises(svu.SvuError, match="must be GuidanceOptions"):
+            svu.next_best_view(estimate, options={"texels": 5})
+        with pytest.raises(svu.SvuError, match="does not know its capture"):
+            svu.next_best_view(dataclasses.replace(estimate, observed=None))
+
+    @pytest.mark.slow
+    def test_estimates_that_predict_nothing_are_refused(self, sunny, estimated):
+        capture, texels = sunny
+        spectra = estimated(0, 1, method="spectrum")
+        with pytest.raises(svu.SvuError, match="parameters='specular'"):
+            svu.next_best_view(spectra)
+        specular = preset("fixed", method="angular", parameters="specular")
+        with pytest.raises(svu.SvuError, match="parameters='principled'"):
+            svu.next_best_view(svu.estimate(some(capture, (0, 1)), texels, preset=specular))
+        other = preset("fixed", method="angular", channels="joint")
+        with pytest.raises(svu.SvuError, match="does not predict"):
+            svu.next_best_view(svu.estimate(some(capture, (0, 1)), texels, preset=other))
+        paper = estimated(0, 1, method="spectrum", preset="paper")
+        with pytest.raises(svu.SvuError, match="error needs"):
+            svu.next_best_view(paper, strategy="error")
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("views", [2, 6])
+    def test_gains_grow_by_less_than_is_allowed_for(self, views):
+        """The vase under an overcast sky: where they grew most among our own scenes."""
+        capture = svu.render_capture(
+            scenes.path("vase"), 8, views=views, resolution=(192, 192),
+            defines={"light": "overcast"},
+        )  # fmt: skip
+        estimate = svu.estimate(capture, svu.texels(capture.mesh, 96))
+        around = svu.Candidates.around(capture, 40)
+        known = prospect(estimate, around, lazy=False).greedy
+        gains, order = [], []
+        for _ in range(4):
+            gains.append(known.gains())
+            order.append(int(np.argmax(gains[-1])))
+            known.choose(order[-1])
+        growth = np.concatenate([
+            after[free] / before[free] - 1
+            for before, after in itertools.pairwise(gains) for free in [np.isfinite(after)]
+        ])  # fmt: skip
+        assert 0 < growth.max() < GROWTH
+        lazy = prospect(estimate, around).greedy
+        for candidate in order:
+            assert np.argmax(lazy.gains()) == candidate
+            lazy.choose(candidate)
+        assert lazy.evaluated < known.evaluated
+
+
+class TestCandidates:
+    def test_around_takes_the_camera_of_the_photographs(self, sunny):
+        capture, _ = sunny
+        candidates = svu.Candidates.around(capture, 30, lowest=0.2, up=(0, 0, -1))
+        places = np.array([to_world(s)[:3, 3] for s in candidates.sensors])
+        radius = np.linalg.norm(to_world(capture.sensors[0])[:3, 3])
+        np.testing.assert_allclose(np.linalg.norm(places, axis=1), radius, rtol=1e-5)
+        sine = -places[:, 2] / radius
+        assert sine.min() >= 0.2 - 1e-6 and sine.max() > 0.95
+        ups = np.array([to_world(s)[:3, 1] for s in candidates.sensors])
+        assert (-ups[sine < 0.9, 2] > 0.4).all()  # upright
+        looks = np.array([to_world(s)[:3, 2] for s in candidates.sensors])
+        np.testing.assert_allclose(looks, -places / radius, atol=1e-5)
+
+    def test_a_sphere_is_even(self):
+        ball = mi.load_dict({"type": "sphere"})
+        d = directions_of(sphere_sensors(ball, 200, (8, 8), up=(1, 2, -1)), np.zeros(3))
+        assert np.abs(d.mean(axis=0)).max() < 0.01
+        nearest = np.sort(np.arccos(np.clip(d @ d.T, -1, 1)), axis=1)[:, 1]
+        assert nearest.min() > 0.5 * nearest.max()
+
+    def test_refused(self, sunny):
+        capture, _ = sunny
+        with pytest.raises(svu.SvuError, match="Every sensor"):
+            svu.Candidates.without_photograph(capture)
+        with pytest.raises(svu.SvuError, match="no view that can be reached"):
+            svu.Candidates.around(capture, 5).restricted(np.zeros(5, bool))
+        with pytest.raises(svu.SvuError, match="4 flags for 5"):
+            svu.Candidates.around(capture, 5).restricted(np.ones(4, bool))
+        with pytest.raises(svu.SvuError, match="True or False"):
+            svu.Candidates.around(capture, 5).restricted([0, 1, 2, 3, 4])
+        with pytest.raises(svu.SvuError, match="Cannot place 0"):
+            svu.Candidates.around(capture, 0)
+        with pytest.raises(svu.SvuError, match="lowest elevation"):
+            svu.Candidates.around(capture, 5, lowest=1.0)
+        with pytest.raises(svu.SvuError, match="up must be a direction"):
+            svu.Candidates.around(capture, 5, up=(0, 0, 0))
+        with pytest.raises(svu.SvuError, match="positive distance"):
+            svu.Candidates.around(capture, 5, distance=-1)
+        with pytest.raises(svu.SvuError, match="no such file"):
+            svu.Candidates.read("nowhere.json")

@@ -1,0 +1,51 @@
+"""The first hour of somebody with a mesh, poses and pictures of other programs."""
+
+from __future__ import annotations
+
+import pytest
+from support.journey import done, svu
+
+FITS = "The capture fits its photographs, as far as can be determined."
+
+
+@pytest.mark.slow
+def test_a_capture_needs_no_light_to_look_at_its_poses(shots):
+    """No map of the light: are the poses right? And then it is found."""
+    said = done("import blender --mesh scan.ply -o dark", shots)
+    assert said.out[-3:] == [
+        "The capture has no light, which is found in its photographs: look at what svu light "
+        "finds, or go on. If there is a map of the light that they were taken under, import the "
+        "capture again with --environment.",
+        "Wrote dark; look at it with: svu check dark",
+        "Then find its light with: svu light dark",
+    ]
+    said = done("check dark -o out/dark", shots)
+    assert any(line.startswith("poses (fits): Cameras and mesh fit") for line in said.out)
+    assert (
+        "light (unknown): The orientation of the light cannot be determined: the capture has none."
+    ) in said.out
+    assert said.out[-2] == FITS
+    said = done("light dark --texels 100 --depths 64 4 -o dark/light", shots)
+    assert any(line.startswith("Base colours are known up to a common factor") for line in said.out)
+    said = done("entropy dark --resolution 32 -o out/dark_entropy", shots)
+    assert "Using the light found before in dark/light." in said.out
+
+
+@pytest.mark.slow
+def test_textures_are_looked_at_beside_those_painted_in_blender(shots):
+    """And a folder that holds no textures is said to be what it is."""
+    done("entropy capture --resolution 64 -o out/entropy", shots)
+    done("recover capture --resolution 64 -o out/textures --no-pictures", shots)
+    assert svu("report capture --recovered out/entropy", shots).refusal == (
+        "out/entropy: has no base_color.exr, roughness.exr, metallic.exr, so it is not a result of "
+        "svu recover but of svu entropy; run svu recover on the same capture, and give what it "
+        "writes."
+    )
+    line = "report capture --recovered out/textures --resolution 128"
+    assert svu(line, shots).refusal == (
+        "out/textures: the textures have 64 x 64 texels; give --resolution 64 64."
+    )
+    said = done("compare out/textures scenes/vase -o out/compared", shots)
+    assert said.out[-1].startswith("Of the surface that both show, ")
+    done("export out/textures -o out/asset", shots)
+    assert (shots / "out" / "asset" / "asset.glb").is_file()

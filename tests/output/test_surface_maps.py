@@ -1,0 +1,103 @@
+"""What is computed for pictures alone: the same as for files, of fewer texels and pixels."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from support.helpers import names, run
+
+import svu_mi as svu
+from svu_mi.capture.film_rays import Pictures
+from svu_mi.capture.sensors import scaled_sensor
+from svu_mi.capture.tonemap import shrunk
+from svu_mi.guidance.forecast import Forecast
+from svu_mi.recovery.relighting import relight
+from svu_mi.recovery.svbrdf_textures import uniform
+
+
+def test_the_most_probable_cell_is_that_of_the_table(vase):
+    """Of all but base colour first, then of each channel's base colour given that."""
+    posterior = vase.estimate.posterior
+    p = np.array(posterior.probabilities, np.float64)
+    rows = p[..., 0].sum(axis=-1).reshape(len(p), -1)
+    found = posterior.kernel.best(np.arange(len(p)))
+    row = np.ravel_multi_index(tuple(found[:, :-1, 0].T), p.shape[1:-2])
+    best = rows.max(axis=1)
+    taken = rows[np.arange(len(p)), row]
+    seen = posterior.observed
+    np.testing.assert_allclose(taken[seen], best[seen], rtol=1e-5)  # ties may go either way
+    given = p.reshape(len(p), -1, *p.shape[-2:])[np.arange(len(p)), row]
+    color = np.take_along_axis(given, found[:, -1][:, None, :], axis=1)[:, 0]
+    np.testing.assert_allclose(color[seen], given.max(axis=1)[seen], rtol=1e-5)
+
+
+def test_half_a_width_is_that_of_the_least_known_channel(vase):
+    """Of three channels, the one of the largest standard deviation stands for the widest."""
+    posterior, chosen = vase.estimate.posterior, np.arange(0, vase.texels.count, 2)
+    seen = posterior.observed[chosen]
+    for name in posterior.axes:
+        low, high = (np.array(end) for end in posterior.interval(name, 0.9, chosen))
+        half = ((high - low) / 2).reshape(len(chosen), -1)
+        sd = np.array(posterior.sd(name))[chosen].reshape(len(chosen), -1)
+        found = np.array(posterior.half_width(name, 0.9, chosen))
+        expected = half[np.arange(len(half)), sd.argmax(axis=1)]
+        part = 1.01 / 84  # a sum that is rounded otherwise may end at the next part
+        assert np.abs(found - expected).max() < part
+        assert (np.abs(found - expected) < 1e-6).mean() > 0.98
+        assert (half.max(axis=1) - found)[seen].mean() < 0.002
+    assert half.shape[1] == 3 and np.ptp(half[seen]) > 0.05
+
+
+def test_pixels_that_are_asked_for_are_those_of_the_picture(vase):
+    """Of 4 views in one launch and one by one: both noisy, without a bias."""
+    capture, textures = vase.capture, uniform(vase.texels, 0.5)
+    sensors = [scaled_sensor(sensor, 32) for sensor in capture.sensors]
+    inside = [part == 1 for part in Pictures(sensors).covered(capture.scene, capture.shape)]
+    some = relight(capture, textures, None, sensors, 256, pixels=inside)
+    every = relight(capture, textures, None, sensors, 256)
+    for mask, one, other in zip(inside, some, every, strict=True):
+        assert 0.05 < mask.mean() < 0.9 and not one[~mask].any()
+        assert one[mask].mean() == pytest.approx(other[mask].mean(), rel=0.05)
+        error = np.abs(one - other)[mask].mean()
+        assert error < 0.2 * other[mask].mean()
+    assert relight(capture, textures, None, [], 4, pixels=[]) == []
+
+
+def test_shrinking_takes_means_and_keeps_what_is_not_usable():
+    image = np.arange(24, dtype=np.float32).reshape(4, 6, 1).repeat(3, axis=2)
+    image[0, 0] = np.nan
+    small = shrunk(image, 3, 2)
+    assert small.shape == (2, 2, 3) and np.isnan(small[0, 0]).all()
+    np.testing.assert_allclose(small[1, 1], image[2:, 3:].mean(axis=(0, 1)))
+
+
+def test_views_one_by_one_are_those_of_single_steps(vase):
+    candidates = svu.Candidates.around(vase.capture, 3)
+    guidance = svu.next_best_view(vase.estimate, candidates, 3, texels=300)
+    forecast, known = guidance._prospect.forecast, guidance._prospect.photographs
+    views, added = np.arange(known), known + np.arange(3)
+    found = forecast.one_by_one(views, added)
+    np.testing.assert_allclose(found, Forecast.one_by_one(forecast, views, added), atol=2e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("variant")
+@pytest.mark.parametrize(("words", "drawn"), [
+    (("entropy",), ["overview.png"]),
+    (("guide", "--candidates", 6, "--add", 1), ["guidance.png", "thumbnails"]),
+    (("recover", "--steps", 4), ["recovery.png", "relit.png"]),
+])  # fmt: skip
+def test_no_pictures_writes_all_but_pictures(shot, tmp_path, capsys, words, drawn):
+    """And the last line says what was found."""
+    common = (words[0], shot, *words[1:], "--resolution", 32, "-t", 2)
+    assert run(*common, "-o", tmp_path) == 0
+    every = names(tmp_path)
+    assert set(drawn) <= set(every)
+    assert run(*common, "--no-pictures", "-o", tmp_path) == 0
+    assert names(tmp_path) == sorted(set(every) - set(drawn))
+    wrote, told = capsys.readouterr().out.splitlines()[-2:]
+    assert wrote == f"Wrote {tmp_path}"
+    assert " of the surface seen, mean entropy 0." in told
+    assert told.endswith("(90 % intervals).")
+    mi.set_log_level(mi.LogLevel.Warn)

@@ -1,0 +1,424 @@
+"""Mitsuba's own loop: the right pixels, the right rays, the right gradients."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from support.helpers import ball_scene, memory_capture, render_ball
+
+from svu_mi.capture.mesh import arrays
+from svu_mi.capture.replace_material import is_same, repaint
+from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sensors
+from svu_mi.core.arrays import owned
+from svu_mi.errors import CaptureError, OptionError, ShapeError
+from svu_mi.geometry.packed_views import pack_views
+from svu_mi.geometry.texels import texels as lay_texels
+from svu_mi.parameters import NAMES
+from svu_mi.recovery.adam import descend
+from svu_mi.recovery.checkpoint import Checkpoint
+from svu_mi.recovery.path.pixel_batches import PixelBatches
+from svu_mi.recovery.path.pixel_loss import FLOOR, LOSSES, path_objective
+from svu_mi.recovery.path.textured_scene import PathScene
+from svu_mi.recovery.recovery_options import DescentOptions, PathOptions
+from svu_mi.recovery.svbrdf_textures import Textures, uniform
+
+
+def light():
+    """A smooth sky, warm from one side: neither constant nor full of noise."""
+    v, u = np.mgrid[0:16, 0:32]
+    sky = np.stack([1 + np.cos(u / 32 * 2 * np.pi), 1 + 0 * u, 1.5 - v / 16], axis=-1)
+    return {"type": "envmap", "bitmap": mi.Bitmap(sky.astype(np.float32))}
+
+
+def paint(base_color=(0.6, 0.4, 0.2), roughness=0.4, metallic=0.3):
+    return {"type": "principled", "base_color": {"type": "rgb", "value": list(base_color)},
+            "roughness": roughness, "metallic": metallic, "specular": 0.5}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return render_ball(
+        tmp_path_factory.mktemp("ball"), light(), paint(), views=6, resolution=(32, 32), spp=256
+    )
+
+
+@pytest.fixture(scope="module")
+def grid(capture):
+    return lay_texels(capture.mesh, (8, 6))
+
+
+def options(**changes):
+    defaults = {"pixels_per_batch": 256, "spp": 4, "max_depth": 2, "loss": "l2", "tv": 0.0}
+    return PathOptions(**{**defaults, **changes})
+
+
+def tensor(values):
+    values = np.asarray(values, np.float32)
+    return mi.TensorXf(owned(mi.Float, values.ravel()), shape=values.shape)
+
+
+def textures_of(grid, base_color=(0.6, 0.4, 0.2), roughness=0.4, metallic=0.3):
+    width, height = grid.resolution
+    one = np.ones((height, width, 1))
+    return {"base_color": tensor(one * base_color), "roughness": tensor(one * roughness),
+            "metallic": tensor(one * metallic)}  # fmt: skip
+
+
+def random_textures(grid, seed=0):
+    rng = np.random.default_rng(seed)
+    width, height = grid.resolution
+    return {
+        name: tensor(rng.uniform(0.3, 0.7, (height, width, 3 if name == "base_color" else 1)))
+        for name in NAMES
+    }
+
+
+# ---- losses ----
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_losses_are_their_equations(name):
+    rng = np.random.default_rng(3)
+    r, y = rng.random((1, 40, 3)), rng.random((1, 40, 3))
+    s = 0.3
+    wanted = {
+        "l1": np.mean(np.abs(r - y)) / s,
+        "l2": np.mean((r - y) ** 2) / s**2,
+        "relative": np.mean((r - y) ** 2 / (y**2 + (s * FLOOR) ** 2)),
+    }[name]
+    found = LOSSES[name](tensor(r), tensor(y), dr.opaque(mi.Float, s))
+    assert np.allclose(np.array(found), wanted, rtol=1e-5)
+    # The same at any exposure.
+    brighter = LOSSES[name](tensor(7 * r), tensor(7 * y), dr.opaque(mi.Float, 7 * s))
+    assert np.allclose(np.array(brighter), wanted, rtol=1e-5)
+
+
+# ---- the scene ----
+
+
+def test_repainting_leaves_the_capture_alone_and_shares_the_rest(capture):
+    before = arrays(capture.mesh)
+    material = mi.load_dict({"type": "twosided", "bsdf": {"type": "diffuse"}})
+    bsdf = str(capture.shape.bsdf())
+    made = repaint(capture, material)
+    assert str(capture.shape.bsdf()) == bsdf
+    assert not is_same(made.shape, capture.shape)
+    assert len(made.scene.shapes()) == len(capture.scene.shapes())
+    assert np.array_equal(arrays(made.shape).uvs, before.uvs)
+    assert np.array_equal(arrays(capture.mesh).positions, before.positions)
+
+
+def test_an_unwrapped_mesh_brings_its_own_uvs(capture):
+    from svu_mi.capture.mesh import MeshArrays, make
+
+    old = arrays(capture.mesh)
+    mesh = make("new", MeshArrays(old.positions, old.faces, old.normals, old.uvs * 0.5))
+    made = repaint(replace(capture, mesh=mesh), mi.load_dict({"type": "diffuse"}))
+    assert np.allclose(arrays(made.shape).uvs, old.uvs * 0.5)
+
+
+def test_both_sides_reflect_if_they_did(tmp_path):
+    scene = ball_scene(tmp_path, light(), {"type": "twosided", "bsdf": paint()})
+    sensors = sphere_sensors(scene.shapes()[0], 1, (8, 8))
+    capture = memory_capture(scene, [np.zeros((8, 8, 3))], sensors)
+    assert "TwoSided" in repaint(capture, mi.load_dict(paint())).shape.bsdf().class_name()
+
+
+@pytest.mark.slow
+def test_uniform_textures_render_as_the_uniform_material(capture, grid):
+    """Same paths, same radiance: the textures stand for what they are called."""
+    target = PathScene.of(capture, uniform(grid))
+    for values in ({}, {"metallic": 0.0, "roughness": 0.8}, {"metallic": 1.0, "roughness": 0.2}):
+        target.paint(textures_of(grid, **values))
+        # Made of 0.5 and painted afterwards, as the textures are: all lobes are there.
+        plain = mi.load_dict(paint((0.5, 0.5, 0.5), 0.5, 0.5))
+        params = mi.traverse(plain)
+        wanted = {"base_color": (0.6, 0.4, 0.2), "roughness": 0.4, "metallic": 0.3, **values}
+        params["base_color.value"] = mi.Color3f(*wanted["base_color"])
+        params["roughness.value"] = wanted["roughness"]
+        params["metallic.value"] = wanted["metallic"]
+        params.update()
+        images = [
+            np.array(mi.render(scene, sensor=capture.sensors[0], spp=4, seed=1,
+                               integrator=mi.load_dict({"type": "prb", "max_depth": 2})))
+            for scene in (target.scene, repaint(capture, plain).scene)
+        ]  # fmt: skip
+        assert np.allclose(*images, rtol=1e-3, atol=1e-4)
+
+
+def test_wrong_textures_are_refused(capture, grid):
+    target = PathScene.of(capture, uniform(grid))
+    with pytest.raises(ShapeError, match="roughness must have shape"):
+        target.paint({"roughness": dr.full(mi.TensorXf, 0.5, shape=(6, 8, 3))})
+
+
+# ---- sensors and batches ----
+
+
+def odd_sensor(sensor, **changes):
+    record = describe(sensor) | {
+        "film": [40, 28], "crop_offset": [7, 3], "crop_size": [25, 19],
+        "principal_point_offset": [0.06, -0.11],
+    } | changes  # fmt: skip
+    return make_sensor(record, "odd")
+
+
+def mixed(capture):
+    """Views of several sizes, a crop, a mask, a hole, and one that is left out."""
+    sensors = [odd_sensor(capture.sensors[0]), *capture.sensors[1:]]
+    images = [
+        np.array(mi.render(capture.scene, sensor=s, spp=256, seed=i))[..., :3]
+        for i, s in enumerate(sensors)
+    ]
+    images[2][10:14] = np.nan
+    masks = [None] * len(sensors)
+    masks[3] = np.zeros((32, 32), bool)
+    masks[3][8:24, 10:30] = True
+    used = (True, True, True, True, False, True)
+    return memory_capture(capture.scene, images, sensors, masks=tuple(masks), used=used)
+
+
+def test_an_epoch_shows_every_usable_pixel_once_and_no_other(capture):
+    scene = mixed(capture)
+    batches = PixelBatches(scene, 100, seed=7)
+    views = pack_views(scene)
+    wanted = np.flatnonzero(views.usable.numpy())
+    assert batches.pixels == len(wanted)
+    assert batches.epoch == -(-len(wanted) // 100)
+    orders = []
+    for first in (0, batches.epoch):
+        drawn = [batches.at(step) for step in range(first, first + batches.epoch)]
+        flat = np.concatenate([np.array(batch.index) for batch in drawn])
+        view, row, column = (
+            np.concatenate([np.array(batch.places[k]) for batch in drawn]) for k in range(3)
+        )
+        assert len(flat) == 100 * batches.epoch
+        assert np.array_equal(np.sort(flat[: len(wanted)]), wanted)
+        assert np.array_equal(flat[len(wanted) :], flat[: len(flat) - len(wanted)])
+        offset, width = views.offset.numpy()[view], views.width.numpy()[view]
+        assert np.array_equal(offset + row * width + column, flat)
+        assert (row < views.height.numpy()[view]).all() and (column < width).all()
+        orders.append(flat)
+    assert not np.array_equal(*orders)
+    together = np.mean(np.diff(orders[0].astype(int)) == 1)
+    assert 0.5 < together < 0.9
+
+
+def test_rays_are_those_of_the_cameras_pixels(capture):
+    """Of views of several sizes, one of which is a crop window."""
+    scene = mixed(capture)
+    batches = PixelBatches(scene, 200)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(3, 400)
+    batch = batches.at(0)
+    rays = batch.rays(batches.views, sampler, 2)
+    sampler.seed(3, 400)
+    jitter = np.array(sampler.next_2d())
+    view, row, column = (np.array(place) for place in batch.places)
+    kept = np.flatnonzero(scene.used)
+    for k in range(0, 400, 13):
+        pixel = k // 2
+        sensor = scene.sensors[kept[view[pixel]]]
+        width, height = film_size(sensor)
+        at = (column[pixel] + jitter[0, k]) / width, (row[pixel] + jitter[1, k]) / height
+        ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f(*map(float, at)), mi.Point2f(0.5))
+        assert np.abs(np.array(rays.o)[:, k] - np.array(ray.o)[:, 0]).max() < 2e-6
+        assert np.abs(np.array(rays.d)[:, k] - np.array(ray.d)[:, 0]).max() < 2e-6
+
+
+def test_a_batch_depends_on_seed_and_step_alone(capture):
+    one, other = PixelBatches(capture, 128, seed=3), PixelBatches(capture, 128, seed=3)
+    last = 2 * one.epoch + 1
+    forward = {step: np.array(one.at(step).index) for step in range(last + 1)}
+    for step in (last, 0, one.epoch, 1):
+        assert np.array_equal(np.array(other.at(step).index), forward[step])
+    another = PixelBatches(capture, 128, seed=4)
+    assert not np.array_equal(np.array(another.at(0).index), forward[0])
+
+
+@pytest.mark.slow
+def test_renders_and_photographs_are_of_the_same_pixels(capture, grid):
+    """In every view, crop or not; with the true material, all that is left is noise."""
+    scene = mixed(capture)
+    objective = path_objective(scene, grid, options(pixels_per_batch=10**6, spp=512))
+    assert objective.batches.size == objective.batches.pixels
+    render, photograph = objective.render(textures_of(grid), 0)
+    error = (np.array(render) - np.array(photograph)).reshape(-1, 2, 3).mean(axis=1)
+    error /= objective.batches.mean
+    # Renders of 256 and 512 paths: errors of about 4 % of the mean, which cancel in a view. A
+    # pixel beside the right one is wrong by 20 %.
+    assert np.sqrt(np.mean(error**2)) < 0.08
+    view = np.array(objective.batches.at(0).places[0])
+    assert np.array_equal(np.unique(view), np.arange(5))
+    for index in range(5):
+        assert abs(error[view == index].mean()) < 0.01
+    assert np.isclose(objective.batches.mean, np.array(photograph).mean(), rtol=1e-5)
+
+
+def test_no_usable_pixel_is_refused(capture):
+    dark = replace(capture, masks=tuple(np.zeros((32, 32), bool) for _ in capture.images))
+    with pytest.raises(CaptureError, match="No photograph shows the object"):
+        PixelBatches(dark, 64)
+
+
+# ---- gradients ----
+
+
+def loss_and_gradients(objective, textures, step=0):
+    """The loss of a step, and its gradient by every texture."""
+    live = {name: mi.TensorXf(value) for name, value in textures.items()}
+    dr.enable_grad(*live.values())
+    loss = objective(live, step)
+    dr.backward(loss)
+    return number(loss), {name: np.array(value.grad) for name, value in live.items()}
+
+
+def number(loss):
+    return float(np.array(loss).ravel()[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", LOSSES)
+def test_gradients_are_those_of_finite_differences(capture, grid, loss):
+    """Of the mean over many paths: gradients have paths of their own, so equality is statistical.
+
+    The direction is random, so that every texel takes part with a weight of its own. What is
+    computed in two halves is compared with differences of the whole: so is its loss.
+    """
+    plain, halves = (
+        path_objective(
+            capture, grid, options(loss=loss, spp=256, pixels_per_batch=4096, halves=halves)
+        )
+        for halves in (False, True)
+    )
+    at = random_textures(grid)
+    losses, found = zip(*(loss_and_gradients(o, at) for o in (plain, halves)), strict=True)
+    assert losses[1] == pytest.approx(losses[0], rel=0.03)  # each half is noisier
+    h = 0.01  # the error of a central difference falls as h^2, its rounding rises as 1e-7 / h
+    for name in NAMES:
+        direction = np.random.default_rng(1).uniform(0.5, 1.0, at[name].shape)
+        ahead, behind = (
+            number(plain({**at, name: tensor(np.array(at[name]) + step * direction)}, 0))
+            for step in (h, -h)
+        )
+        wanted = (ahead - behind) / (2 * h)
+        for gradient in found:
+            size = float(np.abs(gradient[name] * direction).sum())
+            assert abs((gradient[name] * direction).sum() - wanted) < 0.03 * size, name
+            assert abs(wanted) > 0.1 * size  # it is not the noise that agrees
+
+
+@pytest.mark.slow
+def test_no_path_is_weighted_by_its_own_error(capture, grid):
+    """With the truth, gradients of a squared loss vanish in the mean even for two noisy paths."""
+    objective = path_objective(capture, grid, options(spp=2, pixels_per_batch=4096))
+
+    truth = textures_of(grid)
+    found = np.array([
+        [gradient.sum() for gradient in loss_and_gradients(objective, truth, step)[1].values()]
+        for step in range(40)
+    ])  # fmt: skip
+    error = found.std(axis=0, ddof=1) / np.sqrt(len(found))
+    assert np.all(np.abs(found.mean(axis=0)) < 4 * error)
+
+
+def test_an_odd_number_of_paths_has_no_halves(capture, grid):
+    assert path_objective(capture, grid, options(spp=3)).halves == 1
+    assert path_objective(capture, grid, options(halves=False)).halves == 1
+    assert path_objective(capture, grid, options()).halves == 2
+
+
+@pytest.mark.slow
+def test_parameters_that_are_not_given_stay_as_they_were_fixed(capture, grid):
+    fixed = Textures(**textures_of(grid))
+    objective = path_objective(capture, grid, options(spp=64), fixed=fixed)
+    whole = path_objective(capture, grid, options(spp=64))
+    some = {"roughness": textures_of(grid, roughness=0.6)["roughness"]}
+    found = np.array(objective(some, 2))
+    wanted = np.array(whole({**dict(fixed.items()), **some}, 2))
+    assert np.allclose(found, wanted, rtol=1e-5)
+
+
+# ---- the loop ----
+
+
+@pytest.mark.slow
+def test_descent_finds_the_colour_of_a_surface(capture, grid):
+    """With the rest known; all of it can hardly be told from so few paths."""
+    fixed = Textures(**textures_of(grid))
+    objective = path_objective(capture, grid, options(epochs=3, spp=8), fixed=fixed)
+    start = {"base_color": uniform(grid).base_color}
+    found = descend(objective, start, DescentOptions(steps=objective.steps, learning_rate=0.04))
+    color = np.array(found.values["base_color"])[1:5].mean(axis=(0, 1))  # off the poles
+    assert np.abs(color - (0.6, 0.4, 0.2)).max() < 0.02
+    assert found.losses[-5:].mean() < 0.5 * found.losses[:3].mean()
+
+
+@pytest.mark.slow
+def test_resumed_in_the_middle_of_an_epoch_it_ends_as_if_uninterrupted(capture, grid, tmp_path):
+    """Up to the order in which threads add gradients up, which Adam's division can enlarge."""
+    settings = DescentOptions(steps=15, learning_rate=0.01)
+    start = dict(uniform(grid).items())
+    whole = descend(path_objective(capture, grid, options()), start, settings)
+    objective = path_objective(capture, grid, options())
+
+    def stopping(textures, step):
+        if step == 8:
+            raise KeyboardInterrupt
+        return objective(textures, step)
+
+    with pytest.raises(KeyboardInterrupt):
+        descend(stopping, start, settings, checkpoint=Checkpoint(tmp_path / "c.npz", {}))
+    assert 8 % objective.batches.epoch != 0
+    resumed = descend(path_objective(capture, grid, options()), start, settings,
+                      checkpoint=Checkpoint(tmp_path / "c.npz", {}, resume=True))  # fmt: skip
+    assert np.allclose(resumed.losses, whole.losses, rtol=1e-3)
+    for name in NAMES:
+        a, b = np.array(resumed.values[name]), np.array(whole.values[name])
+        assert np.abs(a - b).max() < 2e-3
+
+
+@pytest.mark.slow
+def test_with_one_thread_it_is_the_same_to_the_last_bit(capture, grid):
+    threads = dr.thread_count()
+    dr.set_thread_count(1)
+    try:
+        runs = [
+            descend(path_objective(capture, grid, options()), dict(uniform(grid).items()),
+                    DescentOptions(steps=6))
+            for _ in range(2)
+        ]  # fmt: skip
+    finally:
+        dr.set_thread_count(threads)
+    assert np.array_equal(runs[0].losses, runs[1].losses)
+    for name in NAMES:
+        assert np.array_equal(*(np.array(run.values[name]) for run in runs))
+
+
+@pytest.mark.slow
+def test_no_kernel_after_the_second_step_not_even_in_a_new_epoch(capture, grid):
+    objective = path_objective(capture, grid, options(pixels_per_batch=512))
+    compiled = {}
+
+    def watched(textures, step):
+        dr.sync_thread()
+        compiled[step] = dr.detail.launch_stats()[1:]
+        return objective(textures, step)
+
+    steps = objective.batches.epoch + 2
+    descend(watched, dict(uniform(grid).items()), DescentOptions(steps=steps))
+    assert compiled[2] == compiled[steps - 1]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"epochs": 0.0}, {"pixels_per_batch": 0}, {"spp": 0}, {"max_depth": 1}, {"loss": "l3"},
+     {"tv": -1.0}, {"tv": np.nan}, {"seed": -1}],
+)  # fmt: skip
+def test_options_out_of_range_are_refused(wrong):
+    with pytest.raises(OptionError, match=next(iter(wrong))):
+        PathOptions(**wrong)

@@ -1,0 +1,470 @@
+"""Regularisers against Eq. 14 and 15 and total variation in float64, and against differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from geometry.test_neighbors import links, quad, together
+from support.helpers import ball
+
+from svu_mi.capture.mesh import make
+from svu_mi.core.arrays import owned
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.geometry.neighbors import neighbors
+from svu_mi.geometry.texels import Texels, texels
+from svu_mi.pipeline import Estimate
+from svu_mi.posterior.grid import ParameterGrid
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.tabulated import TabulatedKernel, tabulated_posterior
+from svu_mi.presets import preset
+from svu_mi.recovery.regularizers.global_sharing import GlobalSharing, divergences
+from svu_mi.recovery.regularizers.sharing_seeds import find_seeds, least_minima
+from svu_mi.recovery.regularizers.total_variation import TotalVariation
+
+RESOLUTION = (24, 16)
+GRID = ParameterGrid(4, 3)
+
+
+@cache
+def sphere() -> tuple[Texels, Any]:
+    mesh = make("ball", ball())
+    return texels(mesh, RESOLUTION), mesh
+
+
+def a_texture(seed: int, channels: int | None = 3, resolution=RESOLUTION) -> np.ndarray:
+    width, height = resolution
+    shape = (height, width) if channels is None else (height, width, channels)
+    return np.random.default_rng(seed).random(shape).astype(np.float32)
+
+
+def differentiated(regularizer: Any, values: np.ndarray) -> tuple[float, np.ndarray]:
+    """Loss and gradient, as a caller's own loop gets them."""
+    texture = mi.TensorXf(owned(mi.Float, values.ravel()), shape=values.shape)
+    dr.enable_grad(texture)
+    loss = regularizer(texture)
+    dr.backward(3 * loss)
+    return float(loss[0]), np.array(texture.grad, np.float64) / 3
+
+
+def flat(where: Texels, values: np.ndarray) -> np.ndarray:
+    """(T, C) float64 values of the texels of a texture."""
+    width, height = where.resolution
+    return values.astype(np.float64).reshape(width * height, -1)[where.index.numpy()]
+
+
+def check_gradient(oracle: Any, gradient: np.ndarray, values: np.ndarray, seed: int) -> None:
+    """Compare with central differences of the float64 oracle along random directions."""
+    rng = np.random.default_rng(seed)
+    for _ in range(4):
+        way = rng.normal(size=values.shape)
+        step = 1e-5
+        slope = (oracle(values + step * way) - oracle(values - step * way)) / (2 * step)
+        # float32 gradients: 1e-5 of the sum of what is added up.
+        assert abs((gradient * way).sum() - slope) < 1e-5 * np.abs(gradient * way).sum() + 1e-9
+
+
+# --- total variation
+
+
+def variation(where, around, values, epsilon=1e-2) -> float:
+    """Mean over pairs, float64, straight from the definition."""
+    psi = flat(where, values)
+    first, second = (column.numpy() for column in around.pairs)
+    difference = psi[first] - psi[second]
+    return float((np.sqrt(difference**2 + epsilon**2) - epsilon).sum() / max(len(first), 1))
+
+
+@pytest.mark.parametrize("channels", [3, 1, None, 5])
+@pytest.mark.parametrize("epsilon", [1e-2, 0.3])
+def test_total_variation_is_what_it_says(channels, epsilon):
+    where, mesh = sphere()
+    around = neighbors(where, mesh)
+    values = a_texture(59120447, channels)
+    loss, gradient = differentiated(TotalVariation(where, mesh, epsilon=epsilon), values)
+    assert loss == pytest.approx(variation(where, around, values, epsilon), rel=1e-5)
+    check_gradient(lambda x: variation(where, around, x, epsilon), gradient, values, 771204)
+    outside = ~where.inside()
+    assert outside.any() and not gradient[outside].any()
+
+
+def test_texels_outside_the_charts_do_not_matter():
+    where, mesh = sphere()
+    values = a_texture(1287)
+    other = values.copy()
+    other[~where.inside()] = np.nan
+    one, two = (differentiated(TotalVariation(where, mesh), x) for x in (values, other))
+    assert one[0] == two[0]
+    np.testing.assert_array_equal(one[1], two[1])
+
+
+@cache
+def two_charts() -> tuple[Texels, Any]:
+    """Charts apart in space that touch in the map, a third beside them, and holes around."""
+    mesh = together(
+        quad((0, 0, 0), (4, 0, 0), (0, 4, 0), (0, 0, 0.5, 0.5)),
+        quad((9, 0, 0), (4, 0, 0), (0, 4, 0), (0.5, 0, 1, 0.5)),
+        quad((20, 0, 0), (2, 0, 0), (0, 3, 0), (0.2, 0.6, 0.5, 0.95)),
+    )
+    return texels(mesh, RESOLUTION), mesh
+
+
+def printed_variation(where: Texels, image: np.ndarray) -> tuple[float, np.ndarray]:
+    """Mean of |right - here| and |below - here| where both are inside; float64, with gradient."""
+    inside = where.inside()
+    image = image.astype(np.float64).reshape(*inside.shape, -1)
+    total, pairs, gradient = 0.0, 0, np.zeros_like(image)
+    for axis in (0, 1):
+        first = [slice(None)] * 2
+        second = [slice(None)] * 2
+        first[axis], second[axis] = slice(None, -1), slice(1, None)
+        both = inside[tuple(first)] & inside[tuple(second)]
+        difference = np.where(both[..., None], image[tuple(second)] - image[tuple(first)], 0)
+        total, pairs = total + np.abs(difference).sum(), pairs + both.sum()
+        gradient[tuple(second)] += np.sign(difference)
+        gradient[tuple(first)] -= np.sign(difference)
+    return total / pairs, gradient / pairs
+
+
+@pytest.mark.parametrize("scene", [sphere, two_charts])
+@pytest.mark.parametrize("steps", [3, 1 << 20])
+@pytest.mark.parametrize("channels", [3, 1, None])
+def test_in_texture_space_it_is_the_mean_absolute_difference_as_printed(scene, steps, channels):
+    """With steps so coarse that many neighbours are equal, which pull at nobody."""
+    where, _ = scene()
+    values = np.round(a_texture(1663204127, channels) * steps) / np.float32(steps)
+    loss, gradient = differentiated(TotalVariation(where, epsilon=0.0), values)
+    wanted, slope = printed_variation(where, values)
+    assert loss == pytest.approx(wanted, rel=1e-5)
+    np.testing.assert_allclose(gradient.reshape(slope.shape), slope, atol=1e-5 * slope.max())
+
+
+def test_a_seam_is_an_edge_like_any_other():
+    """A stripe at the border of the map costs what it costs in its middle."""
+    where, mesh = sphere()
+    width, height = RESOLUTION
+    row, column = np.divmod(where.index.numpy().astype(int), width)
+    belt = (row > 2) & (row < height - 3)  # at the poles all columns meet
+
+    def stripe(first: int, mesh: Any) -> float:
+        inside = (belt & ((column - first) % width < 2)).astype(np.float32)
+        return differentiated(TotalVariation(where, mesh), where.to_image(inside))[0]
+
+    assert stripe(0, mesh) == pytest.approx(stripe(width // 4, mesh), rel=1e-5)
+    # Without the mesh, nobody knows that both borders are one.
+    assert stripe(0, None) < 0.65 * stripe(width // 4, None)
+
+
+@pytest.mark.parametrize("kind", ["tv", "sharing", "dragging"])
+def test_gradients_are_the_same_bit_by_bit(kind):
+    where, mesh = sphere()
+    regularizer = {
+        "tv": lambda: TotalVariation(where, mesh),
+        "sharing": lambda: GlobalSharing(materials(0), seeds=5),
+        "dragging": lambda: GlobalSharing.printed(materials(0), seeds=5),
+    }[kind]()
+    runs = [differentiated(regularizer, a_texture(4471)) for _ in range(4)]
+    for loss, gradient in runs[1:]:
+        assert loss == runs[0][0]
+        np.testing.assert_array_equal(gradient, runs[0][1])
+
+
+@pytest.mark.parametrize("kind", ["tv", "sharing"])
+def test_other_textures_and_weights_need_no_compilation(kind):
+    where, mesh = sphere()
+    make_one = {
+        "tv": lambda k: TotalVariation(where, mesh, epsilon=0.01 * (k + 1)),
+        "sharing": lambda k: GlobalSharing(materials(k), seeds=4 + k, tau=0.4 + 0.1 * k),
+    }[kind]
+    differentiated(make_one(0), a_texture(1))
+    differentiated(make_one(1), a_texture(2))
+    another = make_one(2)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        differentiated(another, a_texture(3))
+        history = dr.kernel_history()
+    assert all(k["cache_hit"] for k in history if k["type"] == dr.KernelType.JIT)
+
+
+@pytest.mark.parametrize("kind", ["tv", "sharing"])
+def test_forward_derivatives_agree_with_backward_ones(kind):
+    where, mesh = sphere()
+    regularizer = TotalVariation(where, mesh) if kind == "tv" else GlobalSharing(materials(2))
+    values = a_texture(70071)
+    way = np.random.default_rng(5).normal(size=values.shape).astype(np.float32)
+    _, gradient = differentiated(regularizer, values)
+    texture = mi.TensorXf(owned(mi.Float, values.ravel()), shape=values.shape)
+    dr.enable_grad(texture)
+    dr.set_grad(texture, mi.TensorXf(owned(mi.Float, way.ravel()), shape=way.shape))
+    slope = float(dr.forward_to(regularizer(texture))[0])
+    assert slope == pytest.approx((gradient * way).sum(), abs=1e-5 * np.abs(gradient * way).sum())
+
+
+@pytest.mark.parametrize("kind", ["tv", "sharing"])
+def test_textures_that_do_not_fit_are_refused(kind):
+    where, mesh = sphere()
+    regularizer = TotalVariation(where, mesh) if kind == "tv" else GlobalSharing(materials(0))
+    for shape in ((24, 16, 3), (16, 24, 3, 1), (384,), (16, 24, 0)):
+        with pytest.raises(ShapeError, match=r"\(16, 24, C\).*got \("):
+            regularizer(dr.zeros(mi.TensorXf, shape))
+    with pytest.raises(OptionError, match=r"mi\.TensorXf, got ndarray"):
+        regularizer(np.zeros((16, 24)))
+
+
+def test_wrong_arguments_are_refused():
+    where, mesh = sphere()
+    for epsilon in (-1, float("inf"), float("nan")):
+        with pytest.raises(OptionError, match="epsilon"):
+            TotalVariation(where, mesh, epsilon=epsilon)
+    with pytest.raises(TypeError, match="positional arguments"):
+        TotalVariation(where, mesh, np.ones(where.count, bool))  # once which texels count
+    other = texels(mesh, 8)
+    with pytest.raises(ShapeError, match="got those of"):
+        TotalVariation(where, neighbors(other, mesh))
+    with pytest.raises(ShapeError, match="got those of"):
+        GlobalSharing(materials(0), neighbors(other, mesh))
+    for wrong in ({"seeds": 0}, {"tau": 0}, {"tau": float("inf")}, {"divergence": "both"},
+                  {"seeding": "most"}):  # fmt: skip
+        with pytest.raises(OptionError, match=next(iter(wrong)).rstrip("s")):
+            GlobalSharing(materials(0), **wrong)
+    with pytest.raises(OptionError, match="numbered 0 to"):
+        GlobalSharing(materials(0), seeds=[0, 10**6])
+
+
+# --- global sharing
+
+
+def an_estimate(energies: np.ndarray, observed: np.ndarray, where: Texels) -> Estimate:
+    posterior = tabulated_posterior(energies, GRID, observed)
+    return Estimate(
+        method="angular", preset=preset("default", method="angular"), texels=where,
+        posterior=posterior, coverage=owned(mi.UInt32, observed.astype(np.uint32)),
+        seen_per_view=np.array([int(observed.sum())]), skipped={},
+    )  # fmt: skip
+
+
+@cache
+def materials(seed: int) -> Estimate:
+    """Left and right half are of two materials, known here and there; the poles were not seen."""
+    where, _ = sphere()
+    rng = np.random.default_rng(seed)
+    energies = rng.random((where.count, *GRID.shape))
+    left = where.index.numpy() % RESOLUTION[0] < RESOLUTION[0] // 2
+    energies[left, 0, 0] -= rng.uniform(0, 12, left.sum())
+    energies[~left, 3, 2] -= rng.uniform(0, 12, (~left).sum())
+    row = where.index.numpy() // RESOLUTION[0]
+    return an_estimate(energies, (row > 2) & (row < RESOLUTION[1] - 3), where)
+
+
+def kl(p: np.ndarray, q: np.ndarray) -> float:
+    """KL(p || q), float64."""
+    p, q = p.ravel().astype(np.float64), q.ravel().astype(np.float64)
+    return float((p * (np.log(np.maximum(p, 1e-30)) - np.log(np.maximum(q, 1e-30)))).sum())
+
+
+def oracle_weights(posterior: Posterior, chosen: np.ndarray, tau: float, kind: str) -> np.ndarray:
+    """(S, T) of Eq. 15, pair by pair."""
+    p = np.array(posterior.probabilities)
+    table = np.array([
+        [kl(p[i], p[q]) if kind == "forward" else kl(p[q], p[i]) for i in range(len(p))]
+        for q in chosen
+    ])  # fmt: skip
+    return np.exp(-(table**2) / (2 * (tau * table.mean()) ** 2))
+
+
+def shared(where: Texels, weights: np.ndarray, chosen: np.ndarray, values: np.ndarray,
+           fixed: np.ndarray | None = None) -> float:  # fmt: skip
+    """Eq. 14, float64; ``fixed`` are the values that seeds keep."""
+    psi = flat(where, values)
+    at = (psi if fixed is None else flat(where, fixed))[chosen]
+    apart = ((psi[None] - at[:, None]) ** 2).sum(axis=-1)
+    return float((weights * apart).sum() / where.count)
+
+
+@pytest.mark.parametrize("divergence", ["forward", "reverse"])
+@pytest.mark.parametrize("anchored", [True, False])
+@pytest.mark.parametrize("channels", [3, None])
+def test_sharing_is_equation_14(divergence, anchored, channels):
+    estimate, (where, mesh) = materials(41), sphere()
+    sharing = GlobalSharing(
+        estimate, mesh, seeds=6, tau=0.5, divergence=divergence, anchored=anchored
+    )
+    weights = oracle_weights(estimate.posterior, sharing.seeds, 0.5, divergence)
+    table = np.array(sharing.weights).reshape(weights.shape)
+    np.testing.assert_allclose(table, weights, atol=2e-5)  # float32 logarithms of 12 cells
+    np.testing.assert_allclose(sharing.pull(), weights.sum(axis=0), atol=1e-4)
+    values = a_texture(920117, channels)
+    loss, gradient = differentiated(sharing, values)
+    assert loss == pytest.approx(shared(where, table, sharing.seeds, values), rel=1e-5)
+    fixed = values if anchored else None
+    check_gradient(lambda x: shared(where, table, sharing.seeds, x, fixed), gradient, values, 12)
+
+
+def test_sharing_says_where_it_pulls():
+    estimate, (where, _) = materials(41), sphere()
+    sharing = GlobalSharing(estimate)
+    image = sharing.image()
+    assert image.shape == RESOLUTION[::-1] and not image[~where.inside()].any()
+    np.testing.assert_array_equal(image.ravel()[where.index.numpy()], sharing.pull())
+
+
+@pytest.mark.parametrize("divergence", ["forward", "reverse"])
+def test_a_texel_is_pulled_to_the_seeds_it_may_be_like(divergence):
+    """Of two certain materials, a third certain one is like neither."""
+    where, _ = sphere()
+    energies = np.full((where.count, *GRID.shape), 30.0)
+    a, b, c = (0, 0), (3, 2), (1, 1)
+    energies[:, *a] = 0
+    energies[1, *b] = energies[2, *c] = 0
+    energies[1, *a] = energies[2, *a] = 30.0
+    energies[3, *b] = 0.5  # is either of two materials
+    estimate = an_estimate(energies, np.ones(where.count, bool), where)
+    sharing = GlobalSharing(estimate, seeds=[0, 1], divergence=divergence)
+    to_a, to_b = np.array(sharing.weights).reshape(2, -1)
+    assert to_a[0] > 0.99 and to_b[1] > 0.99
+    assert max(to_b[0], to_a[1]) < 0.05 and max(to_a[2], to_b[2]) < 0.05
+    # KL(P_p || P_q) has half of p's mass where the seed has none, KL(P_q || P_p) is log 2.
+    assert (min(to_a[3], to_b[3]) > 0.9) == (divergence == "reverse")
+
+
+def test_seeds_pull_and_are_not_pulled():
+    estimate, (where, _) = materials(7), sphere()
+    free, held = (GlobalSharing(estimate, seeds=[50], anchored=a) for a in (False, True))
+    values = a_texture(40412)
+    at = where.index.numpy()[50]
+    forces = [differentiated(s, values)[1].reshape(-1, 3)[at] for s in (free, held)]
+    assert np.abs(forces[0]).max() > 0.01 and not forces[1].any()
+
+
+def test_nothing_seen_shares_nothing():
+    where, mesh = sphere()
+    unseen = an_estimate(np.zeros((where.count, *GRID.shape)), np.zeros(where.count, bool), where)
+    sharing = GlobalSharing(unseen, mesh)
+    assert len(sharing.seeds) == 0 and not sharing.image().any()
+    loss, gradient = differentiated(sharing, a_texture(5))
+    assert loss == 0 and not gradient.any()
+
+
+def test_a_single_texel_shares_with_itself():
+    mesh = make("ball", ball())
+    where = texels(mesh, 1)
+    estimate = an_estimate(np.zeros((1, *GRID.shape)), np.ones(1, bool), where)
+    sharing = GlobalSharing(estimate, mesh)
+    np.testing.assert_array_equal(sharing.seeds, [0])
+    loss, gradient = differentiated(sharing, a_texture(6, 3, (1, 1)))
+    assert loss == 0 and not gradient.any()
+
+
+def test_all_posteriors_of_the_package_share():
+    """A distribution per channel: the mean of their divergences, as Posterior.kl has it."""
+
+    class PerChannel(TabulatedKernel):
+        groups = 3
+
+        def tables(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            p, best = super().tables(texels)
+            p = np.concatenate([p, np.roll(p, 1, axis=1), p[:, ::-1]], axis=-1)
+            return p, np.repeat(best, 3, axis=-1)
+
+    estimate = materials(29)
+    posterior: Any = estimate.posterior
+    kernel = PerChannel(GRID, posterior.kernel.energies)
+    colored = replace(posterior, kernel=kernel)
+    expected = np.array(colored.kl(colored))[:, [5, 60]].T
+    found = divergences(colored, np.array([5, 60]), "forward")
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    sharing = GlobalSharing(replace(estimate, posterior=colored), seeds=[5, 60])
+    assert np.isfinite(differentiated(sharing, a_texture(8))[1]).all()
+
+
+def test_divergences_do_not_depend_on_chunks(monkeypatch):
+    posterior = materials(11).posterior
+    some = np.array([3, 40])
+    whole = divergences(posterior, some, "reverse")
+    monkeypatch.setattr("svu_mi.recovery.regularizers.global_sharing.CHUNK", 12 * 7)
+    np.testing.assert_allclose(divergences(posterior, some, "reverse"), whole, atol=1e-5)
+    expected = np.array(posterior.kl(posterior))[:, some].T
+    np.testing.assert_allclose(divergences(posterior, some, "forward"), expected, atol=1e-4)
+
+
+# --- seeds
+
+
+def oracle_minima(
+    values: np.ndarray, observed: np.ndarray, pairs: set[tuple[int, int]]
+) -> list[int]:
+    """Walk over every plateau of equal values; that without a lower neighbour is a minimum."""
+    beside: dict[int, set[int]] = {t: set() for t in np.flatnonzero(observed).tolist()}
+    for a, b in pairs:
+        if observed[a] and observed[b]:
+            beside[a].add(b)
+            beside[b].add(a)
+    found, done = [], set()
+    for first in beside:
+        plateau, front = {first}, [first]
+        while front:
+            equal = {n for n in beside[front.pop()] if values[n] == values[first]} - plateau
+            plateau |= equal
+            front += equal
+        lower = any(values[n] < values[first] for t in plateau for n in beside[t])
+        if not lower and first not in done:
+            found.append(min(plateau))
+        done |= plateau
+    return sorted(found, key=lambda t: (values[t], t))
+
+
+@pytest.mark.parametrize("scene", [sphere, two_charts])
+@pytest.mark.parametrize("surface", [True, False])
+@pytest.mark.parametrize("steps", [3, 8, 1 << 40])
+@pytest.mark.parametrize("part", [1.0, 0.6, 0.0])
+def test_least_minima_are_those_of_a_walk_over_all_texels(scene, surface, steps, part):
+    """With ties and without; over seams; unseen texels are never seeds and hide none."""
+    where, mesh = scene()
+    around = neighbors(where, mesh if surface else None)
+    rng = np.random.default_rng(2083364731 + steps)
+    values = np.round(rng.random(where.count) * steps) / steps
+    observed = rng.random(where.count) < part
+    wanted = oracle_minima(values, observed, links(around))
+    assert (len(wanted) > 3) == (part > 0)
+    for count in (1, 3, 20, 10**6):
+        found = least_minima(values, observed, around, count)
+        assert found.dtype == np.int64
+        np.testing.assert_array_equal(found, wanted[:count])
+
+
+def test_seeds_are_seen_certain_and_few():
+    estimate, (where, mesh) = materials(23), sphere()
+    around = neighbors(where, mesh)
+    entropy = np.array(estimate.entropy)
+    for count in (1, 2, 5):
+        found = find_seeds(estimate, around, count)
+        assert 1 <= len(found) <= count and len(set(found)) == len(found)
+        assert (np.array(estimate.coverage)[found] > 0).all()
+        assert (entropy[found] < np.median(entropy)).all()
+
+
+def test_seeds_are_of_different_materials():
+    """One material is a little more certain everywhere; the other is not forgotten."""
+    where, mesh = sphere()
+    rng = np.random.default_rng(1931)
+    left = where.index.numpy() % RESOLUTION[0] < RESOLUTION[0] // 2
+    energies = np.zeros((where.count, *GRID.shape))
+    energies[left, 0, 0] -= rng.uniform(6, 12, left.sum())
+    energies[~left, 3, 2] -= rng.uniform(5, 9, (~left).sum())
+    estimate = an_estimate(energies, np.ones(where.count, bool), where)
+    found = find_seeds(estimate, neighbors(where, mesh), 2)
+    assert sorted(left[found]) == [False, True]
+
+
+@pytest.mark.parametrize("epsilon", [1e-2, 0.0])
+def test_constant_textures_have_no_variation(epsilon):
+    where, mesh = sphere()
+    loss, gradient = differentiated(
+        TotalVariation(where, mesh, epsilon=epsilon), np.full((16, 24, 3), 0.37, "f4")
+    )
+    assert loss == 0 and not gradient.any()

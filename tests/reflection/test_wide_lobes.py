@@ -1,0 +1,213 @@
+"""Wide lobes by quadrature over cells, against float64 and against Mitsuba itself."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracle import angular as oracle
+from support.helpers import ball
+
+from svu_mi.capture import mesh as capture_mesh
+from svu_mi.core.arrays import owned
+from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.texels import Texels, texels
+from svu_mi.light.environment import Environment, read_environment
+from svu_mi.light.light_tree import Cells, light_cells
+from svu_mi.light.light_visibility import Reach, trace_reach
+from svu_mi.reflection import wide_lobes
+from svu_mi.reflection.wide_lobes import WideLobes
+
+ALPHA = np.array([0.04, 0.15, 0.5, 1.0])
+SEED = 77123
+
+
+def environment(image: np.ndarray, **more: object) -> Environment:
+    emitter = mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(image), **more})
+    return read_environment(emitter)
+
+
+def spotted() -> np.ndarray:
+    """(H, W, 3) a dim sky with one bright patch."""
+    image = np.random.default_rng(SEED).uniform(0.1, 0.3, (24, 48, 3)).astype(np.float32)
+    image[5:7, 30:32] = (60, 50, 40)
+    return image
+
+
+def surroundings() -> tuple[object, Texels]:
+    """A ball beside a wall, and its texels."""
+    mesh = capture_mesh.make("ball", ball())
+    turn = mi.ScalarTransform4f().translate([1.3, 0, 0]).rotate([0, 1, 0], -90).scale(1.5)
+    wall = {"type": "rectangle", "to_world": turn, "bsdf": {"type": "diffuse"}}
+    scene = mi.load_dict({"type": "scene", "ball": mesh, "wall": wall}, optimize=False)
+    return scene, texels(mesh, (8, 6))
+
+
+def views_of(grid: Texels, spread: float = 0.8) -> tuple[np.ndarray, np.ndarray]:
+    """Normals and directions to cameras of all texels, some of them grazing, float64."""
+    normal = np.array(grid.normal, np.float64).T
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    view = normal + np.random.default_rng(3).normal(scale=spread, size=normal.shape)
+    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    away = (view * normal).sum(axis=1) < 0.1
+    view[away] = normal[away]
+    return normal, view
+
+
+def found_by(
+    reach: Reach, surface: Surface, view: np.ndarray, channels: int = 3, alpha: np.ndarray = ALPHA
+) -> np.ndarray:
+    """(K, 3, C, T) p, q and d."""
+    normal = surface.normal.numpy().T
+    cosine = (view * normal / np.linalg.norm(normal, axis=1, keepdims=True)).sum(axis=1)
+    lobes = WideLobes(reach, alpha, channels).reflect(
+        surface.lane, mi.Vector3f(surface.normal), owned(mi.Vector3f, view.T),
+        owned(mi.Float, cosine),
+    )  # fmt: skip
+    values = np.array([[[x.numpy() for x in color] for color in lobe] for lobe in lobes])
+    return np.moveaxis(values, 1, 2)
+
+
+def table(cells: Cells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Directions, flux in colour, and radii, float64."""
+    toward = cells.toward.numpy().reshape(-1, 4).astype(np.float64)
+    return toward[:, :3], cells.flux.numpy().reshape(-1, 4)[:, :3].astype(np.float64), toward[:, 3]
+
+
+def seen_by(bits: object, numbers: int, lanes: int) -> np.ndarray:
+    """(N, T) bool."""
+    lane = dr.arange(mi.UInt32, lanes)
+    return np.array([bits.test(dr.opaque(mi.UInt32, n), lane).numpy() for n in range(numbers)])
+
+
+def direct(
+    cells: Cells, seen: np.ndarray, normal: np.ndarray, view: np.ndarray, disks: bool = True
+) -> np.ndarray:
+    """(K, 3, C, T): the sum over the cells that each texel sees, one by one, float64."""
+    toward, flux, radius = table(cells)
+    toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
+    radius = radius if disks else 0 * radius
+    return np.array([
+        np.moveaxis([
+            oracle.reflected(
+                toward[seen[:, t]], flux[seen[:, t]], radius[seen[:, t]], view[t], normal[t], a
+            )
+            for t in range(len(view))
+        ], 0, -1)
+        for a in ALPHA
+    ])  # fmt: skip
+
+
+def below(first: object, seen: np.ndarray) -> np.ndarray:
+    """(N_below, T): what stands below a cell is seen if the cell is."""
+    return np.repeat(seen, np.diff(first.numpy().astype(int)), axis=0)
+
+
+@pytest.mark.parametrize("count", [64, 100])
+def test_what_is_not_refined_is_the_sum_over_visible_cells(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The exact BRDF of every coarse cell, blurred as its disk blurs it."""
+    monkeypatch.setattr(wide_lobes, "LARGE", 1e30)
+    scene, grid = surroundings()
+    surface = Surface.of(grid)
+    reach = trace_reach(scene, surface, light_cells(environment(spotted()), count, 512))
+    normal, view = views_of(grid)
+    seen = seen_by(reach.coarse, count, grid.count)
+    assert 0.05 < seen.mean() < 0.5
+    exact = direct(reach.cells.coarse, seen, normal, view)
+    ours = found_by(reach, surface, view)
+    # Cosines in single precision: relative, those of grazing directions are worse.
+    size = exact.max(axis=3, keepdims=True)
+    np.testing.assert_allclose(ours[1:], exact[1:], rtol=1e-4, atol=1e-5 * float(size[1:].max()))
+    assert np.quantile(np.abs(ours - exact)[1:] / exact[1:].clip(1e-9), 0.95) < 5e-5
+    np.testing.assert_allclose(ours[0], exact[0], rtol=5e-3, atol=1e-5 * float(size[0].max()))
+
+
+def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of fine cells that are seen."""
+    monkeypatch.setattr(wide_lobes, "LARGE", 0.0)
+    scene, grid = surroundings()
+    surface = Surface.of(grid)
+    reach = trace_reach(scene, surface, light_cells(environment(spotted()), 64, 512))
+    normal, view = views_of(grid)
+    leaves = below(reach.cells.first_leaf, seen_by(reach.fine, 512, grid.count))
+    exact = direct(reach.cells.leaves, leaves, normal, view)
+    ours = found_by(reach, surface, view)
+    # A cell whose disk lies below the horizon is left out with its leaves.
+    np.testing.assert_allclose(ours[1:], exact[1:], rtol=2e-3, atol=1e-4 * float(exact[1:].max()))
+
+
+@pytest.mark.parametrize("name", ["spotted", "studio-like"])
+def test_at_all_widths_it_is_the_quadrature_over_leaves(name: str) -> None:
+    """Few cells instead of thousands, for a few percent."""
+    image = spotted()
+    if name == "studio-like":
+        image[10:14, 5:20] = (3, 4, 5)
+        image[15:20, 38:40] = (20, 18, 16)
+    scene, grid = surroundings()
+    surface = Surface.of(grid)
+    reach = trace_reach(scene, surface, light_cells(environment(image), 128, 1024))
+    normal, view = views_of(grid)
+    leaves = below(reach.cells.first_leaf, seen_by(reach.fine, 1024, grid.count))
+    ours = found_by(reach, surface, view)
+    plain, blurred = (
+        direct(reach.cells.leaves, leaves, normal, view, disks=disks) for disks in (False, True)
+    )
+    for k, alpha in enumerate(ALPHA):
+        # Leaves are 0.06 apart: no quadrature for the narrowest lobe, unless they have an extent.
+        exact, most = (blurred[k], 0.1) if alpha < 0.06 else (plain[k], 0.05)
+        error = np.sqrt(((ours[k] - exact) ** 2).mean(axis=(1, 2)))
+        p, q, d = error / exact.mean(axis=(1, 2))
+        assert p < most and d < most, (alpha, p, d)
+        # What Fresnel adds to a metal comes from few, grazing views, and is little.
+        assert error[1] < 0.02 * exact[0].mean(), (alpha, q)
+        for part in (0, 2):
+            away = np.abs(ours[k, part] - exact[part]) / exact[part].clip(1e-6)
+            assert np.median(away) < 0.03, (alpha, part)
+
+
+def test_one_channel_is_the_mean_of_three() -> None:
+    scene, grid = surroundings()
+    surface = Surface.of(grid)
+    reach = trace_reach(scene, surface, light_cells(environment(spotted()), 64, 512))
+    _, view = views_of(grid)
+    three, one = (found_by(reach, surface, view, channels) for channels in (3, 1))
+    np.testing.assert_allclose(one[:, :, 0], three.mean(axis=2), rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_rough_metal_under_a_sun_is_what_mitsuba_renders() -> None:
+    """Pre-filtered light is off by tens of percent here; the sum is not."""
+    light = {"type": "envmap", "bitmap": mi.Bitmap(spotted())}
+    mesh = capture_mesh.make("ball", ball(96, 48))
+    mesh.set_bsdf(mi.load_dict({"type": "principled", "base_color": {"type": "rgb", "value": 0.8},
+                                "roughness": 0.6, "metallic": 1.0}))  # fmt: skip
+    emitter = mi.load_dict(light)
+    scene = mi.load_dict({"type": "scene", "ball": mesh, "light": emitter}, optimize=False)
+    grid = texels(mesh, (24, 12))
+    surface = Surface.of(grid)
+    reach = trace_reach(scene, surface, light_cells(read_environment(emitter), 64, 256))
+    camera = np.array([1.5, 2.5, 3.0])
+    to_camera = camera - np.array(grid.position, np.float64).T
+    view = to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
+    cosine = (view * np.array(grid.normal, np.float64).T).sum(axis=1)
+    seen = np.flatnonzero(cosine > 0.15)
+    (metal,) = WideLobes(reach, np.array([0.36]), 3).reflect(
+        surface.lane, mi.Vector3f(surface.normal), owned(mi.Vector3f, view.T),
+        owned(mi.Float, np.maximum(cosine, 1e-3)),
+    )  # fmt: skip
+    model = np.mean([0.8 * np.array(p) + np.array(q) for p, q, _ in metal], axis=0)[seen]
+    origin = mi.Point3f(*(np.full(len(seen), x, np.float32) for x in camera))
+    rays = mi.RayDifferential3f(mi.Ray3f(origin, owned(mi.Vector3f, -view[seen].T)))
+    integrator, total = mi.load_dict({"type": "path", "max_depth": 2}), np.zeros(len(seen))
+    sampler = mi.load_dict({"type": "independent"})
+    for seed in range(256):
+        sampler.seed(dr.opaque(mi.UInt32, seed), len(seen))
+        color = integrator.sample(scene, sampler, rays)[0]
+        total += np.mean([np.array(channel) for channel in color], axis=0)
+    truth = total / 256
+    error = np.abs(model - truth) / truth.mean()
+    assert np.median(error) < 0.03
+    assert np.sqrt((error**2).mean()) < 0.08

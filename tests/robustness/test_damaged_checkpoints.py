@@ -1,0 +1,225 @@
+"""Checkpoints and cached references: damaged or forged ones are told, and cost no memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import tracemalloc
+import warnings
+import zipfile
+
+import numpy as np
+import pytest
+from support import fuzz_records as rows
+
+from svu_mi.bench.result_cache import Store
+from svu_mi.core.io.npz import DIGEST, read_arrays, write_arrays
+from svu_mi.errors import OptionError, OutputError, SvuWarning
+from svu_mi.evaluation import reference_cache
+from svu_mi.recovery.checkpoint import Checkpoint
+
+BOMB = 2**28  # bytes that a packed file of 256 KiB unpacks to
+
+
+@pytest.fixture
+def path(tmp_path):
+    rows.write_checkpoint(tmp_path)
+    return tmp_path / "checkpoint.npz"
+
+
+def load(path):
+    return Checkpoint(path, rows.SETTINGS, content=rows.CONTENT).load(rows.SHAPES)
+
+
+def bomb(path):
+    """Write an array that takes BOMB bytes, packed into a thousandth of that."""
+    header = io.BytesIO()
+    array = np.broadcast_to(np.float32(0), BOMB // 4)
+    np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(array))
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("values/roughness.npy", "w") as member,
+    ):
+        member.write(header.getvalue())
+        for _ in range(BOMB // 2**20):
+            member.write(bytes(2**20))
+
+
+def liar(path, shape):
+    """Write an array whose header promises another shape than there is."""
+    member = io.BytesIO()
+    np.save(member, np.zeros(16, np.float32))
+    told = member.getvalue().replace(b"(16,), }", shape.ljust(8), 1)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("losses.npy", told)
+
+
+def peak_of(work):
+    """Return the bytes that something has taken at most."""
+    tracemalloc.start()
+    work()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return peak
+
+
+def test_a_packed_file_is_refused_before_it_is_unpacked(path):
+    def refused():
+        with pytest.raises(
+            OutputError, match="damaged .one of its arrays is packed in an unknown way.; remove"
+        ):
+            load(path)
+
+    bomb(path)
+    assert path.stat().st_size < 2**21 and peak_of(refused) < 2**22
+
+
+@pytest.mark.parametrize("shape", [b"(2**9,)}", b"(-16,),}", b"(10**9)}", b"(9**99,}", b"(8,), }"])
+def test_an_array_that_promises_what_there_is_not_is_refused(path, shape):
+    liar(path, shape)
+    with pytest.raises(OutputError, match="checkpoint is damaged"):
+        load(path)
+
+
+def test_objects_are_never_unpickled(path):
+    np.savez(path, step=np.array([print], object))
+    with pytest.raises(OutputError, match="checkpoint is damaged .an array declares"):
+        load(path)
+
+
+def test_a_pipe_or_a_folder_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.npz")
+    (tmp_path / "folder.npz").mkdir()
+    for name in ("pipe.npz", "folder.npz"):
+        with pytest.raises(OutputError, match="damaged .it is not a file"):
+            load(tmp_path / name)
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    arrays = {"a/b": np.arange(6.0).reshape(2, 3), "text": "ä", "none": np.zeros((0, 3)), "n": 3,
+              "turned": np.asfortranarray(np.arange(6, dtype="f4").reshape(2, 3))}  # fmt: skip
+    write_arrays(tmp_path / "a.npz", arrays)
+    found = read_arrays(tmp_path / "a.npz")
+    assert found.keys() == arrays.keys() and str(found["text"]) == "ä"
+    for name in ("a/b", "none", "n", "turned"):
+        np.testing.assert_array_equal(found[name], arrays[name])
+        assert found[name].dtype == np.asarray(arrays[name]).dtype
+    with np.load(tmp_path / "a.npz") as plain:
+        assert DIGEST in plain.files
+
+
+def test_an_array_that_was_exchanged_is_told(path):
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    arrays["step"] = np.array(2)
+    np.savez(path, **arrays)
+    with pytest.raises(OutputError, match="checksum does not match"):
+        load(path)
+
+
+FLOATS = np.full((4, 6, 1), 0.5, np.float32)
+DEEP = "[" * 100_000
+FORGED = {
+    "step -1": ({"step": -1}, "step has values out of range"),
+    "step 10^9": ({"step": 10**9}, "losses has the shape (4,)"),
+    "step 2.0": ({"step": 2.0}, "step has the type float64"),
+    "two steps": ({"step": [2, 2]}, "step"),
+    "no step": ({"step": None}, "step"),
+    "no format": ({"format": None}, "it lacks format"),
+    "no losses": ({"losses": None}, "it lacks losses"),
+    "losses of NaN": ({"losses": np.full(4, np.nan, np.float32)}, "losses has values out of range"),
+    "double losses": ({"losses": np.zeros(4)}, "losses has the type float64"),
+    "no values": ({"values/roughness": None}, "it lacks values/roughness"),
+    "shaped means": ({"first/roughness": FLOATS}, "first/roughness has the shape (4, 6, 1)"),
+    "infinite": ({"values/roughness": FLOATS * np.float32(np.inf)}, "out of range"),
+    "text": ({"values/roughness": np.full((4, 6, 1), "a")}, "values/roughness has the type <U1"),
+    "negative squares": ({"second/roughness": -FLOATS.ravel()}, "out of range"),
+    "another array": ({"other": 1}, "it has an unknown array other"),
+    "settings of numbers": ({"settings": 3}, "settings has the type int64"),
+    "no JSON": ({"settings": "{"}, "Expecting"),
+    "a list": ({"settings": "[]"}, "its settings are not a JSON object"),
+    "deep": ({"settings": DEEP}, ""),
+    "deep objects": ({"content": '{"a":' * 5000 + "1" + "}" * 5000}, ""),
+}
+
+
+@pytest.mark.parametrize("case", FORGED)
+def test_every_field_is_looked_at_even_if_the_digest_fits(path, case):
+    change, words = FORGED[case]
+    arrays = read_arrays(path) | change
+    write_arrays(path, {name: value for name, value in arrays.items() if value is not None})
+    with pytest.raises(OutputError) as caught:
+        load(path)
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{path}: the checkpoint is damaged (") and words in sentence
+    assert sentence.endswith("; remove it and start again.") and len(sentence) < 400
+
+
+def test_foreign_words_are_shortened_and_printable(path):
+    settings = {**rows.SETTINGS, "\x1b[31m" + "x" * 5000: "\n" * 5000}
+    content = {"\x1b[31m" + "x" * 5000: "a"}
+    for changes in ({"settings": settings}, {"content": content}):
+        rows.write_checkpoint(path.parent)
+        text = {name: json.dumps(value) for name, value in changes.items()}
+        write_arrays(path, read_arrays(path) | text)
+        with pytest.raises(OptionError, match="another run") as caught:
+            load(path)
+        assert str(caught.value).isprintable() and len(str(caught.value)) < 700
+
+
+def test_a_result_of_a_benchmark_that_is_no_record_is_computed_again(tmp_path):
+    store = Store(tmp_path)
+    for text in (DEEP, '{"key": "a"', "[]", '{"key": "b"}', "\0"):
+        store.path("x").write_text(text)
+        assert store.load("x", "a") is None
+    store.path("x").unlink()
+    store.path("x").mkdir()
+    assert store.load("x", "a") is None
+
+
+# --- references ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def reference(tmp_path):
+    rows.write_reference(tmp_path)
+    return tmp_path / rows.REFERENCE
+
+
+def told(path):
+    """Return the warning with which a cached reference is made again."""
+    with pytest.warns(SvuWarning, match="it is traced again") as caught:
+        assert reference_cache.load(path, rows.OPTIONS) is None
+    return str(caught[0].message)
+
+
+def test_a_sound_reference_is_taken(reference):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert reference_cache.load(reference, rows.OPTIONS).count == 3
+
+
+def test_a_packed_reference_is_not_unpacked(reference):
+    bomb(reference)
+    assert peak_of(lambda: told(reference)) < 2**22
+
+
+def test_a_reference_under_another_name_is_not_taken(reference):
+    other = reference.with_name(f"reference-{'1b' * 16}.npz")
+    reference.rename(other)
+    assert "another capture" in told(other)
+
+
+@pytest.mark.parametrize("name", ["tables", "subset", "coverage", "brightness", "unit", "rays"])
+def test_a_reference_with_other_numbers_is_not_taken(reference, name):
+    with np.load(reference) as archive:
+        arrays = dict(archive)
+    arrays[name] = arrays[name] + np.ones((), arrays[name].dtype)
+    np.savez(reference, **arrays)
+    assert "checksum does not match" in told(reference)
+    del arrays[DIGEST]
+    write_arrays(reference, {**arrays, name: np.stack([arrays[name]] * 2)})
+    assert f"{name} has the shape" in told(reference) or name in ("subset", "coverage")
+    write_arrays(reference, {k: v for k, v in arrays.items() if k != name})
+    assert f"it lacks {name}" in told(reference)

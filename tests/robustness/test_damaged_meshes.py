@@ -1,0 +1,279 @@
+"""Damaged meshes of a scene, and a damaged unwrapped.ply, end in one sentence, never in a crash."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+import resource
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.helpers import ball, python, sensor_xml, write_ball, write_scene
+
+from svu_mi.capture.loading import load_capture
+from svu_mi.capture.mesh import MeshArrays, arrays, make, read_ply, write_ply
+from svu_mi.capture.scene import load_scene
+from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
+from svu_mi.cli.main import main
+from svu_mi.errors import OutputError, SceneError
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int64)
+WRONG = np.where(FACES == 3, 2**31 - 1, FACES)
+PROGRAM = """
+import json, sys
+from pathlib import Path
+import svu_mi, mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+mi.set_log_level(mi.LogLevel.Error)
+from svu_mi.capture.scene import load_scene
+from svu_mi.errors import SvuError
+for name in sys.argv[1:]:
+    try:
+        load_scene(Path(name))
+        print(json.dumps("read"))
+    except SvuError as error:
+        print(json.dumps(str(error)))
+"""
+
+
+def ply(faces: np.ndarray = FACES, *, vertices: int = 4, count: int = 4) -> bytes:
+    """A PLY file without normals, so that Mitsuba computes them."""
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\nproperty float x\n"
+        f"property float y\nproperty float z\nelement face {count}\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.zeros(len(faces), [("n", "u1"), ("corners", "<i4", 3)])
+    rows["n"], rows["corners"] = 3, faces
+    return head.encode() + CORNERS.tobytes() + rows.tobytes()
+
+
+def serialized(faces: np.ndarray = FACES, *, count: int = 4) -> bytes:
+    body = struct.pack("<I2sQQ", 0x1000, b"x\0", 4, count)
+    body += CORNERS.tobytes() + faces.astype("<u4").tobytes()
+    return struct.pack("<HH", 0x041C, 4) + zlib.compress(body) + struct.pack("<QI", 0, 1)
+
+
+def obj(last: str) -> bytes:
+    return f"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf {last}\n".encode()
+
+
+DAMAGED = {
+    "corner.ply": (ply(WRONG), "refers to vertex"),
+    "next.ply": (ply(np.where(FACES == 3, 4, FACES)), r"vertex 4, .* \(4 vertices\); export"),
+    "none.ply": (ply(vertices=0), "cannot be read|refers to vertex"),
+    "cut.ply": (ply()[:-20], "cannot be read: "),
+    "many.ply": (ply(count=2**32 + 4), "cannot be read: "),
+    "huge.ply": (ply(vertices=10**15), "cannot be read: "),
+    "nan.ply": (ply().replace(CORNERS.tobytes()[:4], b"\0\0\xc0\x7f"), "invalid vertex position"),
+    "empty.ply": (b"", "cannot be read: "),
+    "corner.serialized": (serialized(WRONG), "refers to vertex"),
+    "huge.serialized": (serialized(count=10**15), "cannot be read: "),
+    "cut.serialized": (serialized()[:30], "cannot be read: "),
+    "corner.obj": (obj("1 2 9999999"), "invalid vertex 9999999"),
+    "normal.obj": (obj("1//1 2//5 3//1"), "invalid normal"),
+    "empty.obj": (b"", "cannot be read: "),
+}  # fmt: skip
+
+
+def test_damaged_meshes_of_a_scene_are_refused_in_one_sentence(tmp_path):
+    """In a process of its own, which a damaged mesh ended."""
+    paths = []
+    for name, (data, _) in DAMAGED.items():
+        (tmp_path / name).write_bytes(data)
+        paths.append(tmp_path / f"{name}.xml")
+        kind = name.split(".")[1]
+        shape = f'<shape type="{kind}"><string name="filename" value="{name}"/></shape>'
+        paths[-1].write_text(f'<scene version="3.0.0">{shape}</scene>')
+    done = python("-c", PROGRAM, *paths)
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    assert done.returncode == 0, (paths[len(said)], done.stderr)
+    for path, text, (name, (_, pattern)) in zip(paths, said, DAMAGED.items(), strict=True):
+        assert text.startswith(f"{path}: ") and name in text.removeprefix(str(path))
+        assert re.search(pattern, text), text
+
+
+INSIDE = '<string name="filename" value="$file"/>'
+PLACES = {
+    "a group": f'<shape type="shapegroup" id="g"><shape type="ply">{INSIDE}</shape></shape>'
+    '<shape type="instance"><ref id="g"/></shape>',
+    "merged": f'<shape type="merge"><shape type="ply">{INSIDE}</shape></shape>',
+    "included": '<include filename="more.xml"/>',
+    "a path": f'<path value="far"/><shape type="ply">{INSIDE}</shape>',
+    "a second mesh": '<shape type="ply"><string name="filename" value="ball.ply"/></shape>'
+    f'<shape type="ply">{INSIDE}</shape>',
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_mesh_is_found_wherever_it_is_named(tmp_path, place):
+    path = write_scene(tmp_path, extra='<default name="file" value="bad.ply"/>' + PLACES[place])
+    more = f'<scene version="3.0.0"><shape type="ply">{INSIDE}</shape></scene>'
+    (tmp_path / "more.xml").write_text(more)
+    (tmp_path / "far").mkdir()
+    (tmp_path / ("far" if place == "a path" else ".") / "bad.ply").write_bytes(ply(WRONG))
+    with pytest.raises(SceneError, match=r"bad\.ply: a face refers to"):
+        load_scene(path)
+    assert load_scene(path, {"file": "ball.ply"}).shapes()
+
+
+@pytest.mark.parametrize("depth", [600, 100_000])
+def test_elements_nested_without_end_are_refused(tmp_path, depth):
+    words = '<bsdf type="twosided">' * depth + "</bsdf>" * depth
+    with pytest.raises(SceneError, match=r"scene\.xml: elements are nested more than 500 deep"):
+        load_scene(write_scene(tmp_path, extra=words))
+    (tmp_path / "more.xml").write_text(f'<scene version="3.0.0">{words}</scene>')
+    with pytest.raises(SceneError, match=r"more\.xml: elements are nested more than 500 deep"):
+        load_scene(write_scene(tmp_path, extra='<include filename="more.xml"/>'))
+
+
+@pytest.mark.parametrize("words", [
+    '<string name="x" value="&foo;"/>', '<bsdf type="diffuse" type="plastic"/>',
+    '<bsdf type="diffuse" id="\xe9"/>',
+])  # fmt: skip
+def test_xml_that_another_parser_would_refuse_is_refused(tmp_path, words):
+    """Mitsuba's would go on, and read what was not looked through."""
+    deep = '<bsdf type="twosided">' * 600 + "</bsdf>" * 600
+    path = write_scene(tmp_path, extra=words + deep)
+    path.write_bytes(path.read_text().encode("latin-1"))
+    with pytest.raises(SceneError, match=r"scene\.xml: not well-formed XML \("):
+        load_scene(path)
+
+
+def test_what_is_included_by_a_parameter_is_looked_through(tmp_path):
+    deep = '<bsdf type="twosided">' * 600 + "</bsdf>" * 600
+    (tmp_path / "more.xml").write_text(f'<scene version="3.0.0">{deep}</scene>')
+    words = '<default name="f" value="less"/><include filename="$f.xml"/>'
+    path = write_scene(tmp_path, extra=words)
+    with pytest.raises(SceneError, match=r"more\.xml: elements are nested more than 500 deep"):
+        load_scene(path, {"f": "more"})
+    os.mkfifo(tmp_path / "less.xml")
+    with pytest.raises(SceneError, match="less.xml, which is not a file"):
+        load_scene(path)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        '<include filename="pipe"/>',
+        '<texture type="uniform"><spectrum name="value" filename="pipe"/></texture>',
+        '<shape type="ply"><string name="filename" value="pipe"/></shape>',
+        '<texture type="bitmap"><string name="filename" value="pipe"/></texture>',
+    ],
+)
+def test_a_pipe_is_not_waited_for(tmp_path, words):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(SceneError, match="pipe, which is not a file"):
+        load_scene(write_scene(tmp_path, extra=words))
+
+
+@pytest.mark.parametrize("command", ["entropy", "check", "report", "render"])
+def test_commands_refuse_a_damaged_mesh(tmp_path, capsys, command):
+    path = write_scene(tmp_path, sensors=sensor_xml(1))
+    (tmp_path / "ball.ply").write_bytes(ply(WRONG))
+    output = tmp_path / ("out.html" if command == "report" else "out")
+    assert main([command, str(path), "-o", str(output)]) == 2
+    error = capsys.readouterr().err
+    assert "ball.ply: a face refers to vertex" in error and error.count("\n") == 1
+
+
+def bare(**changes: object) -> object:
+    """The ball without UVs."""
+    fields = {**vars(ball(12, 6)), "uvs": None, **changes}
+    return make("ball", MeshArrays(**fields))
+
+
+def spoilt(folder: Path, **changes: np.ndarray) -> None:
+    """Change arrays of unwrapped.ply, and keep its comment."""
+    path = folder / UNWRAPPED
+    comment = next(line for line in path.read_bytes().split(b"\n") if line.startswith(b"comment"))
+    found = read_ply(path)
+    normals = np.tile([0.0, 0.0, 1.0], (len(found.positions), 1))
+    fields = {**vars(found), "normals": normals, **changes}
+    write_ply(path, "ball", MeshArrays(**fields), comment.decode().removeprefix("comment "))
+
+
+def test_uvs_that_were_kept_are_taken_again(tmp_path, caplog):
+    """The mesh's own normals are taken, whatever those in the file are."""
+    first = arrays(unwrapped(bare(), tmp_path))
+    header = (tmp_path / UNWRAPPED).read_bytes().partition(b"end_header")[0]
+    assert b"\ncomment svu_mi unwrapped " in header and b" xatlas " in header
+    spoilt(tmp_path, normals=np.full_like(first.positions, np.nan))
+    written = (tmp_path / UNWRAPPED).stat()
+    again = arrays(unwrapped(bare(), tmp_path))
+    for name in ("positions", "faces", "normals", "uvs"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+    assert (tmp_path / UNWRAPPED).stat() == written and not caplog.records
+
+
+def test_normals_of_a_scene_that_are_no_numbers_are_refused(tmp_path):
+    normals = ball().normals
+    normals[7] = np.nan
+    with pytest.raises(SceneError, match="has normals that are NaN or infinite; export its mesh"):
+        load_capture(write_scene(tmp_path, normals=normals))
+
+
+def test_other_normals_are_another_mesh(tmp_path, caplog):
+    unwrapped(bare(), tmp_path)
+    turned = np.roll(ball(12, 6).normals, 1, axis=1)
+    found = arrays(unwrapped(bare(normals=turned), tmp_path))
+    assert "belongs to another mesh, or was changed; the mesh is unwrapped again." in caplog.text
+    source = arrays(bare(normals=turned))
+    np.testing.assert_array_equal(found.normals[found.faces], source.normals[source.faces])
+
+
+def rewritten(change):
+    """Return what changes the bytes of a file."""
+    return lambda path: path.write_bytes(change(path.read_bytes()))
+
+
+def piped(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+SPOILT = {
+    "moved": (lambda path: spoilt(path.parent, faces=read_ply(path).faces[::-1]), "was changed"),
+    "NaN": (lambda path: spoilt(path.parent, uvs=read_ply(path).uvs + np.nan), "no finite UVs"),
+    "no uvs": (lambda path: spoilt(path.parent, uvs=None), "no finite UVs"),
+    "shift": (lambda path: spoilt(path.parent, uvs=read_ply(path).uvs + 0.01), "was changed"),
+    "corner": (rewritten(lambda data: data[:-4] + struct.pack("<I", 2**30)), "refers to vertex"),
+    "cut": (rewritten(lambda data: data[:-10]), "cannot be read"),
+    "comment": (rewritten(lambda data: data.replace(b"unwrapped", b"something")), "was changed"),
+    "garbage": (rewritten(lambda _: b"<html>not found</html>"), "cannot be read"),
+    "pipe": (piped, "is not a file"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("spoil", "reason"), SPOILT.values(), ids=SPOILT)
+def test_a_damaged_unwrapping_is_made_again(tmp_path, caplog, spoil, reason):
+    good = arrays(unwrapped(bare(), tmp_path))
+    path = tmp_path / UNWRAPPED
+    data = path.read_bytes()
+    spoil(path)
+    with caplog.at_level(logging.WARNING):
+        again = arrays(unwrapped(bare(), tmp_path))
+    assert reason in caplog.text and f"{path}" in caplog.text
+    np.testing.assert_array_equal(again.uvs, good.uvs)
+    assert path.read_bytes() == data
+
+
+def test_a_full_disk_is_noticed_while_a_mesh_is_written(tmp_path):
+    """A limit on the size of files stands for the disk; Mitsuba itself loses the last bytes."""
+    write_ball(tmp_path)
+    before = (tmp_path / "ball.ply").read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) - 100, limits[1]))
+    try:
+        with pytest.raises(OutputError, match=r"ball\.ply: cannot be written \(File too large\)"):
+            write_ply(tmp_path / "ball.ply", "ball", ball())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [path.name for path in tmp_path.iterdir()] == ["ball.ply"]
+    assert (tmp_path / "ball.ply").read_bytes() == before

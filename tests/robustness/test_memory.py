@@ -1,0 +1,346 @@
+"""Memory is asked about before it is taken: what commands need, and what there is."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from support.helpers import ball, fails, lettered, python, recovered_folder, write_ball
+
+import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.capture import mesh
+from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.source import frame_of
+from svu_mi.capture.loading import plan_capture
+from svu_mi.capture.sensors import sphere_sensors
+from svu_mi.cli.loading import announce_sizes
+from svu_mi.core import memory
+from svu_mi.core.io.exr import write_exr
+from svu_mi.core.memory import Need, Sizes
+from svu_mi.core.progress import Progress
+from svu_mi.errors import CaptureError, SvuEnvironmentError
+
+SIXTY = [(6000, 4000)] * 60
+
+
+def needed(command, photographs, resolution=(0, 0), model="default", **sizes) -> Need:
+    return Need(command, Sizes(photographs, **sizes), resolution, model)
+
+
+def machine(monkeypatch, free: float, space: float | None = None) -> None:
+    """Pretend that so much is free, and that a process of nothing may use so much."""
+    monkeypatch.setattr(memory, "free_memory", lambda: int(free))
+    monkeypatch.setattr(memory, "resident", lambda: 0)
+    monkeypatch.setattr(memory, "address_space", lambda: space and (int(space), 0))
+
+
+def refused(need: Need) -> str:
+    with pytest.raises(CaptureError) as caught:
+        need.require("capture")
+    return str(caught.value)
+
+
+# --- what is announced, and refused -------------------------------------------------------
+
+
+def test_photographs_that_do_not_fit_are_to_be_shrunk(monkeypatch):
+    machine(monkeypatch, 23e9)
+    need = needed("entropy", SIXTY, (512, 512))
+    assert need.sentence() == "Needs up to 34 GB of memory, 23 are there"
+    assert refused(need) == (
+        "capture: needs 34 GB of memory, 23 are there; svu import --shrink 2 needs 9.5."
+    )
+
+
+def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
+    machine(monkeypatch, 2e9)
+    assert refused(needed("recover", [(512, 512)] * 10, (2048, 2048))) == (
+        "capture: needs 12 GB of memory, 2 are there; --resolution 512 needs 1.6."
+    )
+    assert refused(needed("entropy", [(512, 512)] * 10, (4096, 4096))) == (
+        "capture: needs 4.5 GB of memory, 2 are there; --resolution 2048 needs 1.6."
+    )
+    need = needed("recover", SIXTY, (2048, 1024))
+    assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8.")
+
+
+def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(monkeypatch, shot):
+    machine(monkeypatch, 4e9)
+
+    need = partial(Need, "recover", resolution=(1024, 1024), model="default")
+    plan_memory = partial(announce_sizes, Progress(), "capture", need)
+    many = Sizes([(1000, 1000)] * 90, memory=2e9, asked=False)
+    assert plan_memory(many) == 0
+    with pytest.raises(CaptureError, match=r"^capture: needs [\d.]+ GB of memory, 4 are there"):
+        plan_memory(replace(many, asked=True))
+    few = replace(many, photographs=many.photographs[:10])
+    assert plan_memory(few) == few.memory
+    assert plan_capture(shot).read(0.0).buffer.file is not None
+    assert svu.load_capture(shot).buffer.file is None
+
+
+def test_what_cannot_be_made_small_enough_says_so(monkeypatch):
+    machine(monkeypatch, 0.3e9)
+    assert refused(needed("check", SIXTY)) == (
+        "capture: needs 33 GB of memory, 0.3 are there; work on a machine with more."
+    )
+
+
+def test_address_space_is_asked_for_too(monkeypatch):
+    machine(monkeypatch, 23e9, 2e9)
+    said = refused(needed("entropy", [(512, 512)] * 60, (512, 512)))
+    assert re.fullmatch(
+        r"capture: needs [\d.]+ GB of address space, ulimit -v allows 2; raise it; --resolution "
+        r"256 needs 0.98 of memory\.",
+        said,
+    ), said
+
+
+def test_nothing_is_refused_where_nobody_says_what_there_is(monkeypatch):
+    monkeypatch.setattr(memory, "free_memory", lambda: None)
+    monkeypatch.setattr(memory, "address_space", lambda: None)
+    needed("entropy", SIXTY * 1000, (4096, 4096)).require()
+    memory.require_start()
+    assert needed("check", []).sentence() == "Needs up to 0.37 GB of memory"
+
+
+def test_a_process_that_cannot_even_start_is_told(monkeypatch):
+    machine(monkeypatch, 0.1e9)
+    with pytest.raises(SvuEnvironmentError, match=r"^needs 0.25 GB of memory to start, 0.1 are th"):
+        memory.require_start()
+
+
+# --- what there is ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def proc(tmp_path, monkeypatch):
+    """A machine with 4 GB free, whose process is in no group."""
+    meminfo = tmp_path / "meminfo"
+    meminfo.write_text("MemTotal: 9 kB\nMemAvailable:    4000000 kB\n")
+    monkeypatch.setattr(memory, "MEMINFO", meminfo)
+    monkeypatch.setattr(memory, "PROCESS", tmp_path)
+    monkeypatch.setattr(memory, "GROUPS", tmp_path / "groups")
+    return tmp_path
+
+
+def group(folder, **files: object) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (folder / name.replace("_", ".", 1)).write_text(f"{content}\n")
+
+
+def test_free_memory_is_that_of_the_machine(proc):
+    assert memory.free_memory() == 4_096_000_000
+
+
+def test_free_memory_is_what_this_process_is_allowed(proc, monkeypatch):
+    """As one of several: less what it has taken itself."""
+    monkeypatch.setattr(memory, "_allowed", [])
+    (proc / "status").write_text("VmRSS: 900 kB\nRssAnon: 300 kB\n")
+    memory.allow(1_000_000)
+    assert memory.free_memory() == 1_000_000 - 300 * 1024
+    memory.allow(1_000)
+    assert memory.free_memory() == 0
+
+
+def test_free_memory_is_that_of_the_container(proc):
+    group(proc / "groups", memory_max="max")
+    assert memory.free_memory() == 4_096_000_000
+    group(proc / "groups", memory_max=123456)
+    assert memory.free_memory() == 123456
+
+
+def test_free_memory_is_that_of_the_tightest_group_around_this_process(proc):
+    """What a group has used is gone, files aside, which are dropped when it is short."""
+    (proc / "cgroup").write_text("0::/user.slice/session.scope\n")
+    root = proc / "groups"
+    group(root / "user.slice", memory_max=3_000_000_000, memory_current=2_500_000_000)
+    group(root / "user.slice" / "session.scope", memory_max="max", memory_current=1_000_000_000)
+    assert memory.free_memory() == 500_000_000
+    group(root / "user.slice", memory_stat="anon 7\ninactive_file 150000000\nactive_file 50000000")
+    assert memory.free_memory() == 700_000_000
+
+
+def test_free_memory_is_that_of_an_old_group(proc):
+    (proc / "cgroup").write_text("5:devices:/\n4:memory,hugetlb:/job\n0::/\n")
+    folder = proc / "groups" / "memory" / "job"
+    group(folder, memory_limit_in_bytes=2_000_000_000, memory_usage_in_bytes=1_900_000_000)
+    group(folder, memory_stat="total_inactive_file 5")
+    assert memory.free_memory() == 100_000_005
+
+
+# --- commands -----------------------------------------------------------------------------
+
+RUN = """
+import sys, resource
+if sys.argv[1] != "0":
+    resource.setrlimit(resource.RLIMIT_AS, (int(float(sys.argv[1])), -1))
+from svu_mi.cli.main import main
+status = main(sys.argv[2:])
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print("PEAK", int(peak.split()[1]) * 1024)
+sys.exit(status)
+"""
+COMMANDS = ("entropy", "recover", "guide", "report", "check", "compare")
+linux = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+
+
+def words(command, shot, folder, resolution):
+    output = folder / ("out.html" if command == "report" else "out")
+    size = () if command == "check" else ("--resolution", resolution)
+    captures = (shot, shot) if command == "compare" else (shot,)
+    return command, *captures, *size, "-o", output
+
+
+@linux
+@pytest.mark.parametrize("command", ["entropy", "import", "demo"])
+def test_half_of_the_address_space_is_refused_in_a_sentence(command, tmp_path):
+    place = () if command == "demo" else (tmp_path,)
+    done = python("-c", RUN, 0.6e9, command, *place)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        r"svu: needs [\d.]+ GB of address space to start, ulimit -v allows 0.6; raise it.\n",
+        done.stderr,
+    ), done.stderr
+
+
+@linux
+@pytest.mark.parametrize(("command", "space"), [
+    ("entropy", 1.4e9),  # works tile by tile: 1.9e9 are enough
+    pytest.param("guide", 1.4e9, marks=pytest.mark.slow),
+])  # fmt: skip
+def test_less_address_space_than_texels_need_is_refused_before_they_are_laid_out(
+    command, space, shot, tmp_path
+):
+    """It was signal 11, in the middle of the work."""
+    done = python("-c", RUN, space, *words(command, shot, tmp_path, 1024))
+    assert done.returncode == 2, done.stderr
+    line = done.stderr.splitlines()[-1]
+    if line.startswith("svu: --resolution: 1024 x 1024 texels take at least "):
+        return  # not even a grid of them fits
+    assert line.startswith(f"svu: {shot}: needs "), line
+    assert f"GB of address space, ulimit -v allows {space / 1e9:.2g}; raise it" in line
+
+
+@linux
+def test_films_that_do_not_fit_into_the_address_space_are_not_rendered(tmp_path):
+    """It was signal 11, too, after half of the views."""
+    place = ("render", scenes.path("vase"), "--views", 20, "--resolution", 2048)
+    done = python("-c", RUN, 1.3e9, *place, "-D", "light=window", "-o", tmp_path / "out")
+    assert done.returncode == 2, done.stderr
+    assert "20 photographs of up to 2048 x 2048 pixels take at least" in done.stderr
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_half_of_the_memory_is_refused_in_a_sentence(command, shot, tmp_path, capsys, monkeypatch):
+    """As in a control group that gives no more than what the process has by then."""
+    monkeypatch.setattr(memory, "free_memory", lambda: 0)
+    monkeypatch.setattr(memory, "resident", lambda: int(0.26e9))
+    line = fails(capsys, *words(command, shot, tmp_path, 256))
+    assert re.fullmatch(
+        rf"svu: {re.escape(str(shot))}: needs [\d.]+ GB of memory, 0.26 are there; [^;]+\.", line
+    ), line
+    assert not (tmp_path / "out.html").exists() and not (tmp_path / "out" / "run.json").exists()
+
+
+def prepared(command, folder, side):
+    """Words of a command that has no photographs of a scene yet, or no more: of so many pixels."""
+    if command == "render":
+        place = scenes.path("vase"), "-D", "light=window", "--views", 3, "--resolution", side
+        return command, *place, "--spp", 1, "-o", folder / "out"
+    if command == "export":
+        recovered_folder(folder / "recovered", lettered(side, side), uvs=ball().uvs)
+        known = {"Y": np.full((side, side), 0.5, np.float32)}
+        write_exr(folder / "recovered" / "entropy.exr", known)
+        return command, folder / "recovered", "-o", folder / "out"
+    sensors = sphere_sensors(mesh.make("ball", ball()), 3, (side, side))
+    frames = [frame_of(each, folder / f"{k}.exr") for k, each in enumerate(sensors)]
+    for frame in frames:
+        write_exr(frame.image, {"RGB": np.full((side, side, 3), 0.5, np.float32)})
+    write_transforms(folder / "transforms.json", frames)
+    return command, folder, "--mesh", write_ball(folder), "-o", folder / "out"
+
+
+OTHERS = {"render": "vase.xml", "import": "", "export": "recovered"}  # what is named
+
+
+@pytest.mark.parametrize("command", OTHERS)
+def test_what_has_no_photographs_to_read_refuses_too(command, tmp_path, capsys, monkeypatch):
+    words = prepared(command, tmp_path, 24)
+    capsys.readouterr()
+    monkeypatch.setattr(memory, "free_memory", lambda: 0)
+    monkeypatch.setattr(memory, "resident", lambda: int(0.252e9))
+    line = fails(capsys, *words)
+    refusal = rf"svu: \S*{OTHERS[command]}: needs [\d.]+ GB of memory, 0.25 are there; [^;]+\."
+    assert re.fullmatch(refusal, line), line
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def test_each_command_says_what_would_need_less_of_it(monkeypatch):
+    machine(monkeypatch, 1e9)
+    films = [(2000, 1000)] * 20
+    assert refused(needed("render", films, model="")).endswith(
+        "; rendering at most 1000 x 500 pixels per film needs 0.76."
+    )
+    assert refused(needed("import", films, model="")).endswith(
+        "; reading photographs of at most 1000 x 500 pixels needs 0.9."
+    )
+    assert refused(needed("export", (), (2048, 2048), model="")).endswith(
+        "; svu recover --resolution 1024 needs 0.83."
+    )
+
+
+def announced_and_taken(*words):
+    """Run a command in a process of its own; return gigabytes."""
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, "0", *map(str, words)],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    announced = float(re.search(r"Needs up to ([\d.]+) GB of memory", done.stdout)[1])
+    return announced, int(re.search(r"PEAK (\d+)", done.stdout)[1]) / 1e9
+
+
+@linux
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "resolution"),
+    [*((command, 256) for command in COMMANDS), ("entropy", 640), ("recover", 640)],  # in tiles
+)
+def test_no_command_takes_more_than_it_has_announced(command, resolution, shot, tmp_path):
+    brief = ("--steps", 5) if command == "recover" else ()
+    asked = words(command, shot, tmp_path, resolution)
+    announced, peak = announced_and_taken(*asked, *brief)
+    assert announced / 2 < peak <= 1.1 * announced, (announced, peak)
+
+
+@linux
+@pytest.mark.slow
+@pytest.mark.parametrize("command", OTHERS)
+def test_rendering_importing_and_exporting_take_no_more_either(command, tmp_path):
+    announced, peak = announced_and_taken(*prepared(command, tmp_path, 1024))
+    assert announced / 2 < peak <= 1.1 * announced, (announced, peak)
+
+
+def test_texels_that_no_chart_covers_take_next_to_nothing():
+    full = needed("recover", [(64, 64)], (4096, 4096))
+    quarter = needed("recover", [(64, 64)], (4096, 4096), charts=0.25)
+    fixed = needed("recover", [(64, 64)]).bytes
+    assert 0.25 <= (quarter.bytes - fixed) / (full.bytes - fixed) < 0.3
+
+
+def test_what_charts_cover_is_read_from_the_mesh(tmp_path):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], float)
+    faces = np.array([[0, 1, 2], [1, 3, 2]])
+    for side, part in ((0.5, 0.25), (1.0, 1.0)):
+        made = mesh.make("plate", mesh.MeshArrays(corners, faces, None, side * corners[:, :2]))
+        assert mesh.covered_by_charts(made) == pytest.approx(min(part * mesh.MARGIN, 1))
+    bare = mesh.make("plate", mesh.MeshArrays(corners, faces, None, None))
+    assert mesh.covered_by_charts(bare) == 1
