@@ -25,6 +25,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
+from svu_mi.illumination import resolve_light
 from svu_mi.options import preset
 from svu_mi.posterior.problem import spline
 from svu_mi.prediction import Prediction, diffuse_seen_from, shares_of
@@ -102,7 +103,9 @@ def test_photographs_of_a_phone_are_predicted_from_each_other(measured):
 
 
 @pytest.mark.slow
-def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, capsys):
+def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, capsys, monkeypatch):
+    few = svu.LightOptions(texels=400, depths=((256, 8),), draws=2)
+    monkeypatch.setattr(resolve_light, "OPTIONS", few)
     words = ("check", imported, "--gains", "estimate", "-o", tmp_path)
     assert run(*words) == 0
     said = " ".join(capsys.readouterr().out.split())
