@@ -20,6 +20,7 @@ from svu_mi.bench.experiment import Bench
 from svu_mi.bench.real import find_bars
 from svu_mi.bench.real.predictors import WAYS, Score, Shown, gain_of, r_squared
 from svu_mi.bench.study import Asked, run_bench
+from svu_mi.calibration.light import resolve_light
 from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
@@ -102,7 +103,9 @@ def test_photographs_of_a_phone_are_predicted_from_each_other(measured):
 
 
 @pytest.mark.slow
-def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, capsys):
+def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, capsys, monkeypatch):
+    few = svu.LightOptions(texels=400, depths=((256, 8),), draws=2)
+    monkeypatch.setattr(resolve_light, "OPTIONS", few)
     words = ("check", imported, "--gains", "estimate", "-o", tmp_path)
     assert run(*words) == 0
     said = " ".join(capsys.readouterr().out.split())

@@ -17,6 +17,8 @@ from svu_mi.errors import SceneError
 from svu_mi.light.environment import basis_at
 
 TOLD = 6  # degree of harmonics beyond which matte shading tells nothing
+SIZES = {"texels": 400, "depths": ((256, 8), (576, 4))}
+FEW, STILL = svu.LightOptions(**SIZES), svu.LightOptions(**SIZES, moves=False)
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +29,7 @@ def vase():
     capture = svu.render_capture(
         scenes.path("vase"), spp=32, views=24, resolution=(96, 96), defines={"light": "window"}
     )
-    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96))
+    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96), FEW)
 
 
 @pytest.fixture(scope="module")
@@ -61,15 +63,14 @@ def test_the_sun_is_brighter_and_not_the_paint_in_it():
     capture = svu.render_capture(
         scenes.path("vase"), spp=32, views=40, resolution=(96, 96), defines={"light": "clear"}
     )
-    options = svu.LightOptions(moves=False, texels=400)
-    found = svu.estimate_light(capture, svu.texels(capture.mesh, 96), options)
+    found = svu.estimate_light(capture, svu.texels(capture.mesh, 96), STILL)
     like = likeness(found, capture.environment)
-    assert like.correlation > 0.8 and like.angle < 10  # .84; .73 if they may be anything
+    assert like.correlation > 0.8 and like.angle < 10  # .83; .75 if they may be anything
 
 
 def test_the_light_is_the_same_every_time(vase):
     texels = svu.texels(vase[0].mesh, 96)
-    options = svu.LightOptions(texels=120, depths=((128, 3), (256, 2)), draws=3)
+    options = svu.LightOptions(texels=120, depths=((64, 2), (128, 2)), draws=3)
     first, second = (svu.estimate_light(vase[0], texels, options) for _ in range(2))
     for name in ("logarithm", "cell_sd", "draws", "scale_sd"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name), name)
@@ -80,7 +81,7 @@ def test_a_turntable_is_recognised(vase):
     capture, still = vase
     assert not still.moves and still.misfit[0] < still.misfit[1]
     table = turning(capture)
-    found = svu.estimate_light(table, svu.texels(table.mesh, 96))
+    found = svu.estimate_light(table, svu.texels(table.mesh, 96), FEW)
     like = likeness(found, capture.environment)  # turned as in camera space
     assert found.moves and found.misfit[1] < 0.5 * found.misfit[0]
     assert like.correlation > 0.8
@@ -93,7 +94,7 @@ def matte(tmp_path_factory):
     """What is found of even light of radiance 1, from a matte ball."""
     folder = tmp_path_factory.mktemp("matte")
     capture = painted(folder, {"type": "constant"}, roughness=0.9, metallic=0.0)
-    return svu.estimate_light(capture, svu.texels(capture.mesh, 96))
+    return svu.estimate_light(capture, svu.texels(capture.mesh, 96), FEW)
 
 
 def dimmer_half(found):
@@ -108,8 +109,8 @@ def test_details_that_a_matte_object_cannot_show_are_within_what_is_not_known(ma
     off = np.abs(np.log(grey[dim]))
     assert not matte.moves
     assert (off < NINETY * matte.sd[dim]).mean() > 0.9  # all of it
-    assert np.sqrt(np.mean(np.square(off / matte.sd[dim]))) < 1  # .54
-    assert np.median(matte.sd[dim]) > 0.5 * SD  # .56
+    assert np.sqrt(np.mean(np.square(off / matte.sd[dim]))) < 1  # .51
+    assert np.median(matte.sd[dim]) > 0.5 * SD  # .68
 
 
 def test_details_of_a_matte_object_s_light_are_as_unknown_as_before(matte):
@@ -131,7 +132,7 @@ def metal(window, tmp_path_factory):
     """A capture of metal alone, and the light that is found."""
     folder = tmp_path_factory.mktemp("metal")
     capture = painted(folder, window, roughness=0.3, metallic=1.0)
-    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96))
+    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96), STILL)
 
 
 def test_the_light_that_metal_mirrors_is_found(metal):

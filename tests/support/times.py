@@ -25,7 +25,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[2]
-COMMANDS = ("entropy", "recover", "guide", "report")
+OUTPUT = {"entropy": "maps", "recover": "textures", "guide": "views", "report": "report.html"}
 WARM = 3
 
 
@@ -84,11 +84,11 @@ def child(root: Path, folder: Path, side: int, cpu: bool) -> dict[str, list[floa
 def commanded(root: Path, folder: Path) -> dict[str, list[float]]:
     """Return seconds of whole commands of a checkout."""
     seconds = {}
-    for command in COMMANDS:
+    for command in OUTPUT:
         with tempfile.TemporaryDirectory() as target:
             start = time.perf_counter()
             subprocess.run(
-                [root / ".venv/bin/svu", command, folder, "-o", f"{target}/{command}"],
+                [root / ".venv/bin/svu", command, folder, "-o", Path(target) / OUTPUT[command]],
                 cwd=target, capture_output=True, check=True,
             )  # fmt: skip
             seconds[command] = [time.perf_counter() - start] * 2
