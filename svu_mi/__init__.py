@@ -44,9 +44,10 @@ if TYPE_CHECKING:
     from svu_mi.output.export.load_asset import load_asset
     from svu_mi.output.export.write_asset import ExportOptions, export_asset
     from svu_mi.output.report.report import write_report
-    from svu_mi.pipeline import Estimate, estimate
+    from svu_mi.pipeline import estimate
     from svu_mi.posterior.angular import angular_posterior
     from svu_mi.posterior.calibrated import calibrated_posterior
+    from svu_mi.posterior.estimate import Estimate
     from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
     from svu_mi.posterior.posterior import Posterior
     from svu_mi.posterior.spectrum import spectrum_posterior
@@ -76,8 +77,8 @@ _HOME = {
     "preset": "presets", "Check": "calibration.checks.check_result",
     "check": "calibration.checks.check", "Candidates": "guidance.candidates",
     "Guidance": "guidance.guidance_result", "GuidanceOptions": "guidance.guidance_options",
-    "next_best_view": "guidance.next_view", "Estimate": "pipeline", "estimate": "pipeline",
-    "LightEstimate": "calibration.light.light_estimate",
+    "next_best_view": "guidance.next_view", "Estimate": "posterior.estimate",
+    "estimate": "pipeline", "LightEstimate": "calibration.light.light_estimate",
     "LightOptions": "calibration.light.light_options",
     "FoundGains": "calibration.light.light_estimate", "estimate_gains": "calibration.exposure",
     "equalized": "calibration.exposure", "estimate_light": "calibration.light.estimate_light",

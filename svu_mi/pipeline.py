@@ -1,16 +1,15 @@
-"""Pipeline, capture to posterior: the file to read first.
+"""The pipeline, from a capture to the posterior of every texel: the file to read first.
 
-    capture -> texels -> observed: visibility   -> plan -> statistics of all views   -> posterior
-                                                         -> SH fit -> power spectra   -> posterior
+    capture -> texels -> observations: visibility, light -> plan
+            -> statistics of all views -> posterior     (angular, Eq. 3 to 6)
+            -> SH fit -> power spectra -> posterior     (spectrum, Eq. 7 to 12)
 
-``core/memory.py`` estimates the peak memory; ``posterior/tiled.py`` processes many texels in tiles.
+Captures are loaded by ``capture/loading.py``, texels laid out by ``geometry/texels.py``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, Literal
 
 import drjit as dr
@@ -20,164 +19,29 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.core.arrays import owned
+from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError
+from svu_mi.frequency.spectra import fit_spectra
 from svu_mi.geometry.texels import Texels
 from svu_mi.posterior.angular import angular_grid
+from svu_mi.posterior.estimate import Estimate, capture_and_texels, observations_of
 from svu_mi.posterior.estimators import (
-    Run,
-    counted,
-    from_angles,
-    from_spectra,
-    make_plan,
-    widened,
-    with_known,
+    EstimatorInputs,
+    gather_factors,
+    inflated,
+    statistics_posterior,
+    tiled_posterior,
+    view_counts,
 )
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed, observe
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.row_entropy import log_prior
-from svu_mi.posterior.spectrum import spectrum_grid
+from svu_mi.posterior.spectrum import spectrum_grid, spectrum_posterior
 from svu_mi.posterior.tiled import TiledKernel
-from svu_mi.presets import AngularPreset, AnyPreset, Method, Skip
+from svu_mi.posterior.work_plan import make_plan, with_known
+from svu_mi.presets import AngularPreset, AnyPreset, Method, Preset, Skip
 from svu_mi.presets import preset as find_preset
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class Estimate:
-    """What the photographs say about each of T texels.
-
-    Attributes:
-        method: name of the estimator.
-        preset: the switches it ran with.
-        texels: where the values belong.
-        posterior: p(psi | B, L) of each texel.
-        coverage: (T,) UInt32, number of views that see each texel.
-        seen_per_view: (V,) int64, number of texels each used view sees.
-        skipped: what was not computed, by reason, as counts.
-        timings: seconds per stage, synchronised.
-        observed: what it was made from, for those who go on from here; it keeps the photographs
-            in memory.
-        prior: the weights of cells that it was asked with, None for the usual ones.
-    """
-
-    method: str
-    preset: AnyPreset
-    texels: Texels
-    posterior: Posterior
-    coverage: Any
-    seen_per_view: np.ndarray
-    skipped: dict[str, int]
-    timings: dict[str, float] = field(default_factory=dict)
-    observed: Observed | None = field(default=None, repr=False)
-    prior: Any | None = field(default=None, repr=False)
-
-    def __repr__(self) -> str:
-        seen = np.array(self.coverage) > 0
-        mean = float(np.array(self.entropy, np.float64).mean())
-        return (
-            f"<Estimate {self.method}: mean entropy {mean:.2f} of {self.texels.count} texels, "
-            f"{seen.mean():.0%} seen in {len(self.seen_per_view)} photographs>"
-        )
-
-    @property
-    def switches(self) -> AnyPreset:
-        """The preset, as much less certain as the light is (``with_light``)."""
-        observed = self.observed
-        return self.preset if observed is None else widened(self.preset, observed.capture)
-
-    @cached_property
-    def entropy(self) -> Any:
-        """Normalised entropy (T,) in [0, 1] (Eq. 5).
-
-        That of the prior for a texel nobody saw: exactly 1 without ``prior``, and always where
-        the entropy is a part of the prior's (angular ``default`` and ``fast``).
-        """
-        return self.posterior.entropy()
-
-    def in_one_piece(self, progress: Progress | None = None) -> Estimate:
-        """Return the estimate with the statistics of all its texels, made again if they were not
-        kept (see ``estimate``)."""
-        if not isinstance(self.posterior.kernel, TiledKernel):
-            return self
-        grid: Any = self.posterior.grid
-        method: Any = self.method
-        return estimate(
-            self, None, method, self.preset, grid=grid, prior=self.prior, whole=True,
-            progress=progress,
-        )  # fmt: skip
-
-    def image(self, name: str) -> np.ndarray:
-        """Lay a per-texel result out as a float32 texture.
-
-        Args:
-            name: ``entropy`` (1 outside the charts), ``coverage`` (0 outside the charts), or of a
-                parameter, say roughness: ``roughness_mean``, ``roughness_sd``,
-                ``roughness_low`` and ``roughness_high`` (ends of the 90 % interval; NaN outside
-                the charts).
-
-        Returns:
-            (H, W), or (H, W, 3) where channels have their own.
-
-        Raises:
-            OptionError: an unknown name.
-        """
-        if name == "entropy":
-            return self.texels.to_image(np.array(self.entropy, np.float32), 1.0)
-        if name == "coverage":
-            return self.texels.to_image(np.array(self.coverage).astype(np.float32), 0.0)
-        parameter, _, what = name.rpartition("_")
-        if parameter in self.posterior.axes and what in ("mean", "sd", "low", "high"):
-            if what in ("low", "high"):
-                values = self.posterior.interval(parameter)[what == "high"]
-            else:
-                values = getattr(self.posterior, what)(parameter)
-            return self.texels.to_image(np.array(values, np.float32), np.nan)
-        raise OptionError(
-            f"Estimate.image(): there is no map {name!r}; use entropy, coverage, or "
-            f"{', '.join(self.posterior.axes)} with _mean, _sd, _low or _high."
-        )
-
-
-def subject_of(
-    source: Capture | Observed | Estimate, texels: Texels | None
-) -> tuple[Capture, Texels]:
-    """Return what a source is about, without any work; arguments and errors of ``observed_of``."""
-    if not isinstance(source, Capture):
-        seen = _observed_by(source, texels)
-        return seen.capture, seen.texels
-    if texels is None:
-        raise OptionError("A capture needs texels: svu.texels(capture.mesh, resolution).")
-    return source, texels
-
-
-def observed_of(
-    source: Capture | Observed | Estimate, texels: Texels | None, progress: Progress | None = None
-) -> Observed:
-    """Return the ``Observed`` of ``source``; compute it if ``source`` is a capture."""
-    if isinstance(source, Capture):
-        return observe(*subject_of(source, texels), progress)
-    return _observed_by(source, texels)
-
-
-def _observed_by(source: Observed | Estimate, texels: Texels | None) -> Observed:
-    """Return what to go on from; errors of ``observed_of``."""
-    if isinstance(source, Estimate):
-        if source.observed is None:
-            raise OptionError(
-                "The estimate does not know its capture; use what svu.estimate() returns of one."
-            )
-        source = source.observed
-    if not isinstance(source, Observed):
-        raise OptionError(
-            f"A capture or an estimate is needed, got {type(source).__name__}; read a capture with "
-            "svu.load_capture(path)."
-        )
-    if texels is not None and texels is not source.texels:
-        raise OptionError(
-            "The texels differ from those that were observed; omit them, or pass the capture."
-        )
-    return source
 
 
 def estimate(
@@ -232,46 +96,87 @@ def estimate(
     require_variant()
     switches: Any = find_preset(preset, method=method)
     progress, skip = progress or Progress(), skip or Skip()
-    grid_of = angular_grid if isinstance(switches, AngularPreset) else spectrum_grid
-    chosen = grid_of(grid, switches)
-    capture, layout = subject_of(source, texels)
-    chosen = with_known(chosen, known, capture.shape)
-    tables = log_prior(prior, chosen.shape, "estimate()")  # refused before any work
-    seen = _seen(source, layout, skip, progress)
-    plan = make_plan(skip, switches, seen, chosen, tables)
-    return _made(Run(seen, chosen, prior, plan, progress, whole), method, switches)
+    angular = isinstance(switches, AngularPreset)
+    nodes: Any = angular_grid(grid, switches) if angular else spectrum_grid(grid, switches)
+    capture, texels = capture_and_texels(source, texels)
+    nodes = with_known(nodes, known, capture.shape)
+    prior_tables = log_prior(prior, nodes.shape, "estimate()")  # refused before any work
 
-
-def _made(run: Run, method: Method, switches: Any) -> Estimate:
-    """Make the posterior of a run."""
-    seen, certain = run.observed, widened(switches, run.observed.capture)
-    if isinstance(certain, AngularPreset):
-        posterior = from_angles(run, certain)
-    else:
-        posterior = from_spectra(run, certain)
-    with run.progress.stage("Computing entropy"):
+    observed = _observations(source, texels, skip, progress)
+    plan = make_plan(skip, switches, observed, nodes, prior_tables)
+    inputs = EstimatorInputs(observed, nodes, prior, plan, progress, whole)
+    from_views: Any = _from_statistics if angular else _from_spectra
+    posterior: Posterior = from_views(inputs, inflated(switches, capture))
+    with progress.stage("Computing entropy"):
         result = Estimate(
-            method=method, preset=switches, texels=seen.texels, posterior=posterior,
-            coverage=owned(mi.UInt32, counted(seen, switches)),
-            seen_per_view=seen.found.per_view, skipped=run.plan.skipped,
-            timings=run.progress.timings, observed=seen, prior=run.prior,
+            method=method, preset=switches, texels=texels, posterior=posterior,
+            coverage=owned(mi.UInt32, view_counts(observed, switches)),
+            seen_per_view=observed.found.per_view, skipped=plan.skipped,
+            timings=progress.timings, observed=observed, prior=prior,
         )  # fmt: skip
         dr.eval(result.entropy)
     return result
 
 
-def _seen(
+def _observations(
     source: Capture | Observed | Estimate, texels: Texels, skip: Skip, progress: Progress
 ) -> Observed:
     """Trace which photographs show which texels, unless that is known, and read the light."""
     if isinstance(source, Capture):
         require_light(source)
-        seen = observe(
+        observed = observe(
             source, texels, progress,
             skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,
         )  # fmt: skip
     else:
-        seen = _observed_by(source, texels)
+        observed = observations_of(source, texels)
     with progress.stage("Reading the light"):
-        _ = seen.lighting
-    return seen
+        _ = observed.lighting
+    return observed
+
+
+def _from_statistics(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
+    """Compare photographs with what the reflection model predicts, by sums over all views."""
+    observed, progress = inputs.observed, inputs.progress
+    if observed.texels.count > TILE:  # seen or not: what is announced does not know
+        return tiled_posterior(inputs, switches)
+    if switches.traced:
+        with progress.stage("Tracing occlusion"):
+            observed.reach(switches.cells, occluded=switches.occluded)
+    with progress.stage("Gathering statistics"):
+        factors = gather_factors(inputs, switches)
+    return statistics_posterior(inputs, switches, factors)
+
+
+def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
+    """Compare the power spectra of photographs and of the light they mirror (Sec. 3.3)."""
+    observed, plan, progress = inputs.observed, inputs.plan, inputs.progress
+    irradiance = None
+    if isinstance(inputs.grid, PrincipledGrid):
+        with progress.stage("Tracing occlusion"):
+            per_channel = observed.irradiance(switches, plan.light_channels)
+            irradiance = np.zeros((observed.texels.count, plan.channels), np.float32)
+            irradiance[observed.seen] = np.stack([e.numpy() for e in per_channel], axis=-1)
+    with progress.stage("Fitting spectra"):
+        spectra = fit_spectra(
+            observed, switches, channels=plan.channels, light_channels=plan.light_channels,
+            skip_unseen=len(observed.seen) < observed.texels.count,
+        )  # fmt: skip
+    with progress.stage("Computing entropy"):
+        return spectrum_posterior(
+            spectra.incoming, spectra.outgoing, inputs.grid, preset=switches,
+            prefilter=observed.lighting.prefilter, prior=inputs.prior,
+            observed=observed.found.coverage > 0, irradiance=irradiance, copies=plan.copies,
+        )  # fmt: skip
+
+
+def materialized(estimate_: Estimate, progress: Progress | None = None) -> Estimate:
+    """Return an estimate with the statistics of all texels; made again if it works in tiles."""
+    if not isinstance(estimate_.posterior.kernel, TiledKernel):
+        return estimate_
+    grid: Any = estimate_.posterior.grid
+    method: Any = estimate_.method
+    return estimate(
+        estimate_, None, method, estimate_.preset, grid=grid, prior=estimate_.prior, whole=True,
+        progress=progress,
+    )  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 from support.helpers import render_ball
 
 import svu_mi as svu
-from svu_mi import scenes
+from svu_mi import pipeline, scenes
 from svu_mi.errors import OptionError
 from svu_mi.posterior import estimators
 from svu_mi.presets import METHODS, AngularPreset, preset
@@ -30,14 +30,17 @@ def seen(tmp_path_factory):
 def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
     """What reaches the model, the fit and the posterior is the preset itself."""
     used = []
-    for kind in ("angular_posterior", "calibrated_posterior", "spectrum_posterior", "fit_spectra"):
-        real = getattr(estimators, kind)
+    for module, kind in (
+        (estimators, "angular_posterior"), (estimators, "calibrated_posterior"),
+        (pipeline, "spectrum_posterior"), (pipeline, "fit_spectra"),
+    ):  # fmt: skip
+        real = getattr(module, kind)
 
         def watch(*given, real=real, **options):
             used.extend(x for x in (*given, *options.values()) if hasattr(x, "colors"))
             return real(*given, **options)
 
-        monkeypatch.setattr(estimators, kind, watch)
+        monkeypatch.setattr(module, kind, watch)
     found = svu.estimate(seen, method=method, preset=name)
     assert found.preset == preset(name, method=method)
     assert used and all(one == found.preset for one in used)

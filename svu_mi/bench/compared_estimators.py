@@ -7,7 +7,8 @@ from typing import Any
 
 from svu_mi.capture.capture import Capture
 from svu_mi.geometry.texels import Texels
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.presets import preset
 
 

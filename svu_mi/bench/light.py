@@ -29,7 +29,8 @@ from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.geometry.texels import texels
 from svu_mi.light.environment import read_environment
 from svu_mi.parameters import NAMES
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed, observe
 
 GLOSSY, SOME = 0.4, 0.05  # roughness below which a texel is glossy; part of texels that counts

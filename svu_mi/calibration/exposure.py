@@ -31,7 +31,7 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.texels import Texels
 from svu_mi.light.light_tree import even_radiance
-from svu_mi.pipeline import Estimate, observed_of
+from svu_mi.posterior.estimate import Estimate, observations_of
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
@@ -68,7 +68,7 @@ def estimate_gains(
     """
     options, progress = options or LightOptions(), progress or Progress()
     switches: AngularPreset = find_preset("default", method="angular")
-    observed = observed_of(source, texels, progress)
+    observed = observations_of(source, texels, progress)
     require_light(observed.capture)
     with progress.stage("Choosing texels"):
         samples = Samples.of(observed, switches, options.texels)

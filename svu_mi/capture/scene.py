@@ -222,7 +222,7 @@ def _ids(shapes: Sequence[Any]) -> str:
 
 def is_closed(mesh: MeshArrays) -> bool:
     """Return whether the surface has an inside; a bowl seen from above has none."""
-    _, vertex = np.unique(mesh.positions, axis=0, return_inverse=True)
+    _, vertex = np.unique(np.round(mesh.positions, 8), axis=0, return_inverse=True)
     corners = vertex.reshape(-1)[mesh.faces]
     edges = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]

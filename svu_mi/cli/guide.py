@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
     from svu_mi.guidance.candidates import Candidates
     from svu_mi.guidance.guidance_result import Guidance
-    from svu_mi.pipeline import Estimate
+    from svu_mi.posterior.estimate import Estimate
 
 SCENE = "scene"
 From = Annotated[str, tyro.conf.arg(metavar="NUMBER | FILE | scene")]

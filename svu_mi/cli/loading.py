@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
     from svu_mi.capture.crop import Detail
     from svu_mi.geometry.texels import Texels
-    from svu_mi.pipeline import Estimate
+    from svu_mi.posterior.estimate import Estimate
 
 EQUATIONS = 26  # memory of six matrices of 3 N x 3 N, in that of a look
 NeedOf = Callable[[Sizes], Need]

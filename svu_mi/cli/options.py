@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
     from svu_mi.core.progress import Progress
     from svu_mi.geometry.texels import Texels
-    from svu_mi.pipeline import Estimate
+    from svu_mi.posterior.estimate import Estimate
     from svu_mi.recovery.svbrdf_textures import Textures
 
 UNITS = {"K": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # bytes

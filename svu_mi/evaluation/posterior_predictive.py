@@ -19,8 +19,8 @@ from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import Surface, mirror_direction
 from svu_mi.light.light_visibility import is_open
-from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated_problem import spline
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.mix_columns import Parts, interpolated

@@ -24,7 +24,7 @@ from svu_mi.evaluation.squared_errors import PerTexel, Render, brute, linear, su
 from svu_mi.evaluation.visible_pairs import Pairs, visible_pairs
 from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Survey
-from svu_mi.pipeline import Estimate, observed_of, subject_of
+from svu_mi.posterior.estimate import Estimate, capture_and_texels, observations_of
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset, Errors
@@ -79,13 +79,13 @@ def reference_posterior(
     """
     grid = grid or PrincipledGrid()
     options = ReferenceOptions(spp, grid, sigma, max_depth, method, seed, noise, errors)
-    capture, layout = subject_of(source, texels)
+    capture, layout = capture_and_texels(source, texels)
     wanted = check_subset(subset, layout.count)
     progress = progress or Progress()
     path = cached.locate(cache, capture, layout, wanted, options) if cache is not None else None
     if path is not None and (known := cached.load(path, options)) is not None:
         return known
-    seen = observed_of(source, texels, progress)
+    seen = observations_of(source, texels, progress)
     chosen = _choose(wanted, seen.found, capture, seed)
     with progress.stage("Tracing the reference") as stage:
         traced = _trace(seen, chosen, options, stage.update)

@@ -21,9 +21,9 @@ from svu_mi.guidance.objectives import Colors, Entropy, prior_tables
 from svu_mi.guidance.predicted_responses import Respond, Responses, collect
 from svu_mi.guidance.spectral_forecast import SpectrumForecast
 from svu_mi.light.band_limited import band_limit
-from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior.angular import AngularKernel
 from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.estimate import Estimate, observations_of
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
@@ -43,7 +43,7 @@ def forecast_of(
     """Look at texels from sensors that have not taken a photograph."""
     options = options.resolved(estimate.preset)
     refuse_growing(estimate.method, options)
-    observed = observed_of(estimate, None)
+    observed = observations_of(estimate, None)
     # A texel draws the same, whichever others are looked at.
     starts = np.random.default_rng(options.seed).random(observed.texels.count)[texels]
 

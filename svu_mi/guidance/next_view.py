@@ -24,7 +24,8 @@ from svu_mi.guidance.guidance_result import Guidance, Proposal
 from svu_mi.guidance.make_forecast import refuse_growing
 from svu_mi.guidance.strategies import TABLE, Judge, Strategy
 from svu_mi.guidance.strategy_inputs import Prospect
-from svu_mi.pipeline import Estimate, observed_of
+from svu_mi.pipeline import materialized
+from svu_mi.posterior.estimate import Estimate, observations_of
 
 AROUND = 100  # candidates that are placed when none are given
 
@@ -64,8 +65,8 @@ def next_best_view(
     _require(estimate, count)
     options = _options(options, switches).resolved(estimate.preset)
     progress = progress or Progress()
-    strategy, observed = _strategy(options, estimate), observed_of(estimate, None)
-    estimate = estimate.in_one_piece(progress)
+    strategy, observed = _strategy(options, estimate), observations_of(estimate, None)
+    estimate = materialized(estimate, progress)
     candidates, texels = _candidates(candidates, observed.capture), observed.texels
     known = Prospect(estimate, observed, candidates, _sample(texels.count, options), options)
     with progress.stage("Viewing from the candidates"):

@@ -20,8 +20,8 @@ from svu_mi.guidance.make_forecast import forecast_of
 from svu_mi.guidance.objectives import Variance
 from svu_mi.guidance.predicted_responses import cosines
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.tables import marginals_of
 

@@ -21,7 +21,7 @@ from svu_mi.output.html import grouped
 from svu_mi.output.object_views import UP
 from svu_mi.output.panels import all_seen, draw_look, draw_map, map_colors
 from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE, Block
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

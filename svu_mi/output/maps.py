@@ -13,7 +13,7 @@ from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.parameters import CHANNELS
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField
 
 ENTROPY, COVERAGE, UNCERTAINTY = "entropy.exr", "coverage.exr", "uncertainty.exr"

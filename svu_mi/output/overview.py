@@ -23,7 +23,7 @@ from svu_mi.output.html import grouped
 from svu_mi.output.interval_summary import Knowledge, plain_percent
 from svu_mi.output.panels import draw_photograph, draw_scaled_map, map_colors
 from svu_mi.output.style import LEFT, RIGHT, RULE, Block
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -25,7 +25,7 @@ from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import object_views, style
 from svu_mi.output.estimate_arrays import is_seen, prior_marginal, words
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.posterior import Posterior
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from svu_mi.core.progress import Stage
 from svu_mi.errors import OutputError
 from svu_mi.output.estimate_arrays import is_seen
 from svu_mi.output.interval_summary import Knowledge
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 
 if TYPE_CHECKING:
     from svu_mi.guidance.guidance_result import Guidance

@@ -16,7 +16,7 @@ from svu_mi.output.interval_summary import TOLERANCE, WIDEST, Intervals
 from svu_mi.output.panels import GUTTER, albedo_colors, map_colors
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
 from svu_mi.parameters import PARAMETERS
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField
 

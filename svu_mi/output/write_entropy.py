@@ -11,7 +11,7 @@ from svu_mi.output.interval_summary import Knowledge
 from svu_mi.output.maps import write_maps
 from svu_mi.output.overview import write_overview
 from svu_mi.output.run_record import RECORD, Run, run_record, write_run
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 
 
 def write_outputs(

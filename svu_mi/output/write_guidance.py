@@ -31,7 +31,7 @@ from svu_mi.output.guidance_page import (
 from svu_mi.output.maps import GUTTER, header, padded
 from svu_mi.output.object_views import UP
 from svu_mi.output.run_record import RECORD, Run, guidance_record, write_manifest, write_run
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 
 PLAN, PAGE = "guidance.json", "guidance.png"
 POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"

@@ -9,9 +9,10 @@ import numpy as np
 
 from svu_mi.core.progress import Progress
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import estimate, materialized
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
 from svu_mi.posterior.empirical_bayes import shared
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
@@ -29,7 +30,7 @@ def estimate_for_textures(
     That is the given one if it is in colour and knows its noise. Another is made again, with its
     reflection model and what is known; rays are not.
     """
-    found = (given or estimate(observed, whole=True, progress=progress)).in_one_piece(progress)
+    found = materialized(given or estimate(observed, whole=True, progress=progress), progress)
     kernel = found.posterior.kernel
     sharing = sharing or (isinstance(kernel, CalibratedKernel) and kernel.learned)
     if not has_field(found):

@@ -15,7 +15,8 @@ import numpy as np
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.geometry.neighbors import Neighbors
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import preset

@@ -20,7 +20,7 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.neighbors import Neighbors
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
-from svu_mi.pipeline import Estimate, observed_of, subject_of
+from svu_mi.posterior.estimate import Estimate, capture_and_texels, observations_of
 from svu_mi.posterior.observations import Observed
 from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions, options_of
 from svu_mi.recovery.recovery_run import Run, require_resolution
@@ -128,8 +128,8 @@ def recover(
         raise OptionError("recover(): resume=True needs a checkpoint to resume from.")
     names = _checked(method, sharing, parameters)
     options, progress = options_of(method, preset, sh, path, tv), progress or Progress()
-    require_resolution(subject_of(source, texels)[1], start)
-    observed = observed_of(source, texels, progress)
+    require_resolution(capture_and_texels(source, texels)[1], start)
+    observed = observations_of(source, texels, progress)
     with progress.stage("Reading the light"):
         _ = observed.lighting  # refused before any work: a black light shows nothing
     given = source if isinstance(source, Estimate) else None

@@ -17,8 +17,8 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.neighbors import Neighbors, neighbors
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
-from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.adam import Descent, Objective, descend

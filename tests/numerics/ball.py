@@ -21,7 +21,7 @@ from svu_mi.capture.sensors import make_sensor
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import Observation, Surface, look, observe
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.scenes import meshes
 
 METAL = {"metallic": 1.0, "roughness": 0.3, "base_color": 0.8}

@@ -28,7 +28,7 @@ from svu_mi.geometry.sample_view import Surface
 from svu_mi.guidance.strategy_inputs import Prospect
 from svu_mi.light.band_limited import lat_long_texture, look_up
 from svu_mi.light.environment import directions, quadrature, synthesize
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.spectrum import spectrum_grid
 from svu_mi.posterior.tabulated import tabulated_posterior

@@ -9,6 +9,8 @@ import pytest
 from support.photographs import in_integers
 
 import svu_mi as svu
+from svu_mi import pipeline
+from svu_mi.pipeline import materialized
 from svu_mi.posterior import calibrated, estimators
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.recovery.uncertainty.texture_field import texture_field
@@ -24,7 +26,7 @@ def tiled(monkeypatch):
     """Estimate in small tiles, or do something else so."""
 
     def estimated(*args, do=svu.estimate, **options):
-        monkeypatch.setattr(estimators, "TILE", SMALL)
+        monkeypatch.setattr(pipeline, "TILE", SMALL)
         monkeypatch.setattr(TiledKernel, "size", SMALL)
         monkeypatch.setattr(calibrated, "SPAN", SMALL)
         found = do(*args, **options)
@@ -86,9 +88,9 @@ def test_draws_of_tiles_have_the_moments_of_their_texels(vase, tiled):
 @pytest.mark.slow
 def test_guidance_and_recovery_go_on_from_tiles(vase, tiled):
     apart = tiled(vase.capture, vase.texels)
-    whole = apart.in_one_piece()
+    whole = materialized(apart)
     np.testing.assert_array_equal(np.array(whole.entropy), np.array(vase.estimate.entropy))
-    assert vase.estimate.in_one_piece() is vase.estimate
+    assert materialized(vase.estimate) is vase.estimate
     found = svu.recover(apart, preset="default")
     known = svu.recover(replace(vase.estimate), preset="default")
     np.testing.assert_allclose(

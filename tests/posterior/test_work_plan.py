@@ -118,7 +118,7 @@ def test_every_switch_leaves_the_result(found, method, rule, name):
 
 def test_the_record_says_what_was_skipped(grey, caplog):
     capture, texels = grey
-    with caplog.at_level(logging.INFO, logger="svu_mi.posterior.estimators"):
+    with caplog.at_level(logging.INFO, logger="svu_mi.posterior.work_plan"):
         result = estimate(capture, texels, prior=PRIOR, known={"metallic": 0.0})
     assert result.skipped["texels never seen"] == (np.array(result.coverage) == 0).sum() > 100
     assert result.skipped["views that show no texel"] == 1

@@ -18,7 +18,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.geometry.texels import Texels, texels
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.tabulated import TabulatedKernel, tabulated_posterior

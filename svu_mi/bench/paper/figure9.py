@@ -38,7 +38,8 @@ from svu_mi.geometry.texels import Texels, texels
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.next_view import next_best_view
 from svu_mi.guidance.strategies import farthest
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.recover import recover
 
 if TYPE_CHECKING:

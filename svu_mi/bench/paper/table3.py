@@ -24,7 +24,8 @@ from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.markdown import Column, columns, digits
 from svu_mi.evaluation.correlation import pearson
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.tabulated import tabulated_posterior
 from svu_mi.presets import Fit, Method, preset
 

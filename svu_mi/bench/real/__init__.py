@@ -27,7 +27,8 @@ from svu_mi.capture.loading import load_capture
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.texels import Texels, texels
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed, observe
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset

@@ -49,7 +49,7 @@ from svu_mi.reflection.principled import F0
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
     from svu_mi.light.environment import Environment
-    from svu_mi.pipeline import Estimate
+    from svu_mi.posterior.estimate import Estimate
 
 LEAST = 3  # views of a point
 

@@ -41,7 +41,7 @@ from svu_mi.calibration.light.light_uncertainty import (
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.geometry.texels import Texels
-from svu_mi.pipeline import Estimate, observed_of
+from svu_mi.posterior.estimate import Estimate, observations_of
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
@@ -70,7 +70,7 @@ def estimate_light(
     """
     options, progress = options or LightOptions(), progress or Progress()
     switches: AngularPreset = find_preset("default", method="angular")
-    observed = observed_of(source, texels, progress)
+    observed = observations_of(source, texels, progress)
     with progress.stage("Choosing texels"):
         samples = Samples.of(observed, switches, options.texels)
     worlds = {}

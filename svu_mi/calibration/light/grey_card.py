@@ -16,7 +16,8 @@ from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.neighbors import squares_of
 from svu_mi.parameters import MIXED
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 
 SMALLEST, LARGEST = 0.01, 1.0  # base colours

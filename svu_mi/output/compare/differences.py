@@ -37,7 +37,8 @@ from svu_mi.output.maps import COVERAGE, ENTROPY, read_deviations, read_map
 from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import MESH, find_textures, read_texture
 from svu_mi.parameters import NAMES
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.presets import preset as find_preset
 from svu_mi.recovery.recover import Recovery
 

@@ -25,7 +25,7 @@ from svu_mi.output.report import report_pictures, report_plots, summary_text
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.rerender import WORST
 from svu_mi.output.run_record import environment_record
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import field_of
 

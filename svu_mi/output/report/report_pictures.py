@@ -31,7 +31,7 @@ from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.rerender import Comparison
 from svu_mi.output.surface_maps import SurfaceMap
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 

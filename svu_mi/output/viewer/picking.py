@@ -21,7 +21,7 @@ from svu_mi.output.interval_summary import Intervals
 from svu_mi.output.panels import draw_marginal
 from svu_mi.output.style import MARK, new_figure
 from svu_mi.output.surface_maps import Scale
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 
 WIDTH, DPI = 3.6, 160  # inches

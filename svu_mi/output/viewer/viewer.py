@@ -26,7 +26,7 @@ from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer.access_control import require_viser, serve, stop
 from svu_mi.output.viewer.picking import Pick, Picker, draw_pick, draw_scale, says
 from svu_mi.output.viewer.viser_mesh import GAIN, Frustum, frustum, material_colors, model
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import field_of
 

@@ -13,7 +13,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.core.validation import require, require_types
 from svu_mi.errors import OptionError
 from svu_mi.geometry.texels import Texels
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.regularizers.known_gradient import Regularizer
 from svu_mi.recovery.regularizers.sharing_seeds import find_seeds, least_minima

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from svu_mi.geometry.neighbors import Neighbors, connected
-from svu_mi.pipeline import Estimate
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.posterior import Posterior
 
 RINGS = 3  # no texel within so many steps is more certain than a seed

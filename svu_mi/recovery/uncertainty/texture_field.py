@@ -36,8 +36,8 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.neighbors import Neighbors, neighbors, squares_of
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import CHANNELS, MIXED, NAMES
-from svu_mi.pipeline import Estimate
 from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.initialisation import has_field
 from svu_mi.recovery.recover import Recovery

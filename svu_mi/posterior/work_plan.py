@@ -1,0 +1,99 @@
+"""Work that an estimate can leave out without a change of its results.
+
+Degrees beyond the band-limited light are not left out: samples on part of a sphere leak power into
+them (BENCHMARKS.md).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from svu_mi.capture.replace_material import constant_parameters
+from svu_mi.errors import OptionError
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.observations import Observed
+from svu_mi.posterior.row_entropy import IMPOSSIBLE
+from svu_mi.presets import AnyPreset, Skip
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Work to do.
+
+    Attributes:
+        copies: number of equal channels that each one stands for.
+        levels: (R,) bool, roughness nodes to compute.
+    """
+
+    channels: int
+    light_channels: int
+    copies: int
+    levels: np.ndarray
+    skipped: dict[str, int]
+
+
+def make_plan(
+    skip: Skip,
+    switches: AnyPreset,
+    observed: Observed,
+    grid: ParameterGrid | PrincipledGrid,
+    prior: tuple[np.ndarray, np.ndarray] | None,
+) -> Plan:
+    """Plan the work; ``prior`` are the tables of ``streaming.log_prior``."""
+    grey_light = skip.channels and switches.colors == 3 and observed.lighting.environment.grey
+    # Grey photographs of coloured light: no less work.
+    grey = grey_light and observed.views.grey
+    levels = np.ones(grid.shape[0], bool)
+    if skip.levels and prior is not None:
+        levels = np.any(prior[0].reshape(grid.shape[0], -1) < IMPOSSIBLE, axis=1)
+    texels, capture = observed.texels, observed.capture
+    width, height = texels.resolution
+    skipped = {
+        "texels outside the charts": width * height - texels.count - texels.overlapping,
+        "texels on overlapping charts": texels.overlapping,
+        "texels never seen": int((observed.shown == 0).sum()),
+        "views left out": capture.count - sum(capture.used),
+        "views that show no texel": int((observed.found.per_view == 0).sum()),
+        "channels of the light equal to another": 2 if grey_light else 0,
+        "channels of the photographs equal to another": 2 if grey else 0,
+        "roughness levels that the prior excludes": int((~levels).sum()),
+        "parameters known": len(grid.known),
+    }
+    for reason, count in skipped.items():
+        if count:
+            log.info("Skipped: %d %s.", count, reason)
+    return Plan(
+        channels=1 if grey else switches.colors,
+        light_channels=1 if grey_light else switches.colors,
+        copies=3 if grey else 1,
+        levels=levels,
+        skipped=skipped,
+    )
+
+
+def with_known(
+    grid: ParameterGrid | PrincipledGrid, known: Mapping[str, float] | str | None, shape: Any
+) -> Any:
+    """Return a grid without known parameters: values by name, or ``"scene"`` for its constants."""
+    constants = constant_parameters(shape)
+    constants = {name: value for name, value in constants.items() if name in grid.axes}
+    if isinstance(known, str):
+        if known != "scene":
+            raise OptionError(f"known must be values by parameter, or 'scene', got {known!r}.")
+        known = constants
+    elif known is not None and not isinstance(known, Mapping):
+        raise OptionError(f"known must be values by parameter, or 'scene', got {known!r}.")
+    elif constants and not known:
+        log.info(
+            "The scene's material does not vary %s; if that is not a placeholder, known='scene' "
+            "(--known scene) takes it as known.",
+            " and ".join(constants),
+        )
+    return replace(grid, known={**grid.known, **known}) if known else grid
