@@ -253,7 +253,7 @@ def _made(run: Run, method: Method, switches: Any) -> Estimate:
         result = Estimate(
             method=method, preset=switches, texels=seen.texels, posterior=posterior,
             coverage=owned(mi.UInt32, counted(seen, switches)),
-            seen_per_view=seen.found.per_view, skipped=run.plan.skipped,
+            seen_per_view=seen.visibility.per_view, skipped=run.plan.skipped,
             timings=run.progress.timings, observed=seen, prior=run.prior,
         )  # fmt: skip
         dr.eval(result.entropy)
