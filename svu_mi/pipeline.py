@@ -111,7 +111,7 @@ def estimate(
         result = Estimate(
             method=method, preset=switches, texels=texels, posterior=posterior,
             coverage=owned(mi.UInt32, view_counts(observed, switches)),
-            seen_per_view=observed.found.per_view, skipped=plan.skipped,
+            seen_per_view=observed.visibility.per_view, skipped=plan.skipped,
             timings=progress.timings, observed=observed, prior=prior,
         )  # fmt: skip
         dr.eval(result.entropy)
@@ -166,7 +166,7 @@ def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
         return spectrum_posterior(
             spectra.incoming, spectra.outgoing, inputs.grid, preset=switches,
             prefilter=observed.lighting.prefilter, prior=inputs.prior,
-            observed=observed.found.coverage > 0, irradiance=irradiance, copies=plan.copies,
+            observed=observed.visibility.coverage > 0, irradiance=irradiance, copies=plan.copies,
         )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.fit_samples import Samples
 from svu_mi.frequency.spectra import fit_spectra
-from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
@@ -40,11 +40,11 @@ def glossy(tmp_path_factory):
 
 def stored_samples(capture, texels, switches):
     """What the kernels see, as arrays: directions (T,V,3), weights (T,V), values (T,V,2C)."""
-    seen, surface = observe(capture, texels), Surface.of(texels)
-    columns, found = [], seen.found
+    seen, surface = observe(capture, texels), TexelLanes.of(texels)
+    columns, visibility = [], seen.visibility
     colors = switches.colors
     samples = Samples(seen, surface, switches.occluded, colors, colors)
-    for place in range(int(found.count[0])):
+    for place in range(int(visibility.count[0])):
         direction, weight, values = samples.at(mi.UInt32(place))
         dr.eval(direction, weight, values)
         columns.append((direction.numpy().T, weight.numpy(), np.stack([v.numpy() for v in values])))

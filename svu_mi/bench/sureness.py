@@ -128,7 +128,7 @@ def _hiding(capture: Capture, layout: Texels) -> Capture:
     seen = observe(capture, layout)
     lane = dr.arange(mi.UInt32, layout.count)
     shows = np.stack([
-        np.array(seen.found.bits.test(dr.opaque(mi.UInt32, view), lane))
+        np.array(seen.visibility.bits.test(dr.opaque(mi.UInt32, view), lane))
         for view in range(capture.count)
     ])  # fmt: skip
     order = nearest_to_front(capture)

@@ -12,9 +12,9 @@ import tyro
 from rich.console import Console
 
 from svu_mi.bench import ALL, BENCHMARKS
-from svu_mi.cli.common import Common
-from svu_mi.cli.options import Output, require_range
-from svu_mi.cli.terminal import say
+from svu_mi.cli.base_command import BaseCommand
+from svu_mi.cli.shared_options import Output, require_range
+from svu_mi.cli.streams import print_line
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
 
@@ -36,7 +36,7 @@ Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench(Common):
+class Bench(BaseCommand):
     """Measure accuracy, calibration and speed.
 
     Writes bench.json, bench.md and plots. The same command continues an interrupted run.
@@ -91,8 +91,8 @@ class Bench(Common):
         record = run_bench(bench, chosen, self._asked(on_cells), command)
         for name, study in studies.items():
             for line in (*study.lines(record[name]), *self._missed(record[name])):
-                say(console, line)
-        say(console, f"Wrote {self.output}")
+                print_line(console, line)
+        print_line(console, f"Wrote {self.output}")
         return 0
 
     def _asked(self, on_cells: bool) -> Asked:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from svu_mi.cli.common import Common
+from svu_mi.cli.base_command import BaseCommand
 from svu_mi.cli.import_ import import_again
 from svu_mi.cli.loading import NeedOf, read_capture, with_search
-from svu_mi.cli.options import Output, Overwrite, PhotographOptions, SceneOptions, given
-from svu_mi.cli.terminal import cell, say
+from svu_mi.cli.shared_options import Output, Overwrite, PhotographOptions, SceneOptions, given
+from svu_mi.cli.streams import format_number, print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -29,7 +29,7 @@ SERIOUS = ("wrong", "unclear")  # verdicts in capital letters
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckCapture(Common):
+class CheckCapture(BaseCommand):
     """Compare photographs with mesh, poses and light, and name the fix if axes are wrong.
 
     Tries every known mistake: axes of cameras and mesh, inverse poses, how the environment map
@@ -51,7 +51,7 @@ class CheckCapture(Common):
             self.start()
             capture, found = self._run(Progress(console), place)
         _print(console, found, capture)
-        say(console, f"Wrote {self.output / 'check.html'}")
+        print_line(console, f"Wrote {self.output / 'check.html'}")
         return WRONG if self.strict and not found.fits else 0
 
     def _run(self, progress: Progress, place: Claim) -> tuple[Capture, Check]:
@@ -81,10 +81,10 @@ def _print(console: Console, found: Check, capture: Capture) -> None:
     console.print(_views(found), markup=False)
     for one in found.findings:
         verdict = one.verdict.upper() if one.verdict in SERIOUS else one.verdict
-        say(console, f"{one.question} ({verdict}): {one.sentence}")
+        print_line(console, f"{one.question} ({verdict}): {one.sentence}")
     for line in (check_page.verdict(found), _remedy(found, capture)):
         if line:
-            say(console, line)
+            print_line(console, line)
 
 
 def _remedy(found: Check, capture: Capture) -> str:
@@ -107,4 +107,4 @@ def _views(found: Check) -> Any:
 
 
 def _cells(one: Any) -> list[str]:
-    return [cell(value) for value in (one.overlap, one.contrast, one.color_error)]
+    return [format_number(value) for value in (one.overlap, one.contrast, one.color_error)]

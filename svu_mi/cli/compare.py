@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from svu_mi.cli.common import ResultCommand
+from svu_mi.cli.base_command import ResultCommand
 from svu_mi.cli.loading import read_capture, with_search
-from svu_mi.cli.options import (
+from svu_mi.cli.shared_options import (
     Memory,
     Output,
     PhotographOptions,

@@ -10,15 +10,15 @@ from typing import Literal
 
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Interrupted
+from svu_mi.cli.base_command import BaseCommand, Interrupted
 from svu_mi.cli.entropy import Entropy
-from svu_mi.cli.options import CaptureOptions, Output, Overwrite, Resolution, SceneOptions
 from svu_mi.cli.render import Render
+from svu_mi.cli.shared_options import CaptureOptions, Output, Overwrite, Resolution, SceneOptions
 from svu_mi.core.io.output_folder import claimed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo(Common):
+class Demo(BaseCommand):
     """Render the vase that comes with svu_mi and compute its entropy."""
 
     output: Output = Path("out/demo")
@@ -36,7 +36,7 @@ class Demo(Common):
             pass  # refused before any work
         with tempfile.TemporaryDirectory(prefix="svu-demo-") as folder:
             made = Path(folder) / "capture"
-            common = {f.name: getattr(self, f.name) for f in dataclasses.fields(Common)}
+            common = {f.name: getattr(self, f.name) for f in dataclasses.fields(BaseCommand)}
             vase = SceneOptions(scene=scenes.path("vase"), define=(f"light={self.light}",))
             try:
                 Render(source=vase, output=made, spp=self.spp, **common).run(console)

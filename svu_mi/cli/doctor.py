@@ -22,7 +22,7 @@ from pathlib import Path
 from rich.console import Console
 
 from svu_mi import _llvm
-from svu_mi.cli.common import VARIANTS, Common
+from svu_mi.cli.base_command import VARIANTS, BaseCommand
 
 PACKAGES = ("svu_mi", "mitsuba", "drjit", "OpenEXR", "trimesh", "xatlas", "numpy", "scipy")
 TIMEOUT_S = 300  # a first render compiles kernels
@@ -32,8 +32,8 @@ Facts = dict[str, str]
 
 
 @dataclass(frozen=True)
-class Check:
-    """One question, its answer, and the remedy if the answer is bad."""
+class HealthCheck:
+    """Result of one check, and the remedy if it failed."""
 
     name: str
     ok: bool
@@ -42,7 +42,7 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Doctor(Common):
+class Doctor(BaseCommand):
     """Say what is installed, what can run here, and what to do about the rest."""
 
     draws = False
@@ -55,13 +55,13 @@ class Doctor(Common):
         return 0 if all(check.ok for check in checks) else 2
 
 
-def diagnose() -> tuple[Facts, list[Check]]:
+def diagnose() -> tuple[Facts, list[HealthCheck]]:
     """Return facts by name, and test results; takes a few seconds, and never raises."""
     versions = {name: _version(name) for name in PACKAGES}
     loading = _child("mitsuba", "collect_facts", remedy=REINSTALL.format("mitsuba drjit"))
     found, llvm = {}, _llvm.status()
     if loading.ok:
-        found, loading = json.loads(loading.detail), Check("mitsuba", True, "loads")
+        found, loading = json.loads(loading.detail), HealthCheck("mitsuba", True, "loads")
         one = found["llvm"]  # as Dr.Jit has loaded it; its source is known only here
         llvm = _llvm.LlvmStatus(one["path"], tuple(one["version"]), llvm.source, one["problem"])
     variants = found.get("variants", [])
@@ -96,21 +96,21 @@ def _runs(variant: str, backends: list[str], llvm: _llvm.LlvmStatus) -> bool:
     return variant.startswith("scalar") or variant.split("_")[0].upper() in backends
 
 
-def check_packages(versions: dict[str, str]) -> Check:
+def check_packages(versions: dict[str, str]) -> HealthCheck:
     """Check that no package is missing."""
     missing = ", ".join(name for name, version in versions.items() if version == "missing")
     detail = f"missing: {missing}" if missing else "all installed"
-    return Check("packages", not missing, detail, "pip install svu_mi")
+    return HealthCheck("packages", not missing, detail, "pip install svu_mi")
 
 
-def check_renders(usable: list[str], llvm: _llvm.LlvmStatus) -> list[Check]:
+def check_renders(usable: list[str], llvm: _llvm.LlvmStatus) -> list[HealthCheck]:
     """Render with each supported variant that should run; there must be one."""
     why = llvm.problem or f"this Mitsuba has none of {', '.join(VARIANTS)}"
     checks = [check_render(name) for name in VARIANTS if name in usable]
-    return checks or [Check("render", False, "no variant can run", why)]
+    return checks or [HealthCheck("render", False, "no variant can run", why)]
 
 
-def check_render(variant: str) -> Check:
+def check_render(variant: str) -> HealthCheck:
     """Render a test picture in a child process with one variant."""
     remedy = "update the GPU driver, or use another variant: svu -m llvm_ad_rgb ..."
     if variant.startswith("llvm"):
@@ -118,7 +118,7 @@ def check_render(variant: str) -> Check:
     return _child(f"render with {variant}", "render_test", variant, remedy=remedy)
 
 
-def check_exr() -> Check:
+def check_exr() -> HealthCheck:
     """Write an EXR file, which reads it back and compares it."""
     try:
         import numpy as np
@@ -128,13 +128,13 @@ def check_exr() -> Check:
         with tempfile.TemporaryDirectory() as folder:
             write_exr(Path(folder) / "doctor.exr", {"Y": np.eye(3, 4, dtype=np.float32)})
     except Exception as error:  # whatever goes wrong is the finding
-        return Check(
+        return HealthCheck(
             "OpenEXR", False, f"{type(error).__name__}: {error}", REINSTALL.format("OpenEXR")
         )
-    return Check("OpenEXR", True, "a file written and read back is the same")
+    return HealthCheck("OpenEXR", True, "a file written and read back is the same")
 
 
-def _child(name: str, function: str, *arguments: str, remedy: str) -> Check:
+def _child(name: str, function: str, *arguments: str, remedy: str) -> HealthCheck:
     """Run a function of this file in a fresh interpreter; its last line is the detail."""
     command = [sys.executable, "-P", "-c", CHILD.format(function), *arguments]
     try:
@@ -142,15 +142,15 @@ def _child(name: str, function: str, *arguments: str, remedy: str) -> Check:
             command, capture_output=True, text=True, errors="replace", timeout=TIMEOUT_S
         )
     except subprocess.TimeoutExpired:
-        return Check(name, False, f"no answer within {TIMEOUT_S} s", remedy)
+        return HealthCheck(name, False, f"no answer within {TIMEOUT_S} s", remedy)
     if done.returncode == 0 and done.stdout.strip():
-        return Check(name, True, done.stdout.splitlines()[-1])
+        return HealthCheck(name, True, done.stdout.splitlines()[-1])
     words = done.stderr.strip().rpartition("\n")[2].strip() or "no message"
     if done.returncode < 0:
         number = -done.returncode
         ended = {each.value: each.name for each in signal.Signals}.get(number, f"signal {number}")
         words = f"the process was ended by {ended}: {words}"
-    return Check(name, False, words, remedy)
+    return HealthCheck(name, False, words, remedy)
 
 
 # --- in the child processes ---------------------------------------------------------------
@@ -218,7 +218,7 @@ def render_test(variant: str) -> None:
 # --- printing -----------------------------------------------------------------------------
 
 
-def show(facts: Facts, checks: list[Check], console: Console) -> None:
+def show(facts: Facts, checks: list[HealthCheck], console: Console) -> None:
     """Print facts, then checks, then remedies."""
     from rich.markup import escape
     from rich.table import Table

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from svu_mi.cli import options as opt
-from svu_mi.cli.common import ResultCommand
+from svu_mi.cli import shared_options as opt
+from svu_mi.cli.base_command import ResultCommand
 from svu_mi.cli.loading import EstimateCommand
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.progress import Progress

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from svu_mi.cli.common import ResultCommand
+from svu_mi.cli.base_command import ResultCommand
 from svu_mi.cli.loading import announce
-from svu_mi.cli.options import Output
+from svu_mi.cli.shared_options import Output
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress

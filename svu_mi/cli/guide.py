@@ -13,9 +13,9 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from svu_mi.cli import options as opt
+from svu_mi.cli import shared_options as opt
 from svu_mi.cli.loading import EstimateCommand
-from svu_mi.cli.terminal import cell, say
+from svu_mi.cli.streams import format_number, print_line
 from svu_mi.core.io.output_folder import claimed
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -88,8 +88,8 @@ class Guide(EstimateCommand):
                     pictures=self.pictures,
                 )  # fmt: skip
         _print(console, estimate, guidance)
-        say(console, f"Wrote {self.output}")
-        say(console, Knowledge.of(estimate).summary())
+        print_line(console, f"Wrote {self.output}")
+        print_line(console, Knowledge.of(estimate).summary())
         return 0
 
     def _guide(self, progress: Progress) -> tuple[Capture, Estimate, Guidance]:
@@ -243,9 +243,9 @@ def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
         table.add_column(head, justify="left" if head == "name" else "right")
     for rank, proposal in enumerate(guidance.proposals, 1):
         table.add_row(
-            str(rank), str(proposal.candidate), cell(proposal.gain, 4), cell(proposal.error, 4),
-            cell(proposal.entropy, 3), f"{proposal.sees:.0%}", f"{proposal.new:.0%}",
-            proposal.name,
+            str(rank), str(proposal.candidate),
+            *map(format_number, (proposal.gain, proposal.error, proposal.entropy), (4, 4, 3)),
+            f"{proposal.sees:.0%}", f"{proposal.new:.0%}", proposal.name,
         )  # fmt: skip
     seen = np.array(estimate.coverage) > 0
     words = (

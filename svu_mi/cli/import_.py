@@ -16,11 +16,11 @@ from rich.console import Console
 
 from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES, ImportOptions, Light
 from svu_mi.capture.importers.registry import ReadOptions, read_source
-from svu_mi.cli.common import Common
+from svu_mi.cli.base_command import BaseCommand
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.loading import announce
-from svu_mi.cli.options import Output, Overwrite
-from svu_mi.cli.terminal import say
+from svu_mi.cli.shared_options import Output, Overwrite
+from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -65,7 +65,7 @@ class Conversion(ImportOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Import(Common):
+class Import(BaseCommand):
     """Turn the capture of another tool into a capture folder.
 
     Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, poses_bounds.npy (LLFF),
@@ -102,10 +102,10 @@ class Import(Common):
             self.start()
             notes = self._import(Progress(console), place)
         for note in notes:
-            say(console, note)
-        say(console, f"Wrote {self.output}; look at it with: svu check {self.output}")
+            print_line(console, note)
+        print_line(console, f"Wrote {self.output}; look at it with: svu check {self.output}")
         if NO_LIGHT in notes:
-            say(console, f"Then find its light with: svu light {self.output}")
+            print_line(console, f"Then find its light with: svu light {self.output}")
         return 0
 
     def _import(self, progress: Progress, place: Claim) -> list[str]:

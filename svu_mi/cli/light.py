@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from svu_mi.calibration.light.light_options import LightOptions
-from svu_mi.cli import options as opt
-from svu_mi.cli.common import ResultCommand, interruptible
+from svu_mi.cli import shared_options as opt
+from svu_mi.cli.base_command import ResultCommand, interruptible
 from svu_mi.cli.loading import CaptureCommand, to_find_light
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.progress import Progress

@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from svu_mi.cli import options as opt
-from svu_mi.cli.common import Common
+from svu_mi.cli import shared_options as opt
+from svu_mi.cli.base_command import BaseCommand
 from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
@@ -26,7 +26,7 @@ NeedOf = Callable[[Sizes], Need]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CaptureCommand(Common):
+class CaptureCommand(BaseCommand):
     """Options of every command that loads a capture."""
 
     capture: opt.CaptureOptions

@@ -14,10 +14,10 @@ from typing import Annotated, Any, Union
 import tyro
 
 from svu_mi import __version__
+from svu_mi.cli.base_command import was_interrupted
 from svu_mi.cli.batch.batch import Batch
 from svu_mi.cli.bench import Bench
 from svu_mi.cli.check import CheckCapture
-from svu_mi.cli.common import was_interrupted
 from svu_mi.cli.compare import Compare
 from svu_mi.cli.demo import Demo
 from svu_mi.cli.doctor import Doctor
@@ -28,14 +28,14 @@ from svu_mi.cli.help import REGISTRY, flowing
 from svu_mi.cli.import_ import Import
 from svu_mi.cli.inpaint import Inpaint
 from svu_mi.cli.light import FindLight
-from svu_mi.cli.options import with_known_repeated
-from svu_mi.cli.pictures import import_matplotlib
+from svu_mi.cli.matplotlib_setup import import_matplotlib
 from svu_mi.cli.recover import Recover
 from svu_mi.cli.relight import Relight
 from svu_mi.cli.render import Render
 from svu_mi.cli.report import Report
 from svu_mi.cli.scenes import Scenes
-from svu_mi.cli.terminal import LogLines, OneLine, forgiving_streams
+from svu_mi.cli.shared_options import with_known_repeated
+from svu_mi.cli.streams import LogLines, OneLine, forgiving_streams
 from svu_mi.cli.view import View
 from svu_mi.core.memory import require_start
 from svu_mi.errors import OptionError, SvuError, excerpt, printable

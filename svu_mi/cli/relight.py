@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from svu_mi.cli import options as opt
-from svu_mi.cli.common import ResultCommand
+from svu_mi.cli import shared_options as opt
+from svu_mi.cli.base_command import ResultCommand
 from svu_mi.cli.loading import CaptureCommand
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import Need

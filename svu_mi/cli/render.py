@@ -8,10 +8,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from svu_mi.cli.common import Common, interruptible
+from svu_mi.cli.base_command import BaseCommand, interruptible
 from svu_mi.cli.loading import announce_sizes
-from svu_mi.cli.options import Output, Overwrite, SceneOptions, Size, pair
-from svu_mi.cli.terminal import say
+from svu_mi.cli.shared_options import Output, Overwrite, SceneOptions, Size, pair
+from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -19,7 +19,7 @@ from svu_mi.core.validation import require_spp, require_views
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(Common):
+class Render(BaseCommand):
     """Render every sensor of a scene into a capture folder.
 
     Unlike the mitsuba program, it knows the plugins of svu_mi.
@@ -50,7 +50,7 @@ class Render(Common):
             self.start()
             with interruptible(lambda: _advice(len(list(place.draft.glob(VIEWS))))):
                 count = self._render(Progress(console), size, defines, place)
-        say(console, f"Wrote {count} photographs to {self.output}")
+        print_line(console, f"Wrote {count} photographs to {self.output}")
         return 0
 
     def _render(

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from svu_mi.cli import options as opt
+from svu_mi.cli import shared_options as opt
 from svu_mi.cli.loading import EstimateCommand
-from svu_mi.cli.terminal import say
+from svu_mi.cli.streams import print_line
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
@@ -57,8 +57,8 @@ class Report(EstimateCommand):
             self.start()
             size, textures = opt.recovered_textures(self.recovered, self.resolution, SIDE)
             knowledge = self._write(Progress(console), size, textures)
-        say(console, f"Wrote {self.output}")
-        say(console, knowledge.summary())
+        print_line(console, f"Wrote {self.output}")
+        print_line(console, knowledge.summary())
         return 0
 
     @property

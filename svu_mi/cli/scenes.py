@@ -11,9 +11,9 @@ import tyro
 from rich.console import Console
 
 from svu_mi import scenes
-from svu_mi.cli.common import Verbose
-from svu_mi.cli.options import Output
-from svu_mi.cli.terminal import say
+from svu_mi.cli.base_command import Verbose
+from svu_mi.cli.shared_options import Output
+from svu_mi.cli.streams import print_line
 
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")]
 # What else the next command must say.
@@ -38,11 +38,11 @@ class Scenes:
         """List or copy."""
         if not self.name:
             for name, sentence in scenes.ABOUT.items():
-                say(console, f"{name:8} {sentence}")
-            say(console, "Copy one with: svu scenes NAME")
+                print_line(console, f"{name:8} {sentence}")
+            print_line(console, "Copy one with: svu scenes NAME")
             return 0
         copy = scenes.copy(self.name, self.output)
-        say(console, f"Wrote {copy}")
+        print_line(console, f"Wrote {copy}")
         more = NEEDS.get(self.name, "-D light=window")
-        say(console, f"Next: svu render {shlex.quote(str(copy))} {more} -o capture")
+        print_line(console, f"Next: svu render {shlex.quote(str(copy))} {more} -o capture")
         return 0

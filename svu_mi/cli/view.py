@@ -7,9 +7,9 @@ from typing import Literal
 
 from rich.console import Console
 
-from svu_mi.cli import options as opt
+from svu_mi.cli import shared_options as opt
 from svu_mi.cli.loading import EstimateCommand
-from svu_mi.cli.terminal import say
+from svu_mi.cli.streams import print_line
 from svu_mi.core.progress import Progress
 
 SIDE = 512  # texels
@@ -45,6 +45,6 @@ class View(EstimateCommand):
         capture, result = self.estimated(progress, size, "view", self.recovered)
         with progress.stage("Opening the viewer"):
             viewer = Viewer(capture, result, textures, port=self.port, up=self.up)
-        say(console, f"Open {viewer.url} in a browser; press Ctrl-C to stop.")
+        print_line(console, f"Open {viewer.url} in a browser; press Ctrl-C to stop.")
         viewer.run()
         return 0

@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
-from svu_mi.geometry.sample_view import Surface, mirror_direction
+from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
 from svu_mi.light.light_visibility import is_open
 from svu_mi.posterior.calibrated_problem import spline
 from svu_mi.posterior.estimate import Estimate
@@ -113,7 +113,7 @@ def diffuse_seen_from(
 
 def columns_seen_from(scene: Any, model: Model, eye: np.ndarray) -> list[list[Parts]]:
     """Return what ``Model.columns`` does, evaluated, for a camera at a point (3,)."""
-    surface: Surface = model.surface
+    surface: TexelLanes = model.surface
     point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in eye))
     direction = mi.Vector3f(dr.normalize(point - surface.position))
     cosine = dr.maximum(dr.dot(surface.normal, direction), GRAZING)

@@ -23,7 +23,7 @@ from svu_mi.evaluation.reference_options import Method, Noise, ReferenceOptions,
 from svu_mi.evaluation.squared_errors import PerTexel, Render, brute, linear, sums
 from svu_mi.evaluation.visible_pairs import Pairs, visible_pairs
 from svu_mi.geometry.texels import Texels
-from svu_mi.geometry.visibility import Survey
+from svu_mi.geometry.visibility import Visibility
 from svu_mi.posterior.estimate import Estimate, capture_and_texels, observations_of
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.observations import Observed
@@ -86,7 +86,7 @@ def reference_posterior(
     if path is not None and (known := cached.load(path, options)) is not None:
         return known
     seen = observations_of(source, texels, progress)
-    chosen = _choose(wanted, seen.found, capture, seed)
+    chosen = _choose(wanted, seen.visibility, capture, seed)
     with progress.stage("Tracing the reference") as stage:
         traced = _trace(seen, chosen, options, stage.update)
     if path is not None:
@@ -124,7 +124,7 @@ def _trace(
         coverage.append(mean.pairs)
         rays += pairs.count * options.renders * options.spp
         dropped += pairs.dropped
-    found, scale = np.concatenate(tables, axis=-1 if estimated else 1), observed.found.scale
+    found, scale = np.concatenate(tables, axis=-1 if estimated else 1), observed.visibility.scale
     dr.sync_thread()
     return Traced(
         subset=chosen, tables=found if estimated else found / (2 * (options.sigma * scale) ** 2),
@@ -139,7 +139,7 @@ def _weights(pairs: Pairs, observed: Observed, noise: Noise) -> np.ndarray | Non
     if noise == "relative":
         return None
     if noise == "heteroscedastic":
-        return noise_weight(pairs.observed, observed.found.scale)
+        return noise_weight(pairs.observed, observed.visibility.scale)
     default = AngularPreset()
     return noise_weight(pairs.observed, default.knee * observed.unit, pairs.contrast, default.edges)
 
@@ -165,7 +165,7 @@ def _renderer(
     return render
 
 
-def _choose(wanted: int | np.ndarray, seen: Survey, capture: Capture, seed: int) -> np.ndarray:
+def _choose(wanted: int | np.ndarray, seen: Visibility, capture: Capture, seed: int) -> np.ndarray:
     """Return (n,) int64 indices; random ones are seen, and sorted, so neighbours stay together."""
     visible = np.flatnonzero(seen.coverage.numpy())
     if len(visible) == 0:

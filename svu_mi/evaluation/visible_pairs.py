@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.evaluation.path_trace import UniformScene
 from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views
-from svu_mi.geometry.sample_view import RAY_OFFSET, Surface, look
+from svu_mi.geometry.sample_view import RAY_OFFSET, TexelLanes, sample_visible
 from svu_mi.posterior.observations import Observed
 
 TOLERANCE = 4e-5  # of the object's extent: how far from a texel's tangent plane a ray may land
@@ -52,9 +52,9 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
     lane = dr.arange(mi.UInt32, dr.width(batch) * views.number)
     place = lane // views.count
     view = lane - place * views.count
-    surface = Surface.of(texels, dr.gather(mi.UInt32, batch, place))
-    known = observed.found.bits.test(view, surface.index)
-    sample = look(views, surface, view, known)
+    surface = TexelLanes.of(texels, dr.gather(mi.UInt32, batch, place))
+    known = observed.visibility.bits.test(view, surface.index)
+    sample = sample_visible(views, surface, view, known)
     rays, hit = _aim(views, surface, view, target, known)
     found = place, sample.radiance, sample.contrast, rays
     dr.eval(found, known, hit)
@@ -74,7 +74,7 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
 
 
 def _aim(
-    views: Views, surface: Surface, view: Any, target: UniformScene, active: Any
+    views: Views, surface: TexelLanes, view: Any, target: UniformScene, active: Any
 ) -> tuple[Any, Any]:
     """Return rays from the cameras to the texels, and whether they are active and land there.
 

@@ -17,9 +17,9 @@ from svu_mi.frequency.fit_sh import SolverGroup, fit_lanes, solver_groups
 from svu_mi.frequency.harmonics import System
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import Surface, mirror_direction
+from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
 from svu_mi.geometry.texels import Texels
-from svu_mi.geometry.visibility import Survey
+from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.light_visibility import mirror_free
 from svu_mi.presets import Fit, Preset
@@ -44,8 +44,8 @@ class Photographed(Protocol):
         """The T texels."""
 
     @property
-    def found(self) -> Survey:
-        """Who sees whom."""
+    def visibility(self) -> Visibility:
+        """Which views see which texels."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Samples:
     """
 
     observed: Photographed
-    surface: Surface
+    surface: TexelLanes
     occluded: bool
     channels: int
     light_channels: int
@@ -69,9 +69,10 @@ class Samples:
 
     def at(self, slot: Any) -> tuple[Any, Any, list[Any]]:
         """Return view direction, w = |cos theta|, and both right-hand sides of one row."""
-        views, found, lighting = self.observed.views, self.observed.found, self.observed.lighting
-        seen = found.look(views, self.surface, slot)
-        lit = found.asked(seen.seen)
+        views, lighting = self.observed.views, self.observed.lighting
+        visibility = self.observed.visibility
+        seen = visibility.sample(views, self.surface, slot)
+        lit = visibility.needs_work(seen.seen)
         if self.occluded:
             lit = mirror_free(views.scene, self.surface, seen, lit)
         incoming = dr.if_stmt(
@@ -100,10 +101,10 @@ class Job:
     occluded: bool = False
 
     @cached_property
-    def launches(self) -> list[tuple[SolverGroup, Surface]]:
+    def launches(self) -> list[tuple[SolverGroup, TexelLanes]]:
         """The texels of each solver."""
         groups = solver_groups(self.counts, self.switches.degree)
-        return [(group, Surface.of(self.observed.texels, group.selection)) for group in groups]
+        return [(group, TexelLanes.of(self.observed.texels, group.selection)) for group in groups]
 
     def solutions(
         self, masking: Masking | None = None, factors: int = 1
@@ -122,7 +123,7 @@ class Job:
             )
             yield (
                 group.selection,
-                fit_lanes(samples.at, self.observed.found.count, system, group.capacity),
+                fit_lanes(samples.at, self.observed.visibility.count, system, group.capacity),
             )
 
 
@@ -164,5 +165,5 @@ class MirroredLight:
     def _job(self) -> Job:
         """Of all steps of a recovery: who is solved by which kernel does not change."""
         counts = np.zeros(self.observed.texels.count, np.uint32)
-        counts[self.chosen] = self.observed.found.coverage.numpy()[self.chosen]
+        counts[self.chosen] = self.observed.visibility.coverage.numpy()[self.chosen]
         return Job(self.observed, self.fit, counts, 0, self.channels)

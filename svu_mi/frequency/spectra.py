@@ -34,7 +34,7 @@ def fit_spectra(
     """Gather, fit and take power spectra in one kernel per solver; samples are never stored."""
     colors = channels or switches.colors
     light = light_channels or colors
-    counts = np.maximum(observed.found.coverage.numpy(), 0 if skip_unseen else 1)
+    counts = np.maximum(observed.visibility.coverage.numpy(), 0 if skip_unseen else 1)
     shape = (observed.texels.count, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
@@ -82,9 +82,8 @@ def fit_coefficients(
     count = observed.texels.count
     values = dr.zeros(mi.Float, (switches.degree + 1) ** 2 * (3 + light_channels) * count)
     dr.eval(values)
-    job = Job(
-        observed, switches, observed.found.coverage.numpy(), 3, light_channels, switches.occluded
-    )
+    coverage = observed.visibility.coverage.numpy()
+    job = Job(observed, switches, coverage, 3, light_channels, switches.occluded)
     for texel, coefficients in job.solutions():
         flat = [value for row in coefficients for value in row]
         values = scatter_strided(values, flat, texel, dr.opaque(mi.UInt32, count))

@@ -1,7 +1,7 @@
 """Samples of one view at one texel, within a symbolic loop over views.
 
-``observe`` tests visibility; ``look`` reads the pixels of a visible texel. Consumers (SH fit,
-statistics) trace them once: samples stay in registers, without a (texel x view) array.
+``sample_view`` tests visibility; ``sample_visible`` reads the pixels of a visible texel. Consumers
+(SH fit, statistics) trace them once: samples stay in registers, without a (texel x view) array.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MIN_COSINE = 1e-3  # more grazing than this, neither pixel nor ray means the tex
 
 
 @dataclass(frozen=True)
-class Surface:
+class TexelLanes:
     """Texels of a kernel launch, in lanes.
 
     Attributes:
@@ -46,13 +46,13 @@ class Surface:
     sides: tuple[Any, Any] | None = None
 
     @staticmethod
-    def of(texels: Texels, selection: Any | None = None) -> Surface:
+    def of(texels: Texels, selection: Any | None = None) -> TexelLanes:
         """Take all texels, or those of a UInt32 array of their indices."""
 
         def take(values: Any) -> Any:
             return values if selection is None else dr.gather(type(values), values, selection)
 
-        return Surface(
+        return TexelLanes(
             position=take(texels.position),
             normal=take(texels.normal),
             geometric_normal=take(texels.geometric_normal),
@@ -62,13 +62,13 @@ class Surface:
             sides=(take(texels.sides[0]), take(texels.sides[1])),
         )
 
-    def at(self, lane: Any) -> Surface:
+    def at(self, lane: Any) -> TexelLanes:
         """Take the texels of lanes (UInt32), any number of times."""
 
         def take(values: Any) -> Any:
             return dr.gather(type(values), values, lane)
 
-        return Surface(
+        return TexelLanes(
             take(self.position),
             take(self.normal),
             take(self.geometric_normal),
@@ -94,7 +94,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Observation:
+class ViewSample:
     """One sample per lane.
 
     Attributes:
@@ -114,7 +114,7 @@ class Observation:
     clipped: Any | None = None
 
 
-def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -> Observation:
+def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = False) -> ViewSample:
     """Observe every texel of a launch in one view; rays are traced after the cheaper tests.
 
     A texel is seen if it faces the camera (both normals), its pixels are usable, and no geometry
@@ -148,7 +148,7 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
                 shown = shown & usable
         # Neighbouring texels look at one camera: packets stay together, which is 10 % faster.
         ray = mi.Ray3f(start, *way, 0.0, [])
-        free = ~views.scene.ray_test(ray, coherent=True, active=asked(shown, dense))
+        free = ~views.scene.ray_test(ray, coherent=True, active=needs_work(shown, dense))
         seen = seen & free
         if views.outline is not None:
             seen = views.outline.encloses(views.scene, view, pixels[0], seen)
@@ -159,14 +159,14 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
     start = surface.position + surface.offset * surface.geometric_normal
     radiance, seen, *clipped = dr.if_stmt(
         args=(start, (direction, distance * (1 - RAY_END)), taps.pixels, taps.weights, seen),
-        cond=asked(seen, dense),
+        cond=needs_work(seen, dense),
         true_fn=reach,
         false_fn=lambda *args: (
             black(), args[-1], *([] if views.clipped is None else [mi.Bool(False)])
         ),
     )  # fmt: skip
     cosine = dr.select(seen, cosine, 0)
-    return Observation(direction, cosine, radiance, seen, mi.Float(0), *clipped)
+    return ViewSample(direction, cosine, radiance, seen, mi.Float(0), *clipped)
 
 
 def mirror_direction(normal: Any, direction: Any) -> Any:
@@ -174,15 +174,15 @@ def mirror_direction(normal: Any, direction: Any) -> Any:
     return mi.reflect(mi.Vector3f(direction), mi.Normal3f(normal))
 
 
-def asked(seen: Any, dense: bool) -> Any:
+def needs_work(seen: Any, dense: bool) -> Any:
     """Return the condition under which there is work to do: always, if dense."""
     return mi.Bool(True) if dense else seen
 
 
-def look(
-    views: Views, surface: Surface, view: Any, seen: Any, *, dense: bool = False,
+def sample_visible(
+    views: Views, surface: TexelLanes, view: Any, seen: Any, *, dense: bool = False,
     clipped: bool = False,
-) -> Observation:  # fmt: skip
+) -> ViewSample:  # fmt: skip
     """Observe visible texels, without rays; ``clipped``: saturated pixels as lower bounds."""
 
     def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
@@ -195,16 +195,16 @@ def look(
     none = [black()] if clipped else []
     direction, cosine, radiance, contrast, *parts = dr.if_stmt(
         args=(surface.position, mi.Vector3f(surface.normal), surface.sides),
-        cond=asked(seen, dense),
+        cond=needs_work(seen, dense),
         true_fn=read,
         false_fn=lambda _, normal, *__: (normal, mi.Float(0), black(), mi.Float(0), *none),
     )
-    return Observation(direction, cosine, radiance, seen, contrast, *parts)
+    return ViewSample(direction, cosine, radiance, seen, contrast, *parts)
 
 
 def over_views(
     views: Views,
-    surface: Surface,
+    surface: TexelLanes,
     consume: Callable[..., Any],
     state: Any,
     *,
@@ -213,7 +213,7 @@ def over_views(
     """Fold ``consume(observation, view, *state)`` over all views in one symbolic loop."""
 
     def body(view: Any, *state: Any) -> tuple[Any, ...]:
-        return (view + 1, *consume(observe(views, surface, view, dense=dense), view, *state))
+        return (view + 1, *consume(sample_view(views, surface, view, dense=dense), view, *state))
 
     return fold(mi.UInt32(0), views.count, body, *state)
 

@@ -15,13 +15,20 @@ from svu_mi.core.arrays import owned
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import Observation, Surface, asked, fold, look, over_views
+from svu_mi.geometry.sample_view import (
+    TexelLanes,
+    ViewSample,
+    fold,
+    needs_work,
+    over_views,
+    sample_visible,
+)
 
 GLARE = 1e3  # medians of all texels, beyond which one does not add to the mean radiance
 
 
 @dataclass(frozen=True)
-class Survey:
+class Visibility:
     """Visibility of T texels in V views.
 
     Attributes:
@@ -52,10 +59,10 @@ class Survey:
         """(T,) uint32, number of views that see each texel only with saturated pixels; or 0."""
         return 0 if self.clipped is None else np.asarray(self.clipped.count(), np.uint32)
 
-    def look(
-        self, views: Views, surface: Surface, slot: Any, *, clipped: bool = False,
+    def sample(
+        self, views: Views, surface: TexelLanes, slot: Any, *, clipped: bool = False,
         among: Bits | None = None,
-    ) -> Observation:  # fmt: skip
+    ) -> ViewSample:  # fmt: skip
         """Observe texels in the view ``order[slot]``; ``among``: a bit per slot and lane."""
         view = dr.gather(mi.UInt32, self.order, slot)
         if among is not None:
@@ -63,26 +70,26 @@ class Survey:
         else:
             seen = self.bits.test(view, surface.index)
         if not clipped or self.clipped is None:
-            return look(views, surface, view, seen, dense=self.dense)
+            return sample_visible(views, surface, view, seen, dense=self.dense)
         if among is None:
             seen |= self.clipped.test(view, surface.index)
-        return look(views, surface, view, seen, dense=self.dense, clipped=True)
+        return sample_visible(views, surface, view, seen, dense=self.dense, clipped=True)
 
-    def asked(self, seen: Any) -> Any:
+    def needs_work(self, seen: Any) -> Any:
         """Return the condition under which a consumer has work to do."""
-        return asked(seen, self.dense)
+        return needs_work(seen, self.dense)
 
     def over_views(
-        self, views: Views, surface: Surface, consume: Callable[..., Any],
+        self, views: Views, surface: TexelLanes, consume: Callable[..., Any],
         state: tuple[Any, ...], *, clipped: bool = False, among: Bits | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
         """Loop over ``order`` symbolically; return the last state of ``consume``.
 
-        ``consume(observation, slot, *state)`` is traced once; the options are those of ``look``.
+        ``consume(observation, slot, *state)`` is traced once; the options are those of ``sample``.
         """
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
-            seen = self.look(views, surface, slot, clipped=clipped, among=among)
+            seen = self.sample(views, surface, slot, clipped=clipped, among=among)
             return (slot + 1, *consume(seen, slot, *state))
 
         return fold(mi.UInt32(0), self.count, body, *state)
@@ -98,35 +105,35 @@ def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
     return float(np.minimum(total, most * samples).sum() / samples.sum())
 
 
-def survey(
-    views: Views, surface: Surface, *, skip_blind: bool = True, skip_pairs: bool = True
-) -> Survey:
+def trace_visibility(
+    views: Views, surface: TexelLanes, *, skip_blind: bool = True, skip_pairs: bool = True
+) -> Visibility:
     """Trace the visibility of all texels in all views, and sum their radiance, in one pass."""
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
-    worth = dr.zeros(mi.UInt32, max(views.number, 1))  # of clipped pixels
+    clipped_per_view = dr.zeros(mi.UInt32, max(views.number, 1))  # of clipped pixels
     bits = Bits.clear(views.number, surface.count)
     clipped = None if views.clipped is None else Bits.clear(views.number, surface.count)
 
-    def count(seen: Observation, view: Any, found: Any, total: Any) -> tuple[Any, Any]:
-        one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
+    def count(seen: ViewSample, view: Any, coverage: Any, total: Any) -> tuple[Any, Any]:
+        seen_here = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
         # The default mode bakes the number of views into the kernel; all lanes of a packet
         # add to one view, which this mode sums up first.
-        dr.scatter_add(per_view, one, view, seen.seen, dr.ReduceMode.Local)
+        dr.scatter_add(per_view, seen_here, view, seen.seen, dr.ReduceMode.Local)
         bits.set(view, surface.lane, seen.seen)
         if clipped is not None:
             clipped.set(view, surface.lane, seen.clipped)
             also = dr.select(seen.clipped, mi.UInt32(1), 0)
-            dr.scatter_add(worth, also, view, seen.clipped, dr.ReduceMode.Local)
-        return found + one, total + mi.Float64(as_channels(seen.radiance, 1)[0])
+            dr.scatter_add(clipped_per_view, also, view, seen.clipped, dr.ReduceMode.Local)
+        return coverage + seen_here, total + mi.Float64(as_channels(seen.radiance, 1)[0])
 
     zeros = dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float64, surface.count)
-    found, total = over_views(views, surface, count, zeros, dense=not skip_pairs)
-    dr.eval(found, total, per_view, worth, bits, clipped)
+    coverage, total = over_views(views, surface, count, zeros, dense=not skip_pairs)
+    dr.eval(coverage, total, per_view, clipped_per_view, bits, clipped)
     counts = per_view.numpy()[: views.number].astype(np.int64)
-    shown = counts + worth.numpy()[: views.number]
+    shown = counts + clipped_per_view.numpy()[: views.number]
     order = np.flatnonzero(shown) if skip_blind else np.arange(views.number)
-    return Survey(
-        coverage=found,
+    return Visibility(
+        coverage=coverage,
         total=total,
         per_view=counts,
         bits=bits,

@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.local_memory import allocate, load, store
-from svu_mi.geometry.sample_view import Observation
+from svu_mi.geometry.sample_view import ViewSample
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, Colors, Parts
 from svu_mi.guidance.predicted_responses import Respond
@@ -48,7 +48,7 @@ def respond(scene: Any, model: Model) -> Respond:
     """Return what evaluates a view of texels."""
     surface = model.surface
 
-    def evaluate(seen: Observation) -> list[Any]:
+    def evaluate(seen: ViewSample) -> list[Any]:
         free = mi.Bool(True)
         if model.reads_mirrors:
             free = mirror_free(scene, surface, seen, seen.seen)

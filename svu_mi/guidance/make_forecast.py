@@ -11,7 +11,7 @@ import numpy as np
 from svu_mi.core.arrays import owned
 from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import Views
-from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.guidance import angular_forecast, spectral_forecast
 from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.forecast import Forecast, Hypotheses, numbers
@@ -32,7 +32,7 @@ from svu_mi.posterior.spectrum import SpectrumKernel
 from svu_mi.posterior.tables import color_of_rows
 from svu_mi.presets import AngularPreset, AnyPreset, Preset
 
-Look = Callable[[Surface, Respond, int], Responses]
+Look = Callable[[TexelLanes, Respond, int], Responses]
 Draw = Callable[[np.ndarray, np.ndarray], Hypotheses]
 """Probabilities (t, N) of texels and prior (N,) -> truths."""
 
@@ -47,8 +47,8 @@ def forecast_of(
     # A texel draws the same, whichever others are looked at.
     starts = np.random.default_rng(options.seed).random(observed.texels.count)[texels]
 
-    def look(surface: Surface, respond: Respond, columns: int) -> Responses:
-        return collect(surface, (observed.views, observed.found), candidates, respond, columns)
+    def look(surface: TexelLanes, respond: Respond, columns: int) -> Responses:
+        return collect(surface, (observed.views, observed.visibility), candidates, respond, columns)
 
     def draw(weights: np.ndarray, prior: np.ndarray) -> Hypotheses:
         return Hypotheses.draw(weights, options.hypotheses, starts, int((prior > 0).sum()))
@@ -161,7 +161,7 @@ def _spectrum(
             "--preset paper with --method spectrum, or leave both out.",
         )
     assert isinstance(switches, Preset)
-    surface = Surface.of(observed.texels, numbers(texels))
+    surface = TexelLanes.of(observed.texels, numbers(texels))
     respond = spectral_forecast.respond(observed.views.scene, surface, observed.lighting, switches)
     p = np.array(posterior.probabilities_of(texels))
     return SpectrumForecast(
@@ -179,7 +179,7 @@ def _growing(
 ) -> GrowingForecast:  # fmt: skip
     """In the light of one view more, with truths that the photographs make likely in it."""
     switches, environment = known.switches, observed.lighting.environment
-    surface = Surface.of(observed.texels, numbers(texels))
+    surface = TexelLanes.of(observed.texels, numbers(texels))
 
     def relight(views: int) -> tuple[Responses, float]:
         lighting = band_limit(environment, views)

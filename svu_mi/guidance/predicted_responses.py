@@ -18,10 +18,16 @@ import numpy as np
 from svu_mi.core.local_memory import QUAD, fours, padded
 from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import Views
-from svu_mi.geometry.sample_view import Observation, Surface, fold, look, over_views
-from svu_mi.geometry.visibility import Survey
+from svu_mi.geometry.sample_view import (
+    TexelLanes,
+    ViewSample,
+    fold,
+    over_views,
+    sample_visible,
+)
+from svu_mi.geometry.visibility import Visibility
 
-Respond = Callable[[Observation], list[Any]]
+Respond = Callable[[ViewSample], list[Any]]
 """One sample per lane -> its columns, Floats, but for the first, which is the cosine."""
 
 
@@ -65,11 +71,11 @@ class Responses:
     def table(self) -> np.ndarray:
         """Return (V, T, K) float32."""
         seen = self.seen
-        found = np.zeros((*seen.shape, self.columns), np.float32)
-        found[..., 0] = self.first.numpy().reshape(seen.shape)
+        values = np.zeros((*seen.shape, self.columns), np.float32)
+        values[..., 0] = self.first.numpy().reshape(seen.shape)
         rest = self.rest.numpy().reshape(-1, QUAD * self.groups)[: int(seen.sum())]
-        found[seen, 1:] = rest[:, : self.columns - 1]
-        return found
+        values[seen, 1:] = rest[:, : self.columns - 1]
+        return values
 
     def at(self, lane: Any) -> Responses:
         """Return the same, for launches about some of the texels."""
@@ -97,17 +103,17 @@ class Responses:
 
 
 def collect(
-    surface: Surface, photographed: tuple[Views, Survey], candidates: Views, respond: Respond,
-    columns: int,
+    surface: TexelLanes, photographed: tuple[Views, Visibility], candidates: Views,
+    respond: Respond, columns: int,
 ) -> Responses:  # fmt: skip
     """Evaluate all views of texels: those photographed first, then the candidates."""
     _require_room(surface.count, photographed[0].number + candidates.number, columns)
     first = cosines(surface, photographed, candidates)
     responses = Responses.of(first, columns, surface.count)
-    views, found = photographed
+    views, visibility = photographed
     before = dr.opaque(mi.UInt32, views.number)
 
-    def record(seen: Observation, view: Any) -> tuple[()]:
+    def record(seen: ViewSample, view: Any) -> tuple[()]:
         def write() -> tuple[()]:
             responses.write(view, respond(seen), seen.seen)
             return ()
@@ -116,11 +122,12 @@ def collect(
 
     def of_candidate(view: Any) -> tuple[Any]:
         known = responses.sees(before + view) > 0
-        record(look(candidates, surface, view, known), before + view)
+        record(sample_visible(candidates, surface, view, known), before + view)
         return (view + 1,)
 
-    found.over_views(
-        views, surface, lambda seen, slot: record(seen, dr.gather(mi.UInt32, found.order, slot)), ()
+    order = visibility.order
+    visibility.over_views(
+        views, surface, lambda seen, slot: record(seen, dr.gather(mi.UInt32, order, slot)), ()
     )
     dr.eval(responses.rest)
     fold(mi.UInt32(0), candidates.count, of_candidate)
@@ -128,7 +135,9 @@ def collect(
     return responses
 
 
-def cosines(surface: Surface, photographed: tuple[Views, Survey] | None, candidates: Views) -> Any:
+def cosines(
+    surface: TexelLanes, photographed: tuple[Views, Visibility] | None, candidates: Views
+) -> Any:
     """Return (V T,) Float cosines of every view and texel, 0 where not seen, evaluated."""
     photographs = photographed[0].number if photographed else 0
     _require_room(surface.count, photographs + candidates.number, 1)
@@ -136,16 +145,16 @@ def cosines(surface: Surface, photographed: tuple[Views, Survey] | None, candida
     result = dr.zeros(mi.Float, surface.count * (photographs + candidates.number))
     dr.eval(result)
 
-    def record(seen: Observation, view: Any) -> tuple[()]:
+    def record(seen: ViewSample, view: Any) -> tuple[()]:
         place, mode = view * count + surface.lane, dr.ReduceMode.NoConflicts
         dr.scatter(result, seen.cosine, place, seen.seen, mode)
         return ()
 
     if photographed:
-        views, found = photographed
-        found.over_views(
+        views, visibility = photographed
+        visibility.over_views(
             views, surface,
-            lambda seen, slot: record(seen, dr.gather(mi.UInt32, found.order, slot)), (),
+            lambda seen, slot: record(seen, dr.gather(mi.UInt32, visibility.order, slot)), (),
         )  # fmt: skip
         dr.eval(result)
     over_views(candidates, surface, lambda seen, view: record(seen, before + view), ())

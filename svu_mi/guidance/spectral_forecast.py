@@ -22,7 +22,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.frequency.harmonics import System
 from svu_mi.frequency.solve_primal import extend_lanes
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import Observation, Surface, mirror_direction
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample, mirror_direction
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.predicted_responses import Respond, Responses
@@ -44,11 +44,11 @@ def columns(switches: Preset) -> int:
     return 4 + switches.colors
 
 
-def respond(scene: Any, surface: Surface, lighting: Lighting, switches: Preset) -> Respond:
+def respond(scene: Any, surface: TexelLanes, lighting: Lighting, switches: Preset) -> Respond:
     """Return what evaluates a view of texels: a row of Eq. 12 for the light."""
     dr.eval(lighting.filtered)  # no texture may be made while a loop is recorded
 
-    def evaluate(seen: Observation) -> list[Any]:
+    def evaluate(seen: ViewSample) -> list[Any]:
         free = seen.seen
         if switches.occluded:
             free = mirror_free(scene, surface, seen, seen.seen)

@@ -9,8 +9,8 @@ import numpy as np
 
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.geometry.packed_views import Views, pack_sensors
-from svu_mi.geometry.sample_view import Surface
-from svu_mi.geometry.visibility import Survey
+from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.geometry.visibility import Visibility
 from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.forecast import Forecast, numbers
@@ -55,15 +55,15 @@ class Prospect:
         """(V, t) bool, which view sees which texel."""
         if TABLE[self.options.strategy].forecasts:
             return self.forecast.seen
-        return self._sees((self.observed.views, self.observed.found))
+        return self._sees((self.observed.views, self.observed.visibility))
 
     def seen_by_candidates(self) -> np.ndarray:
         """Return which candidate sees which texel, (C, t) bool, by rays alone."""
         return self._sees(None)
 
-    def _sees(self, photographed: tuple[Views, Survey] | None) -> np.ndarray:
+    def _sees(self, photographed: tuple[Views, Visibility] | None) -> np.ndarray:
         """Return which of these views and the candidates sees which texel."""
-        surface = Surface.of(self.observed.texels, numbers(self.texels))
+        surface = TexelLanes.of(self.observed.texels, numbers(self.texels))
         found = cosines(surface, photographed, self._packed)
         return np.asarray(found.numpy() > 0).reshape(-1, len(self.texels))
 

@@ -18,8 +18,8 @@ from svu_mi.core.arrays import owned
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import Observation, Surface, fold, mirror_direction
-from svu_mi.geometry.visibility import Survey
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample, fold, mirror_direction
+from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.band_limited import MOMENTS, Lighting
 from svu_mi.light.light_tree import LightCells
 
@@ -53,7 +53,7 @@ class Reach:
             self.cells, self.coarse.joined(other.coarse), self.fine.joined(other.fine), texel
         )
 
-    def diffuse(self, surface: Surface, lighting: Lighting, channels: int) -> list[list[Any]]:
+    def diffuse(self, surface: TexelLanes, lighting: Lighting, channels: int) -> list[list[Any]]:
         """Return the diffuse moments of the visible light: 8 Floats (S,) per channel.
 
         c0 = sum L V cos, m0 (3) = sum L V cos w, and the same with Schlick's (1 - cos)^5 of the
@@ -86,7 +86,9 @@ class Reach:
         return result
 
 
-def trace_reach(scene: Any, surface: Surface, cells: LightCells, *, occluded: bool = True) -> Reach:
+def trace_reach(
+    scene: Any, surface: TexelLanes, cells: LightCells, *, occluded: bool = True
+) -> Reach:
     """Trace the cells of the light from every texel of a launch."""
     lane, count = surface.lane, surface.count
     coarse = Bits.clear(cells.coarse.number, count)
@@ -149,27 +151,28 @@ class Mirrors:
         return self.bits.test(slot, dr.gather(mi.UInt32, self.lane, texel))
 
 
-def trace_mirrors(views: Views, surface: Surface, found: Survey, lane: Any) -> Mirrors:
+def trace_mirrors(views: Views, surface: TexelLanes, visibility: Visibility, lane: Any) -> Mirrors:
     """Trace the mirror direction of every sample."""
-    bits, place = Bits.clear(dr.width(found.order), surface.count), surface.lane
+    bits, place = Bits.clear(dr.width(visibility.order), surface.count), surface.lane
 
-    def trace(seen: Observation, slot: Any, word: Any) -> tuple[Any]:
-        free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
+    def trace(seen: ViewSample, slot: Any, word: Any) -> tuple[Any]:
+        free = mirror_free(views.scene, surface, seen, visibility.needs_work(seen.seen))
         return (bits.push(word, slot, place, free),)
 
-    found.over_views(views, surface, trace, (dr.zeros(mi.UInt32, surface.count),), clipped=True)
+    start = dr.zeros(mi.UInt32, surface.count)
+    visibility.over_views(views, surface, trace, (start,), clipped=True)
     dr.eval(bits)
     return Mirrors(bits, lane)
 
 
-def mirror_free(scene: Any, surface: Surface, seen: Observation, asked: Any) -> Any:
+def mirror_free(scene: Any, surface: TexelLanes, seen: ViewSample, needed: Any) -> Any:
     """Trace the mirror direction of visible samples; below the horizon nothing is free."""
     mirror = mirror_direction(surface.normal, seen.direction)
-    free = asked & (dr.dot(surface.geometric_normal, mirror) > 0)
+    free = needed & (dr.dot(surface.geometric_normal, mirror) > 0)
     return seen.seen & is_open(scene, surface, mirror, free, coherent=False)
 
 
-def is_open(scene: Any, surface: Surface, direction: Any, active: Any, *, coherent: bool) -> Any:
+def is_open(scene: Any, surface: TexelLanes, direction: Any, active: Any, *, coherent: bool) -> Any:
     """Return which active texels see the sky in a direction."""
     origin = surface.position + surface.offset * surface.geometric_normal
     ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])

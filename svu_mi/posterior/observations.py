@@ -25,9 +25,9 @@ from svu_mi.frequency.fit_samples import MirroredLight
 from svu_mi.frequency.sh_lobes import FittedLobes
 from svu_mi.geometry.packed_views import Views, pack_views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.texels import Texels
-from svu_mi.geometry.visibility import Survey, survey
+from svu_mi.geometry.visibility import Visibility, trace_visibility
 from svu_mi.light.band_limited import Lighting, light
 from svu_mi.light.light_tree import LightCells, light_cells
 from svu_mi.light.light_visibility import Mirrors, Reach, trace_mirrors, trace_reach
@@ -57,14 +57,14 @@ class Observed:
     """Photographs, light, texels and their visibility of a capture; traced lazily.
 
     Attributes:
-        found: visibility of texels in views.
+        visibility: of texels in views.
         seen: (S,) int64, texels to compute: those in a photograph, or all if none are skipped.
     """
 
     capture: Capture
     texels: Texels
     views: Views
-    found: Survey
+    visibility: Visibility
     seen: np.ndarray
     _of_light: dict[Any, Any] = field(default_factory=dict, repr=False)
     _reached: dict[Any, Reach] = field(default_factory=dict, repr=False)
@@ -76,12 +76,13 @@ class Observed:
     @cached_property
     def coverage(self) -> np.ndarray:
         """(T,) uint32, number of photographs that show each texel with nothing clipped."""
-        return np.array(self.found.coverage)
+        return np.array(self.visibility.coverage)
 
     @cached_property
     def clipped_coverage(self) -> np.ndarray | None:
         """(T,) uint32, number of photographs with saturated channels of each texel; or None."""
-        return None if self.found.clipped is None else np.asarray(self.found.clipped_coverage)
+        seen = self.visibility
+        return None if seen.clipped is None else np.asarray(seen.clipped_coverage)
 
     @property
     def shown(self) -> np.ndarray:
@@ -92,7 +93,7 @@ class Observed:
     @property
     def scale(self) -> float:
         """Mean radiance of all samples; 0 if they are black."""
-        return self.found.scale
+        return self.visibility.scale
 
     @cached_property
     def unit(self) -> float:
@@ -105,19 +106,19 @@ class Observed:
         if "lighting" not in self._of_light:
             require_light(self.capture)
             self._of_light["lighting"] = light(self.capture, sum(self.capture.used))
-        found: Lighting = self._of_light["lighting"]
-        return found
+        lighting: Lighting = self._of_light["lighting"]
+        return lighting
 
     def cells(self, fine: int) -> LightCells:
         """Return the light in ``fine`` cells, gathered when first needed."""
         if fine not in self._of_light:
             coarse = min(max(fine // COARSE, 64), fine)
             self._of_light[fine] = light_cells(self.lighting.environment, coarse, fine)
-        found: LightCells = self._of_light[fine]
-        return found
+        cells: LightCells = self._of_light[fine]
+        return cells
 
     @cached_property
-    def surface(self) -> Surface:
+    def surface(self) -> TexelLanes:
         """The texels of ``seen``: S lanes."""
         return self._lanes(self.seen)
 
@@ -132,7 +133,7 @@ class Observed:
     def mirrors(self) -> Mirrors:
         """Whether anything blocks the mirror direction of a sample; traced when first needed."""
         lane = owned(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
-        return trace_mirrors(self.views, self.surface, self.found, lane)
+        return trace_mirrors(self.views, self.surface, self.visibility, lane)
 
     def reach(self, cells: int, *, occluded: bool = True) -> Reach:
         """Return the visibility of ``cells`` fine light cells from the ``seen`` texels; cached."""
@@ -198,42 +199,42 @@ class Observed:
 
     def rounding(self, weighting: Weighting) -> np.ndarray | None:
         """Return the mean rounding variance at weight 1, (S,) squared radiance; None for floats."""
-        total = rounding_sums(self.views, self.found, self.surface, weighting)
+        total = rounding_sums(self.views, self.visibility, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
 
     def _with_clipped(self, model: Model, channels: int, weighting: Weighting) -> Statistics:
         """Gather statistics, in which clipped samples count as bounds."""
-        found = self._gather(model, channels, weighting).statistics()
+        statistics = self._gather(model, channels, weighting).statistics()
         clipped = self.clipped_coverage
         if clipped is None or not self._counts_clipped(weighting):
-            return found
-        number = found.texel.numpy()
+            return statistics
+        number = statistics.texel.numpy()
         # A sample whose middle is not clipped may be so in part.
-        partly = (clipped[number] > 0) | (self.coverage[number] != found.views.numpy())
+        partly = (clipped[number] > 0) | (self.coverage[number] != statistics.views.numpy())
         lanes = np.flatnonzero(partly)
         if not len(lanes):
-            return found
+            return statistics
         # What is not clipped stays; samples that are clipped are added to it.
-        plain, texels = found.at(lanes), number[lanes].astype(np.int64)
+        plain, texels = statistics.at(lanes), number[lanes].astype(np.int64)
         model = self.model(model.roughness, model.switches, model.channels, texels)
-        samples = clipped_samples(self.views, self.found, model.surface)
-        some = plain
+        samples = clipped_samples(self.views, self.visibility, model.surface)
+        combined = plain
         for _ in range(PASSES):
-            models = replace(best_models(some), samples=samples)
+            models = replace(best_models(combined), samples=samples)
             around = replace(weighting, models=models)
-            some = plain + self._gather(model, channels, around).statistics()
-        return found.replaced(lanes, some)
+            combined = plain + self._gather(model, channels, around).statistics()
+        return statistics.replaced(lanes, combined)
 
     def _gather(self, model: Model, channels: int, weighting: Weighting) -> Gathered:
         mirrors = self.mirrors if model.reads_mirrors else None
-        return gather(self.views, self.found, model, mirrors, channels, weighting)
+        return gather(self.views, self.visibility, model, mirrors, channels, weighting)
 
     def _counts_clipped(self, weighting: Weighting) -> bool:
         counts = weighting.current is None and weighting.kappa < inf
         return self.clipped_coverage is not None and counts
 
-    def _lanes(self, texels: np.ndarray) -> Surface:
-        return Surface.of(self.texels, owned(mi.UInt32, texels.astype(np.uint32)))
+    def _lanes(self, texels: np.ndarray) -> TexelLanes:
+        return TexelLanes.of(self.texels, owned(mi.UInt32, texels.astype(np.uint32)))
 
     def _reach_of(self, texels: np.ndarray | None, switches: AngularPreset) -> Reach:
         """Return the reach of texels; those that are not in ``seen`` are traced now."""
@@ -260,11 +261,13 @@ def observe(
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
     with progress.stage("Tracing visibility"):
-        found = survey(views, Surface.of(texels), skip_blind=skip_blind, skip_pairs=skip_pairs)
-    require_seen(found.per_view, capture, clipped=bool(np.any(found.clipped_coverage)))
-    require_range(found.scale)
+        lanes = TexelLanes.of(texels)
+        visibility = trace_visibility(views, lanes, skip_blind=skip_blind, skip_pairs=skip_pairs)
+    require_seen(visibility.per_view, capture, clipped=bool(np.any(visibility.clipped_coverage)))
+    require_range(visibility.scale)
+    all_texels = np.arange(texels.count)
     observed = Observed(
-        capture=capture, views=views, texels=texels, found=found, seen=np.arange(texels.count)
+        capture=capture, views=views, texels=texels, visibility=visibility, seen=all_texels
     )
     return replace(observed, seen=np.flatnonzero(observed.shown)) if skip_unseen else observed
 

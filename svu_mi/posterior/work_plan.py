@@ -60,7 +60,7 @@ def make_plan(
         "texels on overlapping charts": texels.overlapping,
         "texels never seen": int((observed.shown == 0).sum()),
         "views left out": capture.count - sum(capture.used),
-        "views that show no texel": int((observed.found.per_view == 0).sum()),
+        "views that show no texel": int((observed.visibility.per_view == 0).sum()),
         "channels of the light equal to another": 2 if grey_light else 0,
         "channels of the photographs equal to another": 2 if grey else 0,
         "roughness levels that the prior excludes": int((~levels).sum()),

@@ -71,7 +71,7 @@ class Run:
 
     def __post_init__(self) -> None:
         self.capture, self.texels = self.observed.capture, self.observed.texels
-        if not self.observed.found.scale > 0:
+        if not self.observed.visibility.scale > 0:
             raise CaptureError(
                 f"No texel of '{self.capture.shape.id()}' is seen with any radiance; check poses "
                 "(camera space is +X left, +Y up, +Z forward), masks and exposures."

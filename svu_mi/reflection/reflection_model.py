@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import Lighting, moment_map
 from svu_mi.light.light_visibility import Reach
 from svu_mi.presets import AngularPreset
@@ -52,7 +52,7 @@ class Model:
     """
 
     roughness: np.ndarray
-    surface: Surface
+    surface: TexelLanes
     switches: AngularPreset
     narrow: NarrowLobes | None
     wide: WideLobes | None
@@ -61,7 +61,7 @@ class Model:
 
     @staticmethod
     def of(
-        surface: Surface, light: Arriving, roughness: np.ndarray, switches: AngularPreset,
+        surface: TexelLanes, light: Arriving, roughness: np.ndarray, switches: AngularPreset,
         fitted: FittedLobes | None = None,
     ) -> Model:  # fmt: skip
         """Filter the light, unless its lobes are fitted; put together what reaches every texel."""

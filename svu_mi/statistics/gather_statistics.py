@@ -15,8 +15,8 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import Observation, Surface
-from svu_mi.geometry.visibility import Survey
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample
+from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.light_visibility import Mirrors
 from svu_mi.parameters import MIXED, NAMES
 from svu_mi.reflection.mix_columns import Parts, hats, interpolated, radiance
@@ -56,7 +56,7 @@ ALIKE = Weighting()
 
 
 def gather(
-    views: Views, found: Survey, model: Model, mirrors: Mirrors | None,
+    views: Views, visibility: Visibility, model: Model, mirrors: Mirrors | None,
     channels: int | None = None, weighting: Weighting = ALIKE,
 ) -> Gathered:  # fmt: skip
     """Collect the statistics of a model's texels in C channels, 3 or 1.
@@ -65,11 +65,11 @@ def gather(
     """
     surface, kappa, channels = model.surface, weighting.kappa, channels or model.channels
     samples = _sample_model(weighting, channels)
-    saturated = found.clipped is not None and samples.reads_saturated
+    saturated = visibility.clipped is not None and samples.reads_saturated
     knee, eta = dr.opaque(mi.Float, kappa), dr.opaque(mi.Float, weighting.edges)
     size = model.levels * channels * len(PAIRS)
 
-    def consume(seen: Observation, slot: Any, *sums: Any) -> Any:
+    def consume(seen: ViewSample, slot: Any, *sums: Any) -> Any:
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
         def add(weight: Any, number: Any, *state: Any) -> tuple[Any, ...]:
@@ -78,29 +78,29 @@ def gather(
             if kappa < inf:
                 w *= noise_weight(sum(radiance) / channels, knee, seen.contrast, eta)
             flags = _saturated(seen.clipped, channels) if saturated else None
-            found, w = samples.columns_and_weights(Sample(lobes, radiance, flags, w, surface.lane))
+            terms, w = samples.columns_and_weights(Sample(lobes, radiance, flags, w, surface.lane))
             part: Any = mi.Float(1)
             if saturated:
-                part = sum(share for _, share in found) / len(found)
+                part = sum(share for _, share in terms) / len(terms)
                 number = number + dr.select(seen.seen, part, 0)
             weight, w = weight + mi.Float64(part * w), mi.Float64(w)
-            added = [product for one in found for product in _products(*one)]
+            added = [product for one in terms for product in _products(*one)]
             return (
                 weight,
                 number,
                 *(dr.fma(w, new, old) for old, new in zip(state, added, strict=True)),
             )
 
-        return dr.if_stmt(sums, found.asked(seen.seen), add, lambda *state: state)
+        return dr.if_stmt(sums, visibility.needs_work(seen.seen), add, lambda *state: state)
 
     none = dr.zeros(mi.Float, surface.count if saturated else 1)
     weight, *state = (dr.zeros(mi.Float64, surface.count) for _ in range(1 + size))
     among = weighting.models.samples if weighting.models is not None else None
-    weight, counts, *sums = found.over_views(
+    weight, counts, *sums = visibility.over_views(
         views, surface, consume, (weight, none, *state), clipped=saturated, among=among
     )
     if not saturated:
-        counts = mi.Float(dr.gather(mi.UInt32, found.coverage, surface.index))
+        counts = mi.Float(dr.gather(mi.UInt32, visibility.coverage, surface.index))
     return Gathered(
         sums, weight, counts, surface.index, model.roughness, channels,
         kappa if weighting.current is None else nan, weighting.edges,
@@ -201,19 +201,19 @@ def _sample_model(weighting: Weighting, channels: int) -> SampleModel:
     return Unsaturated() if weighting.models is None else Censored(weighting.models)
 
 
-def clipped_samples(views: Views, found: Survey, surface: Surface) -> Bits:
-    """Return bits of samples with saturated channels, by number in ``found.order`` and lane."""
+def clipped_samples(views: Views, visibility: Visibility, surface: TexelLanes) -> Bits:
+    """Return bits of samples with saturated channels, by place in ``order`` and lane."""
     bits = Bits.clear(views.number, surface.count)
 
-    def consume(seen: Observation, slot: Any, found: Any) -> tuple[Any]:
+    def consume(seen: ViewSample, slot: Any, touched: Any) -> tuple[Any]:
         flagged = seen.seen & (dr.max(seen.clipped) > CLIPPED_PART)
         bits.set(slot, surface.lane, flagged)
-        return (found | flagged,)
+        return (touched | flagged,)
 
-    (some,) = found.over_views(
+    (touched,) = visibility.over_views(
         views, surface, consume, (dr.zeros(mi.Bool, surface.count),), clipped=True
     )
-    dr.eval(bits, some)
+    dr.eval(bits, touched)
     return bits
 
 
@@ -246,7 +246,7 @@ def _products(columns: tuple[Any, ...], part: Any) -> list[Any]:
 
 
 def rounding_sums(
-    views: Views, found: Survey, surface: Surface, weighting: Weighting
+    views: Views, visibility: Visibility, surface: TexelLanes, weighting: Weighting
 ) -> np.ndarray | None:
     """Return summed rounding variances of weight 1, (S,), squared radiance; None for floats."""
     if views.rounding is None:
@@ -254,14 +254,14 @@ def rounding_sums(
     first, slope = views.rounding
     knee, eta = dr.opaque(mi.Float, weighting.kappa), dr.opaque(mi.Float, weighting.edges)
 
-    def consume(seen: Observation, slot: Any, total: Any) -> tuple[Any]:
-        view = dr.gather(mi.UInt32, found.order, slot)
+    def consume(seen: ViewSample, slot: Any, total: Any) -> tuple[Any]:
+        view = dr.gather(mi.UInt32, visibility.order, slot)
         steps = (dr.gather(mi.Color3f, of_views, view) for of_views in (first, slope))
         of_channels = [variance(*of) for of in zip(seen.radiance, *steps, strict=True)]
         weight = noise_weight(sum(seen.radiance) / 3, knee, seen.contrast, eta)
         added = weight * sum(of_channels) / len(of_channels)
         return (dr.fma(dr.select(seen.seen, mi.Float(1), 0), added, total),)
 
-    (total,) = found.over_views(views, surface, consume, (dr.zeros(mi.Float, surface.count),))
+    (total,) = visibility.over_views(views, surface, consume, (dr.zeros(mi.Float, surface.count),))
     dr.eval(total)
     return np.array(total, np.float64)

@@ -167,14 +167,14 @@ def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
 def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
     """What every view shows of some texels: whether it does, and radiance."""
     from svu_mi.core.arrays import owned
-    from svu_mi.geometry.sample_view import Surface, look, observe
+    from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 
-    surface = Surface.of(observed.texels, owned(mi.UInt32, number.astype(np.uint32)))
+    surface = TexelLanes.of(observed.texels, owned(mi.UInt32, number.astype(np.uint32)))
     found = []
     for view in range(sum(observed.capture.used)):
         which = dr.opaque(mi.UInt32, view)
-        seen = observe(observed.views, surface, which).seen
-        shown = look(observed.views, surface, which, seen)
+        seen = sample_view(observed.views, surface, which).seen
+        shown = sample_visible(observed.views, surface, which, seen)
         found.append((seen.numpy().astype(float), shown.radiance.numpy().T))
     return found
 

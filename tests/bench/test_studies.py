@@ -23,8 +23,8 @@ from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError, SvuEnvironmentError
 from svu_mi.evaluation.ground_truth import ground_truth
 from svu_mi.geometry.packed_views import pack_views
-from svu_mi.geometry.sample_view import Surface
-from svu_mi.geometry.visibility import survey
+from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.geometry.visibility import trace_visibility
 
 SIZES = Sizes(
     views=12, film=32, spp=4, texels=32, reference_texels=20, reference_spp=4,
@@ -84,14 +84,14 @@ def test_parts_of_the_paper_are_chosen_by_name(tmp_path):
 def test_the_survey_and_both_bare_ways_trace_the_same_rays():
     capture = timed_kernels.fine_capture(3, 24)
     layout = svu.texels(capture.mesh, 32)
-    views, surface = pack_views(capture), Surface.of(layout)
+    views, surface = pack_views(capture), TexelLanes.of(layout)
     rays = timed_kernels.record_rays(views, surface)
     slot = np.array(rays.slot).reshape(3, layout.count)
     traced = slot != timed_kernels.NO_RAY
     np.testing.assert_array_equal(slot[traced], np.arange(rays.count))
     normal = np.array(layout.geometric_normal)[:, np.nonzero(traced)[1]]
     assert (np.array(rays.direction) * normal).sum(axis=0).min() > 0
-    assert (traced.sum(axis=0) >= np.array(survey(views, surface).coverage)).all()
+    assert (traced.sum(axis=0) >= np.array(trace_visibility(views, surface).coverage)).all()
     found = timed_kernels.measure_gather(capture, 32, 1)
     assert found["triangles"] > 70_000 and 0 < found["rays"] == rays.count
     free = {way["free"] for way in found["ways"].values()}

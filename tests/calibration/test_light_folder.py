@@ -243,9 +243,10 @@ def test_a_card_that_is_none_is_named(gray_ball):
         grey_card.scaled_by_card(made_up_light(), seen, (0.5, 1.5), 0.3)
     with pytest.raises(CaptureError, match="The light turns with the camera"):
         grey_card.scaled_by_mean(replace(made_up_light(), moves=True), seen, 0.3)
-    blind = replace(seen.found, coverage=0 * seen.found.coverage, total=0 * seen.found.total)
+    known = seen.visibility
+    blind = replace(known, coverage=0 * known.coverage, total=0 * known.total)
     with pytest.raises(CaptureError, match="no photograph shows the surface at texture coordina"):
-        grey_card.scaled_by_card(made_up_light(), replace(seen, found=blind), (0.5, 0.5), 0.3)
+        grey_card.scaled_by_card(made_up_light(), replace(seen, visibility=blind), (0.5, 0.5), 0.3)
 
 
 @pytest.mark.usefixtures("proportional")

@@ -173,7 +173,7 @@ def test_another_variant_is_named_before_any_work(variant):
 
 
 def test_version_and_several_values(capsys):
-    from svu_mi.cli.options import with_known_repeated
+    from svu_mi.cli.shared_options import with_known_repeated
 
     assert run("--version") == 0
     assert capsys.readouterr().out == f"svu {svu.__version__}\n"

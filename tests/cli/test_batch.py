@@ -23,12 +23,12 @@ from svu_mi import scenes
 from svu_mi.cli.batch import batch_page
 from svu_mi.cli.batch.batch_page import write_index
 from svu_mi.cli.batch.capture_list import Item, read_list, require_apart
-from svu_mi.cli.batch.runner import BatchRunner, Commands, Ended, sentence_of, work_there
+from svu_mi.cli.batch.runner import BatchRunner, CommandPool, ProcessResult, sentence_of, work_there
 from svu_mi.cli.batch.steps import STEPS, key_of, read_done, words_of, write_done
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.main import Command
-from svu_mi.cli.options import given as options_given
-from svu_mi.cli.options import with_known_repeated
+from svu_mi.cli.shared_options import given as options_given
+from svu_mi.cli.shared_options import with_known_repeated
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError
 
@@ -123,7 +123,7 @@ def test_results_among_the_files_of_captures_are_refused_before_anything_is_writ
 # --- steps ------------------------------------------------------------------------------------
 
 
-class Made(Commands):
+class Made(CommandPool):
     """Commands that only put their proof where it belongs, and are counted."""
 
     def __init__(self, statuses=()):
@@ -138,7 +138,7 @@ class Made(Commands):
             step = STEPS[words[0]]
             (folder / step.proof).parent.mkdir(parents=True, exist_ok=True)
             (folder / step.proof).write_text("{}")
-        return Ended(status, "went wrong" if status > 0 else "", 5)
+        return ProcessResult(status, "went wrong" if status > 0 else "", 5)
 
 
 def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
@@ -289,7 +289,7 @@ def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch
         write_done(folder, done)
 
     monkeypatch.setattr("svu_mi.cli.batch.runner.write_done", written)
-    monkeypatch.setattr("svu_mi.cli.batch.runner.Commands", lambda _: Made())
+    monkeypatch.setattr("svu_mi.cli.batch.runner.CommandPool", lambda _: Made())
     found = {one.name: one for one in BatchRunner(output=out).run(read_list(folder))}
     assert "is a file, not a folder" in found["file"].sentence
     assert found["full"].sentence.startswith("out/full/batch.json: No space left on device; ")
@@ -337,7 +337,7 @@ def test_nothing_is_loaded_from_where_a_batch_runs(tmp_path, monkeypatch):
     for name in ("svu_mi", "numpy", "mitsuba"):
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'loaded')!r}, 'w')")
     monkeypatch.chdir(tmp_path)
-    ended = Commands().run(["entropy", "nowhere", "-o", "out"])
+    ended = CommandPool().run(["entropy", "nowhere", "-o", "out"])
     assert ended.status == 2 and "nowhere" in ended.said
     assert not (tmp_path / "loaded").exists()
 

@@ -45,7 +45,7 @@ def test_exit_status_tells_health(monkeypatch, found):
     console = Console(file=io.StringIO())
     monkeypatch.setattr(doctor, "diagnose", lambda: found)
     assert doctor.Doctor().run(console) == 0
-    sick = doctor.Check("OpenEXR", False, "it differs", "reinstall it")
+    sick = doctor.HealthCheck("OpenEXR", False, "it differs", "reinstall it")
     monkeypatch.setattr(doctor, "diagnose", lambda: (found[0], [*found[1], sick]))
     assert doctor.Doctor().run(console) == 2
     assert "Remedy for OpenEXR: reinstall it" in console.file.getvalue()

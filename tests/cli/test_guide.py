@@ -16,7 +16,7 @@ from support.helpers import fails, names, run
 import svu_mi as svu
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.guide import Guide
-from svu_mi.cli.options import CaptureOptions, SceneOptions
+from svu_mi.cli.shared_options import CaptureOptions, SceneOptions
 from svu_mi.core.io.exr import read_exr
 
 MISSING = (2, 5, 6)  # photographs that the scene has sensors for, but nobody has taken

@@ -12,7 +12,7 @@ import pytest
 from support.helpers import fails, last_line, names, run, sensor_xml, write_scene
 
 from svu_mi import scenes
-from svu_mi.cli.common import was_interrupted
+from svu_mi.cli.base_command import was_interrupted
 from svu_mi.core.interrupts import between_steps
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.folder_exchange import DRAFT, beside

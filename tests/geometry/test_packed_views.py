@@ -19,7 +19,7 @@ from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sens
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.packed_views import pack_sensors, pack_views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import Surface, observe
+from svu_mi.geometry.sample_view import TexelLanes, sample_view
 from svu_mi.geometry.silhouettes import MIN_COSINE, SLOPE_MARGIN
 from svu_mi.geometry.texels import texels
 
@@ -150,11 +150,11 @@ def test_pixels_that_are_judged_later_are_those_of_whole_films():
     scene = load_scene(scenes.path("vase"))
     target = next(shape for shape in scene.shapes() if shape.is_mesh())
     sensors = sphere_sensors(target, 6, (96, 80))
-    surface = Surface.of(texels(target, resolution=128))
+    surface = TexelLanes.of(texels(target, resolution=128))
     at_once, later = (pack_sensors(scene, target, sensors, later=value) for value in (False, True))
     assert later.usable is None
     for view in range(6):
-        seen = [observe(v, surface, dr.opaque(mi.UInt32, view)).seen.numpy()
+        seen = [sample_view(v, surface, dr.opaque(mi.UInt32, view)).seen.numpy()
                 for v in (at_once, later)]  # fmt: skip
         assert 0.05 < seen[0].mean() < 0.6
         assert (seen[0] == seen[1]).mean() > 0.9999  # a kernel may round a ray differently
@@ -168,8 +168,8 @@ def test_photographs_are_packed_in_colour(tmp_path):
     exact = np.concatenate([image.reshape(-1, 3) for image in capture.images])
     np.testing.assert_array_equal(views.pixels.numpy().reshape(-1, 3), exact)
     assert np.isfinite(exact[views.usable.numpy()]).all()
-    surface = Surface.of(texels(capture.mesh, 16))
-    seen = observe(views, surface, mi.UInt32(1))
+    surface = TexelLanes.of(texels(capture.mesh, 16))
+    seen = sample_view(views, surface, mi.UInt32(1))
     (mean,) = as_channels(seen.radiance, 1)
     assert seen.seen.numpy().any()
     three = seen.radiance.numpy().mean(axis=0, dtype=np.float64)

@@ -12,9 +12,9 @@ from support.helpers import ball_scene, memory_capture
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.pixel_footprint import SPACING
-from svu_mi.geometry.sample_view import Surface, look
+from svu_mi.geometry.sample_view import TexelLanes, sample_visible
 from svu_mi.geometry.texels import texels
-from svu_mi.geometry.visibility import survey
+from svu_mi.geometry.visibility import trace_visibility
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 FILM = 200
@@ -26,10 +26,10 @@ def seen_by(tmp_path, image, resolution, mask=None):
     sensor = sphere_sensors(mi.load_dict({"type": "sphere"}), 5, (FILM, FILM))[2]
     capture = memory_capture(scene, [image], [sensor], masks=(mask,))
     found = texels(capture.mesh, resolution)
-    views, surface = pack_views(capture), Surface.of(found)
-    bits = survey(views, surface).bits
+    views, surface = pack_views(capture), TexelLanes.of(found)
+    bits = trace_visibility(views, surface).bits
     seen = bits.test(mi.UInt32(0), surface.index)
-    sample = look(views, surface, mi.UInt32(0), seen)
+    sample = sample_visible(views, surface, mi.UInt32(0), seen)
     dr.eval(sample.radiance, sample.contrast, seen)
     return sample, found, sensor, seen.numpy()
 
@@ -144,9 +144,9 @@ def test_what_lies_beyond_the_film_is_left_out(tmp_path):
     })  # fmt: skip
     capture = memory_capture(scene, [image], [near])
     found = texels(capture.mesh, 24)
-    views, surface = pack_views(capture), Surface.of(found)
-    seen = survey(views, surface).bits.test(mi.UInt32(0), surface.index)
-    sample = look(views, surface, mi.UInt32(0), seen)
+    views, surface = pack_views(capture), TexelLanes.of(found)
+    seen = trace_visibility(views, surface).bits.test(mi.UInt32(0), surface.index)
+    sample = sample_visible(views, surface, mi.UInt32(0), seen)
     value = np.array(sample.radiance)[0][seen.numpy()]
     assert len(value) > 20
     # Two rows of pixels of at least thirty: not more than a part of any texel.

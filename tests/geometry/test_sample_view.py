@@ -1,4 +1,4 @@
-"""Observation: a texel's pixel shows that texel, and nothing else does."""
+"""Samples of a view: a texel's pixel shows that texel, and nothing else does."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from support.helpers import ball, ball_scene, memory_capture, sensor_xml, write_
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.geometry.packed_views import pack_views
-from svu_mi.geometry.sample_view import Surface, observe, over_views
+from svu_mi.geometry.sample_view import TexelLanes, over_views, sample_view
 from svu_mi.geometry.texels import texels
-from svu_mi.geometry.visibility import survey
+from svu_mi.geometry.visibility import trace_visibility
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 
@@ -30,7 +30,7 @@ def position_images(scene, sensors, spp=64):
 def seen_error(capture, resolution=64, min_cosine=0.3):
     """Per texel: the largest distance between it and what its pixels show, and the coverage."""
     found = texels(capture.mesh, resolution)
-    views, surface = pack_views(capture), Surface.of(found)
+    views, surface = pack_views(capture), TexelLanes.of(found)
 
     def worst(seen, view, error, count):
         del view
@@ -82,8 +82,8 @@ def test_projection_is_that_of_the_sensor(tmp_path):
     )
     capture = memory_capture(scene, [ramp], [sensor])
     found = texels(capture.mesh, 96)
-    views, surface = pack_views(capture), Surface.of(found)
-    seen = observe(views, surface, mi.UInt32(0))
+    views, surface = pack_views(capture), TexelLanes.of(found)
+    seen = sample_view(views, surface, mi.UInt32(0))
     it = dr.zeros(mi.SurfaceInteraction3f, found.count)
     it.p = found.position
     exact, _ = sensor.sample_direction(it, mi.Point2f(0.5))
@@ -123,7 +123,7 @@ def test_facing_away_is_never_seen(tmp_path):
     sensors = sphere_sensors(scene.shapes()[0], 1, (64, 64))
     capture = memory_capture(scene, [np.ones((64, 64, 3))], sensors)
     found = texels(capture.mesh, 48)
-    seen = observe(pack_views(capture), Surface.of(found), mi.UInt32(0))
+    seen = sample_view(pack_views(capture), TexelLanes.of(found), mi.UInt32(0))
     camera = np.array(sensors[0].world_transform().matrix).reshape(4, 4)[:3, 3]
     p = found.position.numpy().T
     facing = ((camera - p) * p).sum(axis=1) > 0
@@ -144,7 +144,7 @@ def test_silhouette_pixels_do_not_mix_in_the_background(tmp_path):
     assert top > 0
     capture = memory_capture(scene, [image / top for image in images], sensors)
     found = texels(capture.mesh, 64)
-    views, surface = pack_views(capture), Surface.of(found)
+    views, surface = pack_views(capture), TexelLanes.of(found)
     low = dr.full(mi.Float, 1, surface.count)
     (low,) = over_views(
         views,
@@ -164,7 +164,7 @@ def test_visibility_does_not_depend_on_the_scale_of_the_scene(tmp_path, scale):
     sensors = sphere_sensors(shape, 6, (64, 64))
     capture = memory_capture(scene, [np.ones((64, 64, 3))] * 6, sensors)
     found = texels(shape, 48)
-    seen = survey(pack_views(capture), Surface.of(found))
+    seen = trace_visibility(pack_views(capture), TexelLanes.of(found))
     count, per_view = seen.coverage, seen.per_view
     assert int(count.numpy().sum()) == int(per_view.sum())
     # A camera 3.5 radii away sees 36 % of a sphere, and grazing pixels are not used.

@@ -577,7 +577,7 @@ class TestNextBestView:
         known = prospect(estimated(0), around, hypotheses=1, strategy="coverage")
         assert (known.seen == known.forecast.seen).all()  # by rays alone, and as forecasts have it
         every = known.forecast
-        bits, lanes = whole.observed.found.bits, dr.arange(mi.UInt32, texels.count)
+        bits, lanes = whole.observed.visibility.bits, dr.arange(mi.UInt32, texels.count)
         exact = np.stack([np.array(bits.test(mi.UInt32(v), lanes)) for v in range(20)])
         assert (every.seen == exact).mean() > 0.999
         assert exact.sum() > 1000

@@ -11,7 +11,7 @@ from support.walled import noise_capture, walled_ball
 
 import svu_mi as svu
 from svu_mi.core.arrays import owned
-from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import band_limit
 from svu_mi.light.environment import Environment, directions, quadrature
 from svu_mi.light.light_tree import light_cells
@@ -29,7 +29,7 @@ def points(positions, normals):
     positions, normals = (np.atleast_2d(x).astype(np.float32).T for x in (positions, normals))
     normal = owned(mi.Normal3f, normals)
     position = owned(mi.Point3f, positions)
-    return Surface(position, normal, normal, dr.opaque(mi.Float, 1e-4))
+    return TexelLanes(position, normal, normal, dr.opaque(mi.Float, 1e-4))
 
 
 def environment(radiance, to_world=None, disk=None, rows=65):
@@ -113,7 +113,7 @@ def test_a_convex_object_hides_nothing_from_itself(tmp_path):
     """All of the light above both horizons, the shading normal's and the facet's."""
     ball = {"type": "ply", "filename": str(write_ball(tmp_path))}
     scene = mi.load_dict({"type": "scene", "ball": ball})
-    surface = Surface.of(svu.texels(scene.shapes()[0], 24))
+    surface = TexelLanes.of(svu.texels(scene.shapes()[0], 24))
     light = environment(white)
     reach = trace_reach(scene, surface, tree(light, 1024))
     above = directly(scene, surface, reach.cells.coarse, occluded=False)
@@ -275,7 +275,7 @@ def surroundings():
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     surface = points(rng.uniform(-0.2, 0.2, (40, 3)), normals)
     geometric = owned(mi.Normal3f, tilted.T.astype(np.float32))
-    return scene, Surface(surface.position, surface.normal, geometric, surface.offset)
+    return scene, TexelLanes(surface.position, surface.normal, geometric, surface.offset)
 
 
 @pytest.mark.parametrize("occluded", [True, False])
@@ -330,10 +330,10 @@ def test_mirror_bits_are_those_of_one_ray_after_the_other(tmp_path):
     """Of every sample; below the horizon nothing is free, nor where a view sees nothing."""
     capture = noise_capture(walled_ball(tmp_path))
     observed = observe(capture, svu.texels(capture.mesh, 16))
-    surface, found = observed.surface, observed.found
-    for slot in range(int(found.count[0])):
+    surface, visibility = observed.surface, observed.visibility
+    for slot in range(int(visibility.count[0])):
         place = dr.opaque(mi.UInt32, slot)
-        seen = found.look(observed.views, surface, place)
+        seen = visibility.sample(observed.views, surface, place)
         n = mi.Vector3f(surface.normal)
         mirror = 2 * dr.dot(n, seen.direction) * n - seen.direction
         origin = surface.position + surface.offset * surface.geometric_normal

@@ -20,7 +20,7 @@ from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.sensors import make_sensor
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import Observation, Surface, look, observe
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample, sample_view, sample_visible
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.scenes import meshes
 
@@ -180,13 +180,14 @@ def exact(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     return result
 
 
-def _look(observed: Any, surface: Surface, number: int) -> Observation:
+def _look(observed: Any, surface: TexelLanes, number: int) -> ViewSample:
     """What a view shows, if its own ray says that it sees a texel."""
     view = dr.opaque(mi.UInt32, number)
-    return look(observed.views, surface, view, observe(observed.views, surface, view).seen)
+    seen = sample_view(observed.views, surface, view).seen
+    return sample_visible(observed.views, surface, view, seen)
 
 
-def _mirror(views: Views, surface: Surface, seen: Observation) -> tuple[Any, Any]:
+def _mirror(views: Views, surface: TexelLanes, seen: ViewSample) -> tuple[Any, Any]:
     """The mirror direction, and whether nothing stands there."""
     normal = mi.Vector3f(surface.normal)
     mirror = 2 * dr.dot(normal, seen.direction) * normal - seen.direction

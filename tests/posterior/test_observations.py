@@ -18,7 +18,7 @@ from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.recovery_options import DescentOptions, ShOptions
 from svu_mi.statistics.gather_statistics import Weighting
 
-TRACERS = ("pack_views", "survey", "trace_reach", "trace_mirrors", "light")
+TRACERS = ("pack_views", "trace_visibility", "trace_reach", "trace_mirrors", "light")
 BRIEF = ShOptions(descent=DescentOptions(steps=2))
 GRID = PrincipledGrid(3, 3, 3)
 
@@ -104,7 +104,7 @@ def test_forecasts_of_seen_texels_trace_no_cell_again(capture, layout, calls, mo
 @pytest.mark.slow
 def test_what_was_observed_serves_as_well_as_an_estimate(capture, layout, calls):
     observed = module.observe(capture, layout)
-    assert calls == {"pack_views": 1, "survey": 1}
+    assert calls == {"pack_views": 1, "trace_visibility": 1}
     first = svu.estimate(observed)
     assert calls == dict.fromkeys(TRACERS, 1)
     svu.recover(observed, sh=BRIEF)

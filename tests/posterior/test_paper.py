@@ -24,7 +24,7 @@ from svu_mi.capture.mesh import make
 from svu_mi.core.arrays import owned
 from svu_mi.frequency.spectra import Coefficients
 from svu_mi.geometry.neighbors import neighbors
-from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.guidance.strategy_inputs import Prospect
 from svu_mi.light.band_limited import lat_long_texture, look_up
 from svu_mi.light.environment import directions, quadrature, synthesize
@@ -209,11 +209,11 @@ class Samples:
 @pytest.fixture(scope="module")
 def samples(observed) -> Samples:
     """Read from the capture; what is looked at is the same, what is made of it is not."""
-    surface = Surface.of(observed.texels, owned(mi.UInt32, observed.seen.astype(np.uint32)))
+    surface = TexelLanes.of(observed.texels, owned(mi.UInt32, observed.seen.astype(np.uint32)))
     normal = unit(surface.normal.numpy().T)
     rows = []
-    for slot in range(int(observed.found.count[0])):
-        look = observed.found.look(observed.views, surface, dr.opaque(mi.UInt32, slot))
+    for slot in range(int(observed.visibility.count[0])):
+        look = observed.visibility.sample(observed.views, surface, dr.opaque(mi.UInt32, slot))
         direction = np.array(look.direction).T
         o = unit(direction)
         i = 2 * (o * normal).sum(axis=1, keepdims=True) * normal - o
@@ -355,7 +355,7 @@ def test_eq06_the_loss_of_recovery_by_the_sh_model(observed, samples):
     objective = angular_objective(observed, SH)
     place = observed.texels.index.numpy()[samples.texel]
     loss, slopes = gradient_of(objective, textures_of(observed, rows), place)
-    exact, rise = exact_loss(samples, rows.astype(np.float64), observed.found.scale)
+    exact, rise = exact_loss(samples, rows.astype(np.float64), observed.visibility.scale)
     assert loss == pytest.approx(exact, rel=EXACT)
     for k in range(5):
         close(slopes[:, k], rise[:, k], EXACT)

@@ -16,7 +16,7 @@ from svu_mi import scenes
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.spectra import fit_coefficients, fit_spectra
-from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light import environment as env
 from svu_mi.light.band_limited import moment_map
 from svu_mi.light.prefiltered import filter_light
@@ -52,7 +52,7 @@ def capture(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def observed(capture):
-    """Views, texels, survey and light."""
+    """Views, texels, visibility and light."""
     return observe(capture, svu.texels(capture.mesh, SIZE))
 
 
@@ -113,7 +113,7 @@ def part(mirror, alpha):
 @pytest.mark.parametrize("name", ["default", "fast", "gaussian"])
 def test_the_model_is_that_of_float64(observed, name, hidden):
     """All four columns for random views and roughness, and radiance's derivative."""
-    surface, lighting = Surface.of(observed.texels), observed.lighting
+    surface, lighting = TexelLanes.of(observed.texels), observed.lighting
     model = continuous(lighting, angular(name), LEVELS)
     moments = moment_map(lighting.environment).in_world(surface.normal)
     rng = np.random.default_rng(4410)
@@ -256,6 +256,7 @@ def test_wrong_requests_are_named(observed):
 
 
 def test_black_photographs_are_refused(observed):
-    black = replace(observed, found=replace(observed.found, total=0 * observed.found.total))
+    seen = observed.visibility
+    black = replace(observed, visibility=replace(seen, total=0 * seen.total))
     with pytest.raises(CaptureError, match="is seen with any radiance"):
         svu.recover(black)

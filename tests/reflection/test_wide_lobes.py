@@ -11,7 +11,7 @@ from support.helpers import ball
 
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.core.arrays import owned
-from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.light.environment import Environment, read_environment
 from svu_mi.light.light_tree import Cells, light_cells
@@ -56,7 +56,11 @@ def views_of(grid: Texels, spread: float = 0.8) -> tuple[np.ndarray, np.ndarray]
 
 
 def found_by(
-    reach: Reach, surface: Surface, view: np.ndarray, channels: int = 3, alpha: np.ndarray = ALPHA
+    reach: Reach,
+    surface: TexelLanes,
+    view: np.ndarray,
+    channels: int = 3,
+    alpha: np.ndarray = ALPHA,
 ) -> np.ndarray:
     """(K, 3, C, T) p, q and d."""
     normal = surface.normal.numpy().T
@@ -111,7 +115,7 @@ def test_what_is_not_refined_is_the_sum_over_visible_cells(
     """The exact BRDF of every coarse cell, blurred as its disk blurs it."""
     monkeypatch.setattr(wide_lobes, "LARGE", 1e30)
     scene, grid = surroundings()
-    surface = Surface.of(grid)
+    surface = TexelLanes.of(grid)
     reach = trace_reach(scene, surface, light_cells(environment(spotted()), count, 512))
     normal, view = views_of(grid)
     seen = seen_by(reach.coarse, count, grid.count)
@@ -129,7 +133,7 @@ def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.Monke
     """Those of fine cells that are seen."""
     monkeypatch.setattr(wide_lobes, "LARGE", 0.0)
     scene, grid = surroundings()
-    surface = Surface.of(grid)
+    surface = TexelLanes.of(grid)
     reach = trace_reach(scene, surface, light_cells(environment(spotted()), 64, 512))
     normal, view = views_of(grid)
     leaves = below(reach.cells.first_leaf, seen_by(reach.fine, 512, grid.count))
@@ -147,7 +151,7 @@ def test_at_all_widths_it_is_the_quadrature_over_leaves(name: str) -> None:
         image[10:14, 5:20] = (3, 4, 5)
         image[15:20, 38:40] = (20, 18, 16)
     scene, grid = surroundings()
-    surface = Surface.of(grid)
+    surface = TexelLanes.of(grid)
     reach = trace_reach(scene, surface, light_cells(environment(image), 128, 1024))
     normal, view = views_of(grid)
     leaves = below(reach.cells.first_leaf, seen_by(reach.fine, 1024, grid.count))
@@ -170,7 +174,7 @@ def test_at_all_widths_it_is_the_quadrature_over_leaves(name: str) -> None:
 
 def test_one_channel_is_the_mean_of_three() -> None:
     scene, grid = surroundings()
-    surface = Surface.of(grid)
+    surface = TexelLanes.of(grid)
     reach = trace_reach(scene, surface, light_cells(environment(spotted()), 64, 512))
     _, view = views_of(grid)
     three, one = (found_by(reach, surface, view, channels) for channels in (3, 1))
@@ -187,7 +191,7 @@ def test_a_rough_metal_under_a_sun_is_what_mitsuba_renders() -> None:
     emitter = mi.load_dict(light)
     scene = mi.load_dict({"type": "scene", "ball": mesh, "light": emitter}, optimize=False)
     grid = texels(mesh, (24, 12))
-    surface = Surface.of(grid)
+    surface = TexelLanes.of(grid)
     reach = trace_reach(scene, surface, light_cells(read_environment(emitter), 64, 256))
     camera = np.array([1.5, 2.5, 3.0])
     to_camera = camera - np.array(grid.position, np.float64).T

@@ -20,7 +20,7 @@ no such setting
 """
 SHOW = """
 import sys
-from svu_mi.cli.pictures import import_matplotlib
+from svu_mi.cli.matplotlib_setup import import_matplotlib
 import_matplotlib()
 import matplotlib, os
 from matplotlib import rcParams, rcParamsDefault
@@ -60,7 +60,7 @@ def test_commands_that_draw_import_it_before_anything_else_and_others_do_not():
 def test_an_imported_matplotlib_is_left_alone(tmp_path):
     code = (
         "import matplotlib; matplotlib.rcParams['font.size'] = 3\n"
-        "from svu_mi.cli.pictures import import_matplotlib\n"
+        "from svu_mi.cli.matplotlib_setup import import_matplotlib\n"
         "import_matplotlib(); assert matplotlib.rcParams['font.size'] == 3"
     )
     assert python("-c", code, cwd=tmp_path).returncode == 0

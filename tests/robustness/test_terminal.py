@@ -19,7 +19,7 @@ from support.helpers import python, write_scene
 
 from svu_mi.cli import main as program
 from svu_mi.cli.main import main
-from svu_mi.cli.terminal import Forgiving, LogLines, OneLine, forgiving_streams, say
+from svu_mi.cli.streams import ForgivingStream, LogLines, OneLine, forgiving_streams, print_line
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError, SvuWarning, printable
 
@@ -78,7 +78,7 @@ def test_a_mistake_that_nobody_reads_is_status_2(tmp_path, redirection):
 def test_a_closed_descriptor_gets_no_file_of_ours():
     """Else what C++ prints to descriptor 1 would land in a result."""
     code = (
-        "import os; from svu_mi.cli.terminal import forgiving_streams\n"
+        "import os; from svu_mi.cli.streams import forgiving_streams\n"
         "with forgiving_streams(): print('x'); assert os.open(os.devnull, os.O_RDONLY) > 2"
     )
     done = subprocess.run(
@@ -135,7 +135,7 @@ def test_names_outside_of_ascii_are_escaped(scene, tmp_path):
 def test_a_live_line_on_a_terminal_without_unicode():
     ours, theirs = pty.openpty()
     code = (
-        "import time; from svu_mi.cli.terminal import *; from svu_mi.core.progress import *\n"
+        "import time; from svu_mi.cli.streams import *; from svu_mi.core.progress import *\n"
         "with forgiving_streams():\n"
         "    with Progress(OneLine()).stage('\\xe9'): time.sleep(0.3)"
     )
@@ -152,7 +152,7 @@ def test_a_live_line_on_a_terminal_without_unicode():
 
 def test_an_ascii_stream_spells_out_what_it_can():
     raw = io.BytesIO()
-    stream = Forgiving(io.TextIOWrapper(raw, "ascii", write_through=True))
+    stream = ForgivingStream(io.TextIOWrapper(raw, "ascii", write_through=True))
     assert stream.write("±0.05\u202f% \u4e2d") == 9
     assert raw.getvalue() == b"+-0.05 % \\u4e2d"
 
@@ -213,7 +213,7 @@ def test_the_program_logs_that_way(tmp_path):
 def test_lines_tables_and_stages_are_printable(terminal):
     stream = io.StringIO()
     console = OneLine(file=stream, width=200, force_terminal=terminal, color_system=None)
-    say(console, NASTY)
+    print_line(console, NASTY)
     console.print(NASTY, markup=False)
     table = Table("name", box=None)
     table.add_row(NASTY)

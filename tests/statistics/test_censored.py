@@ -128,7 +128,7 @@ def test_what_is_not_clipped_is_as_before(shiny):
     observed = observe(shiny, svu.texels(shiny.mesh, 32))
     none = tuple(Clipped.of(np.zeros((64, 64, 3), bool), 1.0) for _ in range(16))
     same = observe(replace(shiny, clipped=none), observed.texels)
-    assert same.views.clipped is None and same.found.clipped is None
+    assert same.views.clipped is None and same.visibility.clipped is None
 
 
 @pytest.mark.slow
@@ -201,7 +201,7 @@ def test_more_is_known_where_something_is_clipped_and_nothing_changes_elsewhere(
     _, without = statistics_of(replace(stored, clipped=()), texels)
     both = np.intersect1d(found.texel.numpy(), without.texel.numpy())
     one, other = (x.at(np.searchsorted(x.texel.numpy(), both)) for x in (found, without))
-    touched = seen.found.clipped.count()[both] > 0
+    touched = seen.visibility.clipped.count()[both] > 0
     assert 0.05 < touched.mean() < 0.9
     assert np.median((one.weight / other.weight)[touched]) > 1
     assert (one.views.numpy()[touched] >= other.views.numpy()[touched]).mean() > 0.9
@@ -217,10 +217,10 @@ def test_mirror_directions_of_clipped_views_are_traced_too(shiny):
     texels = svu.texels(shiny.mesh, 32)
     stored, _ = in_integers(shiny, observe(shiny, texels), 0.05)
     seen = observe(stored, texels)
-    asked = seen.found.bits.count() + seen.found.clipped.count()
+    asked = seen.visibility.bits.count() + seen.visibility.clipped.count()
     free = np.zeros(texels.count, int)
     free[seen.seen] = seen.mirrors.bits.count()
-    assert seen.found.clipped.count()[seen.seen].sum() > 100
+    assert seen.visibility.clipped.count()[seen.seen].sum() > 100
     np.testing.assert_array_equal(free[seen.seen], asked[seen.seen])
 
 

@@ -429,7 +429,8 @@ def test_statistics_of_two_captures_are_those_of_one_with_all_views(scene, kappa
     texels, places = svu.texels(noise_capture(scene, [0]).mesh, 8), 9
     switches = angular(channels="joint")
     order = np.random.default_rng(6).permutation(places).tolist()
-    per_view = observe(noise_capture(scene, range(places), places=places), texels).found.per_view
+    whole = noise_capture(scene, range(places), places=places)
+    per_view = observe(whole, texels).visibility.per_view
     able = np.flatnonzero(per_view)[:4]  # some look at the back of the wall
     for groups in ([range(4), range(4, 9)], [order[:2], order[2:]], [[k] for k in able]):
         whole, *parts = parts_of(

@@ -22,8 +22,7 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.quantization import Rounding, variance
 from svu_mi.core.arrays import owned
-from svu_mi.geometry.sample_view import Surface, look
-from svu_mi.geometry.sample_view import observe as look_for
+from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 from svu_mi.posterior.observations import observe
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import noise_weight
@@ -137,12 +136,12 @@ def test_the_variance_of_samples_is_that_of_their_steps(vase):
     seen = observe(dark, vase.texels)
     kappa, eta = 0.4 * seen.unit, 2.0
     found = seen.rounding(Weighting(kappa, eta))
-    surface = Surface.of(seen.texels, owned(mi.UInt32, seen.seen.astype(np.uint32)))
+    surface = TexelLanes.of(seen.texels, owned(mi.UInt32, seen.seen.astype(np.uint32)))
     total, count = np.zeros(len(seen.seen)), np.zeros(len(seen.seen))
     for view in range(dark.count):
         which = dr.opaque(mi.UInt32, view)
-        shows = look_for(seen.views, surface, which).seen
-        shown = look(seen.views, surface, which, shows)
+        shows = sample_view(seen.views, surface, which).seen
+        shown = sample_visible(seen.views, surface, which, shows)
         b, v = shown.radiance.numpy().T.astype(np.float64), shown.contrast.numpy()
         steps = dark.rounding[view]
         step = np.maximum(steps.first, steps.slope * np.maximum(b, 1e-20) ** (1.4 / 2.4))

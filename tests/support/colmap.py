@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from support.photographs import copy_file
 from svu_mi.capture.importers.colmap.project import IMAGES, MASKS
-from svu_mi.capture.importers.colmap.sparse_model import Camera, View, write_model
+from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, ImagePose, write_model
 from svu_mi.capture.importers.source import OPENCV, Source
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import OutputError
@@ -29,7 +29,7 @@ def write_colmap(root: Path, source: Source) -> None:
         OutputError: a photograph has an exposure or an encoding that COLMAP cannot tell, or
             a file cannot be written.
     """
-    numbers: dict[Camera, int] = {}
+    numbers: dict[ColmapCamera, int] = {}
     views = []
     digits = max(4, len(str(len(source.frames) - 1)))  # names in the order of the frames
     for index, frame in enumerate(source.frames):
@@ -39,7 +39,7 @@ def write_colmap(root: Path, source: Source) -> None:
                 f"{frame.label}: COLMAP has no place for an exposure of {frame.exposure} or for "
                 f"{frame.transfer} pixels; write radiance as EXR first."
             )
-        camera = Camera("PINHOLE", *frame.size, (*frame.focal, *frame.center))
+        camera = ColmapCamera("PINHOLE", *frame.size, (*frame.focal, *frame.center))
         number = numbers.setdefault(camera, len(numbers) + 1)
         name = f"view_{index:0{digits}d}{frame.image.suffix.lower()}"
         views.append(_view(name, number, frame.to_world))
@@ -52,9 +52,9 @@ def write_colmap(root: Path, source: Source) -> None:
     write_model(model, dict(enumerate(numbers, 1)), views)
 
 
-def _view(name: str, camera: int, to_world: np.ndarray) -> View:
+def _view(name: str, camera: int, to_world: np.ndarray) -> ImagePose:
     camera_to_world = to_world @ OPENCV
     rotation = camera_to_world[:3, :3].T
     x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
     translation = -rotation @ camera_to_world[:3, 3]
-    return View(name, camera, (w, x, y, z), tuple(translation.tolist()))
+    return ImagePose(name, camera, (w, x, y, z), tuple(translation.tolist()))

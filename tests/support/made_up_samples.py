@@ -11,7 +11,7 @@ import numpy as np
 from svu_mi.calibration.light.light_samples import Samples
 from svu_mi.calibration.light.light_transport import Materials, Transport
 from svu_mi.core.arrays import fibonacci, owned
-from svu_mi.geometry.sample_view import Surface
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.presets import preset
 
 SWITCHES = preset("default", method="angular")
@@ -27,7 +27,7 @@ def free_samples(normals: np.ndarray, directions: np.ndarray) -> Samples:
     owner = np.repeat(np.arange(texels), views)
     direction = directions.reshape(-1, 3).astype(np.float32)
     return Samples(
-        scene=scene, surface=Surface(places, normal, normal, dr.opaque(mi.Float, 1e-4)),
+        scene=scene, surface=TexelLanes(places, normal, normal, dr.opaque(mi.Float, 1e-4)),
         owner=owner, view=np.tile(np.arange(views), texels), direction=direction,
         cosine=(direction * normals[owner]).sum(axis=1).astype(np.float32),
         radiance=np.zeros((texels * views, 3), np.float32), weight=np.ones(texels * views),

@@ -78,9 +78,9 @@ class Samples:
         model = observed.model(roughness, switches, channels)
         mirrors = observed.mirrors if switches.traced and switches.occluded else None
         surface, rows = observed.surface, []
-        for slot in range(int(observed.found.count[0])):
+        for slot in range(int(observed.visibility.count[0])):
             place = dr.opaque(mi.UInt32, slot)
-            seen = observed.found.look(observed.views, surface, place)
+            seen = observed.visibility.sample(observed.views, surface, place)
             free = mi.Bool(True) if mirrors is None else mirrors.test(place, surface.index)
             columns = model.columns(seen.direction, dr.maximum(seen.cosine, 1e-3), free)
             b = as_channels(seen.radiance, channels)

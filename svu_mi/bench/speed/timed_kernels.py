@@ -1,8 +1,8 @@
 """Time in kernels by stage of an estimate, and the gather against bare visibility rays.
 
-``survey`` projects texels, tests which way they face and whether their pixels may be used, and
-then traces. The rays that are left are recorded, and traced again without all the rest: in the
-same loop over views, and as one flat wavefront.
+``trace_visibility`` projects texels, tests which way they face and whether their pixels may be
+used, and then traces. The rays that are left are recorded, and traced again without all the rest:
+in the same loop over views, and as one flat wavefront.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.arrays import owned
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.geometry.packed_views import Views, pack_views
-from svu_mi.geometry.sample_view import Surface, observe
+from svu_mi.geometry.sample_view import TexelLanes, sample_view
 from svu_mi.geometry.texels import texels
-from svu_mi.geometry.visibility import survey
+from svu_mi.geometry.visibility import trace_visibility
 from svu_mi.scenes import meshes
 
 MIN_TRIANGLES = 70_000
@@ -89,7 +89,7 @@ def kernels_of(function: Callable[..., Any]) -> dict[str, Record]:
 
 
 def measure_gather(capture: Capture, resolution: int, repeats: int) -> Record:
-    """Compare ``survey`` with bare ``ray_test``.
+    """Compare ``trace_visibility`` with bare ``ray_test``.
 
     Args:
         capture: what to gather from.
@@ -97,16 +97,16 @@ def measure_gather(capture: Capture, resolution: int, repeats: int) -> Record:
         repeats: warm runs.
 
     Returns:
-        ``triangles``, ``texels``, ``views`` and ``rays``: how many; ``ways``: for ``survey``,
-        ``ray_test, loop over views`` and ``ray_test, flat`` the times (see ``timing.summary``),
+        ``triangles``, ``texels``, ``views`` and ``rays``: how many; ``ways``: the times of
+        ``survey``, ``ray_test, loop over views`` and ``ray_test, flat`` (see ``timing.summary``),
         ``rays_per_second`` and ``free``, the number of rays that hit nothing, which is the same
         for all; and the ``ratio`` of the survey's rate to the better one of the two.
     """
     layout, views = texels(capture.mesh, resolution), pack_views(capture)
-    surface = Surface.of(layout)
+    surface = TexelLanes.of(layout)
     rays = record_rays(views, surface)
     functions: dict[str, Callable[[], Any]] = {
-        "survey": lambda: survey(views, surface).coverage,
+        "survey": lambda: trace_visibility(views, surface).coverage,
         "ray_test, loop over views": lambda: _trace_in_loop(views, rays, surface.count),
         "ray_test, flat": lambda: _trace_flat(views, rays),
     }
@@ -146,7 +146,7 @@ def fine_capture(views: int, film: int) -> Capture:
 
 @dataclass(frozen=True)
 class Rays:
-    """The visibility rays of a survey, those of one view after the other.
+    """The visibility rays of a capture, those of one view after the other.
 
     Attributes:
         origin, direction, reach: (N,) Point3f, Vector3f, Float.
@@ -181,14 +181,14 @@ class _Recorder:
         return mi.Bool(False)
 
 
-def record_rays(views: Views, surface: Surface) -> Rays:
-    """Find out which rays ``survey`` traces, by letting it ask."""
+def record_rays(views: Views, surface: TexelLanes) -> Rays:
+    """Find out which rays ``trace_visibility`` traces, by letting it ask."""
     parts, slots, first = [], [], 0
     for view in range(views.number):
         recorder = _Recorder()
         # In a symbolic branch there would be no values to record.
         with dr.scoped_set_flag(dr.JitFlag.SymbolicConditionals, False):
-            observe(replace(views, scene=recorder), surface, dr.opaque(mi.UInt32, view))
+            sample_view(replace(views, scene=recorder), surface, dr.opaque(mi.UInt32, view))
         (ray, active), = recorder.asked  # fmt: skip
         kept = np.flatnonzero(np.broadcast_to(np.array(active), surface.count))
         slot = np.full(surface.count, NO_RAY, np.uint32)

@@ -16,7 +16,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
 from svu_mi.capture.scene import find_environment
 from svu_mi.core.arrays import fibonacci, owned
-from svu_mi.geometry.sample_view import Surface, observe
+from svu_mi.geometry.sample_view import TexelLanes, sample_view
 from svu_mi.light.band_limited import band_limit, look_up
 from svu_mi.light.environment import basis_at, read_environment
 from svu_mi.light.light_tree import Cells, light_cells
@@ -59,13 +59,13 @@ class Points:
     uv: np.ndarray | None
     offset: float
 
-    def surface(self, index: Any) -> Surface:
+    def surface(self, index: Any) -> TexelLanes:
         """Return the points of a UInt32 array of indices as lanes of a kernel."""
 
         def of(kind: Any, values: np.ndarray) -> Any:
             return dr.gather(kind, owned(mi.Float, values.astype(np.float32).ravel()), index)
 
-        return Surface(
+        return TexelLanes(
             position=of(mi.Point3f, self.position), normal=of(mi.Normal3f, self.normal),
             geometric_normal=of(mi.Normal3f, self.facing), offset=dr.opaque(mi.Float, self.offset),
         )  # fmt: skip
@@ -129,7 +129,7 @@ def look(points: Points, frames: Frames) -> Sightings:
     shape = frames.views.number, len(points.position)
     view, point = _pairs(shape)
     surface = points.surface(point)
-    found = observe(frames.views, surface, view)
+    found = sample_view(frames.views, surface, view)
     facing = dr.minimum(found.cosine, dr.dot(surface.geometric_normal, found.direction)) > FACING
     seen = found.seen & facing
     return Sightings(

@@ -110,8 +110,8 @@ def _scaled(
         capture = replace(with_light(observed.capture, lit), doubt=None)
         # Rays to the cameras are the same ones; those to the light's cells are not.
         seen = Observed(
-            capture=capture, views=observed.views, texels=observed.texels, found=observed.found,
-            seen=observed.seen,
+            capture=capture, views=observed.views, texels=observed.texels,
+            visibility=observed.visibility, seen=observed.seen,
         )  # fmt: skip
         factor = np.clip(wanted(estimate(seen, known=known)), 1 / FARTHEST, FARTHEST)
         total = total * factor

@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import owned
 from svu_mi.errors import CaptureError
-from svu_mi.geometry.sample_view import Surface, look
+from svu_mi.geometry.sample_view import TexelLanes, sample_visible
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.statistics.statistics import noise_weight
@@ -41,7 +41,7 @@ class Samples:
     """
 
     scene: Any
-    surface: Surface
+    surface: TexelLanes
     owner: np.ndarray
     view: np.ndarray
     direction: np.ndarray
@@ -106,8 +106,8 @@ class Samples:
     @staticmethod
     def of(observed: Observed, switches: AngularPreset, count: int) -> Samples:
         """Sample at most ``count`` visible texels, evenly spread over the surface."""
-        views, found = observed.views, observed.found
-        if not found.scale > 0:
+        views, visibility = observed.views, observed.visibility
+        if not visibility.scale > 0:
             raise CaptureError(
                 "The object is black in all photographs, which says nothing of the light; look at "
                 "their gains and masks with svu check."
@@ -125,8 +125,8 @@ class Samples:
         lanes = dr.arange(mi.UInt32, count * views.number)
         number = dr.opaque(mi.UInt32, views.number)
         own, view = lanes // number, lanes % number
-        launch = Surface.of(observed.texels, dr.gather(mi.UInt32, texel, own))
-        seen = look(views, launch, view, found.bits.test(view, launch.index))
+        launch = TexelLanes.of(observed.texels, dr.gather(mi.UInt32, texel, own))
+        seen = sample_visible(views, launch, view, visibility.bits.test(view, launch.index))
         kappa = switches.kappa(observed.unit)
         weight = noise_weight(
             sum(seen.radiance) / 3, dr.opaque(mi.Float, kappa), seen.contrast, switches.edges
@@ -136,7 +136,7 @@ class Samples:
         sensors = observed.capture.used_sensors
         return Samples(
             scene=views.scene,
-            surface=Surface.of(observed.texels, texel),
+            surface=TexelLanes.of(observed.texels, texel),
             owner=kept // views.number,
             view=kept % views.number,
             direction=seen.direction.numpy().T[kept],

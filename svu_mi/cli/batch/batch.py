@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, interruptible
-from svu_mi.cli.options import Output, pair, require_range
-from svu_mi.cli.terminal import say
+from svu_mi.cli.base_command import BaseCommand, interruptible
+from svu_mi.cli.shared_options import Output, pair, require_range
+from svu_mi.cli.streams import print_line
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.progress import Progress
-from svu_mi.core.threads import FEWEST_THREADS
 from svu_mi.errors import OptionError
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ Step = Literal["entropy", "recover", "report", "export"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch(Common):
+class Batch(BaseCommand):
     """Estimate, recover, report and export many captures; one page shows all of them.
 
     Every capture gets a folder with entropy, recovered, report.html and asset. One that fails is a
@@ -78,10 +77,10 @@ class Batch(Common):
                     write_index(self.output, outcomes, len(items) - len(outcomes))
                     stage.update(len(outcomes), len(items))
                     if outcome.sentence:
-                        say(console, f"{outcome.name}: {outcome.sentence}")
+                        print_line(console, f"{outcome.name}: {outcome.sentence}")
         failed = sum(bool(outcome.sentence) for outcome in outcomes)
-        say(console, f"Wrote {self.output / 'index.html'}")
-        say(console, _summary(outcomes, failed))
+        print_line(console, f"Wrote {self.output / 'index.html'}")
+        print_line(console, _summary(outcomes, failed))
         return FAILED if failed else 0
 
     def _runner(self) -> BatchRunner:
@@ -98,6 +97,8 @@ class Batch(Common):
         if self.resolution:
             width, height = pair(self.resolution, "--resolution")
             options["resolution"] = f"{width} {height}"
+        from svu_mi.core.threads import FEWEST_THREADS
+
         threads = self.threads or max((os.cpu_count() or 1) // self.workers, FEWEST_THREADS)
         words = ["--trust"] if self.trust else []
         if self.threads or not self.scheduler:  # workers of a cluster have their own

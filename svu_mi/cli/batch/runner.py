@@ -24,7 +24,6 @@ from svu_mi.cli.batch.steps import STEPS, inputs_key, key_of, read_done, words_o
 from svu_mi.core.io.files import prepare_folder, read_json
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.memory import free_memory
-from svu_mi.core.threads import FEWEST_THREADS
 from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
 
 TRIES = 3  # of a command that is killed from outside
@@ -37,7 +36,7 @@ SECONDS = 30  # to reach a scheduler
 _one_at_a_time = threading.Lock()  # a worker has as many tasks at once as it has threads
 
 
-class Ended(NamedTuple):
+class ProcessResult(NamedTuple):
     """Exit status of a process, its last sentence, and bytes at its peak."""
 
     status: int
@@ -98,7 +97,7 @@ class BatchRunner:
         Closing the iterator, or an exception such as Ctrl-C, ends the commands that are running.
         """
         free, workers = free_memory(), max(min(self.workers, len(items)), 1)
-        commands = Commands(0 if free is None or workers == 1 else free // workers)
+        commands = CommandPool(0 if free is None or workers == 1 else free // workers)
         with ThreadPoolExecutor(workers) as threads:
             work = [threads.submit(self.work, item, commands) for item in items]
             try:
@@ -138,7 +137,7 @@ class BatchRunner:
             finally:
                 client.cancel(list(futures))
 
-    def work(self, item: Item, commands: Commands) -> Outcome:
+    def work(self, item: Item, commands: CommandPool) -> Outcome:
         """Take the steps of one capture that are not done; errors become its sentence."""
         item = replace(item, options=self.options | item.options)
         folder = self.output / item.name
@@ -163,7 +162,7 @@ class BatchRunner:
         )  # fmt: skip
 
     def _taken(
-        self, item: Item, folder: Path, done: dict[str, dict[str, Any]], commands: Commands
+        self, item: Item, folder: Path, done: dict[str, dict[str, Any]], commands: CommandPool
     ) -> Iterator[Outcome]:
         """Yield the outcome after each step, up to the first that fails."""
         outcome, key = Outcome(item.name, folder), inputs_key(item, self.output)
@@ -194,12 +193,14 @@ def work_there(runner: BatchRunner, item: Item) -> Outcome:
     """Take the steps of one capture, in a worker of a cluster, with its threads and its memory."""
     from distributed import get_worker
 
+    from svu_mi.core.threads import FEWEST_THREADS
+
     worker, words = get_worker(), runner.words
     if "-t" not in words:
         words += ("-t", str(max(worker.state.nthreads, FEWEST_THREADS)))
     memory = worker.memory_manager.memory_limit or 0
     with _one_at_a_time:
-        return replace(runner, words=words).work(item, Commands(memory))
+        return replace(runner, words=words).work(item, CommandPool(memory))
 
 
 def _absolute(item: Item) -> Item:
@@ -244,7 +245,7 @@ def connected(address: str) -> Iterator[Any]:
             client.close()
 
 
-def _tried(commands: Commands, words: Sequence[str], left: Path | None) -> Ended:
+def _tried(commands: CommandPool, words: Sequence[str], left: Path | None) -> ProcessResult:
     """Run a command, again if it is killed from outside; resume from its checkpoint if possible."""
     for _ in range(TRIES):
         resumes = left is not None and left.is_file()
@@ -257,7 +258,7 @@ def _tried(commands: Commands, words: Sequence[str], left: Path | None) -> Ended
     return ended._replace(said=f"was killed {TRIES} times (signal {-ended.status})")
 
 
-class Commands:
+class CommandPool:
     """The commands that are running; none starts any more once they were ended."""
 
     def __init__(self, memory: int = 0) -> None:
@@ -266,14 +267,14 @@ class Commands:
         self._running: set[subprocess.Popen[bytes]] = set()
         self._over = False
 
-    def run(self, words: Sequence[str]) -> Ended:
+    def run(self, words: Sequence[str]) -> ProcessResult:
         """Run ``svu`` with words, to its end."""
         own = [str(os.getpid()), str(self._memory)]
         # -P: Python would look for every module in the working directory first.
         line = [sys.executable, "-P", "-m", "svu_mi.cli.batch.child_process", *own, *words]
         with self._lock:
             if self._over:
-                return Ended(INTERRUPTED, "not begun", 0)
+                return ProcessResult(INTERRUPTED, "not begun", 0)
             process = subprocess.Popen(
                 line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
             )
@@ -287,7 +288,7 @@ class Commands:
                 self._running.discard(process)
         if status and self._over:  # killed by ``end``
             status = INTERRUPTED
-        return Ended(status, sentence_of(said), peak)
+        return ProcessResult(status, sentence_of(said), peak)
 
     def end(self) -> None:
         """Kill what is running; results are put in place in one step, so none is half-written."""

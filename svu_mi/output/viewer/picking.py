@@ -118,7 +118,7 @@ class Picker:
             )
         used = np.flatnonzero(self._capture.used)
         view = dr.arange(mi.UInt32, len(used))
-        seen = observed.found.bits.test(view, owned(mi.UInt32, np.full(len(used), texel)))
+        seen = observed.visibility.bits.test(view, owned(mi.UInt32, np.full(len(used), texel)))
         return tuple(used[np.array(seen)].tolist())
 
 

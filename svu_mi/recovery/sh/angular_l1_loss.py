@@ -22,8 +22,8 @@ from svu_mi.frequency.fit_samples import MirroredLight
 from svu_mi.frequency.sh_lobes import Convolved
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import Observation, Surface
-from svu_mi.geometry.visibility import Survey
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample
+from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.band_limited import moment_map
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.observations import Observed
@@ -43,7 +43,7 @@ class AngularObjective:
     Attributes:
         views: the packed capture, in C = 3 channels.
         surface: the S texels that some view sees.
-        found: which views see which texels.
+        visibility: which views see which texels.
         switches: of the model.
         light: that the texels mirror.
         moments: of the diffuse light that arrives, 8 Floats (S,) per channel.
@@ -52,8 +52,8 @@ class AngularObjective:
     """
 
     views: Views
-    surface: Surface
-    found: Survey
+    surface: TexelLanes
+    visibility: Visibility
     switches: AngularPreset
     light: MirroredLight
     moments: list[list[Any]]
@@ -72,7 +72,7 @@ class AngularObjective:
         """Loss and its derivatives for all parameters, summed per texel."""
         lobes = Convolved.of(self.light, values["roughness"][0])
 
-        def consume(seen: Observation, _: Any, *sums: Any) -> tuple[Any, ...]:
+        def consume(seen: ViewSample, _: Any, *sums: Any) -> tuple[Any, ...]:
             def add(values: Values, loss: Any, slopes: Values) -> tuple[Any, Values]:
                 more, added = self._sample(seen, lobes, values)
                 return loss + more, {
@@ -80,20 +80,20 @@ class AngularObjective:
                     for name in slopes
                 }
 
-            asked = self.found.asked(seen.seen)
-            found = dr.if_stmt(
-                args=(values, *sums), cond=asked, true_fn=add, false_fn=lambda _, *s: s
+            needed = self.visibility.needs_work(seen.seen)
+            added = dr.if_stmt(
+                args=(values, *sums), cond=needed, true_fn=add, false_fn=lambda _, *s: s
             )
-            return tuple(found)
+            return tuple(added)
 
         def zero() -> Any:
             return dr.zeros(mi.Float, self.surface.count)
 
         none = {name: [zero() for _ in of_name] for name, of_name in values.items()}
-        loss, slopes = self.found.over_views(self.views, self.surface, consume, (zero(), none))
+        loss, slopes = self.visibility.over_views(self.views, self.surface, consume, (zero(), none))
         return loss, slopes
 
-    def _sample(self, seen: Observation, lobes: Convolved, values: Values) -> tuple[Any, Values]:
+    def _sample(self, seen: ViewSample, lobes: Convolved, values: Values) -> tuple[Any, Values]:
         """What one sample of every texel adds to the loss and its derivatives."""
         base_color, mixed = values["base_color"], mixed_of(values)
         with dr.resume_grad():
@@ -119,12 +119,12 @@ class AngularObjective:
                 added[name][0] += side[k] * dot(turn.at(color), x)
         return loss, added
 
-    def _shade(self, seen: Observation, lobes: Convolved, roughness: Any) -> list[Parts]:
+    def _shade(self, seen: ViewSample, lobes: Convolved, roughness: Any) -> list[Parts]:
         """Evaluate Eq. 6 towards the camera of every sample, with derivatives for roughness."""
         cosine = dr.maximum(seen.cosine, GRAZING)
         moved = roughness - dr.detach(roughness)  # 0, with a derivative
-        found = lobes.towards(seen.direction)
-        light = [dr.fma(slope, moved, value) for value, slope in found]
+        mirrored = lobes.towards(seen.direction)
+        light = [dr.fma(slope, moved, value) for value, slope in mirrored]
         alpha = alpha_from_roughness(roughness)
         diffuse = [
             diffuse_shading(self.switches.diffuse, each, seen.direction, cosine)
@@ -136,7 +136,7 @@ class AngularObjective:
 
 def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObjective:
     """Prepare the loss: fit the light of every texel that some view sees."""
-    found, texels = observed.found, observed.texels
+    visibility, texels = observed.visibility, observed.texels
     channels = 1 if observed.lighting.environment.grey else 3
     seen = np.flatnonzero(observed.coverage)
     light = observed.mirrored(switches.fit, channels, seen)
@@ -146,16 +146,16 @@ def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObj
             f"preset {switches.name!r} has no fit; use preset('paper', method='angular')."
         )
     selection = owned(mi.UInt32, seen.astype(np.uint32))
-    surface = Surface.of(texels, selection)
+    surface = TexelLanes.of(texels, selection)
     diffuse = moment_map(observed.lighting.environment, channels)
     samples = 3.0 * int(observed.coverage.sum(dtype=np.int64))
     return AngularObjective(
         views=observed.views,
         surface=surface,
-        found=found,
+        visibility=visibility,
         switches=switches,
         light=light,
         moments=diffuse.in_world(surface.normal),
         place=dr.gather(mi.UInt32, texels.index, selection),
-        factor=dr.opaque(mi.Float, 1 / (samples * found.scale)),
+        factor=dr.opaque(mi.Float, 1 / (samples * visibility.scale)),
     )

@@ -119,13 +119,13 @@ class SpectralObjective:
 
 def spectral_objective(observed: Observed, switches: Preset, domain: Domain) -> SpectralObjective:
     """Fit the photographs, and prepare the loss."""
-    found, lighting, texels = observed.found, observed.lighting, observed.texels
+    visibility, lighting, texels = observed.visibility, observed.lighting, observed.texels
     light = 1 if lighting.environment.grey else 3
     seen = observed.coverage > 0
     texel = owned(mi.UInt32, np.flatnonzero(seen).astype(np.uint32))
     fitted = fit_coefficients(observed, switches, light_channels=light)
     power, mean_power = _powers(fitted, texel)
-    unit = found.scale if domain == "coefficients" else mean_power
+    unit = visibility.scale if domain == "coefficients" else mean_power
     terms = (switches.degree + 1) ** (2 if domain == "coefficients" else 1)
     if domain == "spectrum":
         fitted = replace(fitted, values=mi.Float())

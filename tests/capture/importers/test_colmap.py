@@ -20,7 +20,12 @@ from support.helpers import foreign_source, projected
 from svu_mi.capture.importers.colmap import project as colmap
 from svu_mi.capture.importers.colmap import undistortion
 from svu_mi.capture.importers.colmap.project import find_model
-from svu_mi.capture.importers.colmap.sparse_model import Camera, View, read_model, write_model
+from svu_mi.capture.importers.colmap.sparse_model import (
+    ColmapCamera,
+    ImagePose,
+    read_model,
+    write_model,
+)
 from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.capture.importers.registry import ReadOptions, read_source
 from svu_mi.capture.importers.source import OPENCV, Source
@@ -111,13 +116,15 @@ def test_models_of_pycolmap_are_read_from_both_kinds_of_file(project):
 
 # Models made by hand.
 
-CAMERA = Camera("PINHOLE", 8, 6, (9.0, 9.5, 4.0, 3.0))
-VIEW = View("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0))
+CAMERA = ColmapCamera("PINHOLE", 8, 6, (9.0, 9.5, 4.0, 3.0))
+VIEW = ImagePose("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0))
 CAMERA_LINE = "1 PINHOLE 8 6 9 9.5 4 3"
 VIEW_LINE = "1 1 0 0 0 0 0 4 1 a.png"
 
 
-def put(root: Path, camera: Camera = CAMERA, view: View = VIEW, model: str = "sparse/0") -> Path:
+def put(
+    root: Path, camera: ColmapCamera = CAMERA, view: ImagePose = VIEW, model: str = "sparse/0"
+) -> Path:
     """Write a project of one view."""
     (root / model).mkdir(parents=True, exist_ok=True)
     write_model(root / model, {1: camera}, [view])
@@ -284,10 +291,10 @@ def test_a_broken_binary_model_is_named(tmp_path, case):
 
 # Undistortion.
 
-LENS = Camera("SIMPLE_RADIAL", 90, 60, (75.0, 46.0, 28.0, -0.15))
+LENS = ColmapCamera("SIMPLE_RADIAL", 90, 60, (75.0, 46.0, 28.0, -0.15))
 
 
-def put_lens(root: Path, directions: list[tuple[float, float]], lens: Camera = LENS) -> Path:
+def put_lens(root: Path, directions: list[tuple[float, float]], lens: ColmapCamera = LENS) -> Path:
     """Write photographs of a spot in each direction (x/z, y/z) through a lens, spots masked."""
     f, cx, cy, k = lens.parameters
     y, x = np.mgrid[: lens.height, : lens.width] + 0.5

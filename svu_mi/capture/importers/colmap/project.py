@@ -15,7 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from svu_mi.capture.importers.colmap.sparse_model import Camera, View, is_model, read_model
+from svu_mi.capture.importers.colmap.sparse_model import (
+    ColmapCamera,
+    ImagePose,
+    is_model,
+    read_model,
+)
 from svu_mi.capture.importers.source import OPENCV, Frame, Source
 from svu_mi.capture.importers.source_files import folder_of, inside, mask_of, no_folder
 from svu_mi.capture.sensors import affine
@@ -38,8 +43,8 @@ class Project:
     """
 
     model: Path
-    cameras: dict[int, Camera]
-    views: Sequence[View]
+    cameras: dict[int, ColmapCamera]
+    views: Sequence[ImagePose]
     images: Path
     photographs: Sequence[Path]
     masks: Sequence[Path | None]
@@ -121,7 +126,7 @@ def read_project(
     )
 
 
-def _label(model: Path, view: View) -> str:
+def _label(model: Path, view: ImagePose) -> str:
     return f"{model}: image {excerpt(repr(view.name))}"
 
 
@@ -132,7 +137,7 @@ def _near(model: Path, name: str) -> list[Path]:
     return [Path(os.path.normpath(model / up / name)) for up in ways]
 
 
-def _to_world(view: View) -> np.ndarray:
+def _to_world(view: ImagePose) -> np.ndarray:
     w, x, y, z = view.rotation
     rotation = scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix()
     return affine(rotation.T, -rotation.T @ view.translation) @ OPENCV

@@ -49,7 +49,7 @@ UNIT = 1e-2  # by which the norm of a quaternion may differ from 1
 
 
 @dataclass(frozen=True)
-class Camera:
+class ColmapCamera:
     """A camera of COLMAP: a model of ``PARAMETERS``, a size in pixels, and its parameters.
 
     These are focal length(s), principal point from the corner (0, 0), and distortion.
@@ -86,7 +86,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class View:
+class ImagePose:
     """The pose of an image, world to camera, +X right, +Y down, +Z forward.
 
     ``rotation`` is a unit quaternion (w, x, y, z).
@@ -103,7 +103,7 @@ def is_model(folder: Path) -> bool:
     return any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
 
 
-def read_model(folder: Path) -> tuple[dict[int, Camera], list[View]]:
+def read_model(folder: Path) -> tuple[dict[int, ColmapCamera], list[ImagePose]]:
     """Read cameras by number, and views by name; ``.bin`` goes before ``.txt``, as in COLMAP."""
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
     files = folder / f"cameras{suffix}", folder / f"images{suffix}"
@@ -129,7 +129,9 @@ def read_model(folder: Path) -> tuple[dict[int, Camera], list[View]]:
     return cameras, sorted(views, key=lambda view: view.name)
 
 
-def write_model(folder: Path, cameras: Mapping[int, Camera], views: Sequence[View]) -> None:
+def write_model(
+    folder: Path, cameras: Mapping[int, ColmapCamera], views: Sequence[ImagePose]
+) -> None:
     """Write ``cameras.bin``, ``images.bin``, and ``points3D.bin`` without points."""
     pack = struct.pack  # binary: names with spaces do not survive in COLMAP's text files
     files = {stem: [pack("<Q", n)] for stem, n in (
@@ -152,10 +154,10 @@ def write_model(folder: Path, cameras: Mapping[int, Camera], views: Sequence[Vie
             temporary.write_bytes(b"".join(parts))
 
 
-def _camera(model: str, width: int, height: int, parameters: Sequence[float]) -> Camera:
+def _camera(model: str, width: int, height: int, parameters: Sequence[float]) -> ColmapCamera:
     if len(parameters) != PARAMETERS[model]:
         raise ValueError(f"{model} has {PARAMETERS[model]} parameters, not {len(parameters)}")
-    return Camera(model, width, height, _finite(parameters))
+    return ColmapCamera(model, width, height, _finite(parameters))
 
 
 def _finite(values: Sequence[float]) -> tuple[float, ...]:
@@ -212,7 +214,7 @@ def _records(path: Path) -> Iterator[_Records]:
             raise ValueError(f"the file has {records.left} bytes too many")
 
 
-def _read_cameras(path: Path) -> dict[int, Camera]:
+def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
     cameras, models = {}, list(PARAMETERS)
     with _damage_of(path), _records(path) as records:
         for _ in range(records.take("Q")[0]):  # a damaged count ends with the file
@@ -224,17 +226,17 @@ def _read_cameras(path: Path) -> dict[int, Camera]:
     return cameras
 
 
-def _read_views(path: Path) -> list[View]:
+def _read_views(path: Path) -> list[ImagePose]:
     views = []
     with _damage_of(path), _records(path) as records:
         for _ in range(records.take("Q")[0]):
             _, *pose, camera = records.take("I7dI")
-            views.append(View(records.text(), camera, _finite(pose[:4]), _finite(pose[4:])))
+            views.append(ImagePose(records.text(), camera, _finite(pose[:4]), _finite(pose[4:])))
             records.skip(POINT * records.take("Q")[0])
     return views
 
 
-def _parse_cameras(path: Path) -> dict[int, Camera]:
+def _parse_cameras(path: Path) -> dict[int, ColmapCamera]:
     cameras = {}
     with _damage_of(path), path.open(encoding="utf-8") as lines:
         for line in filter(_is_told, lines):
@@ -246,7 +248,7 @@ def _parse_cameras(path: Path) -> dict[int, Camera]:
     return cameras
 
 
-def _parse_views(path: Path) -> list[View]:
+def _parse_views(path: Path) -> list[ImagePose]:
     views = []
     with _damage_of(path), path.open(encoding="utf-8") as lines:
         for line in filter(_is_told, lines):
@@ -254,7 +256,7 @@ def _parse_views(path: Path) -> list[View]:
             if len(name) > LONGEST_NAME:
                 raise ValueError("a name has no end")
             pose = [float(field) for field in fields]
-            views.append(View(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
+            views.append(ImagePose(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
             # Every second line has the image's points; it is there even if it is empty.
             if len(next(lines, "").split()) % 3:
                 raise ValueError("a line of points (X Y POINT3D_ID ...) is not there or damaged")

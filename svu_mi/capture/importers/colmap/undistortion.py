@@ -22,7 +22,12 @@ from PIL import Image
 
 from svu_mi.capture.image_io import quantized, read_planes
 from svu_mi.capture.importers.colmap.project import IMAGES, MASKS, read_project
-from svu_mi.capture.importers.colmap.sparse_model import Camera, View, read_model, write_model
+from svu_mi.capture.importers.colmap.sparse_model import (
+    ColmapCamera,
+    ImagePose,
+    read_model,
+    write_model,
+)
 from svu_mi.capture.importers.resampling import straightened
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.photographs import read_mask
@@ -81,7 +86,7 @@ def undistort(
     return output
 
 
-def _require_one_to_one(camera: Camera, label: str) -> None:
+def _require_one_to_one(camera: ColmapCamera, label: str) -> None:
     """Refuse a lens that shows something twice: COLMAP would undistort it to pictures of rings."""
     lens = camera.lens()
     if lens is None:
@@ -93,7 +98,7 @@ def _require_one_to_one(camera: Camera, label: str) -> None:
     ))  # fmt: skip
 
 
-def _checked(camera: Camera, file: Path, mask: Path | None) -> np.ndarray | None:
+def _checked(camera: ColmapCamera, file: Path, mask: Path | None) -> np.ndarray | None:
     """Read a photograph and return its mask, (H, W) uint8."""
     if file.suffix.lower() not in KINDS:
         raise CaptureError(
@@ -113,7 +118,7 @@ def _checked(camera: Camera, file: Path, mask: Path | None) -> np.ndarray | None
 
 
 def _straightened(
-    cameras: Mapping[int, Camera], views: Sequence[View], pictures: Path, output: Path
+    cameras: Mapping[int, ColmapCamera], views: Sequence[ImagePose], pictures: Path, output: Path
 ) -> Path:
     """Run pycolmap; return its folder with ``images`` and ``sparse``."""
     model = prepare_folder(output / "distorted")

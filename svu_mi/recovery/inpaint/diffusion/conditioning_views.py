@@ -25,7 +25,7 @@ from svu_mi.capture.tonemap import Look, alone, exposure, resized
 from svu_mi.core.arrays import owned
 from svu_mi.geometry.packed_views import LARGEST_FILM, Views, pack_sensors
 from svu_mi.geometry.rasterize_uv import dilate
-from svu_mi.geometry.sample_view import Surface, look, observe
+from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.inpaint.diffusion.model_interface import Picture
 from svu_mi.recovery.relighting import relight
@@ -78,7 +78,7 @@ class Shots:
         """
         texels = np.flatnonzero(wanted)
         texels = texels[:: -(-len(texels) // JUDGED) or 1]
-        surface = Surface.of(self.field.texels, owned(mi.UInt32, texels.astype(np.uint32)))
+        surface = TexelLanes.of(self.field.texels, owned(mi.UInt32, texels.astype(np.uint32)))
         views = pack_sensors(self.capture.scene, self.capture.shape, self.sensors)
         shown = np.array([_shown(views, surface, k) for k in range(views.number)])
         chosen: list[int] = []
@@ -112,14 +112,14 @@ class Shots:
         self, sensor: Any, maps: Mapping[str, np.ndarray]
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return what maps of a picture say of texels."""
-        surface, views = Surface.of(self.field.texels), self._packed(sensor)
+        surface, views = TexelLanes.of(self.field.texels), self._packed(sensor)
         seen = _shown(views, surface, 0)
         found = {}
         for name, image in maps.items():
             color = np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
             one = replace(views, pixels=owned(mi.Float, color.astype(np.float32).ravel()))
-            mean = look(one, surface, dr.opaque(mi.UInt32, 0), owned(mi.Bool, seen)).radiance
-            found[name] = np.array(mean)[: CHANNELS[name]]
+            shown = sample_visible(one, surface, dr.opaque(mi.UInt32, 0), owned(mi.Bool, seen))
+            found[name] = np.array(shown.radiance)[: CHANNELS[name]]
         return found, seen
 
     def _framed(self, place: int) -> tuple[Any, tuple[slice, slice]]:
@@ -172,7 +172,7 @@ class Shots:
         return maps
 
 
-def _shown(views: Views, surface: Surface, number: int) -> np.ndarray:
+def _shown(views: Views, surface: TexelLanes, number: int) -> np.ndarray:
     """Return (t,) bool, the texels that a view shows well."""
-    seen = observe(views, surface, dr.opaque(mi.UInt32, number))
+    seen = sample_view(views, surface, dr.opaque(mi.UInt32, number))
     return np.array(seen.seen & (seen.cosine > dr.opaque(mi.Float, STEEPEST)))

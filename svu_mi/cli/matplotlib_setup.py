@@ -19,10 +19,10 @@ def import_matplotlib() -> None:
     """
     if "matplotlib" in sys.modules:
         return
-    found = importlib.util.find_spec("matplotlib")
-    if found is None or found.origin is None:
+    spec = importlib.util.find_spec("matplotlib")
+    if spec is None or spec.origin is None:
         return  # the first picture raises the error
-    package = Path(found.origin).parent
+    package = Path(spec.origin).parent
     own = package / "mpl-data"
     backend = os.environ.pop(BACKEND, None)  # an unknown one would be an error
     try:

@@ -1,4 +1,4 @@
-"""Options of every command: variant, threads and trust; and how it is interrupted."""
+"""Base classes of commands: variant, threads, output folder, and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ import tyro
 from rich.console import Console
 
 from svu_mi import _llvm
-from svu_mi.cli.options import Output, Overwrite, require_range
-from svu_mi.cli.terminal import say
+from svu_mi.cli.shared_options import Output, Overwrite, require_range
+from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.progress import Progress
-from svu_mi.core.threads import FEWEST_THREADS, ensure_threads
 from svu_mi.errors import SvuEnvironmentError, excerpt
 
 log = logging.getLogger(__name__)
@@ -38,8 +37,8 @@ Variant = Annotated[str, tyro.conf.arg(aliases=["-m"], help="Mitsuba variant.")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Common:
-    """Options of every command, with Mitsuba's letters."""
+class BaseCommand:
+    """Base class of commands: variant and threads, with Mitsuba's letters."""
 
     draws: ClassVar[bool] = True
     """Whether the command draws pictures, for which matplotlib is imported."""
@@ -55,6 +54,8 @@ class Common:
         """Set the variant and the number of threads."""
         require_range("--threads", self.threads, 0, MAX_THREADS)
         import mitsuba as mi
+
+        from svu_mi.core.threads import FEWEST_THREADS, ensure_threads
 
         self._set_variant()
         import svu_mi.plugins  # noqa: F401 - registers them for the variant
@@ -91,8 +92,8 @@ class Common:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ResultCommand(Common):
-    """Options of every command that writes a folder, and its frame."""
+class ResultCommand(BaseCommand):
+    """Base class of commands that write a folder."""
 
     command: ClassVar[str]
     """Name in the record of the result."""
@@ -104,14 +105,14 @@ class ResultCommand(Common):
     overwrite: Overwrite = False
 
     def run(self, console: Console) -> int:
-        """Check the options, claim the folder, work, and print what was found."""
+        """Check the options, claim the folder, work, and print the results."""
         self.check()
         with claimed(self.output, self.command, overwrite=self.overwrite, keep=self.keep) as place:
             self.start()
             lines = self.work(Progress(console), place)
-        say(console, f"Wrote {self.output / self.page}")
+        print_line(console, f"Wrote {self.output / self.page}")
         for line in lines:
-            say(console, line)
+            print_line(console, line)
         return 0
 
     def check(self) -> None:

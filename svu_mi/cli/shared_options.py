@@ -1,4 +1,4 @@
-"""Groups of options that several commands share, and how their words are parsed."""
+"""Groups of options that several commands share, and parsing of their values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Streams of the terminal: work goes on if they are closed, and only plain text is printed."""
+"""Standard streams that ignore write errors, and printing of plain lines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from svu_mi.errors import printable
 PLAIN = str.maketrans({"±": "+-", "·": "-", "•": "*", "×": "x", "\u2009": " ", "\u202f": " "})
 
 
-class Forgiving:
+class ForgivingStream:
     """A stream that drops what cannot be written: the reader has ended, or the disk is full.
 
     Letters that the encoding does not have are spelt out or escaped.
@@ -70,15 +70,15 @@ def forgiving_streams() -> Iterator[None]:
             os.set_blocking(descriptor, True)
     before = sys.stdout, sys.stderr
     with ExitStack() as opened:
-        found = [
-            Forgiving(stream or opened.enter_context(open(os.devnull, "w", encoding="utf-8")))
+        streams = [
+            ForgivingStream(stream or opened.enter_context(open(os.devnull, "w", encoding="utf-8")))
             for stream in before
         ]
-        sys.stdout, sys.stderr = cast(list[TextIO], found)
+        sys.stdout, sys.stderr = cast(list[TextIO], streams)
         try:
             yield
         finally:
-            for stream in found:
+            for stream in streams:
                 stream.flush()
             sys.stdout, sys.stderr = before
 
@@ -112,11 +112,11 @@ class LogLines(logging.Handler):
         sys.stderr.write(f"svu: {printable(record.getMessage())}\n")
 
 
-def say(console: Console, text: str) -> None:
+def print_line(console: Console, text: str) -> None:
     """Print a line as it is: a log has no width, and a name may hold [brackets]."""
     console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
 
-def cell(value: float | None, digits: int = 2) -> str:
+def format_number(value: float | None, digits: int = 2) -> str:
     """Return a number as the cell of a table; a dash if it is unknown."""
     return "-" if value is None or isnan(value) else f"{value:.{digits}f}"
