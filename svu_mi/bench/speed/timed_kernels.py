@@ -68,10 +68,10 @@ class KernelProgress(Progress):
         dr.kernel_history_clear()
         if self._running:
             empty = {"seconds": 0.0, "launched": 0, "operations": 0}
-            found = self.launches.setdefault(self._running[-1], empty)
-            found["seconds"] += MILLISECOND * sum(kernel["execution_time"] for kernel in history)
-            found["launched"] += len(history)
-            found["operations"] += sum(
+            totals = self.launches.setdefault(self._running[-1], empty)
+            totals["seconds"] += MILLISECOND * sum(kernel["execution_time"] for kernel in history)
+            totals["launched"] += len(history)
+            totals["operations"] += sum(
                 kernel["operation_count"]
                 for kernel in history if kernel["type"] == dr.KernelType.JIT
             )  # fmt: skip
@@ -131,10 +131,10 @@ def fine_capture(views: int, film: int) -> Capture:
     """
     points, faces, uvs = meshes.vase()
     while len(faces) < MIN_TRIANGLES:
-        points, faces, found = trimesh.remesh.subdivide(
+        points, faces, attributes = trimesh.remesh.subdivide(
             points, faces, vertex_attributes={"uv": uvs}
         )
-        uvs = found["uv"]
+        uvs = attributes["uv"]
     mesh = capture_mesh.make("vase", capture_mesh.MeshArrays(points, faces, None, uvs))
     scene = mi.load_dict(
         {"type": "scene", "light": {"type": "constant"}, "vase": mesh}, optimize=False
@@ -171,13 +171,13 @@ class Rays:
 
 
 class _Recorder:
-    """Stands for a scene in which nothing is in the way, and remembers what it was asked."""
+    """Scene without occluders that records the rays it is tested with."""
 
     def __init__(self) -> None:
-        self.asked: list[tuple[Any, Any]] = []
+        self.rays: list[tuple[Any, Any]] = []
 
     def ray_test(self, ray: Any, active: Any = True, **_: Any) -> Any:
-        self.asked.append((ray, mi.Bool(active)))
+        self.rays.append((ray, mi.Bool(active)))
         return mi.Bool(False)
 
 
@@ -189,7 +189,7 @@ def record_rays(views: Views, surface: TexelLanes) -> Rays:
         # In a symbolic branch there would be no values to record.
         with dr.scoped_set_flag(dr.JitFlag.SymbolicConditionals, False):
             sample_view(replace(views, scene=recorder), surface, dr.opaque(mi.UInt32, view))
-        (ray, active), = recorder.asked  # fmt: skip
+        (ray, active), = recorder.rays  # fmt: skip
         kept = np.flatnonzero(np.broadcast_to(np.array(active), surface.count))
         slot = np.full(surface.count, NO_RAY, np.uint32)
         slot[kept] = first + np.arange(len(kept))
