@@ -73,8 +73,12 @@ class Inpaint(CaptureCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> Iterable[str]:
         """Fill, and write the results."""
         from svu_mi.geometry.neighbors import neighbors
-        from svu_mi.output.run_record import Run
-        from svu_mi.output.texture_files import read_textures, require_textures_of, settings_of
+        from svu_mi.output.run_record import RunInfo
+        from svu_mi.output.texture_files import (
+            read_textures,
+            recovery_settings,
+            require_textures_of,
+        )
         from svu_mi.output.write_fill import fill_sentences, write_filled
         from svu_mi.parameters import NAMES
         from svu_mi.pipeline import estimate
@@ -87,12 +91,12 @@ class Inpaint(CaptureCommand, ResultCommand):
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("How sure the textures are"):
-            used, around = settings_of(self.recovered), neighbors(texels, capture.mesh)
+            used, around = recovery_settings(self.recovered), neighbors(texels, capture.mesh)
             names = used.get("parameters", NAMES)
             field = field_around(textures, known, around, names, weights_of(used))
         found = self._fill(progress, model, capture, field, known.posterior.observed)
         with progress.stage("Writing the results"):
-            run = Run(settings=opt.given(self), kernels=progress.kernels)
+            run = RunInfo(settings=opt.given(self), kernels=progress.kernels)
             write_filled(capture, field, found, place, run, pictures=self.pictures)
         return fill_sentences(found)
 

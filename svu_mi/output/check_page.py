@@ -21,8 +21,8 @@ from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.prefiltered import resolved
-from svu_mi.output.html import THUMBNAIL, Picture, photograph, write_page
-from svu_mi.output.object_views import facing, up_of
+from svu_mi.output.html import THUMBNAIL, PageImage, embedded_jpeg, write_page
+from svu_mi.output.object_views import up_of_poses, viewing_frame
 from svu_mi.output.run_record import environment_record, write_manifest
 from svu_mi.output.style import AFTER, BEFORE
 
@@ -64,7 +64,7 @@ def write_check(
         write_page(
             draft.folder / TEMPLATE, TEMPLATE,
             verdict=verdict(found), remedy=remedy, numbers=_numbers(found),
-            findings=[_finding(one) for one in found.findings], questions=QUESTIONS,
+            findings=[_finding_rows(one) for one in found.findings], questions=QUESTIONS,
             views=list(_views(capture, corrected, found)), total=len(found.views),
             panoramas=_panoramas(capture, corrected), source=str(capture.source or ""),
             is_corrected=bool(fixes), before=BEFORE, after=AFTER,
@@ -108,7 +108,7 @@ def _number(value: float | None, unknown: str = "unknown") -> str:
     return unknown if value is None else f"{value:.2f}"
 
 
-def _finding(one: Finding) -> dict[str, Any]:
+def _finding_rows(one: Finding) -> dict[str, Any]:
     """A finding, the hypotheses to show, each with the width of its bar, and how many more are."""
     scores = [hypothesis.score for hypothesis in one.hypotheses]
     low, high = min(scores, default=0.0), max(scores, default=1.0)
@@ -123,7 +123,7 @@ def _finding(one: Finding) -> dict[str, Any]:
 
 def _views(
     capture: Capture, corrected: Capture, found: Check
-) -> Iterator[tuple[str, Picture, list[tuple[str, str]]]]:
+) -> Iterator[tuple[str, PageImage, list[tuple[str, str]]]]:
     """Yield names, pictures with outlines, and numbers of the views that fit worst."""
     frames = Frames.of(reduced(capture, THUMBNAIL))
     seen = after = silhouettes(frames)
@@ -133,15 +133,15 @@ def _views(
     better = {one.view: one for one in found.corrected}
     for one in found.worst[:MOST]:
         index = place[one.view]
-        picture = _screen(frames, index, after[index])
-        _draw(picture, seen[index], BEFORE)
+        picture = _exposed_photograph(frames, index, after[index])
+        _draw_outline(picture, seen[index], BEFORE)
         if corrected is not capture:
-            _draw(picture, after[index], AFTER)
+            _draw_outline(picture, after[index], AFTER)
         numbers = [
             (word, _change(getattr(one, name), getattr(better[one.view], name)))
             for name, (*_, word) in MEASURES.items()
         ]
-        yield one.name, photograph(picture), [entry for entry in numbers if entry[1] != "-"]
+        yield one.name, embedded_jpeg(picture), [entry for entry in numbers if entry[1] != "-"]
 
 
 def _change(before: float | None, after: float | None) -> str:
@@ -149,7 +149,7 @@ def _change(before: float | None, after: float | None) -> str:
     return old if old == new else f"{old} → {new}"
 
 
-def _screen(frames: Frames, index: int, seen: np.ndarray) -> np.ndarray:
+def _exposed_photograph(frames: Frames, index: int, seen: np.ndarray) -> np.ndarray:
     """Expose a photograph for the object; what is clipped is white."""
     image, mask = frames.radiance[index], frames.masks[index]
     shown = tone_mapped(image, seen if mask is None else mask)
@@ -157,12 +157,12 @@ def _screen(frames: Frames, index: int, seen: np.ndarray) -> np.ndarray:
     return shown
 
 
-def _draw(picture: np.ndarray, seen: np.ndarray, color: tuple[float, float, float]) -> None:
+def _draw_outline(picture: np.ndarray, seen: np.ndarray, color: tuple[float, float, float]) -> None:
     """Draw an outline into a picture, two pixels wide, on both sides of the edge."""
     picture[outline(seen) | outline(~seen)] = color
 
 
-def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[Picture, str]]:
+def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[PageImage, str]]:
     """The light as it is and, if that differs, corrected, around the object; none without one."""
     if emitter_of(capture) is None:
         return []
@@ -170,7 +170,7 @@ def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[Picture, str]
     return shown if corrected is capture else [*shown, (_panorama(corrected), "corrected")]
 
 
-def _panorama(capture: Capture) -> Picture:
+def _panorama(capture: Capture) -> PageImage:
     """Draw the light around the object, up as the cameras have it; cameras are dots.
 
     The centre is where the first camera looks: it can be compared with the background of the
@@ -180,7 +180,7 @@ def _panorama(capture: Capture) -> Picture:
     grid = resolved(environment)
     poses = np.array([to_world(sensor) for sensor in capture.used_sensors])
     # Seen from within, right is where it is left of somebody in front.
-    frame = facing(up_of(poses), poses[0, :3, 2]) * [[-1], [1], [1]]
+    frame = viewing_frame(up_of_poses(poses), poses[0, :3, 2]) * [[-1], [1], [1]]
     width, height = LIGHT
     azimuth = 2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
     elevation = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
@@ -199,4 +199,4 @@ def _panorama(capture: Capture) -> Picture:
     for i, j in zip(down.astype(int), across.astype(int), strict=True):
         for size, color in ((4, (0, 0, 0)), (3, (1.0, 0.85, 0.1))):
             picture[max(i - size, 0) : i + size, max(j - size, 0) : j + size] = color
-    return photograph(picture, None)
+    return embedded_jpeg(picture, None)

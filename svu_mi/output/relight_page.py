@@ -21,7 +21,7 @@ from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import replacing
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import object_views, style
-from svu_mi.output.run_record import RECORD, Run, inputs_record, write_run
+from svu_mi.output.run_record import RECORD, RunInfo, inputs_record, write_run
 from svu_mi.output.style import VIEWS_COLORMAP, Block
 from svu_mi.recovery.relighting import RelitView
 
@@ -42,17 +42,17 @@ WIDEST = 0.5  # relative standard deviation at the upper end of its colours
 
 def write_relighting(
     capture: Capture, found: Sequence[RelitView], names: Sequence[str],
-    folder: str | os.PathLike[str], run: Run | None = None, *, draws: int, pictures: bool = True,
+    folder: str | os.PathLike[str], run: RunInfo | None = None, *, draws: int, pictures: bool = True,
 ) -> None:  # fmt: skip
     """Write pictures, their standard deviations, ``relight.png`` and ``run.json``.
 
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    run = run or Run()
+    run = run or RunInfo()
     about = {"svu:version": svu_mi.__version__, "svu:draws": draws}
     with writing(folder, "relight", RECORD, capture=capture_key(capture)) as draft:
-        files = files_of(names)
+        files = view_file_names(names)
         write_relit_views(found, files, draft.folder, about)
         if pictures:
             notes = [f"{len(found)} views", f"{draws} draws"]
@@ -67,7 +67,7 @@ def write_relighting(
         write_run(draft, record, run)
 
 
-def files_of(names: Sequence[str]) -> list[str]:
+def view_file_names(names: Sequence[str]) -> list[str]:
     """Return file names of views, without endings: their own, or numbers where these cannot be."""
     own = {Path(PAGE).stem, Path(RECORD).stem, *(name.casefold() for name in names)}
     if len(own) == len(names) + 2 and all(map(PLAIN.fullmatch, names)):
@@ -82,7 +82,7 @@ def relative_sd(view: RelitView) -> float | None:
     return float(np.median(sd[lit] / level[lit])) if lit.any() else None
 
 
-def doubt_sentence(found: Sequence[RelitView]) -> str:
+def uncertainty_sentence(found: Sequence[RelitView]) -> str:
     """Return how sure pictures are, in a sentence."""
     parts = [part for part in map(relative_sd, found) if part is not None]
     if not parts:
@@ -135,5 +135,5 @@ def write_relit_page(
 
 def _scaled(axes: Axes, values: np.ndarray, limits: tuple[float, float]) -> None:
     drawn = axes.imshow(values, cmap=VIEWS_COLORMAP, vmin=limits[0], vmax=limits[1])
-    style.framed(axes)
+    style.frame_map(axes)
     style.color_bar(axes, drawn, "", ticks=np.linspace(*limits, 3).tolist())

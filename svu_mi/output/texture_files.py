@@ -100,7 +100,7 @@ def object_node(
     return node
 
 
-def settings_of(folder: str | Path) -> dict[str, Any]:
+def recovery_settings(folder: str | Path) -> dict[str, Any]:
     """Return ``Recovery.settings`` as the record of a folder of textures has them; nothing where
     there is none, such as beside textures of others."""
     try:

@@ -18,11 +18,11 @@ from svu_mi.capture.tonemap import Look, alone
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import words
+from svu_mi.output.estimate_arrays import label_of
 from svu_mi.output.html import percent
 from svu_mi.output.maps import padded, write_field
-from svu_mi.output.panels import all_seen, draw_look, draw_map, map_colors
-from svu_mi.output.run_record import RECORD, Run, inputs_record, write_run
+from svu_mi.output.panels import draw_look, draw_map, fully_seen, map_colors
+from svu_mi.output.run_record import RECORD, RunInfo, inputs_record, write_run
 from svu_mi.output.style import Block
 from svu_mi.output.texture_files import write_scene
 from svu_mi.output.texture_samples import texture_colors
@@ -41,7 +41,7 @@ CELL = 3.2  # inches
 
 def write_filled(
     capture: Capture, before: TextureField, found: Filled, folder: str | os.PathLike[str],
-    run: Run | None = None, *, pictures: bool = True,
+    run: RunInfo | None = None, *, pictures: bool = True,
 ) -> None:  # fmt: skip
     """Write textures, ``recovered.xml``, ``uncertainty.exr``, ``filled.exr`` and ``run.json``.
 
@@ -50,7 +50,7 @@ def write_filled(
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    run = run or Run()
+    run = run or RunInfo()
     about = {"svu:version": svu_mi.__version__, "svu:method": "inpaint"}
     model = found.invented
     with writing(folder, "inpaint", RECORD, capture=capture_key(capture)) as draft:
@@ -62,11 +62,11 @@ def write_filled(
             for name, mask in masks.items()
         }, about)  # fmt: skip
         if pictures:
-            _draw(capture, before, found, draft.folder / PAGE)
+            _draw_page(capture, before, found, draft.folder / PAGE)
         record = {
             "inputs": inputs_record(capture), "settings": {},
             "result": {"filled": int(found.filled.sum()), "likeness": found.likeness,
-                       "errors": found.errors, **({} if model is None else _of_model(model))},
+                       "errors": found.errors, **({} if model is None else _model_record(model))},
         }  # fmt: skip
         write_run(draft, record, run)
 
@@ -82,7 +82,7 @@ def fill_sentences(found: Filled) -> Iterator[str]:
         yield from _invented_sentences(found.invented, found)
     for name in found.field.names:
         yield (
-            f"{words(name).capitalize()}: {found.likeness[name]}, off by "
+            f"{label_of(name).capitalize()}: {found.likeness[name]}, off by "
             f"{found.errors[name]:.2f} (rms) where that was tried on what was seen."
         )
 
@@ -95,7 +95,7 @@ def _invented_sentences(model: Invented, found: Filled) -> Iterator[str]:
         number = len(answer.pictures)
         kind = {"photographs": "photograph", "renders": "render"}[answer.source]
         off = ", ".join(
-            f"{words(name)} {error:.2f} ({answer.likeness[name]:.2f})"
+            f"{label_of(name)} {error:.2f} ({answer.likeness[name]:.2f})"
             for name, error in answer.errors.items()
         )
         yield (
@@ -106,7 +106,7 @@ def _invented_sentences(model: Invented, found: Filled) -> Iterator[str]:
         yield "What no picture shows well is filled by likeness:"
 
 
-def _of_model(model: Invented) -> dict[str, Any]:
+def _model_record(model: Invented) -> dict[str, Any]:
     """Return what a model was asked, for ``run.json``."""
     answers = [
         {"source": answer.source, "pictures": list(answer.pictures),
@@ -117,14 +117,14 @@ def _of_model(model: Invented) -> dict[str, Any]:
     return {"model": {"title": model.model, "licence": model.licence, "answers": answers}}
 
 
-def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> None:
+def _draw_page(capture: Capture, before: TextureField, found: Filled, path: Path) -> None:
     """Draw every parameter before and after, and what was filled, from where most of that is
     seen."""
     rows = ("before", "after", "standard deviation")
     model, texels = found.invented, before.texels
     heading = LIKE if model is None else INVENTED.format(model.model)
-    look = Look.at(alone(capture), capture.sensors[_facing(capture, found)])
-    everywhere = all_seen(texels)
+    look = Look.at(alone(capture), capture.sensors[_best_sensor(capture, found)])
+    everywhere = fully_seen(texels)
     mask = partial(draw_map, estimate=everywhere, colormap=style.GREY)
     masks = {"before": ("Filled, in the texture", partial(mask, values=found.filled))}
     if model is not None:
@@ -138,7 +138,7 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
             else:
                 field = before if row == "before" else found.field
                 shown = texture_colors(texels, field.textures, name)
-            title = f"{words(name).capitalize()}, {row}"
+            title = f"{label_of(name).capitalize()}, {row}"
             panels.append((title, partial(draw_look, look=look, colors=shown)))
         panels.append(masks.get(row))
     height, columns = CELL * len(rows) + 1.1, len(NAMES) + 1
@@ -149,7 +149,7 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
     style.write_page(path, (CELL * columns, height), heading, [], [block])
 
 
-def _facing(capture: Capture, found: Filled) -> int:
+def _best_sensor(capture: Capture, found: Filled) -> int:
     """Return the sensor that most of what was filled faces."""
     texels = found.field.texels
     position, normal = (np.array(x)[:, found.filled] for x in (texels.position, texels.normal))

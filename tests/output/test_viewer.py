@@ -24,7 +24,7 @@ from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
 from svu_mi.geometry.texels import texels
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer import viser_mesh
-from svu_mi.output.viewer.picking import Picker, nearest_texel, says
+from svu_mi.output.viewer.picking import Picker, nearest_texel, texel_markdown
 from svu_mi.output.viewer.viewer import Viewer
 from svu_mi.output.viewer.viser_mesh import GAIN, before_tone_mapping, frustum
 from svu_mi.pipeline import estimate
@@ -110,7 +110,7 @@ def test_a_pick_says_what_the_estimate_says(capture, known, picker):
 def test_the_panel_says_mean_and_interval_of_every_channel(capture, known):
     colored = estimate(capture, known.texels)
     texel = int(np.array(known.coverage).argmax())
-    text = says(capture, Picker(capture, colored).describe(texel))
+    text = texel_markdown(capture, Picker(capture, colored).describe(texel))
     text = text.replace("\u00a0", " ").replace("\u2060", "")
     for name in ("roughness", "metallic", "base_color"):
         mean = np.atleast_1d(colored.posterior.mean(name).numpy()[texel])
@@ -141,8 +141,8 @@ def test_an_unseen_texel_is_grey_and_nothing_is_known_of_it(capture, known, pick
     unseen = int(np.flatnonzero(np.array(known.coverage) == 0)[0])
     found = picker.describe(unseen)
     assert not found.known
-    assert "seen by none of 4 views" in says(capture, found)
-    assert "nothing is known" in says(capture, found)
+    assert "seen by none of 4 views" in texel_markdown(capture, found)
+    assert "nothing is known" in texel_markdown(capture, found)
     for name in ("entropy", "coverage", "most probable base colour", "entropy of metallic"):
         colors = surface_maps(known)[name].colors(np.inf)
         assert np.allclose(colors[found.row, found.column], (0.55, 0.55, 0.58))

@@ -23,8 +23,8 @@ from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import direction_map as sky
 from svu_mi.output import guidance_page
-from svu_mi.output.object_views import facing
-from svu_mi.output.run_record import Run
+from svu_mi.output.object_views import viewing_frame
+from svu_mi.output.run_record import RunInfo
 from svu_mi.output.write_guidance import file_names, write_guidance, write_sensors
 
 RNG_SEED = 1630517742
@@ -49,7 +49,7 @@ def written(vase, guidance, tmp_path_factory):
     folder = tmp_path_factory.mktemp("written")
     write_older(folder, "guide", "run.json", ["gain_7.exr", "thumbnails/proposal_7.png"])
     steps = []
-    run = Run(
+    run = RunInfo(
         settings={"add": 3}, kernels={"a": 1},
         progress=lambda done, total: steps.append((done, total)),
     )  # fmt: skip
@@ -168,7 +168,7 @@ def test_a_sensor_of_the_capture_keeps_its_file_name(vase, guidance):
 def test_directions_are_seen_from_outside(up):
     """Up is above, the first photograph in front, and right is where it is from outside."""
     up, first = np.array(up, float), np.array([0.4, 0.3, 0.8])
-    frame = facing(up, first)
+    frame = viewing_frame(up, first)
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(frame @ up / np.linalg.norm(up), [0, 1, 0], atol=1e-12)
     assert frame[2] @ first > 0 and abs(frame[0] @ first) < 1e-12

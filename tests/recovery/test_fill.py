@@ -17,7 +17,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.neighbors import neighbors
-from svu_mi.output.texture_files import read_textures, settings_of
+from svu_mi.output.texture_files import read_textures, recovery_settings
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.inpaint import texel_hierarchy
 from svu_mi.recovery.inpaint.combine_predictors import FARTHER, TITLES, spreads
@@ -377,13 +377,13 @@ def test_of_a_flat_object_sides_are_hidden() -> None:
 
 
 def test_how_textures_were_recovered(tmp_path: Path) -> None:
-    assert settings_of(tmp_path) == {} and weights_of({}) == ShOptions()
+    assert recovery_settings(tmp_path) == {} and weights_of({}) == ShOptions()
     used = {"parameters": ["roughness"], "sh": {"loss": "statistics", "tv": 2, "tv_epsilon": 0.5}}
     (tmp_path / "run.json").write_text(json.dumps({"settings": {"used": used}}))
-    assert settings_of(tmp_path) == used
+    assert recovery_settings(tmp_path) == used
     assert weights_of(used) == ShOptions(tv=2, tv_epsilon=0.5)
     (tmp_path / "run.json").write_text("{")
-    assert settings_of(tmp_path) == {}
+    assert recovery_settings(tmp_path) == {}
 
 
 @pytest.mark.slow

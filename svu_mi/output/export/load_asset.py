@@ -24,9 +24,9 @@ from svu_mi.core.io.provenance import (
 )
 from svu_mi.core.memory import Size
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
-from svu_mi.output.export.asset import Asset, bad_values
+from svu_mi.output.export.asset import Asset, count_invalid
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
-from svu_mi.output.object_views import nearest_axis, up_of
+from svu_mi.output.object_views import nearest_axis, up_of_poses
 from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import FILES, MESH, SCENE, read_textures
 
@@ -76,11 +76,11 @@ class AssetPlan:
             name=shape.get("id") or "object",
             mesh=_mesh(folder / MESH, smooth),
             textures=read_textures(folder),
-            entropy=_map(maps / ENTROPY, 1),
-            coverage=_map(maps / COVERAGE, np.inf),
+            entropy=_read_map(maps / ENTROPY, 1),
+            coverage=_read_map(maps / COVERAGE, np.inf),
             deviations=_deviations(folder / UNCERTAINTY, textured),
             two_sided=shape.find("bsdf[@type='twosided']") is not None,
-            up=nearest_axis(up_of(_poses(scene))),
+            up=nearest_axis(up_of_poses(_poses(scene))),
             source=str(folder),
             capture=marks_of(textured)[1],
         )
@@ -171,7 +171,7 @@ def _deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
     return found
 
 
-def _map(path: Path, most: float) -> np.ndarray | None:
+def _read_map(path: Path, most: float) -> np.ndarray | None:
     """Return an (H, W) map, None if there is no such file."""
     image = read_map(path)
     if image is not None:
@@ -180,7 +180,7 @@ def _map(path: Path, most: float) -> np.ndarray | None:
 
 
 def _require_values(path: Path, image: np.ndarray, most: float, what: str = "") -> None:
-    if bad := bad_values(image, most):
+    if bad := count_invalid(image, most):
         raise CaptureError(
             f"{path}: {bad} values{what} are NaN or outside [0, {most:g}]; compute it again."
         )

@@ -17,7 +17,7 @@ from svu_mi.core.arrays import owned
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import object_views
-from svu_mi.output.object_views import front_and_right, upright
+from svu_mi.output.object_views import front_and_right, up_direction
 
 ELEVATION = 20.0  # degrees
 FOV, ROOM = 30.0, 1.02  # degrees; distance, relative to where the bounding sphere just fits
@@ -45,7 +45,7 @@ class Turntable:
         """Place sensors around the ``mesh`` of a capture, with films of ``side`` pixels."""
         center, radius = bounding_sphere(capture.mesh)
         distance = ROOM * radius / np.sin(np.radians(FOV) / 2)
-        up = upright(capture)
+        up = up_direction(capture)
         front, right = front_and_right(capture, center, up)
         high = np.radians(ELEVATION)
         sensors = []
