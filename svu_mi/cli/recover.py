@@ -143,7 +143,8 @@ class Recover(CaptureCommand, ResultCommand):
             run = RunInfo(settings=opt.given(self), kernels=progress.kernels, progress=stage.update)
             write_recovery(
                 capture, recovery, place, run, estimate=known, field=field,
-                draws=DrawOptions(self.drawn, self.seed) if self.drawn else None, pictures=self.pictures,
+                draws=DrawOptions(self.drawn, self.seed) if self.drawn else None,
+                pictures=self.pictures,
             )  # fmt: skip
             return IntervalSummary.of(known)
 

@@ -50,7 +50,7 @@ MEASURES = {
 
 
 def write_check(
-    capture: Capture, found: Check, folder: str | os.PathLike[str], *,
+    capture: Capture, check: Check, folder: str | os.PathLike[str], *,
     settings: Mapping[str, Any] | None = None, remedy: str = "",
 ) -> None:  # fmt: skip
     """Write ``check.html``, with all its pictures inside, and ``check.json``.
@@ -59,47 +59,47 @@ def write_check(
         OutputError: a file cannot be written.
     """
     with writing(folder, "check", RECORD, capture=capture_key(capture)) as draft:
-        fixes = fixes_named(found.fixes)
-        corrected = apply_fixes(capture, fixes, found.camera_axes) if fixes else capture
+        fixes = fixes_named(check.fixes)
+        corrected = apply_fixes(capture, fixes, check.camera_axes) if fixes else capture
         write_page(
             draft.folder / TEMPLATE, TEMPLATE,
-            verdict=verdict(found), remedy=remedy, numbers=_numbers(found),
-            findings=[_finding_rows(one) for one in found.findings], questions=QUESTIONS,
-            views=list(_views(capture, corrected, found)), total=len(found.views),
+            verdict=verdict(check), remedy=remedy, numbers=_numbers(check),
+            findings=[_finding_rows(one) for one in check.findings], questions=QUESTIONS,
+            views=list(_views(capture, corrected, check)), total=len(check.views),
             panoramas=_panoramas(capture, corrected), source=str(capture.source or ""),
             is_corrected=bool(fixes), before=BEFORE, after=AFTER,
         )  # fmt: skip
         write_manifest(draft.folder / RECORD, {
-            "fits": found.fits, "fixes": found.fixes, "check": found, "settings": settings,
+            "fits": check.fits, "fixes": check.fixes, "check": check, "settings": settings,
             "environment": environment_record(), **draft.entries(),
         })  # fmt: skip
 
 
-def verdict(found: Check) -> str:
+def verdict(check: Check) -> str:
     """Return the outcome as one sentence."""
-    if found.fixes:
-        count = len(found.fixes)
+    if check.fixes:
+        count = len(check.fixes)
         words = "one correction makes" if count == 1 else f"{count} corrections make"
-        return f"Something is wrong, and {words} it fit: {' + '.join(found.fixes)}."
-    unclear = [one.question for one in found.findings if one.verdict == "unclear"]
+        return f"Something is wrong, and {words} it fit: {' + '.join(check.fixes)}."
+    unclear = [one.question for one in check.findings if one.verdict == "unclear"]
     if any(question in AXES for question in unclear):
         return "Something may be wrong, but which correction is right cannot be determined."
     if unclear:
         return f"Axes fit, but results may be wrong for another reason: {', '.join(unclear)}."
     fits = "The capture fits its photographs, as far as can be determined"
-    if any(one.question == "ignored" for one in found.findings):
+    if any(one.question == "ignored" for one in check.findings):
         return f"{fits}; results may be off by what is ignored."
     return f"{fits}."
 
 
-def _numbers(found: Check) -> Iterator[tuple[str, str, str]]:
+def _numbers(check: Check) -> Iterator[tuple[str, str, str]]:
     """Yield names, means over the views, and notes: what it is when corrected, how to read it."""
-    before, after = Summary.of(found.views), Summary.of(found.corrected)
+    before, after = Summary.of(check.views), Summary.of(check.corrected)
     for name, (title, note, _) in MEASURES.items():
         old, new = getattr(before, name), getattr(after, name)
         if old is None and new is None:
             continue
-        if found.corrected is not found.views:
+        if check.corrected is not check.views:
             note = f"{_number(new)} when corrected; {note}"
         yield title, _number(old), note
 
@@ -116,13 +116,13 @@ def _finding_rows(one: Finding) -> dict[str, Any]:
     shown += [h for h in one.hypotheses[ROWS:] if not h.fixes]  # how it is, however bad
     widths = [3 + 97 * (h.score - low) / max(high - low, 1e-9) for h in shown]
     return {
-        "found": one, "rows": list(zip(shown, widths, strict=True)),
+        "finding": one, "rows": list(zip(shown, widths, strict=True)),
         "left_out": len(one.hypotheses) - len(shown),
     }  # fmt: skip
 
 
 def _views(
-    capture: Capture, corrected: Capture, found: Check
+    capture: Capture, corrected: Capture, check: Check
 ) -> Iterator[tuple[str, PageImage, list[tuple[str, str]]]]:
     """Yield names, pictures with outlines, and numbers of the views that fit worst."""
     frames = Frames.of(reduced(capture, THUMBNAIL))
@@ -130,8 +130,8 @@ def _views(
     if corrected is not capture:
         after = silhouettes(Frames.of(reduced(corrected, THUMBNAIL)))
     place = {int(view): index for index, view in enumerate(np.flatnonzero(capture.used))}
-    better = {one.view: one for one in found.corrected}
-    for one in found.worst[:MOST]:
+    better = {one.view: one for one in check.corrected}
+    for one in check.worst[:MOST]:
         index = place[one.view]
         picture = _exposed_photograph(frames, index, after[index])
         _draw_outline(picture, seen[index], BEFORE)

@@ -95,10 +95,10 @@ def mean_marginals(
     def mean(of: np.ndarray) -> dict[str, np.ndarray]:
         every = np.flatnonzero(of)
         some = every[:: max(len(every) // SAMPLE, 1)]
-        found = {}
+        marginals = {}
         for name, table in estimate.posterior.marginals(some).items():
             p = np.array(table, np.float64)
-            found[name] = p.reshape(len(some), p.shape[1], -1).mean(axis=0)
-        return found
+            marginals[name] = p.reshape(len(some), p.shape[1], -1).mean(axis=0)
+        return marginals
 
     return mean(result.seen), mean(result.seen & (result.entropy <= limit))

@@ -51,28 +51,26 @@ def write_guidance_overview(
 ) -> None:  # fmt: skip
     """Draw directions, ranking, and what proposed cameras will see: 1800 x 1120 pixels.
 
-    ``maps`` are of ``Guidance.gain_maps``, ``looks`` of ``proposal_views``; ``up`` is the top of the map.
+    ``maps`` are ``Guidance.gain_maps()``, ``looks`` ``proposal_views``; ``up`` is the map's top.
     """
     entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
     everywhere, empty = fully_seen(guidance.texels), np.zeros(guidance.texels.count, np.float32)
     scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
     first = maps[0] if len(maps) else empty
     sights: list[Panel | None] = [
-        ("", partial(_draw_proposal, look=look, colors=entropy, words=_shortened(one.name), rank=rank,
+        ("", partial(_draw_view, look=look, colors=entropy, words=_short_name(one.name), rank=rank,
                      row="entropy so far" if rank == 1 else ""))
         for rank, (look, one) in enumerate(zip(looks, shown, strict=False), 1)
     ]  # fmt: skip
-    sights.append(
-        ("", partial(_draw_texture_map, estimate=estimate, words="entropy of every texel"))
-    )
+    sights.append(("", partial(_draw_texture, estimate=estimate, words="entropy of every texel")))
     sights += [None] * (SHOWN - len(shown))
     sights += [
-        ("", partial(_draw_proposal, look=look, colors=map_colors(everywhere, gains, **scale),
-                     words=_proposal_caption(one), row="expected gain" if k == 0 else ""))
+        ("", partial(_draw_view, look=look, colors=map_colors(everywhere, gains, **scale),
+                     words=_caption(one), row="expected gain" if k == 0 else ""))
         for k, (look, gains, one) in enumerate(zip(looks, maps, shown, strict=False))
     ]  # fmt: skip
-    sights.append(("", partial(
-        _draw_texture_map, estimate=everywhere, values=first, words="gain by proposal 1", **scale)))  # fmt: skip
+    gained = partial(_draw_texture, estimate=everywhere, values=first, **scale)
+    sights.append(("", partial(gained, words="gain by proposal 1")))
     plots: list[Panel] = [
         ("", partial(_directions, capture=capture, guidance=guidance, up=up)),
         ("Mean entropy of all texels, now and expected",
@@ -87,7 +85,7 @@ def write_guidance_overview(
     style.write_page(path, SIZE, HEADING, _notes(capture, estimate, guidance), blocks)
 
 
-def _draw_proposal(
+def _draw_view(
     axes: Axes, look: Look, colors: np.ndarray, words: str, rank: int = 0, row: str = ""
 ) -> None:
     """Draw what a proposed camera will see, cut to the object."""
@@ -100,7 +98,7 @@ def _draw_proposal(
         draw_numbered(axes, 0.06, 0.93, rank, "white", 260, transform=axes.transAxes)
 
 
-def _draw_texture_map(axes: Axes, estimate: Any, words: str, **options: Any) -> None:
+def _draw_texture(axes: Axes, estimate: Any, words: str, **options: Any) -> None:
     """Draw a map in the layout of the texture, with the scale of the pictures beside it."""
     drawn = draw_map(axes, estimate, **options)
     style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
@@ -243,13 +241,13 @@ def _large(sensor: Any) -> Any:
     return resized_sensor(sensor, -(-SIDE // max(film_size(sensor))))
 
 
-def _proposal_caption(proposal: Proposal) -> str:
+def _caption(proposal: Proposal) -> str:
     error = f" ± {proposal.error:.4f}" if proposal.error > 0 else ""
     new = f", {100 * proposal.new:.0f} % new" if proposal.new >= 0.005 else ""
     gain = f"{proposal.gain:.4f}{error}\n" if np.isfinite(proposal.gain) else ""
     return f"{gain}sees {100 * proposal.sees:.0f} % of the texels{new}"
 
 
-def _shortened(name: str) -> str:
+def _short_name(name: str) -> str:
     name = plain_name(name)
     return name if len(name) <= 24 else f"{name[:11]}…{name[-12:]}"

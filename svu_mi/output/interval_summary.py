@@ -39,8 +39,8 @@ class Intervals:
         An unknown parameter raises an ``OptionError``.
         """
         if name not in self._ends:
-            found = self._posterior.interval(name, self.level, self.chosen)
-            low, high = (np.array(end) for end in found)
+            ends = self._posterior.interval(name, self.level, self.chosen)
+            low, high = (np.array(end) for end in ends)
             self._ends[name] = low.reshape(len(low), -1), high.reshape(len(high), -1)
         return self._ends[name]
 

@@ -41,8 +41,9 @@ WIDEST = 0.5  # relative standard deviation at the upper end of its colours
 
 
 def write_relighting(
-    capture: Capture, found: Sequence[RelitView], names: Sequence[str],
-    folder: str | os.PathLike[str], run: RunInfo | None = None, *, draws: int, pictures: bool = True,
+    capture: Capture, views: Sequence[RelitView], names: Sequence[str],
+    folder: str | os.PathLike[str], run: RunInfo | None = None, *, draws: int,
+    pictures: bool = True,
 ) -> None:  # fmt: skip
     """Write pictures, their standard deviations, ``relight.png`` and ``run.json``.
 
@@ -53,14 +54,14 @@ def write_relighting(
     about = {"svu:version": svu_mi.__version__, "svu:draws": draws}
     with writing(folder, "relight", RECORD, capture=capture_key(capture)) as draft:
         files = view_file_names(names)
-        write_relit_views(found, files, draft.folder, about)
+        write_relit_views(views, files, draft.folder, about)
         if pictures:
-            notes = [f"{len(found)} views", f"{draws} draws"]
-            write_relit_page(found, names, draft.folder / PAGE, notes)
+            notes = [f"{len(views)} views", f"{draws} draws"]
+            write_relit_page(views, names, draft.folder / PAGE, notes)
         record = {
             "inputs": inputs_record(capture), "settings": {"draws": draws},
             "result": {
-                "relative_sd": [relative_sd(view) for view in found],
+                "relative_sd": [relative_sd(view) for view in views],
                 "views": dict(zip(files, names, strict=True)),
             },
         }  # fmt: skip
@@ -77,25 +78,25 @@ def view_file_names(names: Sequence[str]) -> list[str]:
 
 def relative_sd(view: RelitView) -> float | None:
     """Return the median over the object's pixels of standard deviation over radiance, if any."""
-    level, sd = view.picture[view.inside].mean(axis=-1), view.sd[view.inside].mean(axis=-1)
-    lit = level > 0
-    return float(np.median(sd[lit] / level[lit])) if lit.any() else None
+    radiance, sd = view.picture[view.inside].mean(axis=-1), view.sd[view.inside].mean(axis=-1)
+    lit = radiance > 0
+    return float(np.median(sd[lit] / radiance[lit])) if lit.any() else None
 
 
-def uncertainty_sentence(found: Sequence[RelitView]) -> str:
+def uncertainty_sentence(views: Sequence[RelitView]) -> str:
     """Return how sure pictures are, in a sentence."""
-    parts = [part for part in map(relative_sd, found) if part is not None]
+    parts = [part for part in map(relative_sd, views) if part is not None]
     if not parts:
         return "The object is in none of the pictures, or is black."
     return f"Half of the object's pixels are known to {100 * float(np.median(parts)):.1f} % (sd)."
 
 
 def write_relit_views(
-    found: Sequence[RelitView], names: Sequence[str], folder: Path,
+    views: Sequence[RelitView], names: Sequence[str], folder: Path,
     attributes: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
     """Write ``NAME.exr`` (R, G, B, mean.R, ... and sd.R, ..., linear) and ``NAME.png`` per view."""
-    for view, name in zip(found, names, strict=True):
+    for view, name in zip(views, names, strict=True):
         channels = {"RGB": view.picture}
         for kind, image in (("mean", view.mean), ("sd", view.sd)):
             channels |= {f"{kind}.{letter}": image[..., k] for k, letter in enumerate("RGB")}
@@ -106,18 +107,18 @@ def write_relit_views(
 
 
 def write_relit_page(
-    found: Sequence[RelitView], names: Sequence[str], path: Path, notes: Sequence[str]
+    views: Sequence[RelitView], names: Sequence[str], path: Path, notes: Sequence[str]
 ) -> None:
     """Draw the first six views: picture, standard deviation, and that relative to the picture."""
-    shown = list(zip(found, names, strict=True))[:ROWS]
+    shown = list(zip(views, names, strict=True))[:ROWS]
     panels: list[Panel] = []
     for view, name in shown:
         window = object_views.object_window(view.inside)
         sd = np.where(view.inside, view.sd.mean(axis=-1), np.nan)
-        level = np.where(view.inside, view.picture.mean(axis=-1), np.nan)
+        radiance = np.where(view.inside, view.picture.mean(axis=-1), np.nan)
         top = float(f"{np.nanpercentile(sd, 99):.1g}") if view.inside.any() else 1.0
         picture = tone_mapped(view.picture, view.inside)
-        relative = sd / np.maximum(level, DARK * float(np.nanmedian(level)))
+        relative = sd / np.maximum(radiance, DARK * float(np.nanmedian(radiance)))
         panels += [
             (name, partial(style.draw_image, image=object_views.crop(picture, window))),
             ("Standard deviation", partial(

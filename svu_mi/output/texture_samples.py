@@ -54,12 +54,12 @@ def write_draws(
 
 def find_draws(folder: Path) -> list[Path]:
     """Return the files of ``write_draws`` in order; a ``CaptureError`` if there are none."""
-    found = sorted((folder / FOLDER).glob("draw_*.exr"))
-    if not found:
+    files = sorted((folder / FOLDER).glob("draw_*.exr"))
+    if not files:
         raise CaptureError(
             f"{folder}: has no draws of the textures; svu recover --draws 16 writes some."
         )
-    return found
+    return files
 
 
 def read_draws(files: Sequence[Path]) -> Iterator[Textures]:

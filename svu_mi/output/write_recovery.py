@@ -91,9 +91,8 @@ def write_recovery(
         if field is not None and draws is not None:
             first = write_draws(field.draw(draws.count, draws.seed), target, about)
             if pictures:
-                view = object_views.distant_views(
-                    capture, getattr(estimate, "seen_per_view", None), 1
-                )[0]
+                seen = getattr(estimate, "seen_per_view", None)
+                (view,) = object_views.distant_views(capture, seen, 1)
                 write_sheet(capture, recovery, first, target / SHEET, view)
         run.progress(4, 4)
         write_run(draft, record, run)

@@ -270,15 +270,15 @@ def test_a_ring_is_where_its_texel_is(capture, estimate):
     """One white texel on a black ball, near its equator."""
     table = Turntable.around(capture, 3, side=96)
     uv = np.array(estimate.texels.uv)
-    found = table.find(estimate.texels, np.flatnonzero(abs(uv[1] - 0.45) < 0.05)[::9])
-    texel, number, x, y = found
+    best = table.find(estimate.texels, np.flatnonzero(abs(uv[1] - 0.45) < 0.05)[::9])
+    texel, number, x, y = best
     values = np.zeros((estimate.texels.count, 3), np.float32)
     values[texel] = 1
     frame = table.frame(estimate.texels.to_image(values), number)
     bright = np.argwhere(frame[..., 0] > 0.5 * frame[..., 0].max())
     place = (bright.mean(axis=0) + 0.5) / frame.shape[:2]
     np.testing.assert_allclose(place, (y, x), atol=0.03)
-    assert table.find(estimate.texels, np.array([texel])) == found
+    assert table.find(estimate.texels, np.array([texel])) == best
 
 
 def test_up_is_where_cameras_have_it(capture):
@@ -297,8 +297,8 @@ def test_the_front_is_the_same_in_any_unit(capture, unit):
     poses = [np.array(above.matrix), *map(to_world, capture.sensors[1:])]
     for pose in poses[1:]:
         pose[:3, 3] *= unit
-    found = front_and_right(posed(capture, *poses), np.zeros(3), np.array([0.0, 1, 0]))
-    np.testing.assert_allclose(found, [[0, 0, 1], [1, 0, 0]], atol=1e-6)
+    frame = front_and_right(posed(capture, *poses), np.zeros(3), np.array([0.0, 1, 0]))
+    np.testing.assert_allclose(frame, [[0, 0, 1], [1, 0, 0]], atol=1e-6)
 
 
 def test_frames_are_free_of_their_background(table):
@@ -341,13 +341,13 @@ def test_one_view_of_the_method_as_printed(capture, estimate, page):
 
 def test_channels_have_lines_of_their_own(capture, estimate):
     switches = svu.preset("default", method="angular", channels="joint")
-    found = svu.estimate(capture, estimate.texels, preset=switches, known={"metallic": 0.0})
-    drawn = dict(report_plots.marginal_plots(found, EstimateArrays.of(found)))
+    known = svu.estimate(capture, estimate.texels, preset=switches, known={"metallic": 0.0})
+    drawn = dict(report_plots.marginal_plots(known, EstimateArrays.of(known)))
     assert list(drawn) == ["roughness", "base colour"]
     assert {style for style, _, _ in drawn["base colour"].lines} >= {"red", "green", "blue"}
     assert len(drawn["roughness"].heights) == 8 and not len(drawn["base colour"].heights)
-    assert report_pictures.most_probable_textures(found).resolution == (48, 24)
-    assert "metallic = 0" in " ".join(summary_text.skipped_sentences(found))
+    assert report_pictures.most_probable_textures(known).resolution == (48, 24)
+    assert "metallic = 0" in " ".join(summary_text.skipped_sentences(known))
 
 
 def test_many_photographs_are_thinned_out(capture, estimate):
@@ -371,7 +371,7 @@ def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
     bad = report_pictures.rerender_errors(capture, uniform(estimate.texels, 0.02), grey=False)
     assert [name for name, _ in good["rows"]] == [capture.names[0], capture.names[3]]
     assert good["views"] == 4 and len(good["shown"]) == 2
-    percent = [float(found["mean"].split("\u202f")[0]) for found in (good, bad)]
+    percent = [float(errors["mean"].split("\u202f")[0]) for errors in (good, bad)]
     assert percent[0] < 5 < 20 < percent[1]
 
 

@@ -84,10 +84,10 @@ def test_the_plan_says_where_to_go(guidance, written):
     assert plan["entropy"] == guidance.entropy
     assert [p["rank"] for p in plan["proposals"]] == [1, 2, 3]
     assert [p["file"] for p in plan["proposals"]] == [f"view_{k:04d}.exr" for k in (4, 5, 6)]
-    for found, proposal in zip(plan["proposals"], guidance.proposals, strict=True):
+    for entry, proposal in zip(plan["proposals"], guidance.proposals, strict=True):
         for key in ("candidate", "name", "gain", "error", "entropy", "sees", "new"):
-            assert found[key] == getattr(proposal, key)
-        made = make_sensor(found["pose"], "proposal")
+            assert entry[key] == getattr(proposal, key)
+        made = make_sensor(entry["pose"], "proposal")
         np.testing.assert_allclose(to_world(made), to_world(proposal.sensor), atol=POSE)
         np.testing.assert_allclose(rays(made), rays(proposal.sensor), atol=RAY)
 
@@ -130,10 +130,10 @@ def test_any_film_comes_back(vase, tmp_path, film, kind):
         write_sensors(tmp_path / kind, [sensor], ["view_0007"])
     else:
         write_transforms(tmp_path / kind, [frame_of(sensor, Path("view_0007.exr"))])
-    (found,) = svu.Candidates.read(tmp_path / kind).sensors
-    np.testing.assert_allclose(to_world(found), to_world(sensor), atol=POSE)
-    np.testing.assert_allclose(rays(found), rays(sensor), atol=RAY)
-    assert describe(found)["crop_size"] == describe(sensor)["crop_size"]
+    (loaded,) = svu.Candidates.read(tmp_path / kind).sensors
+    np.testing.assert_allclose(to_world(loaded), to_world(sensor), atol=POSE)
+    np.testing.assert_allclose(rays(loaded), rays(sensor), atol=RAY)
+    assert describe(loaded)["crop_size"] == describe(sensor)["crop_size"]
 
 
 def test_sensors_can_be_included_in_a_scene(written, tmp_path):

@@ -263,9 +263,9 @@ def test_odd_films_and_neighbours_are_kept(tmp_path):
     # Mitsuba puts meshes first.
     assert sorted(shape.id() for shape in written.shapes()) == ["ball", "floor", "neighbour"]
     for view, image in enumerate(relight(capture, textures, None, spp=16)):
-        found = mi.render(written, sensor=view, spp=16, seed=view)
-        assert found.shape == image.shape == (30, 40, 3)
-        assert scaled_psnr(found, image) > BETTER_THAN
+        render = mi.render(written, sensor=view, spp=16, seed=view)
+        assert render.shape == image.shape == (30, 40, 3)
+        assert scaled_psnr(render, image) > BETTER_THAN
 
 
 def test_a_material_that_cannot_be_written_is_said(tmp_path):

@@ -397,7 +397,8 @@ def difference(
     return Difference(both=both, values=values, deviations=deviations, figures={
         "mean": float(np.average(mean, weights=weights)), "median": weighted_median(size, weights),
         "rms": float(np.sqrt(np.average((found**2).mean(axis=1), weights=weights))),
-        "psnr": psnr(first[compared], second[compared]), "beyond": area_share(weights, size > tolerance),
+        "psnr": psnr(first[compared], second[compared]), 
+        "beyond": area_share(weights, size > tolerance),
         "certain": None if sure is None else area_share(weights, sure),
         "certain_mean": None if sure is None or not sure.any() else
         float(np.average(mean[sure], weights=weights[sure])),

@@ -71,8 +71,8 @@ class Asset:
     @property
     def maps(self) -> dict[str, np.ndarray]:
         """Maps that there are, by name: entropy, coverage, ``roughness_sd`` and so on."""
-        found = {"entropy": self.entropy, "coverage": self.coverage}
-        there = {name: image for name, image in found.items() if image is not None}
+        maps = {"entropy": self.entropy, "coverage": self.coverage}
+        there = {name: image for name, image in maps.items() if image is not None}
         return there | {name + SD: image for name, image in self.deviations.items()}
 
     @classmethod

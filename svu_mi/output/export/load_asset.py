@@ -152,12 +152,10 @@ def _mesh(path: Path, smooth: bool) -> MeshArrays:
     pin_own_plugins()
     read_ply(path)  # so that no face names a missing vertex
     try:
-        found: Any = mi.load_dict(
-            {"type": "ply", "filename": str(path), "face_normals": not smooth}
-        )
+        mesh: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": not smooth})
     except RuntimeError as error:
         raise MeshError(f"{path}: cannot be read: {last_sentence(str(error))}") from error
-    return arrays(found)
+    return arrays(mesh)
 
 
 def _deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
@@ -165,10 +163,10 @@ def _deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
     the file, or where it is of another run than the textures."""
     if not path.is_file() or marks_of(path)[0] != marks_of(textured)[0]:
         return {}
-    found = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
-    for name, image in found.items():
+    deviations = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
+    for name, image in deviations.items():
         _require_values(path, image, 1, f" of {name}")
-    return found
+    return deviations
 
 
 def _read_map(path: Path, most: float) -> np.ndarray | None:

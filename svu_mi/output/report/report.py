@@ -125,12 +125,12 @@ def _pictures(
 
 def _light(capture: Capture) -> dict[str, Any] | None:
     """What there is to say of light that was found in the photographs."""
-    found = capture.found_light
-    if found is None:
+    light = capture.found_light
+    if light is None:
         return None
     return {
-        "maps": report_pictures.light_maps(found),
-        "sentences": list(sentences(found, up_direction(capture))),
+        "maps": report_pictures.light_maps(light),
+        "sentences": list(sentences(light, up_direction(capture))),
     }
 
 
@@ -190,7 +190,7 @@ def _settings(capture: Capture, estimate: Estimate) -> dict[str, Any]:
             ("Preset", preset.pop("name")),
             ("Cells of the grid",
              " × ".join(f"{len(v)} {label_of(n)}" for n, v in open_axes(estimate).items())),
-            *((f"Known {label_of(n)}", f"{value:g}") for n, value in known_values(estimate).items()),
+            *((f"Known {label_of(n)}", f"{x:g}") for n, x in known_values(estimate).items()),
             ("Texture", f"{width} × {height}"),
             ("Photographs", f"{', '.join(sizes[:4])}{', …' if len(sizes) > 4 else ''} pixels"),
         ],

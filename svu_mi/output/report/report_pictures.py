@@ -70,12 +70,12 @@ def thumbnails(
 
     def notes(view: int) -> str:
         part = seen.get(view, 0) / max(estimate.texels.count, 1)
-        found = [f"shows {percent(part)} of the points"]
+        facts = [f"shows {percent(part)} of the points"]
         if capture.unusable[view]:
-            found.append(f"{grouped(capture.unusable[view])} unusable pixels")
+            facts.append(f"{grouped(capture.unusable[view])} unusable pixels")
         if capture.exposures[view] != 1:
-            found.append(f"exposure × {capture.exposures[view]:.3g}")
-        return ", ".join(found)
+            facts.append(f"exposure × {capture.exposures[view]:.3g}")
+        return ", ".join(facts)
 
     return [thumbnail(view, notes(view), view in first) for view in chosen], [
         thumbnail(view, _why_left_out(capture.images[view]), True)
@@ -144,14 +144,14 @@ def texture_maps(
     return _pictures(table, shown, inside)
 
 
-def light_maps(found: LightEstimate) -> list[tuple[str, str, PageImage]]:
+def light_maps(light: LightEstimate) -> list[tuple[str, str, PageImage]]:
     """Return names, sentences and pictures of light that was found."""
     maps = (
-        ("Radiance", "Lat-long map: the top is +Y, the centre +Z.", light_colors(found.radiance)),
+        ("Radiance", "Lat-long map: the top is +Y, the centre +Z.", light_colors(light.radiance)),
         ("Standard deviation", "Of the logarithm of radiance: black is certain, and what is "
-         "yellow may be several times brighter or darker.", deviation_colors(found)),
+         "yellow may be several times brighter or darker.", deviation_colors(light)),
         ("What the photographs tell", "Yellow: nearly all; blue: what was assumed before, as no "
-         "glossy part of the object mirrors that direction.", known_colors(found)),
+         "glossy part of the object mirrors that direction.", known_colors(light)),
     )  # fmt: skip
     return [(name, sentence, embedded_png(colors)) for name, sentence, colors in maps]
 
@@ -185,18 +185,18 @@ def rerender_errors(capture: Capture, textures: Textures, grey: bool) -> dict[st
     """
     used = [view for view in range(capture.count) if capture.used[view]]
     compared = _compare(capture, textures, subsample(used, COMPARED), grey, (ERROR_SIDE, SAMPLES))
-    found = {c.view: e for c in compared if (e := c.mean_difference) is not None}
-    if not found:
+    errors = {c.view: e for c in compared if (e := c.mean_difference) is not None}
+    if not errors:
         return None
-    values = np.array(list(found.values()))
-    rows = [(capture.names[view], _percent(error)) for view, error in found.items()]
-    order = np.array(list(found))[np.argsort(values, kind="stable")].tolist()
+    values = np.array(list(errors.values()))
+    rows = [(capture.names[view], _percent(error)) for view, error in errors.items()]
+    order = np.array(list(errors))[np.argsort(values, kind="stable")].tolist()
     extremes = list(dict.fromkeys([order[0], order[len(order) // 2], order[-1]]))
     size = SHOWN_SIDE, SHOWN_SAMPLES
     return {
         "rows": rows, "mean": _percent(values.mean()), "chart": _chart(values, rows),
         "views": len(used),
-        "shown": [(capture.names[c.view], _comparison_pictures(c), _percent(found[c.view]))
+        "shown": [(capture.names[c.view], _comparison_pictures(c), _percent(errors[c.view]))
                   for c in _compare(capture, textures, extremes, grey, size)],
     }  # fmt: skip
 

@@ -102,13 +102,13 @@ class Picker:
         )  # fmt: skip
 
     def _known(self, texel: int) -> dict[str, tuple[np.ndarray, ...]]:
-        posterior, found = self._estimate.posterior, {}
+        posterior, summaries = self._estimate.posterior, {}
         best = posterior.map([texel])
         for name in posterior.axes:
             low, high = self._intervals.ends(name)
             values = np.array(best[name])[0], np.array(posterior.mean(name))[texel]
-            found[name] = (*map(np.atleast_1d, values), low[texel], high[texel])
-        return found
+            summaries[name] = (*map(np.atleast_1d, values), low[texel], high[texel])
+        return summaries
 
     def _seen_by(self, texel: int) -> tuple[int, ...]:
         observed = self._estimate.observed

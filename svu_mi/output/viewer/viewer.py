@@ -158,16 +158,16 @@ class Viewer:
 
     def pick(self, origin: Any, direction: Any) -> None:
         """Show what is known of the texel that a ray hits; nothing changes if it hits none."""
-        found = self._picker.pick(origin, direction)
-        if found is None:
+        pick = self._picker.pick(origin, direction)
+        if pick is None:
             return
-        self.picked = found
-        self._text.content = texel_markdown(self._capture, found)
-        self._plot.image = draw_pick(self._estimate, found, self._recovered)
+        self.picked = pick
+        self._text.content = texel_markdown(self._capture, pick)
+        self._plot.image = draw_pick(self._estimate, pick, self._recovered)
         self._plot.visible = True
         red = material_colors(np.array(MARK))
         self._server.scene.add_icosphere(
-            "/texel", 0.012 * self._radius, color=tuple(red.tolist()), position=found.position,
+            "/texel", 0.012 * self._radius, color=tuple(red.tolist()), position=pick.position,
             cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
         self._update_frusta()
