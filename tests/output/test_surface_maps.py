@@ -21,14 +21,14 @@ def test_the_most_probable_cell_is_that_of_the_table(vase):
     posterior = vase.estimate.posterior
     p = np.array(posterior.probabilities, np.float64)
     rows = p[..., 0].sum(axis=-1).reshape(len(p), -1)
-    best = posterior.kernel.best(np.arange(len(p)))
-    row = np.ravel_multi_index(tuple(best[:, :-1, 0].T), p.shape[1:-2])
+    bins = posterior.kernel.best(np.arange(len(p)))
+    row = np.ravel_multi_index(tuple(bins[:, :-1, 0].T), p.shape[1:-2])
     best = rows.max(axis=1)
     taken = rows[np.arange(len(p)), row]
     seen = posterior.observed
     np.testing.assert_allclose(taken[seen], best[seen], rtol=1e-5)  # ties may go either way
     given = p.reshape(len(p), -1, *p.shape[-2:])[np.arange(len(p)), row]
-    color = np.take_along_axis(given, best[:, -1][:, None, :], axis=1)[:, 0]
+    color = np.take_along_axis(given, bins[:, -1][:, None, :], axis=1)[:, 0]
     np.testing.assert_allclose(color[seen], given.max(axis=1)[seen], rtol=1e-5)
 
 
