@@ -19,7 +19,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import require_light, require_variant
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.geometry.texels import Texels
@@ -252,7 +252,7 @@ def _made(run: Run, method: Method, switches: Any) -> Estimate:
     with run.progress.stage("Computing entropy"):
         result = Estimate(
             method=method, preset=switches, texels=seen.texels, posterior=posterior,
-            coverage=owned(mi.UInt32, counted(seen, switches)),
+            coverage=to_drjit(mi.UInt32, counted(seen, switches)),
             seen_per_view=seen.visibility.per_view, skipped=run.plan.skipped,
             timings=run.progress.timings, observed=seen, prior=run.prior,
         )  # fmt: skip

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
 from svu_mi.light.light_visibility import is_open
@@ -127,4 +127,4 @@ def columns_seen_from(scene: Any, model: Model, eye: np.ndarray) -> list[list[Pa
 def _floats(values: np.ndarray) -> list[Any]:
     """A Float for every channel of (n,) or (n, C)."""
     columns = np.asarray(values, np.float32).reshape(len(values), -1).T
-    return [owned(mi.Float, column) for column in columns]
+    return [to_drjit(mi.Float, column) for column in columns]

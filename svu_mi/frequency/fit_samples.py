@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.frequency.fit_sh import SolverGroup, fit_lanes, solver_groups
 from svu_mi.frequency.harmonics import System
@@ -154,7 +154,7 @@ class MirroredLight:
         """(T,) UInt32, which lane a texel has; 0 for others."""
         lane = np.zeros(self.observed.texels.count, np.uint32)
         lane[self.chosen] = np.arange(len(self.chosen))
-        return owned(mi.UInt32, lane)
+        return to_drjit(mi.UInt32, lane)
 
     def solutions(self, masking: Masking, count: int) -> Iterator[tuple[Any, list[list[Any]]]]:
         """Yield UInt32 lanes of seen texels, and (l* + 1)^2 lists of F C Floats, unevaluated."""

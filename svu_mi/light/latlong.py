@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.memory import light_bytes
 from svu_mi.core.validation import require_memory
 from svu_mi.errors import SceneError, excerpt
@@ -96,7 +96,7 @@ def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray
 def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
     """Return (N, 3) float64 radiance that an environment emitter sends from directions."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(world))
-    si.wi = -owned(mi.Vector3f, world.T.astype(np.float32))
+    si.wi = -to_drjit(mi.Vector3f, world.T.astype(np.float32))
     return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()
 
 

@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.light import environment as env
 from svu_mi.light.environment import Environment
@@ -134,17 +134,18 @@ def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
     upper = np.cumsum(np.diff(of_coarse[order], prepend=-1) != 0) - 1  # of every fine cell
     above = _cells(_sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment)
     starts = np.searchsorted(upper, np.arange(coarse + 1))
+    leaves = np.searchsorted(label, np.arange(fine + 1))
     edges = _edges(of_group[order][starts[:-1]])
     grey = below.flux.numpy().reshape(-1, 4)[:, 3]
     return LightCells(
         coarse=above,
         fine=below,
         leaves=_cells(flux, pull, environment),
-        first=owned(mi.UInt32, starts.astype(np.uint32)),
-        first_leaf=owned(mi.UInt32, np.searchsorted(label, np.arange(fine + 1)).astype(np.uint32)),
-        groups=owned(mi.UInt32, edges.astype(np.uint32)),
+        first=to_drjit(mi.UInt32, starts.astype(np.uint32)),
+        first_leaf=to_drjit(mi.UInt32, leaves.astype(np.uint32)),
+        groups=to_drjit(mi.UInt32, edges.astype(np.uint32)),
         group_count=dr.opaque(mi.UInt32, len(edges) - 1),
-        bright=owned(mi.UInt32, (grey > DIM * grey.mean()).astype(np.uint32)),
+        bright=to_drjit(mi.UInt32, (grey > DIM * grey.mean()).astype(np.uint32)),
     )
 
 
@@ -216,8 +217,8 @@ def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> Cell
     radius = np.sqrt(2 * (1 - mean * mean))
     world = pull / np.maximum(length, 1e-300) @ environment.to_local
     return Cells(
-        toward=owned(mi.Float, np.hstack([world, radius]).ravel()),
-        flux=owned(mi.Float, np.hstack([flux, flux.mean(axis=1, keepdims=True)]).ravel()),
+        toward=to_drjit(mi.Float, np.hstack([world, radius]).ravel()),
+        flux=to_drjit(mi.Float, np.hstack([flux, flux.mean(axis=1, keepdims=True)]).ravel()),
         number=len(flux),
         count=dr.opaque(mi.UInt32, len(flux)),
     )

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
@@ -40,7 +40,7 @@ class Reach:
 
     def at(self, lanes: np.ndarray) -> Reach:
         """Return the same for some of the lanes."""
-        chosen = owned(mi.UInt32, lanes.astype(np.uint32))
+        chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return Reach(
             self.cells, self.coarse.at(chosen), self.fine.at(chosen),
             dr.gather(mi.UInt32, self.texel, chosen),
@@ -48,7 +48,7 @@ class Reach:
 
     def joined(self, other: Reach) -> Reach:
         """Return what the texels of both see of the same cells, one's own first."""
-        texel = owned(mi.UInt32, np.concatenate([self.texel.numpy(), other.texel.numpy()]))
+        texel = to_drjit(mi.UInt32, np.concatenate([self.texel.numpy(), other.texel.numpy()]))
         return Reach(
             self.cells, self.coarse.joined(other.coarse), self.fine.joined(other.fine), texel
         )

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.light import environment as env
 from svu_mi.light.band_limited import Lighting, lat_long_texture, look_up
 from svu_mi.light.environment import Environment, lat_long
@@ -214,8 +214,8 @@ def _stacked(maps: Sequence[np.ndarray], to_local: Any) -> LightStack:
         flat.append(padded.ravel())
         first += rows * (columns + 2)
     return LightStack(
-        values=owned(mi.Float, np.concatenate(flat)),
-        tables=owned(mi.UInt32, np.array(tables, np.uint32)),
+        values=to_drjit(mi.Float, np.concatenate(flat)),
+        tables=to_drjit(mi.UInt32, np.array(tables, np.uint32)),
         count=len(maps),
         channels=channels,
         to_local=to_local,

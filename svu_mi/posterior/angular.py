@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
@@ -164,7 +164,7 @@ def angular_posterior(
     problem = Problem(
         factors=factors,
         copies=copies,
-        slots=owned(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
+        slots=to_drjit(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
         rows=row_entropy.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
         sigma=dr.opaque(mi.Float, switches.sigma * (1 if switches.noise == "fixed" else scale)),
@@ -179,7 +179,7 @@ def angular_posterior(
 def _prior(tables: tuple[np.ndarray, np.ndarray] | None) -> tuple[Any, Any] | None:
     if tables is None:
         return None
-    return owned(mi.Float64, tables[0]), owned(mi.Float, np.minimum(tables[1], UNLIKELY))
+    return to_drjit(mi.Float64, tables[0]), to_drjit(mi.Float, np.minimum(tables[1], UNLIKELY))
 
 
 def _require_levels(

@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.replace_material import constant_parameters
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.core.validation import MAX_LANES
@@ -132,7 +132,7 @@ def _of_tile(run: Run, switches: AngularPreset, texels: np.ndarray) -> Posterior
         own = np.flatnonzero(part.coverage[texels])
         part = part.subset(texels[own])
     factors = _factors(run, part, switches, None)
-    factors = replace(factors, texel=owned(mi.UInt32, own.astype(np.uint32)))
+    factors = replace(factors, texel=to_drjit(mi.UInt32, own.astype(np.uint32)))
     return _posterior(run, switches, factors, _rounding(part, switches), len(texels))
 
 
@@ -163,7 +163,7 @@ def _posterior(
     if switches.noise == "estimated":
         return calibrated_posterior(
             factors, run.grid, seen.unit, switches, prior=run.prior, copies=plan.copies,
-            texels=texels, doubt=seen.capture.doubt, rounding=rounding,
+            texels=texels, light_uncertainty=seen.capture.light_uncertainty, rounding=rounding,
         )  # fmt: skip
     return angular_posterior(
         factors, run.grid, seen.unit, switches,
@@ -231,9 +231,10 @@ def takes_clipped(switches: AnyPreset) -> bool:
 
 def widened(switches: AnyPreset, capture: Capture) -> AnyPreset:
     """Return switches of a posterior that knows how uncertain the light is."""
-    if capture.doubt is None or not isinstance(switches, AngularPreset):
+    uncertainty = capture.light_uncertainty
+    if uncertainty is None or not isinstance(switches, AngularPreset):
         return switches
-    return replace(switches, overdispersion=switches.overdispersion * capture.doubt.widening)
+    return replace(switches, overdispersion=switches.overdispersion * uncertainty.widening)
 
 
 def make_plan(

@@ -18,7 +18,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import require_light
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.frequency.fit_samples import MirroredLight
@@ -132,7 +132,7 @@ class Observed:
     @cached_property
     def mirrors(self) -> Mirrors:
         """Whether anything blocks the mirror direction of a sample; traced when first needed."""
-        lane = owned(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
+        lane = to_drjit(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
         return trace_mirrors(self.views, self.surface, self.visibility, lane)
 
     def reach(self, cells: int, *, occluded: bool = True) -> Reach:
@@ -234,7 +234,7 @@ class Observed:
         return self.clipped_coverage is not None and counts
 
     def _lanes(self, texels: np.ndarray) -> TexelLanes:
-        return TexelLanes.of(self.texels, owned(mi.UInt32, texels.astype(np.uint32)))
+        return TexelLanes.of(self.texels, to_drjit(mi.UInt32, texels.astype(np.uint32)))
 
     def _reach_of(self, texels: np.ndarray | None, switches: AngularPreset) -> Reach:
         """Return the reach of texels; those that are not in ``seen`` are traced now."""

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned, tensor
+from svu_mi.core.arrays import tensor, to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior import spectrum_kernel as kernel
@@ -136,10 +136,10 @@ def _problem(
         groups=_groups(switches, channels, copies),
         rows=row_entropy.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
-        decay=owned(mi.Float64, falloff),
-        albedo=owned(mi.Float64, np.square(_albedo(switches, grid))),
+        decay=to_drjit(mi.Float64, falloff),
+        albedo=to_drjit(mi.Float64, np.square(_albedo(switches, grid))),
         cells=cells,
-        prior=None if tables is None else tuple(owned(mi.Float64, t) for t in tables),
+        prior=None if tables is None else tuple(to_drjit(mi.Float64, t) for t in tables),
     )
 
 
@@ -244,7 +244,7 @@ def _constant(
     return kernel.Constant(
         mixed=grid.mixed_nodes,
         irradiance=known.array,
-        albedo=owned(mi.Float64, _albedo(switches, grid)),
+        albedo=to_drjit(mi.Float64, _albedo(switches, grid)),
         sigma=dr.opaque(mi.Float64, sigma),
     )
 

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.light_tree import Cells, disk_cells
@@ -59,8 +59,8 @@ class NarrowLobes:
             switches=switches,
             alpha=alpha,
             levels=filter_light(lighting, alpha.tolist(), profile, grey=channels == 1, disk=disk),
-            albedo=owned(mi.Float, split_sum(alpha).ravel()),
-            dielectric=owned(mi.Float, dielectric_albedo(alpha).ravel()),
+            albedo=to_drjit(mi.Float, split_sum(alpha).ravel()),
+            dielectric=to_drjit(mi.Float, dielectric_albedo(alpha).ravel()),
             sun=None if disk else disk_cells(lighting.environment),
         )
 

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.prefiltered import LightStack, stack
@@ -66,7 +66,7 @@ def continuous(
     if switches.fresnel == "split_sum":
         table[..., :2], table[..., 2] = split_sum(lobes.alpha), dielectric_albedo(lobes.alpha)
     narrow = switches.lobe == "ggx" and switches.off_specular
-    return Continuous(switches, stack(lobes.levels), owned(mi.Float, table.ravel()), narrow)
+    return Continuous(switches, stack(lobes.levels), to_drjit(mi.Float, table.ravel()), narrow)
 
 
 def shade(

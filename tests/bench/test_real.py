@@ -168,10 +168,10 @@ def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
 
 def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
     """What every view shows of some texels: whether it does, and radiance."""
-    from svu_mi.core.arrays import owned
+    from svu_mi.core.arrays import to_drjit
     from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 
-    surface = TexelLanes.of(observed.texels, owned(mi.UInt32, number.astype(np.uint32)))
+    surface = TexelLanes.of(observed.texels, to_drjit(mi.UInt32, number.astype(np.uint32)))
     samples = []
     for view in range(sum(observed.capture.used)):
         which = dr.opaque(mi.UInt32, view)

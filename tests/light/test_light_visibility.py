@@ -10,7 +10,7 @@ from support.helpers import write_ball
 from support.walled import noise_capture, walled_ball
 
 import svu_mi as svu
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import band_limit
 from svu_mi.light.environment import Environment, directions, quadrature
@@ -27,8 +27,8 @@ COLORS = np.array([[3, 2, 1], [4, 4, 5], [0.5, 2, 3], [2, 2, 2.0]])
 def points(positions, normals):
     """A surface of a few free points."""
     positions, normals = (np.atleast_2d(x).astype(np.float32).T for x in (positions, normals))
-    normal = owned(mi.Normal3f, normals)
-    position = owned(mi.Point3f, positions)
+    normal = to_drjit(mi.Normal3f, normals)
+    position = to_drjit(mi.Point3f, positions)
     return TexelLanes(position, normal, normal, dr.opaque(mi.Float, 1e-4))
 
 
@@ -222,12 +222,12 @@ def directly(scene, surface, cells, occluded=True):
     """(N, T) bool: above both horizons, and seen along a ray of its own, cell by cell."""
     toward = cells.toward.numpy().reshape(-1, 4)[:, :3]
     count = surface.count
-    lane = owned(mi.UInt32, np.tile(np.arange(count, dtype=np.uint32), len(toward)))
+    lane = to_drjit(mi.UInt32, np.tile(np.arange(count, dtype=np.uint32), len(toward)))
     position, normal, geometric = (
         dr.gather(type(x), x, lane)
         for x in (surface.position, surface.normal, surface.geometric_normal)
     )
-    d = owned(mi.Vector3f, np.repeat(toward, count, axis=0).T)
+    d = to_drjit(mi.Vector3f, np.repeat(toward, count, axis=0).T)
     free = (dr.dot(normal, d) > 0) & (dr.dot(geometric, d) > 0)
     if occluded:
         free &= ~scene.ray_test(mi.Ray3f(position + surface.offset * geometric, d))
@@ -274,7 +274,7 @@ def surroundings():
     tilted = normals + 0.2 * unit_vectors(rng, 40)  # facets are not smooth
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     surface = points(rng.uniform(-0.2, 0.2, (40, 3)), normals)
-    geometric = owned(mi.Normal3f, tilted.T.astype(np.float32))
+    geometric = to_drjit(mi.Normal3f, tilted.T.astype(np.float32))
     return scene, TexelLanes(surface.position, surface.normal, geometric, surface.offset)
 
 

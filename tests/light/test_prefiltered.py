@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from oracle import angular as oracle
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.light import prefiltered as module
 from svu_mi.light.band_limited import band_limit, lat_long_texture, look_up
 from svu_mi.light.environment import Environment, directions, quadrature, read_environment
@@ -42,7 +42,7 @@ def sampled(function, rows):
 
 def at(grid, d):
     """Bilinear look-up as kernels do it."""
-    values = look_up(lat_long_texture(grid), owned(mi.Vector3f, d.T.astype(np.float32)))
+    values = look_up(lat_long_texture(grid), to_drjit(mi.Vector3f, d.T.astype(np.float32)))
     return np.stack([v.numpy() for v in values], axis=-1)
 
 
@@ -163,7 +163,7 @@ def test_levels_turn_with_the_light(grey):
     levels = filter_light(lighting, widths, partial(zonal_profile, "ggx"), grey=grey)
     assert levels.count == 3
     local = unit_vectors(np.random.default_rng(13), 60)
-    world = owned(mi.Vector3f, (local @ turn.T).T.astype(np.float32))
+    world = to_drjit(mi.Vector3f, (local @ turn.T).T.astype(np.float32))
     for k, alpha in enumerate(widths):
         values = levels.radiance(k, world)
         dr.eval(values)

@@ -13,7 +13,7 @@ import pytest
 from recovery.test_texture_field import square, those_first
 from support.helpers import fails, names, run
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.neighbors import neighbors
@@ -113,7 +113,7 @@ def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[Ground, np.nd
     around = square(side)
     around = those_first(np.where(alone[around] == alone, around, np.arange(side**2)))
     values, deviation = np.where(hole, 0.5, true), np.where(hole, 0.3, 0.01)[None]
-    lanes = [owned(mi.UInt32, column.astype(np.uint32)) for column in around]
+    lanes = [to_drjit(mi.UInt32, column.astype(np.uint32)) for column in around]
     smoother = Smoother.of(1 / deviation**2, values, lanes, 3.0, 0.01)
     pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), connected(list(around)))
     squares = np.stack([rows, columns], axis=1)

@@ -13,7 +13,7 @@ from support.helpers import render_ball
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.spectra import fit_coefficients, fit_spectra
 from svu_mi.geometry.sample_view import TexelLanes
@@ -60,7 +60,7 @@ def random_textures(seed=9213):
     rng = np.random.default_rng(seed)
     return {
         name: mi.TensorXf(
-            owned(mi.Float, rng.uniform(0.1, 0.9, SIZE * SIZE * CHANNELS[name])),
+            to_drjit(mi.Float, rng.uniform(0.1, 0.9, SIZE * SIZE * CHANNELS[name])),
             shape=(SIZE, SIZE, CHANNELS[name]),
         )
         for name in NAMES
@@ -134,9 +134,9 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
             visible=(lambda mirror, alpha: part(mirror.T, alpha)) if hidden else None,
         )  # fmt: skip
 
-    lanes = [owned(kind, x.T.astype(np.float32)) for kind, x in
+    lanes = [to_drjit(kind, x.T.astype(np.float32)) for kind, x in
              ((mi.Normal3f, normal), (mi.Vector3f, direction))]  # fmt: skip
-    rough = owned(mi.Float, roughness.astype(np.float32))
+    rough = to_drjit(mi.Float, roughness.astype(np.float32))
     dr.enable_grad(rough)
     parts = shade(model, rough, *lanes, moments, visible=part if hidden else None)
     for ours, theirs in zip(zip(*parts, strict=True), exact(roughness), strict=True):
@@ -169,7 +169,7 @@ def test_moments_by_normal_are_sums_over_the_light(observed):
     normal = rng.normal(size=(20, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     world = normal @ environment.to_local  # rows: local to world
-    moments = moment_map(environment).at(owned(mi.Normal3f, world.T.astype(np.float32)))
+    moments = moment_map(environment).at(to_drjit(mi.Normal3f, world.T.astype(np.float32)))
     for k, n in enumerate(normal):
         cosine = np.maximum(local @ n, 0)
         for power, first in ((0, 0), (5, 4)):

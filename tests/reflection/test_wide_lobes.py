@@ -10,7 +10,7 @@ from oracle import angular as oracle
 from support.helpers import ball
 
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.light.environment import Environment, read_environment
@@ -66,8 +66,8 @@ def found_by(
     normal = surface.normal.numpy().T
     cosine = (view * normal / np.linalg.norm(normal, axis=1, keepdims=True)).sum(axis=1)
     lobes = WideLobes(reach, alpha, channels).reflect(
-        surface.lane, mi.Vector3f(surface.normal), owned(mi.Vector3f, view.T),
-        owned(mi.Float, cosine),
+        surface.lane, mi.Vector3f(surface.normal), to_drjit(mi.Vector3f, view.T),
+        to_drjit(mi.Float, cosine),
     )  # fmt: skip
     values = np.array([[[x.numpy() for x in color] for color in lobe] for lobe in lobes])
     return np.moveaxis(values, 1, 2)
@@ -199,12 +199,12 @@ def test_a_rough_metal_under_a_sun_is_what_mitsuba_renders() -> None:
     cosine = (view * np.array(grid.normal, np.float64).T).sum(axis=1)
     seen = np.flatnonzero(cosine > 0.15)
     (metal,) = WideLobes(reach, np.array([0.36]), 3).reflect(
-        surface.lane, mi.Vector3f(surface.normal), owned(mi.Vector3f, view.T),
-        owned(mi.Float, np.maximum(cosine, 1e-3)),
+        surface.lane, mi.Vector3f(surface.normal), to_drjit(mi.Vector3f, view.T),
+        to_drjit(mi.Float, np.maximum(cosine, 1e-3)),
     )  # fmt: skip
     model = np.mean([0.8 * np.array(p) + np.array(q) for p, q, _ in metal], axis=0)[seen]
     origin = mi.Point3f(*(np.full(len(seen), x, np.float32) for x in camera))
-    rays = mi.RayDifferential3f(mi.Ray3f(origin, owned(mi.Vector3f, -view[seen].T)))
+    rays = mi.RayDifferential3f(mi.Ray3f(origin, to_drjit(mi.Vector3f, -view[seen].T)))
     integrator, total = mi.load_dict({"type": "path", "max_depth": 2}), np.zeros(len(seen))
     sampler = mi.load_dict({"type": "independent"})
     for seed in range(256):

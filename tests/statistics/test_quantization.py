@@ -21,7 +21,7 @@ from svu_mi.capture.importers.camera_response import Response, steps
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.quantization import Rounding, variance
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 from svu_mi.posterior.observations import observe
 from svu_mi.statistics.gather_statistics import Weighting
@@ -59,7 +59,7 @@ def test_steps_are_those_between_codes(bits, transfer):
 
 
 def owned_floats(values):
-    return owned(mi.Float, values.astype(np.float32))
+    return to_drjit(mi.Float, values.astype(np.float32))
 
 
 def test_a_gain_makes_radiance_and_steps_smaller():
@@ -136,7 +136,7 @@ def test_the_variance_of_samples_is_that_of_their_steps(vase):
     seen = observe(dark, vase.texels)
     kappa, eta = 0.4 * seen.unit, 2.0
     found = seen.rounding(Weighting(kappa, eta))
-    surface = TexelLanes.of(seen.texels, owned(mi.UInt32, seen.seen.astype(np.uint32)))
+    surface = TexelLanes.of(seen.texels, to_drjit(mi.UInt32, seen.seen.astype(np.uint32)))
     total, count = np.zeros(len(seen.seen)), np.zeros(len(seen.seen))
     for view in range(dark.count):
         which = dr.opaque(mi.UInt32, view)

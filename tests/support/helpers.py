@@ -29,7 +29,7 @@ from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.cli.main import main
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import write_json
 from svu_mi.core.io.output_folder import writing
@@ -58,7 +58,7 @@ SPHERE_XML = """<scene version="3.0.0">
 def as_values(rows: np.ndarray) -> Values:
     """Return parameters (5, S), red, green, blue, roughness and metallic, as kernels take them."""
     red, green, blue, roughness, metallic = (
-        owned(mi.Float, np.asarray(row, np.float32)) for row in rows
+        to_drjit(mi.Float, np.asarray(row, np.float32)) for row in rows
     )
     return {"base_color": [red, green, blue], "roughness": [roughness], "metallic": [metallic]}
 

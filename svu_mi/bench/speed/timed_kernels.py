@@ -23,7 +23,7 @@ from svu_mi.bench.timing import MILLISECOND, measure_in_turns
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.geometry.packed_views import Views, pack_views
 from svu_mi.geometry.sample_view import TexelLanes, sample_view
@@ -199,10 +199,10 @@ def record_rays(views: Views, surface: TexelLanes) -> Rays:
         parts.append(np.stack([np.array(field)[kept] for field in fields]))
     columns = np.concatenate(parts, axis=1)
     return Rays(
-        origin=owned(mi.Point3f, columns[:3]),
-        direction=owned(mi.Vector3f, columns[3:6]),
-        reach=owned(mi.Float, columns[6]),
-        slot=owned(mi.UInt32, np.concatenate(slots)),
+        origin=to_drjit(mi.Point3f, columns[:3]),
+        direction=to_drjit(mi.Vector3f, columns[3:6]),
+        reach=to_drjit(mi.Float, columns[6]),
+        slot=to_drjit(mi.UInt32, np.concatenate(slots)),
     )
 
 

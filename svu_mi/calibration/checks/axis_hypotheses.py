@@ -153,4 +153,4 @@ def _lit(capture: Capture, fix: Fix) -> Capture:
         "to_world": mi.ScalarTransform4f(turned),
     })  # fmt: skip
     scene = scene_of([*capture.scene.shapes(), light])
-    return replace(capture, scene=scene, doubt=None, found_light=None)
+    return replace(capture, scene=scene, light_uncertainty=None, found_light=None)

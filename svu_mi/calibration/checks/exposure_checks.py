@@ -40,7 +40,7 @@ from svu_mi.calibration.checks.surface_samples import (
     scatter_points,
 )
 from svu_mi.calibration.checks.thumbnails import Frames
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import SvuWarning
 from svu_mi.light.light_tree import Cells, light_cells
 from svu_mi.light.light_visibility import is_open
@@ -229,8 +229,8 @@ def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, asked: np.ndarray)
     if not asked.any():
         return np.zeros(asked.shape, bool)
     view, point = np.nonzero(asked)
-    surface = points.surface(owned(mi.UInt32, point.astype(np.uint32)))
-    direction = owned(mi.Vector3f, mirror[view, point].T.astype(np.float32))
+    surface = points.surface(to_drjit(mi.UInt32, point.astype(np.uint32)))
+    direction = to_drjit(mi.Vector3f, mirror[view, point].T.astype(np.float32))
     above = dr.dot(surface.geometric_normal, direction) > 0
     free = np.zeros(asked.shape, bool)
     free[view, point] = is_open(scene, surface, direction, above, coherent=False).numpy()

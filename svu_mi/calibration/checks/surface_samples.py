@@ -15,7 +15,7 @@ from svu_mi.calibration.checks.thumbnails import Frames, tone
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
 from svu_mi.capture.scene import find_environment
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, sample_view
 from svu_mi.light.band_limited import band_limit, look_up
 from svu_mi.light.environment import basis_at, read_environment
@@ -63,7 +63,7 @@ class Points:
         """Return the points of a UInt32 array of indices as lanes of a kernel."""
 
         def of(kind: Any, values: np.ndarray) -> Any:
-            return dr.gather(kind, owned(mi.Float, values.astype(np.float32).ravel()), index)
+            return dr.gather(kind, to_drjit(mi.Float, values.astype(np.float32).ravel()), index)
 
         return TexelLanes(
             position=of(mi.Point3f, self.position), normal=of(mi.Normal3f, self.normal),
@@ -144,7 +144,7 @@ def open_cosines(scene: Any, points: Points, directions: np.ndarray) -> np.ndarr
     shape = len(points.position), len(directions)
     point, cell = _pairs(shape)
     surface = points.surface(point)
-    toward = owned(mi.Float, directions.astype(np.float32).ravel())
+    toward = to_drjit(mi.Float, directions.astype(np.float32).ravel())
     direction = dr.gather(mi.Vector3f, toward, cell)
     cosine = dr.dot(surface.normal, direction)
     above = (cosine > 0) & (dr.dot(surface.geometric_normal, direction) > 0)
@@ -205,7 +205,7 @@ def read_texture(capture: Capture, points: Points) -> Texture | None:
 def base_color(shape: Any, uv: np.ndarray) -> np.ndarray:
     """Return the diffuse reflectance (N, 3) of a shape's material at texture coordinates."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(uv))
-    si.uv = owned(mi.Point2f, uv.T.astype(np.float32))
+    si.uv = to_drjit(mi.Point2f, uv.T.astype(np.float32))
     si.wi = mi.Vector3f(0, 0, 1)
     color = shape.bsdf().eval_diffuse_reflectance(si)
     return np.stack(
@@ -270,7 +270,7 @@ class Sky:
 
     def reflected(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         """Return the light (L, S, 3) under lobes around directions (S, 3) of the mesh's frame."""
-        local = owned(mi.Vector3f, self._local(directions, matrix).T)
+        local = to_drjit(mi.Vector3f, self._local(directions, matrix).T)
         found = [look_up(texture, local) for texture in self.lobes.textures]
         return np.array([[channel.numpy() for channel in one] for one in found]).swapaxes(1, 2)
 

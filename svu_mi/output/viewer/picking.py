@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import alone
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
@@ -73,7 +73,7 @@ class Picker:
         """
         # Arrays, not numbers: these would be compiled into a new kernel for every ray.
         start, towards = (np.array(v, np.float32)[:, None] for v in (origin, direction))
-        ray = mi.Ray3f(owned(mi.Point3f, start), dr.normalize(owned(mi.Vector3f, towards)))
+        ray = mi.Ray3f(to_drjit(mi.Point3f, start), dr.normalize(to_drjit(mi.Vector3f, towards)))
         hit = self._scene.ray_intersect(ray)
         valid, uv = np.array(hit.is_valid()), np.array(hit.uv, np.float64)
         if not valid.all():
@@ -118,7 +118,7 @@ class Picker:
             )
         used = np.flatnonzero(self._capture.used)
         view = dr.arange(mi.UInt32, len(used))
-        seen = observed.visibility.bits.test(view, owned(mi.UInt32, np.full(len(used), texel)))
+        seen = observed.visibility.bits.test(view, to_drjit(mi.UInt32, np.full(len(used), texel)))
         return tuple(used[np.array(seen)].tolist())
 
 

@@ -16,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.frequency.fit_samples import MirroredLight
 from svu_mi.frequency.sh_lobes import Convolved
@@ -145,7 +145,7 @@ def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObj
             f"The angular loss needs the SH model, which fits light to every texel, but "
             f"preset {switches.name!r} has no fit; use preset('paper', method='angular')."
         )
-    selection = owned(mi.UInt32, seen.astype(np.uint32))
+    selection = to_drjit(mi.UInt32, seen.astype(np.uint32))
     surface = TexelLanes.of(texels, selection)
     diffuse = moment_map(observed.lighting.environment, channels)
     samples = 3.0 * int(observed.coverage.sum(dtype=np.int64))

@@ -22,7 +22,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import film_size, scaled_sensor, sensors_like, windowed_sensor
 from svu_mi.capture.tonemap import Look, alone, exposure, resized
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.packed_views import LARGEST_FILM, Views, pack_sensors
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
@@ -78,7 +78,7 @@ class Shots:
         """
         texels = np.flatnonzero(wanted)
         texels = texels[:: -(-len(texels) // JUDGED) or 1]
-        surface = TexelLanes.of(self.field.texels, owned(mi.UInt32, texels.astype(np.uint32)))
+        surface = TexelLanes.of(self.field.texels, to_drjit(mi.UInt32, texels.astype(np.uint32)))
         views = pack_sensors(self.capture.scene, self.capture.shape, self.sensors)
         shown = np.array([_shown(views, surface, k) for k in range(views.number)])
         chosen: list[int] = []
@@ -117,8 +117,8 @@ class Shots:
         found = {}
         for name, image in maps.items():
             color = np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
-            one = replace(views, pixels=owned(mi.Float, color.astype(np.float32).ravel()))
-            shown = sample_visible(one, surface, dr.opaque(mi.UInt32, 0), owned(mi.Bool, seen))
+            one = replace(views, pixels=to_drjit(mi.Float, color.astype(np.float32).ravel()))
+            shown = sample_visible(one, surface, dr.opaque(mi.UInt32, 0), to_drjit(mi.Bool, seen))
             found[name] = np.array(shown.radiance)[: CHANNELS[name]]
         return found, seen
 
