@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi import scenes
-from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.mesh import write_ply
 from svu_mi.core.io.files import prepare_folder
@@ -180,7 +180,7 @@ def convert_glb(path: Path, folder: Path) -> Path:
         MeshError: unreadable, no mesh, no UVs, or several materials.
         OutputError: the folder cannot be written.
     """
-    geometry = read_geometry(path)
+    geometry = read_textured_mesh(path)
     if geometry.mesh.uvs is None:
         raise MeshError(f"{path}: the mesh has no UVs for its textures; unwrap it.")
     if set(geometry.textures) != set(NAMES):

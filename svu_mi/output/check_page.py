@@ -14,7 +14,7 @@ from svu_mi.calibration.checks.surface_samples import emitter_of
 from svu_mi.calibration.checks.thumbnails import Frames, outline, reduced, silhouettes
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
-from svu_mi.capture.importers.axis_fixes import fixes_named
+from svu_mi.capture.importers.axis_fixes import find_fixes
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere
 from svu_mi.capture.tonemap import tone_mapped
@@ -59,7 +59,7 @@ def write_check(
         OutputError: a file cannot be written.
     """
     with writing(folder, "check", RECORD, capture=capture_key(capture)) as draft:
-        fixes = fixes_named(check.fixes)
+        fixes = find_fixes(check.fixes)
         corrected = apply_fixes(capture, fixes, check.camera_axes) if fixes else capture
         write_page(
             draft.folder / TEMPLATE, TEMPLATE,

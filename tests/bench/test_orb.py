@@ -36,7 +36,7 @@ from svu_mi.bench.orb.orb_targets import Target, judge_pictures
 from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.study import Selection, run_bench
 from svu_mi.capture.image_io import read_planes
-from svu_mi.capture.importers.axis_fixes import turned
+from svu_mi.capture.importers.axis_fixes import rotation
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.registry import read_source
 from svu_mi.capture.importers.stanford_orb import read_orb, read_views, recognises
@@ -352,7 +352,7 @@ def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting)
     assert scores["albedo"]["mean"]["psnr_ldr"] > 45
     turned_light = [
         replace(target, view=replace(target.view, light=replace(
-            target.view.light, to_world=target.view.light.to_world @ turned("y", 180)
+            target.view.light, to_world=target.view.light.to_world @ rotation("y", 180)
         )))
         for target in setting.novel
     ]  # fmt: skip

@@ -21,7 +21,7 @@ from svu_mi.calibration.checks.surface_samples import base_color
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.capture.importers.import_capture import ImportOptions
-from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.registry import Format
@@ -173,7 +173,7 @@ def as_orb(root: Path, source: Source) -> Path:
     capture = OrbCapture(
         name=PLACE, x_fov=float(x_fov), world=np.eye(4), train=records, test=[test]
     )
-    geometry = read_geometry(source.mesh)
+    geometry = read_textured_mesh(source.mesh)
     write_orb(root, geometry.mesh, [capture])
     if "base_color" in geometry.textures:
         _paint(root / TRUTH / PLACE / MESH, geometry.textures["base_color"])

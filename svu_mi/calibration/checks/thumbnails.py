@@ -13,7 +13,7 @@ import scipy
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import RAY_FLOATS, film_ray
-from svu_mi.capture.importers.resampling import squared
+from svu_mi.capture.importers.resampling import square_pixel_frame
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import evenly_spaced, to_drjit
@@ -93,7 +93,7 @@ def reduced(capture: Capture, side: int) -> Capture:
     for index in used:
         sensor, image, mask = sensors[index], images[index], masks[index]
         block = min(-(-max(image.shape) // side), *image.shape[:2])
-        frame, _ = squared(frame_of(sensor, Path(capture.names[index])), block)
+        frame, _ = square_pixel_frame(frame_of(sensor, Path(capture.names[index])), block)
         sensors[index] = frame.sensor((sensor.near_clip(), sensor.far_clip()))
         images[index] = _usable_mean(image, block)
         if mask is not None and block > 1:
