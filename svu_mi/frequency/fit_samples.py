@@ -21,7 +21,7 @@ from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
 from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.band_limited import Lighting
-from svu_mi.light.light_visibility import mirror_free
+from svu_mi.light.light_visibility import trace_mirror
 from svu_mi.presets import Fit, Preset
 
 Masking = Callable[[Any, Any], list[Any]]
@@ -74,7 +74,7 @@ class Samples:
         seen = visibility.sample(views, self.surface, slot)
         lit = visibility.needs_work(seen.seen)
         if self.occluded:
-            lit = mirror_free(views.scene, self.surface, seen, lit)
+            lit = trace_mirror(views.scene, self.surface, seen, lit)
         incoming = dr.if_stmt(
             args=(seen.direction, mi.Vector3f(self.surface.normal)),
             cond=lit,

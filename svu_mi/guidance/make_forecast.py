@@ -20,7 +20,7 @@ from svu_mi.guidance.guidance_options import GuidanceOptions
 from svu_mi.guidance.objectives import Colors, Entropy, prior_tables
 from svu_mi.guidance.predicted_responses import Respond, Responses, collect
 from svu_mi.guidance.spectral_forecast import SpectrumForecast
-from svu_mi.light.band_limited import band_limit
+from svu_mi.light.band_limited import band_limited_lighting
 from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior.angular import AngularKernel
 from svu_mi.posterior.calibrated import CalibratedKernel
@@ -182,7 +182,7 @@ def _growing(
     surface = TexelLanes.of(observed.texels, numbers(texels))
 
     def relight(views: int) -> tuple[Responses, float]:
-        lighting = band_limit(environment, views)
+        lighting = band_limited_lighting(environment, views)
         respond = spectral_forecast.respond(observed.views.scene, surface, lighting, switches)
         return look(surface, respond, spectral_forecast.columns(switches)), lighting.prefilter
 

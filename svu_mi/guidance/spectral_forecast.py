@@ -27,7 +27,7 @@ from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.predicted_responses import Respond, Responses
 from svu_mi.light.band_limited import Lighting
-from svu_mi.light.light_visibility import mirror_free
+from svu_mi.light.light_visibility import trace_mirror
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import decay
 from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
@@ -51,7 +51,7 @@ def respond(scene: Any, surface: TexelLanes, lighting: Lighting, switches: Prese
     def evaluate(seen: ViewSample) -> list[Any]:
         free = seen.seen
         if switches.occluded:
-            free = mirror_free(scene, surface, seen, seen.seen)
+            free = trace_mirror(scene, surface, seen, seen.seen)
         mirrored = lighting.radiance(mirror_direction(surface.normal, seen.direction))
         light = [dr.select(free, x, 0) for x in as_channels(mirrored, switches.colors)]
         return [*seen.direction, *light]

@@ -20,7 +20,7 @@ from svu_mi.capture.sensors import bounding_sphere
 from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import nearest_node, read_environment
-from svu_mi.light.prefiltered import resolved
+from svu_mi.light.prefiltered import rasterized
 from svu_mi.output.html import THUMBNAIL, PageImage, embedded_jpeg, write_page
 from svu_mi.output.object_views import up_of_poses, viewing_frame
 from svu_mi.output.run_record import environment_record, write_manifest
@@ -177,7 +177,7 @@ def _panorama(capture: Capture) -> PageImage:
     first photograph.
     """
     environment = read_environment(emitter_of(capture))
-    grid = resolved(environment)
+    grid = rasterized(environment)
     poses = np.array([to_world(sensor) for sensor in capture.used_sensors])
     # Seen from within, right is where it is left of somebody in front.
     frame = viewing_frame(up_of_poses(poses), poses[0, :3, 2]) * [[-1], [1], [1]]

@@ -23,7 +23,7 @@ from svu_mi.posterior.kernel import CellKernel, Pair, Prior, observed_by, requir
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
-from svu_mi.reflection.principled import Mixture, lobe_mixture, mixture
+from svu_mi.reflection.principled import Mixture, mixture, paper_mixture
 from svu_mi.statistics.cholesky_factors import FLOOR, Factors, combined
 from svu_mi.statistics.statistics import Statistics
 
@@ -228,15 +228,15 @@ def _cells(problem: Problem, column: Any, U: list[Any]) -> list[Any]:
     """Mean squared error of every cell of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
     nodes = [mi.Float(node) for node in row_entropy.cells(problem.cells)]
     if problem.mixed is None:
-        return [_over_diffuse(U, lobe_mixture(Ks)) for Ks in nodes]
+        return [_over_diffuse(U, paper_mixture(Ks)) for Ks in nodes]
     how = mixture(*row_entropy.nodes(mi.Float, problem.mixed, column))
-    u, v = (combined(U, x)[:-1] for x in (how.scaled, how.constant))
+    u, v = (combined(U, x)[:-1] for x in (how.slope, how.offset))
     return [_square([dr.fma(a, c, b) for a, b in zip(u, v, strict=True)], U[FLOOR]) for c in nodes]
 
 
 def _over_diffuse(U: list[Any], how: Mixture) -> Any:
     """The same at the best Kd in [0, 1], which only the first component depends on."""
-    first, *others = combined(U, how.constant)[:-1]
+    first, *others = combined(U, how.offset)[:-1]
     slope = U[0]
     inverse = dr.select(slope > 0, dr.rcp(dr.select(slope > 0, slope, 1)), 0)
     first = dr.fma(slope, dr.clip(-first * inverse, 0, 1), first)

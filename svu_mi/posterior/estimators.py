@@ -89,7 +89,7 @@ def _of_all(run: Run, switches: AngularPreset) -> Posterior:
     seen = run.observed
     if switches.traced:
         with run.progress.stage("Tracing occlusion"):
-            seen.reach(switches.cells, occluded=switches.occluded)
+            seen.light_visibility(switches.cells, occluded=switches.occluded)
     with run.progress.stage("Gathering statistics"):
         chosen = np.flatnonzero(seen.coverage) if _leaves_clipped_out(seen, switches) else None
         factors = _factors(run, seen, switches, chosen)

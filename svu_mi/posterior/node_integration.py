@@ -119,7 +119,7 @@ class Walker:
         how = self._mixture(column)
         return [
             Channel.of(
-                combined(of_channel, how.scaled)[:-1], combined(of_channel, how.constant)[:-1],
+                combined(of_channel, how.slope)[:-1], combined(of_channel, how.offset)[:-1],
                 of_channel[FLOOR],
             )
             for of_channel in U

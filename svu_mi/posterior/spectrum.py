@@ -20,7 +20,7 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import Preset
 from svu_mi.presets import preset as find_preset
 from svu_mi.reflection.lobes import mean_albedo
-from svu_mi.reflection.principled import alpha_from_roughness, unbounded_alpha
+from svu_mi.reflection.principled import alpha_from_roughness, paper_alpha
 
 DARK = 1e-4  # part of the incident power that counts when nothing at all is reflected
 
@@ -209,7 +209,7 @@ def spectrum_grid(
 
 
 def _alpha(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarray:
-    of_roughness = alpha_from_roughness if switches.bounded_alpha else unbounded_alpha
+    of_roughness = alpha_from_roughness if switches.bounded_alpha else paper_alpha
     return of_roughness(grid.roughness_nodes)
 
 

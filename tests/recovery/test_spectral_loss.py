@@ -25,10 +25,10 @@ from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.recovery.sh.angular_l1_loss import angular_objective
 from svu_mi.recovery.sh.spectral_loss import spectral_objective
-from svu_mi.reflection.lobes import dielectric_albedo, profile_of, split_sum
-from svu_mi.reflection.mix_columns import radiance
+from svu_mi.reflection.lobes import dielectric_albedo, lobe_profile, split_sum
+from svu_mi.reflection.mix_columns import mixed_radiance
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.render_model import continuous, shade
+from svu_mi.reflection.render_model import prefiltered_model, shade
 
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 TRUTH = {"base_color": [0.7, 0.4, 0.2], "roughness": [0.45], "metallic": [0.6]}
@@ -90,7 +90,7 @@ def backward(objective, textures, step=0):
 def tables(lighting, name, levels=LEVELS):
     """Light grids and albedo of the levels, float64."""
     alpha = alpha_from_roughness(np.linspace(0, 1, levels))
-    profile = profile_of("gaussian" if name == "gaussian" else "ggx")
+    profile = lobe_profile("gaussian" if name == "gaussian" else "ggx")
     found = filter_light(lighting, alpha.tolist(), profile)
     grids = [np.array(texture.tensor(), np.float64) for texture in found.textures]
     pair, exact = split_sum(alpha), dielectric_albedo(alpha)
@@ -114,7 +114,7 @@ def part(mirror, alpha):
 def test_the_model_is_that_of_float64(observed, name, hidden):
     """All four columns for random views and roughness, and radiance's derivative."""
     surface, lighting = TexelLanes.of(observed.texels), observed.lighting
-    model = continuous(lighting, angular(name), LEVELS)
+    model = prefiltered_model(lighting, angular(name), LEVELS)
     moments = moment_map(lighting.environment).in_world(surface.normal)
     rng = np.random.default_rng(4410)
     normal = surface.normal.numpy().T.astype(np.float64)
@@ -145,7 +145,7 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
             value = dr.detach(ours[c]).numpy()
             np.testing.assert_allclose(value, theirs[:, c], rtol=1e-4, atol=2e-4 * theirs.max())
     color, metallic = [0.3, 0.6, 0.9], 0.4
-    green = radiance(parts, color, [mi.Float(metallic)])[1]
+    green = mixed_radiance(parts, color, [mi.Float(metallic)])[1]
     dr.forward(rough)
     step = 1e-6  # a kink is at every level
     every = np.full(len(normal), metallic)

@@ -33,7 +33,7 @@ from svu_mi.capture.sensors import affine
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.light.environment import directions, radiance_from, read_environment
-from svu_mi.light.prefiltered import resolved
+from svu_mi.light.prefiltered import rasterized
 
 PLACE = "object_scene001"  # name of a capture of Stanford-ORB
 TEXTURE = 512  # texels per side
@@ -80,7 +80,7 @@ def write(capture: Capture, form: Format, folder: Path) -> Written:
 def source_of(capture: Capture, folder: Path) -> Source:
     """Write mesh (GLB) and light (EXR) of a capture; its photographs stay where they are."""
     emitter = find_environment(capture.scene, "The scene")
-    write_exr(folder / "light.exr", {"RGB": resolved(read_environment(emitter))})
+    write_exr(folder / "light.exr", {"RGB": rasterized(read_environment(emitter))})
     assert capture.source is not None
     write_glb(folder / "mesh.glb", arrays(capture.shape), _texture(capture))
     return Source(

@@ -25,7 +25,7 @@ from svu_mi.capture.replace_material import is_same, scene_of
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.light.environment import read_environment
-from svu_mi.light.prefiltered import resolved
+from svu_mi.light.prefiltered import rasterized
 
 CONVENTION = np.eye(4)  # of the cameras' axes in the file, see ``formats.source``
 CAMERA_AXES = (CONVENTION, OPENGL, OPENCV)  # that a file may have had before it was imported
@@ -144,7 +144,7 @@ def _lit(capture: Capture, fix: AxisFix) -> Capture:
         bitmap = params["data"].numpy()[:, 1:-1]  # Mitsuba 3.9 keeps a halo column on each side
         scale = float(np.array(params["scale"]).ravel()[0])
     else:
-        bitmap, scale = resolved(read_environment(emitter)), 1.0
+        bitmap, scale = rasterized(read_environment(emitter)), 1.0
     light = mi.load_dict({
         "type": "envmap",
         "id": emitter.id(),

@@ -17,11 +17,11 @@ from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
 from svu_mi.capture.scene import find_environment
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, sample_view
-from svu_mi.light.band_limited import band_limit, look_up
+from svu_mi.light.band_limited import band_limited_lighting, look_up
 from svu_mi.light.environment import basis_at, read_environment
-from svu_mi.light.light_tree import Cells, light_cells
-from svu_mi.light.light_visibility import is_open
-from svu_mi.light.prefiltered import Levels, filter_light
+from svu_mi.light.light_tree import LightCells, build_light_tree
+from svu_mi.light.light_visibility import is_unoccluded
+from svu_mi.light.prefiltered import FilteredLight, filter_light
 from svu_mi.reflection.lobes import zonal_profile
 
 COUNT = 2000
@@ -148,7 +148,7 @@ def open_cosines(scene: Any, points: Points, directions: np.ndarray) -> np.ndarr
     direction = dr.gather(mi.Vector3f, toward, cell)
     cosine = dr.dot(surface.normal, direction)
     above = (cosine > 0) & (dr.dot(surface.geometric_normal, direction) > 0)
-    free = is_open(scene, surface, direction, above, coherent=False)
+    free = is_unoccluded(scene, surface, direction, above, coherent=False)
     return dr.select(free, cosine, 0).numpy().reshape(shape)
 
 
@@ -247,18 +247,20 @@ class Sky:
 
     flux: np.ndarray
     toward: np.ndarray
-    lobes: Levels
+    lobes: FilteredLight
     to_local: np.ndarray
 
     @staticmethod
     def of(emitter: Any, mesh_turn: np.ndarray) -> Sky:
         """Filter an emitter; corrections turn the mesh by ``mesh_turn`` (3, 3) before it is lit."""
         environment = read_environment(emitter)
-        flux, toward = read_cells(light_cells(environment, COARSE, CELLS).fine)
+        flux, toward = read_cells(build_light_tree(environment, COARSE, CELLS).fine)
         return Sky(
             flux=flux,
             toward=toward @ environment.to_local.T,
-            lobes=filter_light(band_limit(environment, 1), WIDTHS, partial(zonal_profile, "ggx")),
+            lobes=filter_light(
+                band_limited_lighting(environment, 1), WIDTHS, partial(zonal_profile, "ggx")
+            ),
             to_local=environment.to_local @ mesh_turn,
         )
 
@@ -278,7 +280,7 @@ class Sky:
         return directions @ (matrix.T @ self.to_local).T
 
 
-def read_cells(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+def read_cells(cells: LightCells) -> tuple[np.ndarray, np.ndarray]:
     """Return the flux (M, 3) and the direction (M, 3), in world space, of M cells of the light."""
     flux, toward = (a.numpy().reshape(-1, 4)[:, :3] for a in (cells.flux, cells.toward))
     return flux, toward

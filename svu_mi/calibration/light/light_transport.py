@@ -18,7 +18,7 @@ import numpy as np
 from svu_mi.calibration.light.light_samples import GRAZING, Samples
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import fold
-from svu_mi.light.light_visibility import is_open
+from svu_mi.light.light_visibility import is_unoccluded
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
 from svu_mi.posterior.posterior import Posterior
@@ -120,7 +120,7 @@ class Transport:
         texel, view = (dr.gather(mi.UInt32, x, owner) for x in (texel, view))
         near, toward = self.samples.surface.at(texel), self._toward(cell, view)
         up = (dr.dot(near.normal, toward) > 0) & (dr.dot(near.geometric_normal, toward) > 0)
-        free = is_open(self.samples.scene, near, toward, up, coherent=not self.moves)
+        free = is_unoccluded(self.samples.scene, near, toward, up, coherent=not self.moves)
         dr.eval(free)
         return free
 
