@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 
 import mitsuba as mi
@@ -12,7 +13,7 @@ import pytest
 from PIL import Image
 from scipy import stats
 
-from svu_mi.bench import speed
+from svu_mi.bench import guidance, speed
 from svu_mi.bench.cases import own_cases
 from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import BenchRun
@@ -26,6 +27,7 @@ from svu_mi.bench.study import Selection, run_bench
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.evaluation.image_metrics import CEILING_DB
 from svu_mi.geometry.texels import texels
+from svu_mi.recovery.recover import recover
 from svu_mi.recovery.svbrdf_textures import lay_out, uniform
 
 CASES = own_cases(["vase"], ["window"])
@@ -46,7 +48,8 @@ SIZES = ProblemSizes(
 LABEL = "spectrum default"
 ON_SCENES = ["accuracy", "speed", "recovery", "guidance"]
 VARIANTS = (Variant(LABEL, "spectrum", "default"),)
-SHORT = {"DEGREES": (2, 4), "NODES": (4,), "VIEWS": (3, 10), "SAMPLES": (2, 4, 8)}
+SHORT = {"DEGREES": (2, 4), "NODES": (4,), "VIEWS": (3, 10), "SAMPLES": (2, 4, 8),
+         "WARM_UP": 1}  # fmt: skip
 SELECTION = Selection(cases=CASES, variants=VARIANTS)
 
 
@@ -57,6 +60,7 @@ def finished(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for name, short in SHORT.items():
             patch.setattr(speed, name, short)
+        patch.setattr(guidance, "recover", partial(recover, sh=SH.options(0.05)[0]))
         return bench, run_bench(bench, ON_SCENES, SELECTION, "svu b")
 
 
