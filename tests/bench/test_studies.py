@@ -15,6 +15,7 @@ from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.paper import figure9, table2, table3
 from svu_mi.bench.problem_sizes import ProblemSizes, RecoverySizes
+from svu_mi.bench.recovery.methods import RecoveryMethod
 from svu_mi.bench.scaling import line, repeated
 from svu_mi.bench.speed import go_all_the_way, timed_kernels
 from svu_mi.bench.study import Selection, study_of
@@ -25,6 +26,7 @@ from svu_mi.evaluation.ground_truth import ground_truth
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.visibility import trace_visibility
+from svu_mi.recovery.recover import recover
 
 SIZES = ProblemSizes(
     views=12, film=32, spp=4, texels=32, reference_texels=20, reference_spp=4,
@@ -33,6 +35,12 @@ SIZES = ProblemSizes(
 CASES = own_cases(["vase"], ["window"])
 BASE = Variant("spectrum default", "spectrum", "default")
 ENTROPY_ROWS = table3._entropy_rows()[:3]
+
+
+def _briefly(known, **words):
+    return recover(known, **words, sh=RecoveryMethod("", "sh", words["preset"]).options(0.05)[0])
+
+
 TINY = {
     light: {"QUICK": {"views": 16, "film": 48, "spp": 4}, "QUICK_TEXELS": 32},
     calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 4},
@@ -40,7 +48,7 @@ TINY = {
                                      photographs=(6, 32), repeats=1)},
     table2: {"QUICK_FILM": 32, "QUICK_TEXELS": 24, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
     table3: {"QUICK": (12, 4), "_entropy_rows": lambda: ENTROPY_ROWS},
-    figure9: {"QUICK_VIEWS": 12, "ADDED": (1,), "QUICK_TEXELS": 16},
+    figure9: {"QUICK_VIEWS": 12, "ADDED": (1,), "QUICK_TEXELS": 16, "recover": _briefly},
 }  # fmt: skip
 
 
@@ -54,6 +62,7 @@ def test_a_study_finds_figures_for_every_row(name, cases, rows, tmp_path, monkey
     for module, changes in TINY.items():
         for constant, value in changes.items():
             monkeypatch.setattr(module, constant, value)
+    monkeypatch.setattr(RecoveryMethod.recover, "__defaults__", (0.05,))
     study, selection = study_of(name), Selection(cases=CASES, variants=[BASE])
     record = study.run(BenchRun(tmp_path, SIZES, quick=True), selection)
     assert len(record["cells"]) == cases and record["failed"] == []
