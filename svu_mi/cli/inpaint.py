@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from svu_mi.capture.capture import Capture
-    from svu_mi.recovery.inpaint.diffusion.latent_diffusion import Model
+    from svu_mi.recovery.inpaint.diffusion.latent_diffusion import LatentDiffusion
     from svu_mi.recovery.inpaint.fill_result import Filled
     from svu_mi.recovery.uncertainty.texture_field import TextureField
 
@@ -100,7 +100,7 @@ class Inpaint(CaptureCommand, ResultCommand):
             write_filled(capture, field, found, place, run, pictures=self.pictures)
         return fill_sentences(found)
 
-    def _model(self, progress: Progress) -> Model | None:
+    def _model(self, progress: Progress) -> LatentDiffusion | None:
         """Read the weights: before anything that takes long."""
         if self.model is None:
             return None
@@ -110,8 +110,8 @@ class Inpaint(CaptureCommand, ResultCommand):
             return load_model(self.model, self.diffusion.device)
 
     def _fill(
-        self, progress: Progress, model: Model | None, capture: Capture, field: TextureField,
-        seen: np.ndarray,
+        self, progress: Progress, model: LatentDiffusion | None, capture: Capture,
+        field: TextureField, seen: np.ndarray,
     ) -> Filled:  # fmt: skip
         if model is None:
             from svu_mi.recovery.inpaint.fill import fill

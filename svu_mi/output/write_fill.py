@@ -27,7 +27,7 @@ from svu_mi.output.style import Block
 from svu_mi.output.texture_files import write_scene
 from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.inpaint.fill_result import Filled, Invented
+from svu_mi.recovery.inpaint.fill_result import Filled, ModelReport
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def fill_sentences(result: Filled) -> Iterator[str]:
         )
 
 
-def _invented_sentences(model: Invented, result: Filled) -> Iterator[str]:
+def _invented_sentences(model: ModelReport, result: Filled) -> Iterator[str]:
     """Yield what a model has filled, and how far off it is, beside likeness."""
     part = model.reached.sum() / result.filled.sum()
     yield f"{percent(part)} of these by {model.model}; licence of its weights: {model.licence}."
@@ -106,7 +106,7 @@ def _invented_sentences(model: Invented, result: Filled) -> Iterator[str]:
         yield "What no picture shows well is filled by likeness:"
 
 
-def _model_record(model: Invented) -> dict[str, Any]:
+def _model_record(model: ModelReport) -> dict[str, Any]:
     """Return what a model was asked, for ``run.json``."""
     answers = [
         {"source": answer.source, "pictures": list(answer.pictures),
