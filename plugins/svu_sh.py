@@ -13,15 +13,15 @@ from svu_mi.capture.replace_material import is_principled, is_two_sided
 from svu_mi.capture.scene import find_environment
 from svu_mi.errors import OptionError, SceneError, SvuWarning
 from svu_mi.geometry.texel_materials import attributes
-from svu_mi.light.band_limited import MomentMap, band_limit, moment_map
+from svu_mi.light.band_limited import MomentMap, band_limited_lighting, moment_map
 from svu_mi.light.environment import read_environment
 from svu_mi.parameters import NAMES
 from svu_mi.plugins.registry import require_variant
 from svu_mi.presets import ANGULAR_PRESETS, preset
-from svu_mi.reflection.mix_columns import radiance
+from svu_mi.reflection.mix_columns import mixed_radiance
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.render_model import Continuous, continuous, shade
-from svu_mi.reflection.two_ray_visibility import Side, open_to_light
+from svu_mi.reflection.render_model import PrefilteredModel, prefiltered_model, shade
+from svu_mi.reflection.two_ray_visibility import FacingFrame, sample_light_visibility
 from svu_mi.statistics.gather_statistics import mixed_of
 
 # A scene has no photographs that light could be fitted to, as ``paper`` does at every texel.
@@ -141,14 +141,14 @@ class ShIntegrator(mi.SamplingIntegrator):
         moments, visible = light.moments.at(side.normal), None
         if self.occlusion:
             alpha = alpha_from_roughness(roughness)
-            diffuse, specular = open_to_light(scene, sampler, si, side, alpha, lit)
+            diffuse, specular = sample_light_visibility(scene, sampler, si, side, alpha, lit)
             moments = [[diffuse * value for value in channel] for channel in moments]
             visible = lambda *_: specular  # noqa: E731
         parts = shade(
             light.model, roughness, side.normal, side.direction, moments,
             visible=visible, to_moments=light.moments.to_local,
         )  # fmt: skip
-        color = mi.Color3f(*radiance(parts, values["base_color"], mixed_of(values)))
+        color = mi.Color3f(*mixed_radiance(parts, values["base_color"], mixed_of(values)))
         color = dr.select(lit, color, 0)
         if self.hide_emitters:
             return color, hit, []
@@ -165,9 +165,9 @@ class ShIntegrator(mi.SamplingIntegrator):
             if len(self._lights) == REMEMBERED:
                 self._lights.pop(next(iter(self._lights)))
             with dr.suspend_grad():
-                lighting = band_limit(read_environment(emitter), 1)
+                lighting = band_limited_lighting(read_environment(emitter), 1)
                 channels = 1 if lighting.environment.grey else 3
-                model = continuous(lighting, self.switches, self.levels, channels)
+                model = prefiltered_model(lighting, self.switches, self.levels, channels)
                 moments = moment_map(lighting.environment, channels)
                 dr.eval(model, moments)
             self._lights[key] = _Light(model, moments, (emitter, parameters))
@@ -213,16 +213,16 @@ class ShIntegrator(mi.SamplingIntegrator):
 class _Light:
     """Filtered light, and what it was read from: kept, so that its identity stays taken."""
 
-    model: Continuous
+    model: PrefilteredModel
     moments: MomentMap
     source: tuple[Any, ...]
 
 
-def _facing(scene: Any, si: Any, ray: Any) -> tuple[Side, Any]:
+def _facing(scene: Any, si: Any, ray: Any) -> tuple[FacingFrame, Any]:
     """Return the side of the surface that a ray meets, and whether it reflects there."""
     cosine = dr.dot(si.sh_frame.n, -ray.d)
     turn = dr.select((cosine < 0) & _two_sided(scene, si), mi.Float(-1), mi.Float(1))
-    side = Side(normal=turn * si.sh_frame.n, geometric=turn * si.n, direction=-ray.d)
+    side = FacingFrame(normal=turn * si.sh_frame.n, geometric=turn * si.n, direction=-ray.d)
     return side, (turn * cosine > 0) & (dr.dot(side.geometric, -ray.d) > 0)
 
 

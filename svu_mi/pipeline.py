@@ -18,7 +18,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import require_light, require_variant
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress
 from svu_mi.frequency.spectra import fit_spectra
@@ -110,7 +110,7 @@ def estimate(
     with progress.stage("Computing entropy"):
         result = Estimate(
             method=method, preset=switches, texels=texels, posterior=posterior,
-            coverage=owned(mi.UInt32, view_counts(observed, switches)),
+            coverage=to_drjit(mi.UInt32, view_counts(observed, switches)),
             seen_per_view=observed.visibility.per_view, skipped=plan.skipped,
             timings=progress.timings, observed=observed, prior=prior,
         )  # fmt: skip
@@ -142,7 +142,7 @@ def _from_statistics(inputs: EstimatorInputs, switches: AngularPreset) -> Poster
         return tiled_posterior(inputs, switches)
     if switches.traced:
         with progress.stage("Tracing occlusion"):
-            observed.reach(switches.cells, occluded=switches.occluded)
+            observed.light_visibility(switches.cells, occluded=switches.occluded)
     with progress.stage("Gathering statistics"):
         factors = gather_factors(inputs, switches)
     return statistics_posterior(inputs, switches, factors)

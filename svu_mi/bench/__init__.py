@@ -1,7 +1,7 @@
 """``svu bench``: how accurate and how fast svu_mi is, with runs that can be interrupted.
 
 A benchmark is a module of this package with a ``STUDY``: what is measured (an ``Experiment``: rows
-on cells), which bars it has to reach, and how it is shown. ``study.run_bench`` runs them, keeps
+on cases), which bars it has to reach, and how it is shown. ``study.run_bench`` runs them, keeps
 what is finished, and writes bench.json, bench.md and plots.
 """
 

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
 from svu_mi.bench.markdown import Column, columns, digits, table
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.evaluation.correlation import pearson, sparsification, spearman
 from svu_mi.evaluation.credible_sets import credible_coverage, nearest_cells
 from svu_mi.geometry.texel_materials import parameters_at
@@ -51,7 +51,7 @@ Truths = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Calibrated(OnCell):
+class Calibrated(CaseSubject):
     """A case whose posterior is compared with the true textures."""
 
     @property
@@ -92,8 +92,8 @@ class Calibrated(OnCell):
     def calibration(self, **switches: Any) -> Record:
         """Return all figures of the preset ``default``, with some of its switches changed."""
         chosen = preset("default", method="angular", **switches)
-        found = estimate(self.capture, self.layout, preset=chosen, method="angular")
-        return figures(found.posterior, self.truth, self.chosen)
+        estimated = estimate(self.capture, self.layout, preset=chosen, method="angular")
+        return figures(estimated.posterior, self.truth, self.chosen)
 
     def traced(self) -> Record:
         """Correlate the entropy with that of path-traced texels."""
@@ -169,24 +169,24 @@ def sets(p: np.ndarray, truth: Truths) -> Record:
         truth: (t, g) by parameter.
     """
     p = p if p.ndim == 5 else p[..., None]
-    cells = {
+    bins = {
         name: np.stack([nearest_cells({name: NODES}, {name: x}) for x in truth[name].T], axis=1)
         for name in NAMES
     }
-    r, m = cells["roughness"][:, 0], cells["metallic"][:, 0]
+    r, m = bins["roughness"][:, 0], bins["metallic"][:, 0]
     of = {
         "r": (p[..., 0].sum(axis=(2, 3)), r),
         "m": (p[..., 0].sum(axis=(1, 3)), m),
         "rm": (p[..., 0].sum(axis=3).reshape(len(p), -1), len(NODES) * r + m),
     }
-    colors = list(zip(np.moveaxis(p.sum(axis=(1, 2)), 2, 0), cells["base_color"].T, strict=True))
+    colors = list(zip(np.moveaxis(p.sum(axis=(1, 2)), 2, 0), bins["base_color"].T, strict=True))
     result = {}
     for level in (0.9, 0.5):
         key = f"{100 * level:.0f}"
         for name, (q, own) in of.items():
             result[f"{key} {name}"] = credible_coverage(q, own, level).fractional
-        found = [credible_coverage(q, own, level).fractional for q, own in colors]
-        result[f"{key} c"] = float(np.mean(found))
+        coverages = [credible_coverage(q, own, level).fractional for q, own in colors]
+        result[f"{key} c"] = float(np.mean(coverages))
     return result
 
 
@@ -203,29 +203,29 @@ def crps(drawn: np.ndarray, true: np.ndarray) -> float:
 
 
 def _tables(record: Record) -> list[str]:
-    cells = record["cells"]
-    if not cells:
+    cases = record["cells"]
+    if not cases:
         return []
-    found = [cell["rows"]["default"] for cell in cells]
-    values = {key: [one[key] for one in found] for key in found[0]}
+    rows = [case["rows"]["default"] for case in cases]
+    values = {key: [one[key] for one in rows] for key in rows[0]}
     means = {key: float(np.mean(x)) for key, x in values.items()}
     lowest = {key: float(np.min(x)) for key, x in values.items()}
-    lines = [(f"**mean of {len(cells)}**", means), ("lowest", lowest)]
-    lines += [(cell["cell"], cell["rows"]["default"]) for cell in cells]
+    lines = [(f"**mean of {len(cases)}**", means), ("lowest", lowest)]
+    lines += [(case["cell"], case["rows"]["default"]) for case in cases]
     shown = [Column("object / light", lambda line: line[0])] + [
         Column(title, lambda line, key=key: line[1][key],  # type: ignore[misc]
                digits(1 if key.startswith("psnr") else 2))
         for key, title in SHOWN.items()
     ]  # fmt: skip
-    three = {key: np.mean([cell["rows"]["tau 3"][key] for cell in cells]) for key in means}
+    three = {key: np.mean([case["rows"]["tau 3"][key] for case in cases]) for key in means}
     by_parameter = [
         [name, f"{means[f'crps {key}']:.4f}", f"{means[f'crps {key}'] / three[f'crps {key}']:.3f}",
          *(f"{means[what]:.2f}" for what in
            (f"interval {key}", f"settled {key}", f"settled {key} holds"))]
         for name, key in (("roughness", "r"), ("metallic", "m"), ("base colour", "c"))
     ]  # fmt: skip
-    traced = [[cell["cell"], *(f"{cell['rows']['traced'][key]:.2f}" for key in ("rho", "halves"))]
-              for cell in cells]  # fmt: skip
+    traced = [[case["cell"], *(f"{case['rows']['traced'][key]:.2f}" for key in ("rho", "halves"))]
+              for case in cases]  # fmt: skip
     return [
         f"{JUDGED} texels of each case at most; r, m and c are roughness, metallic, base colour.",
         columns(shown, lines),
@@ -236,8 +236,8 @@ def _tables(record: Record) -> list[str]:
     ]  # fmt: skip
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
-    return Experiment("calibration", (Calibrated(bench, cell) for cell in asked.cells), True)
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    return Experiment("calibration", (Calibrated(bench, case) for case in selection.cases), True)
 
 
 STUDY = Study(title="Calibration of the posterior", experiment=_experiment, tables=_tables)

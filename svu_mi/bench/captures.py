@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.cases import Cell
-from svu_mi.bench.problem_sizes import Sizes
+from svu_mi.bench.cases import Case
+from svu_mi.bench.problem_sizes import ProblemSizes
 from svu_mi.bench.result_cache import Store, key_of
 from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
@@ -31,11 +31,11 @@ from svu_mi.recovery.svbrdf_textures import Textures
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
 
 
-def capture_of(cell: Cell, sizes: Sizes, folder: Path, progress: Progress) -> Capture:
-    """Render a cell's photographs into a folder, or read them if they are there.
+def capture_of(case: Case, sizes: ProblemSizes, folder: Path, progress: Progress) -> Capture:
+    """Render a case's photographs into a folder, or read them if they are there.
 
     Args:
-        cell: object and light.
+        case: object and light.
         sizes: number and size of the photographs.
         folder: of the capture.
         progress: shows what is going on.
@@ -44,27 +44,27 @@ def capture_of(cell: Cell, sizes: Sizes, folder: Path, progress: Progress) -> Ca
         SceneError: the scene cannot be rendered.
         OutputError: the folder cannot be written.
     """
-    key = key_of(contents(cell), cell.defines, sizes.views, sizes.film, sizes.spp, sizes.seed)
+    key = key_of(contents(case), case.defines, sizes.views, sizes.film, sizes.spp, sizes.seed)
     store = Store(folder)
     if store.load(MARK, key) is not None and is_as_written(folder, capture_folder.FILE):
-        with progress.stage(f"Loading {cell.title}"):
+        with progress.stage(f"Loading {case.title}"):
             return load_capture(folder)
     store.path(MARK).unlink(missing_ok=True)
-    with progress.stage(f"Rendering {cell.title}", sizes.views) as stage:
+    with progress.stage(f"Rendering {case.title}", sizes.views) as stage:
         capture = render_capture(
-            cell.scene, sizes.spp, sizes.seed, folder=folder, views=sizes.views,
-            resolution=(sizes.film, sizes.film), defines=cell.defines,
+            case.scene, sizes.spp, sizes.seed, folder=folder, views=sizes.views,
+            resolution=(sizes.film, sizes.film), defines=case.defines,
             progress=stage.update,
         )  # fmt: skip
-    store.save(MARK, key, {"cell": cell.name, "settings": sizes.shared})
+    store.save(MARK, key, {"cell": case.name, "settings": sizes.shared})
     return capture
 
 
-def contents(cell: Cell) -> list[tuple[str, str]]:
+def contents(case: Case) -> list[tuple[str, str]]:
     """Return digests of the scene, of all that lies beside it, of lights and of files given."""
-    folders = (cell.scene.parent, cell.scene.parent.parent / "lights")
+    folders = (case.scene.parent, case.scene.parent.parent / "lights")
     beside = sorted(path for folder in folders for path in folder.rglob("*"))
-    given = map(Path, cell.defines.values())
+    given = map(Path, case.defines.values())
     return [(path.name, digest_of_file(path)) for path in (*beside, *given) if path.is_file()]
 
 
@@ -115,8 +115,8 @@ class Truth:
         return texel_error(*self._both(textures, where))
 
     def _both(self, textures: Textures, where: np.ndarray) -> list[dict[str, np.ndarray]]:
-        found = {name: textures.at(self.grid, name) for name in NAMES}
-        return [{name: x[where] for name, x in one.items()} for one in (found, self.values)]
+        recovered = {name: textures.at(self.grid, name) for name in NAMES}
+        return [{name: x[where] for name, x in one.items()} for one in (recovered, self.values)]
 
 
 FRONT = (0.0, 0.3, 1.0)  # direction from the object to the middle of the crowded side

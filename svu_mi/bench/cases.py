@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi import scenes
-from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.mesh import write_ply
 from svu_mi.core.io.files import prepare_folder
@@ -22,7 +22,7 @@ IMAGES = (".exr", ".hdr")
 
 
 @dataclass(frozen=True)
-class Cell:
+class Case:
     """One object under one light.
 
     Attributes:
@@ -39,7 +39,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Folder of the cell's files."""
+        """Folder of the case's files."""
         return f"{self.object}__{self.light}"
 
     @property
@@ -54,24 +54,24 @@ OWN_OBJECTS = ("vase", "knot", "spheres")
 QUICK_OBJECTS, QUICK_LIGHTS = ("vase", "knot"), ("window", "overcast")
 
 
-def chosen_cells(
+def chosen_cases(
     data: Path | None,
     workspace: Path,
     objects: Sequence[str] = (),
     lights: Sequence[str] = (),
     *,
     quick: bool = False,
-) -> tuple[Cell, ...]:
-    """Return ``data_cells`` of a folder, ``own_cells`` without one."""
+) -> tuple[Case, ...]:
+    """Return ``data_cases`` of a folder, ``own_cases`` without one."""
     if data is None:
-        return own_cells(objects, lights, quick=quick)
-    return data_cells(data, workspace, objects, lights)
+        return own_cases(objects, lights, quick=quick)
+    return data_cases(data, workspace, objects, lights)
 
 
-def own_cells(
+def own_cases(
     objects: Sequence[str] = (), lights: Sequence[str] = (), *, quick: bool = False
-) -> tuple[Cell, ...]:
-    """Return cells of the scenes that come with svu_mi.
+) -> tuple[Case, ...]:
+    """Return cases of the scenes that come with svu_mi.
 
     Args:
         objects: names among ``svu_mi.scenes.names()``; vase, knot and spheres by default.
@@ -84,16 +84,16 @@ def own_cells(
     shapes = _chosen(objects, scenes.names(), QUICK_OBJECTS if quick else OWN_OBJECTS, "object")
     skies = _chosen(lights, scenes.LIGHTS, QUICK_LIGHTS if quick else scenes.LIGHTS, "light")
     return tuple(
-        Cell(shape, sky, scenes.path(shape), {"light": sky, **DIRECT})
+        Case(shape, sky, scenes.path(shape), {"light": sky, **DIRECT})
         for shape in shapes
         for sky in skies
     )
 
 
-def data_cells(
+def data_cases(
     data: Path, workspace: Path, objects: Sequence[str] = (), lights: Sequence[str] = ()
-) -> tuple[Cell, ...]:
-    """Return cells of a folder of objects and environments.
+) -> tuple[Case, ...]:
+    """Return cases of a folder of objects and environments.
 
     Args:
         data: holds objects/NAME with mesh.ply, base_color.png, roughness.png and
@@ -106,12 +106,12 @@ def data_cells(
         OptionError: a folder is missing or empty, or there is no such name.
         MeshError: a GLB file cannot be converted.
     """
-    found, skies = _objects(data / "objects"), _environments(data / "envmaps")
-    chosen = _chosen(objects, found, tuple(found), f"object in {data / 'objects'}")
+    known, skies = _objects(data / "objects"), _environments(data / "envmaps")
+    chosen = _chosen(objects, known, tuple(known), f"object in {data / 'objects'}")
     under = _chosen(lights, skies, tuple(skies), f"light in {data / 'envmaps'}")
-    folders = {name: _folder(found[name], workspace / "objects" / name) for name in chosen}
+    folders = {name: _folder(known[name], workspace / "objects" / name) for name in chosen}
     return tuple(
-        Cell(
+        Case(
             name, sky, scenes.path("object"),
             {"object": str(folders[name]), "environment": str(skies[sky]), **DIRECT},
         )
@@ -123,7 +123,7 @@ def data_cells(
 def _objects(folder: Path) -> dict[str, Path]:
     """Return folders and GLB files by name; a folder wins."""
     _require_folder(folder, "with objects: folders with mesh.ply and textures, or .glb files")
-    found = {path.stem: path.resolve() for path in sorted(folder.glob("*.glb"))}
+    paths = {path.stem: path.resolve() for path in sorted(folder.glob("*.glb"))}
     for path in sorted(folder.iterdir()):
         if path.is_dir() and not path.name.startswith("."):
             missing = [name for name in MESH_FILES if not (path / name).is_file()]
@@ -131,13 +131,13 @@ def _objects(folder: Path) -> dict[str, Path]:
                 raise OptionError(
                     f"{path}: an object's folder needs {', '.join(MESH_FILES)}; add {missing[0]}."
                 )
-            found[path.name] = path.resolve()
-    found = dict(sorted(found.items()))
-    if not found:
+            paths[path.name] = path.resolve()
+    paths = dict(sorted(paths.items()))
+    if not paths:
         raise OptionError(
             f"{folder}: has no object; add folders with {', '.join(MESH_FILES)}, or .glb files."
         )
-    return found
+    return paths
 
 
 def _environments(folder: Path) -> dict[str, Path]:
@@ -145,10 +145,10 @@ def _environments(folder: Path) -> dict[str, Path]:
     _require_folder(folder, "with lat-long images, .exr or .hdr")
     images = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in IMAGES]
     images.sort(key=lambda path: path.suffix.lower(), reverse=True)
-    found = {path.stem: path.resolve() for path in images}
-    if not found:
+    paths = {path.stem: path.resolve() for path in images}
+    if not paths:
         raise OptionError(f"{folder}: has no lat-long image; add an .exr or .hdr file.")
-    return dict(sorted(found.items()))
+    return dict(sorted(paths.items()))
 
 
 def _require_folder(folder: Path, what: str) -> None:
@@ -180,7 +180,7 @@ def convert_glb(path: Path, folder: Path) -> Path:
         MeshError: unreadable, no mesh, no UVs, or several materials.
         OutputError: the folder cannot be written.
     """
-    geometry = read_geometry(path)
+    geometry = read_textured_mesh(path)
     if geometry.mesh.uvs is None:
         raise MeshError(f"{path}: the mesh has no UVs for its textures; unwrap it.")
     if set(geometry.textures) != set(NAMES):

@@ -1,7 +1,7 @@
-"""What every benchmark is made of: rows measured on cells.
+"""What every benchmark is made of: rows measured on cases.
 
 What is finished is kept, under a key of its settings and of the code, so that an interrupted run
-goes on where it stopped; what cannot be run is told, and the rest goes on.
+goes on where it stopped; what fails is skipped with a warning.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from svu_mi.bench.captures import capture_of
-from svu_mi.bench.cases import Cell
-from svu_mi.bench.problem_sizes import Sizes
+from svu_mi.bench.cases import Case
+from svu_mi.bench.problem_sizes import ProblemSizes
 from svu_mi.bench.result_cache import Store, code_now, key_of
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
@@ -24,11 +24,11 @@ from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.geometry.texels import Texels, texels
 
 Record = dict[str, Any]
-HEAD = "head"  # file of what holds for all rows of a cell
+HEAD = "head"  # file of what holds for all rows of a case
 
 
-class Row(Protocol):
-    """What is measured on a cell."""
+class ExperimentRow(Protocol):
+    """What is measured on a case."""
 
     @property
     def label(self) -> str:
@@ -36,7 +36,7 @@ class Row(Protocol):
 
 
 class Subject(Protocol):
-    """A cell; it loads what it needs when a record is missing."""
+    """A case; it loads what it needs when a record is missing."""
 
     @property
     def name(self) -> str:
@@ -48,7 +48,7 @@ class Subject(Protocol):
 
     @property
     def rows(self) -> Sequence[Any]:
-        """What is measured, in this order; a ``Row`` each."""
+        """What is measured, in this order; a ``ExperimentRow`` each."""
 
     def settings(self, row: Any | None) -> Any:
         """What a row's figures (None: those of ``head``) depend on, beside the code, as JSON."""
@@ -61,7 +61,7 @@ class Subject(Protocol):
 
 
 @dataclass(frozen=True)
-class Bench:
+class BenchRun:
     """Where and how a benchmark runs.
 
     Attributes:
@@ -70,23 +70,23 @@ class Bench:
         progress: shows what is going on.
         quick: whether the sizes are small ones, which bars are not meant for.
         fresh: measure again what is finished.
-        keep: take up results that another version of the code found.
+        keep: take up results of another version of the code.
         stored: measure nothing; only gather what is there, of any version.
     """
 
     folder: Path
-    sizes: Sizes = field(default_factory=Sizes)
+    sizes: ProblemSizes = field(default_factory=ProblemSizes)
     progress: Progress = field(default_factory=Progress)
     quick: bool = False
     fresh: bool = False
     keep: bool = False
     stored: bool = False
 
-    def capture(self, cell: Cell, name: str = "capture", **sizes: Any) -> Capture:
-        """Return the photographs of a cell, rendered once.
+    def capture(self, case: Case, name: str = "capture", **sizes: Any) -> Capture:
+        """Return the photographs of a case, rendered once.
 
         Args:
-            cell: object and light.
+            case: object and light.
             name: of their folder.
             **sizes: changes of ``sizes``.
 
@@ -94,8 +94,8 @@ class Bench:
             SceneError: the scene cannot be rendered.
             OutputError: the folder cannot be written.
         """
-        folder = self.folder / "cells" / cell.name / name
-        return capture_of(cell, replace(self.sizes, **sizes), folder, self.progress)
+        folder = self.folder / "cells" / case.name / name
+        return capture_of(case, replace(self.sizes, **sizes), folder, self.progress)
 
     def recall(
         self, store: Store, name: str, title: str, settings: Any, measure: Callable[[], Record]
@@ -132,37 +132,37 @@ class Part:
     measure: Callable[[Any], Record]
 
 
-class NamedAfterCell:
-    """A subject that is called what its cell is."""
+class NamedAfterCase:
+    """A subject that is called what its case is."""
 
-    cell: Cell
+    case: Case
 
     @property
     def name(self) -> str:
         """Folder of its records."""
-        return self.cell.name
+        return self.case.name
 
     @property
     def title(self) -> str:
         """For people."""
-        return self.cell.title
+        return self.case.title
 
 
 @dataclass(frozen=True)
-class OnCell(NamedAfterCell):
+class CaseSubject(NamedAfterCase):
     """A subject that is an object under a light; its figures depend on all sizes that are shared.
 
     Attributes:
         bench: where and how.
-        cell: object and light.
+        case: object and light.
     """
 
-    bench: Bench
-    cell: Cell
+    bench: BenchRun
+    case: Case
 
     def settings(self, row: Any | None) -> Any:
         shared = self.bench.sizes.shared
-        return str(self.cell.scene), self.cell.defines, shared, row and row.label
+        return str(self.case.scene), self.case.defines, shared, row and row.label
 
     def head(self) -> Record:
         """Return the ``cell``."""
@@ -174,8 +174,8 @@ class OnCell(NamedAfterCell):
 
     @cached_property
     def capture(self) -> Capture:
-        """Photographs of the cell."""
-        return self.bench.capture(self.cell)
+        """Photographs of the case."""
+        return self.bench.capture(self.case)
 
     @cached_property
     def layout(self) -> Texels:
@@ -185,56 +185,56 @@ class OnCell(NamedAfterCell):
 
 @dataclass(frozen=True)
 class Experiment:
-    """Rows measured on cells.
+    """Rows measured on cases.
 
     Attributes:
         name: folder of finished records.
-        subjects: the cells, each let go of when it is finished.
-        whole: whether a cell counts only with all of its rows.
+        subjects: the cases, each let go of when it is finished.
+        whole: whether a case counts only with all of its rows.
     """
 
     name: str
     subjects: Iterable[Subject]
     whole: bool = False
 
-    def run(self, bench: Bench, told: Callable[[Record], None] | None = None) -> Record:
-        """Measure every row of every cell, but for what is finished.
+    def run(self, bench: BenchRun, report: Callable[[Record], None] | None = None) -> Record:
+        """Measure every row of every case, but for what is finished.
 
         What cannot be run is left out, with a warning.
 
         Args:
             bench: where and how.
-            told: called with the record so far after each cell.
+            report: called with the record so far after each case.
 
         Returns:
             ``cells``: a record each, what ``head`` says and ``rows`` by label; ``failed``: what
             was left out (``cell``) and why (``reason``); the number of ``versions`` of the code
-            that found the rest; ``quick``.
+            of the rest; ``quick``.
 
         Raises:
             SvuError: the first, if nothing could be run.
             OutputError: the folder cannot be written.
         """
         failures = Failures()
-        record: Record = {"cells": [], "failed": failures.found, "versions": 0,
+        record: Record = {"cells": [], "failed": failures.records, "versions": 0,
                           "quick": bench.quick}  # fmt: skip
         codes: set[str] = set()
         for subject in self.subjects:
             with failures.leave_out(subject.title):
-                found = self._cell(bench, subject, failures, codes)
-                if found is not None:
-                    record["cells"].append(found)
+                case_record = self._case(bench, subject, failures, codes)
+                if case_record is not None:
+                    record["cells"].append(case_record)
             record["versions"] = len(codes)
-            if told is not None and record["cells"]:
-                told(record)
+            if report is not None and record["cells"]:
+                report(record)
         if not record["cells"] and failures.first is not None:
             raise failures.first
         return record
 
-    def _cell(
-        self, bench: Bench, subject: Subject, failures: Failures, codes: set[str]
+    def _case(
+        self, bench: BenchRun, subject: Subject, failures: Failures, codes: set[str]
     ) -> Record | None:
-        """Return the record of a cell; None if no row of it could be run, or is there."""
+        """Return the record of a case; None if no row of it could be run, or is there."""
         store = Store(bench.folder / self.name / subject.name)
         recall = partial(bench.recall, store)
         head = recall(HEAD, subject.title, subject.settings(None), subject.head)
@@ -246,10 +246,10 @@ class Experiment:
             measure = partial(subject.measure, row)
             with failures.leave_out(title, whole=self.whole):
                 settings = subject.settings(row)
-                found = recall(file_name(row.label), title, settings, measure)
-                if found is not None:
-                    rows[row.label] = _stripped(found)
-                    codes.add(found["code"])
+                row_record = recall(file_name(row.label), title, settings, measure)
+                if row_record is not None:
+                    rows[row.label] = _stripped(row_record)
+                    codes.add(row_record["code"])
         return {**_stripped(head), "rows": rows} if rows else None
 
 
@@ -258,11 +258,11 @@ class Failures:
     """Errors of a run so far.
 
     Attributes:
-        found: a record each, with ``cell`` and ``reason``.
+        records: a record each, with ``cell`` and ``reason``.
         first: what was raised first.
     """
 
-    found: list[dict[str, str]] = field(default_factory=list)
+    records: list[dict[str, str]] = field(default_factory=list)
     first: SvuError | None = None
 
     @contextmanager
@@ -274,7 +274,7 @@ class Failures:
             if whole:
                 raise
             self.first = self.first or error
-            self.found.append({"cell": what, "reason": str(error)})
+            self.records.append({"cell": what, "reason": str(error)})
             warnings.warn(f"{what} is left out: {error}", SvuWarning, stacklevel=4)
 
 

@@ -1,7 +1,7 @@
-"""``svu bench light``: light found in photographs against the light that they were taken under.
+"""``svu bench light``: light estimated from photographs against their true light.
 
 Nothing but pixels of the object is looked at. Textures are posterior means, of 160 x 160 texels
-and 60 photographs of 192 x 192, under the found light and under the given one.
+and 60 photographs of 192 x 192, under the estimated light and under the given one.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.captures import Truth
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
 from svu_mi.bench.markdown import Bar, Column, columns, digits
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.calibration.light.light_options import LightOptions
@@ -43,7 +43,7 @@ TEXELS, QUICK_TEXELS = 160, 64  # per side
 
 
 @dataclass(frozen=True)
-class UnderFoundLight(OnCell):
+class UnderFoundLight(CaseSubject):
     """An object under a light that is known, and not: 160 x 160 texels."""
 
     rows = (Part("found", lambda self: self.compared()),)
@@ -51,7 +51,7 @@ class UnderFoundLight(OnCell):
     @cached_property
     def capture(self) -> Capture:
         """The photographs."""
-        return self.bench.capture(self.cell, **(QUICK if self.bench.quick else PHOTOGRAPHS))
+        return self.bench.capture(self.case, **(QUICK if self.bench.quick else PHOTOGRAPHS))
 
     @cached_property
     def observed(self) -> Observed:
@@ -86,22 +86,22 @@ class UnderFoundLight(OnCell):
         light = estimate_light(self.observed, options=options)
         took = time.perf_counter() - start
         known = estimate(self.observed)
-        found = estimate(with_light(self.capture, light), self.observed.texels)
+        unknown = estimate(with_light(self.capture, light), self.observed.texels)
         seen = self.observed.coverage > 0
-        first, second = (np.array(one.entropy, np.float64)[seen] for one in (known, found))
+        first, second = (np.array(one.entropy, np.float64)[seen] for one in (known, unknown))
         return {
             **_light(self.capture, light), "seconds": took,
             "entropy": float(np.corrcoef(first, second)[0, 1]),
-            "known": self._textures(known, seen), "unknown": self._textures(found, seen),
+            "known": self._textures(known, seen), "unknown": self._textures(unknown, seen),
         }  # fmt: skip
 
-    def _textures(self, found: Estimate, seen: np.ndarray) -> Record:
+    def _textures(self, estimated: Estimate, seen: np.ndarray) -> Record:
         quality: Record = {}
         for name in NAMES:
             truth = self.truth.values[name][seen].astype(np.float64).reshape(seen.sum(), -1)
             mean, low, high = (
                 np.array(values, np.float64).reshape(len(seen), -1)[seen]
-                for values in (found.posterior.mean(name), *found.posterior.interval(name))
+                for values in (estimated.posterior.mean(name), *estimated.posterior.interval(name))
             )
             if name == "base_color":  # after one factor per channel
                 factor = (mean * truth).sum(axis=0) / np.maximum((mean * mean).sum(axis=0), 1e-12)
@@ -127,25 +127,25 @@ def _light(capture: Capture, light: LightEstimate) -> Record:
 
 def _mean(values: Iterable[float]) -> float:
     """Return the mean; NaN, which meets no bar, of nothing."""
-    found = list(values)
-    return float(np.mean(found)) if found else float("nan")
+    numbers = list(values)
+    return float(np.mean(numbers)) if numbers else float("nan")
 
 
 def _lost(name: str) -> Any:
-    return lambda cell: cell["known"][name]["psnr"] - cell["unknown"][name]["psnr"]
+    return lambda case: case["known"][name]["psnr"] - case["unknown"][name]["psnr"]
 
 
 def _both(name: str) -> Any:
     return lambda row: " -> ".join(f"{row[one][name]['psnr']:.1f}" for one in ("known", "unknown"))
 
 
-def _holds(cell: Record) -> float:
-    return float(np.mean([cell["unknown"][name]["holds"] for name in NAMES]))
+def _holds(case: Record) -> float:
+    return float(np.mean([case["unknown"][name]["holds"] for name in NAMES]))
 
 
 def rows_of(record: Record) -> list[Record]:
-    """Return what was measured on each cell."""
-    return [{**cell, **cell["rows"]["found"]} for cell in record["cells"]]
+    """Return what was measured on each case."""
+    return [{**case, **case["rows"]["found"]} for case in record["cells"]]
 
 
 SHOWN = (
@@ -193,9 +193,9 @@ def bars(record: Record) -> list[Bar]:
     ]
 
 
-def experiment(bench: Bench, asked: Asked) -> Experiment:
-    """Return what is measured: every cell under both lights."""
-    return Experiment("light", (UnderFoundLight(bench, cell) for cell in asked.cells), True)
+def experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    """Return what is measured: every case under both lights."""
+    return Experiment("light", (UnderFoundLight(bench, case) for case in selection.cases), True)
 
 
 STUDY = Study(title="Light from the photographs themselves", experiment=experiment, bars=bars,

@@ -35,7 +35,7 @@ def seconds(value: float | None) -> str:
 def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Return a Markdown table."""
     lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(_cell(case) for case in line) + " |" for line in lines)
 
 
 def _cell(value: object) -> str:
@@ -48,7 +48,7 @@ class Column:
 
     Attributes:
         head: of the column.
-        value: of a record; None leaves the cell empty.
+        value: of a record; None leaves the case empty.
         show: makes text of a value.
     """
 
@@ -57,7 +57,7 @@ class Column:
     show: Callable[[Any], str] = str
 
     def text(self, record: Any) -> str:
-        """Return the cell of a record."""
+        """Return the case of a record."""
         value = self.value(record)
         return "" if value is None else self.show(value)
 
@@ -85,7 +85,7 @@ class Bar:
 
     Attributes:
         what: was measured.
-        value: found.
+        value: measured.
         limit: the bar.
         unit: of both.
         least: whether the value has to reach the limit, rather than stay below it.

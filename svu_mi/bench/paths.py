@@ -11,9 +11,9 @@ import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.compared_estimators import Variant
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.markdown import Column, columns, digits
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels
@@ -23,7 +23,7 @@ PHOTOGRAPHS = 6  # depth of the photographs it is compared on
 # Every psi has to be rendered where light goes between parts of the object: for a few texels.
 TEXELS, SAMPLES, OBJECTS = 150, 32, 4
 QUICK = (40, 8, 1)
-CASES = {
+KINDS = {
     "direct": "direct light",
     "photographs": "all light in the photographs",
     "both": "all light in both",
@@ -33,8 +33,8 @@ CASES = {
 
 
 @dataclass(frozen=True)
-class Lit(OnCell):
-    """A cell, photographed with direct light and with all light.
+class Lit(CaseSubject):
+    """A case, photographed with direct light and with all light.
 
     Attributes:
         rows: estimators.
@@ -61,22 +61,22 @@ class Lit(OnCell):
         """Return Pearson's rho of an estimator with each of ``references``."""
         entropies = {id(capture): np.array(row.estimate(capture, self.layout).entropy, float)
                      for capture in self.captures}  # fmt: skip
-        found = {}
-        for case, reference in self.references.items():
+        correlations = {}
+        for kind, reference in self.references.items():
             seen = reference.posterior.observed
-            entropy = entropies[id(self.capture_of(case))][reference.subset[seen]]
-            found[case] = pearson(entropy, reference.entropy[seen])
-        return found
+            entropy = entropies[id(self.capture_of(kind))][reference.subset[seen]]
+            correlations[kind] = pearson(entropy, reference.entropy[seen])
+        return correlations
 
     @cached_property
     def captures(self) -> tuple[Capture, Capture]:
         """Photographs of direct light, and of all light."""
-        lit = replace(self.cell, defines={**self.cell.defines, "max_depth": str(PHOTOGRAPHS)})
-        return self.bench.capture(self.cell), self.bench.capture(lit, "capture_all_light")
+        lit = replace(self.case, defines={**self.case.defines, "max_depth": str(PHOTOGRAPHS)})
+        return self.bench.capture(self.case), self.bench.capture(lit, "capture_all_light")
 
-    def capture_of(self, case: str) -> Capture:
+    def capture_of(self, kind: str) -> Capture:
         """Return the photographs of one of ``CASES``."""
-        return self.captures[case in ("photographs", "both")]
+        return self.captures[kind in ("photographs", "both")]
 
     @cached_property
     def layout(self) -> Texels:
@@ -85,11 +85,11 @@ class Lit(OnCell):
 
     @cached_property
     def references(self) -> dict[str, Any]:
-        """Path-traced posteriors of the same texels, by case."""
+        """Path-traced posteriors of the same texels, by kind."""
 
-        def traced(case: str, **changes: Any) -> Any:
+        def traced(kind: str, **changes: Any) -> Any:
             return reference_of(
-                self.bench, self.capture_of(case), self.layout, spp=self.samples, **changes
+                self.bench, self.capture_of(kind), self.layout, spp=self.samples, **changes
             )
 
         plain = traced("direct", subset=self.texels)
@@ -99,29 +99,29 @@ class Lit(OnCell):
             "heteroscedastic": {"noise": "heteroscedastic"},
             "estimated": {"noise": "estimated"},
         }
-        others = {case: traced(case, subset=plain.subset, **one) for case, one in how.items()}
+        others = {kind: traced(kind, subset=plain.subset, **one) for kind, one in how.items()}
         return {"direct": plain, **others}
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
-    first = {cell.object: cell for cell in reversed(asked.cells)}
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    first = {case.object: case for case in reversed(selection.cases)}
     count, samples, objects = QUICK if bench.quick else (TEXELS, SAMPLES, OBJECTS)
     chosen = list(first.values())[::-1][:objects]
-    subjects = (Lit(bench, cell, asked.variants, count, samples) for cell in chosen)
+    subjects = (Lit(bench, case, selection.variants, count, samples) for case in chosen)
     return Experiment("paths", subjects)
 
 
 def tables(record: Record) -> list[str]:
-    """Return a line per cell and estimator."""
+    """Return a line per case and estimator."""
     shown = (
         Column("object / light", lambda line: line[0]["cell"]),
         Column("map", lambda line: line[1]),
-        *(Column(title, lambda line, case=case: line[2][case], digits(2))  # type: ignore[misc]
-          for case, title in CASES.items()),
+        *(Column(title, lambda line, kind=kind: line[2][kind], digits(2))  # type: ignore[misc]
+          for kind, title in KINDS.items()),
         Column("both references", lambda line: line[0]["references"], digits(2)),
     )  # fmt: skip
-    lines = [(cell, label, row) for cell in record["cells"] for label, row in cell["rows"].items()]
-    most = max((cell["texels"] for cell in record["cells"]), default=0)
+    lines = [(case, label, row) for case in record["cells"] for label, row in case["rows"].items()]
+    most = max((case["texels"] for case in record["cells"]), default=0)
     return [
         f"Pearson correlation with references in which every psi is rendered, on up to {most} "
         "texels: of direct light; with photographs of up to "

@@ -12,8 +12,8 @@ class RecoverySizes:
 
     Attributes:
         rows: labels of the rows that are run; all if there are none.
-        even_cells: at most so many cells.
-        relit_views: pictures under another light, per cell.
+        even_cells: at most so many cases.
+        relit_views: pictures under another light, per case.
         relit_spp: samples per pixel of these.
         even_views: at most so many photographs.
         poor: most views of a texel that counts as hardly seen.
@@ -43,7 +43,7 @@ class GuidanceSizes:
         lights: at most so many lights per object.
         texels: per side, of the textures that are recovered.
         looked_at: most texels that candidates are judged by.
-        starts: sets of views to start from, per cell and kind; each has random views of its own.
+        starts: sets of views to start from, per case and kind; each has random views of its own.
         kinds: of starts: ``even``, spread out from a view drawn at random, or ``one-sided``, those
             nearest to it.
         start: photographs of each.
@@ -68,7 +68,7 @@ class GuidanceSizes:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sizes:
+class ProblemSizes:
     """Sizes of all benchmarks; what is not of one of them alone is part of every result's key.
 
     Attributes:
@@ -109,8 +109,8 @@ class Sizes:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in parts}
 
 
-FULL = Sizes()
-QUICK = Sizes(
+FULL = ProblemSizes()
+QUICK = ProblemSizes(
     views=24, film=128, spp=16, texels=192, speed_texels=256, reference_texels=200,
     reference_spp=64, speed_film=128, repeats=3, stride=2,
     recovery=RecoverySizes(

@@ -1,4 +1,4 @@
-"""Finished results on disk: one JSON per cell, valid as long as its key is."""
+"""Finished results on disk: one JSON per case, valid as long as its key is."""
 
 from __future__ import annotations
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.captures import chosen_views
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
 from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.bench.timing import allocated_mib, run, spread
 from svu_mi.capture.capture import Capture
 from svu_mi.core.memory import MODELS
@@ -54,7 +54,7 @@ QUICK = Range(resolutions=(64, 128, 256), views=(15, 60, 240), resolution=96,
 
 
 @dataclass(frozen=True)
-class Scaled(OnCell):
+class Scaled(CaseSubject):
     """A case that is estimated at several sizes."""
 
     @property
@@ -67,7 +67,7 @@ class Scaled(OnCell):
         return QUICK if self.bench.quick else FULL
 
     def settings(self, row: Part | None) -> Any:
-        return str(self.cell.scene), self.cell.defines, asdict(self.sizes), row and row.label
+        return str(self.case.scene), self.case.defines, asdict(self.sizes), row and row.label
 
     def head(self) -> Record:
         return {"cell": self.title, "views": self.sizes.photographs[0],
@@ -77,15 +77,15 @@ class Scaled(OnCell):
         """Return ``method``, ``what``, the ``points`` (``n``; ``seconds``, a spread;
         ``allocated_mib``) and the ``line`` of a curve (see ``line``)."""
         views, film = self.sizes.photographs
-        capture = self.bench.capture(self.cell, "scaling", views=views, film=film, spp=8)
+        capture = self.bench.capture(self.case, "scaling", views=views, film=film, spp=8)
         layout = texels(capture.mesh, self.sizes.resolution)
         if what == "texels":
             layouts = [texels(capture.mesh, resolution) for resolution in self.sizes.resolutions]
-            cases = [(layout.count, capture, layout) for layout in layouts]
+            sizes = [(layout.count, capture, layout) for layout in layouts]
         else:
-            cases = [(n, repeated(capture, n), layout) for n in self.sizes.views]
-        found = _measured(cases, method, self.sizes.repeats)
-        return {"method": method, "what": what, **found}
+            sizes = [(n, repeated(capture, n), layout) for n in self.sizes.views]
+        timings = _measured(sizes, method, self.sizes.repeats)
+        return {"method": method, "what": what, **timings}
 
 
 def _part(method: str, what: str) -> Part:
@@ -96,17 +96,17 @@ PARTS = tuple(_part(method, what) for method in MODEL_OF for what in ("texels", 
 
 
 def _curves(record: Record) -> list[Record]:
-    return [curve for cell in record["cells"] for curve in cell["rows"].values()]
+    return [curve for case in record["cells"] for curve in case["rows"].values()]
 
 
 def find_bars(record: Record) -> list[Bar]:
     """Return the bars: no curve is steeper than linear, and a line explains it."""
     bars = []
     for curve in _curves(record):
-        name, found = f"{curve['method']}, seconds by {curve['what']}", curve["line"]
+        name, fit = f"{curve['method']}, seconds by {curve['what']}", curve["line"]
         bars += [
-            Bar(f"{name}: exponent of the upper half", found["slope"], STEEPEST),
-            Bar(f"{name}: R^2 of a + b n", found["r2"], LEAST_R2, least=True),
+            Bar(f"{name}: exponent of the upper half", fit["slope"], STEEPEST),
+            Bar(f"{name}: R^2 of a + b n", fit["r2"], LEAST_R2, least=True),
         ]
     return bars
 
@@ -139,19 +139,19 @@ def line(n: Sequence[float], seconds: Sequence[float]) -> dict[str, float]:
 
 
 def _measured(
-    cases: Sequence[tuple[int, Capture, Texels]], method: Any, repeats: int
+    sizes: Sequence[tuple[int, Capture, Texels]], method: Any, repeats: int
 ) -> dict[str, Any]:
     """Measure the sizes in turns, after each was run once (the first twice) for its memory."""
 
-    def function(case: tuple[int, Capture, Texels]) -> Callable[[], Any]:
-        return lambda: estimate(*case[1:], method).entropy
+    def function(size: tuple[int, Capture, Texels]) -> Callable[[], Any]:
+        return lambda: estimate(*size[1:], method).entropy
 
-    runs = [function(case) for case in cases]
+    runs = [function(size) for size in sizes]
     run(runs[0])
     memory = [allocated_mib(partial(run, one)) for one in runs]
     rounds = [[run(one).wall for one in runs] for _ in range(repeats)]
-    times = [spread(of_case) for of_case in zip(*rounds, strict=True)]
-    n = [case[0] for case in cases]
+    times = [spread(of_size) for of_size in zip(*rounds, strict=True)]
+    n = [size[0] for size in sizes]
     points = [
         {"n": size, "seconds": seconds, "allocated_mib": peak}
         for size, seconds, peak in zip(n, times, memory, strict=True)
@@ -181,11 +181,11 @@ MEMORY = (
 def _tables(record: Record) -> list[str]:
     if not record["cells"]:
         return []
-    cell, curves = record["cells"][0], _curves(record)
+    case, curves = record["cells"][0], _curves(record)
     of_texels = [curve for curve in curves if curve["what"] == "texels"]
     return [
-        f"Least seconds of several runs by the clock, and a + b n; texels with {cell['views']} "
-        f"views, views with {cell['resolution']} x {cell['resolution']} texels.",
+        f"Least seconds of several runs by the clock, and a + b n; texels with {case['views']} "
+        f"views, views with {case['resolution']} x {case['resolution']} texels.",
         columns(SHOWN, curves),
         "How the peak of Dr.Jit's allocator grows with texels; the formula counts all that is "
         "resident.",
@@ -193,8 +193,8 @@ def _tables(record: Record) -> list[str]:
     ]
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
-    return Experiment("scaling", [Scaled(bench, asked.cells[0])])
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    return Experiment("scaling", [Scaled(bench, selection.cases[0])])
 
 
 STUDY = Study(title="Scaling of an estimate", experiment=_experiment, tables=_tables,

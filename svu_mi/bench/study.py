@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from svu_mi.bench import BENCHMARKS
-from svu_mi.bench.cases import Cell
+from svu_mi.bench.cases import Case
 from svu_mi.bench.compared_estimators import VARIANTS, Variant
-from svu_mi.bench.experiment import Bench, Experiment, Record
+from svu_mi.bench.experiment import BenchRun, Experiment, Record
 from svu_mi.bench.markdown import Bar, bar_table, left_out, save
 from svu_mi.core.io.files import prepare_folder, write_text
 from svu_mi.core.validation import require_known
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class Selection:
     """What of a benchmark is run.
 
     Attributes:
-        cells: objects x lights.
+        cases: objects x lights.
         variants: estimators; all by default.
         rows: labels of the ways of recovery; the usual ones by default.
         data: folder of the data, None for the scenes of svu_mi.
         objects: names of objects in ``data``, for what finds them there by itself.
-        capture: folder of the photographs, for what runs on a real capture instead of cells.
+        capture: folder of the photographs, for what runs on a real capture instead of cases.
         every: of these, each so many-th is left out.
         environment_view: of Stanford-ORB, the test photograph whose environment map is the light.
     """
 
-    cells: Sequence[Cell] = ()
+    cases: Sequence[Case] = ()
     variants: Sequence[Variant] = VARIANTS
     rows: Sequence[str] = ()
     data: Path | None = None
@@ -61,7 +61,7 @@ class Study:
         title: of its tables.
         experiment: what is measured.
         tables: Markdown of a record.
-        summary: adds to a record what follows from its cells; ``sizes`` of the bench are there.
+        summary: adds to a record what follows from its cases; ``sizes`` of the bench are there.
         bars: those that a record has figures for.
         note: how the bars were measured.
         plots: pictures by the name of their file, each drawn from the records of all benchmarks
@@ -73,7 +73,7 @@ class Study:
     """
 
     title: str
-    experiment: Callable[[Bench, Asked], Experiment]
+    experiment: Callable[[BenchRun, Selection], Experiment]
     tables: Callable[[Record], list[str]]
     summary: Callable[[Record], Record] = dict
     bars: Callable[[Record], list[Bar]] = _none
@@ -81,36 +81,36 @@ class Study:
     plots: Mapping[str, Callable[[Record], Figure | None]] = field(default_factory=dict)
     lines: Callable[[Record], list[str]] = _none
     files: Mapping[str, Callable[[Path, Record], None]] = field(default_factory=dict)
-    runs_on: Literal["cells", "capture", "data"] = "cells"
+    runs_on: Literal["cases", "capture", "data"] = "cases"
     own_sizes: bool = False
 
     def run(
-        self, bench: Bench, asked: Asked, told: Callable[[Record], None] | None = None
+        self, bench: BenchRun, selection: Selection, report: Callable[[Record], None] | None = None
     ) -> Record:
         """Measure everything.
 
         Args:
             bench: where and how.
-            asked: what is run.
-            told: called with the record so far after each cell.
+            selection: what is run.
+            report: called with the record so far after each case.
 
         Returns:
             What ``Experiment.run`` returns, with ``sizes``, ``bars`` and what ``summary`` adds.
 
         Raises:
-            SvuError: that of the first cell, if nothing could be run.
+            SvuError: that of the first case, if nothing could be run.
             OutputError: the folder cannot be written.
         """
 
-        def whole(found: Record) -> Record:
-            record = self.summary({**found, "sizes": bench.sizes})
+        def whole(measured: Record) -> Record:
+            record = self.summary({**measured, "sizes": bench.sizes})
             return {**record, "bars": [bar.record() for bar in self.bars(record)]}
 
-        def tell(found: Record) -> None:
-            if told is not None:
-                told(whole(found))
+        def tell(measured: Record) -> None:
+            if report is not None:
+                report(whole(measured))
 
-        return whole(self.experiment(bench, asked).run(bench, tell))
+        return whole(self.experiment(bench, selection).run(bench, tell))
 
     def markdown(self, record: Record) -> str:
         """Return all tables of a record."""
@@ -123,7 +123,7 @@ class Study:
         return "\n\n".join(parts)
 
 
-def how_it_was_run(command: str) -> Record:
+def provenance_record(command: str) -> Record:
     """Return the part of a record that says with which command, when and where."""
     return {
         "command": command,
@@ -132,8 +132,8 @@ def how_it_was_run(command: str) -> Record:
     }
 
 
-def told_how(record: Record) -> str:
-    """Return the sentence about what ``how_it_was_run`` returned."""
+def provenance(record: Record) -> str:
+    """Return the sentence about what ``provenance_record`` returned."""
     place = record["environment"]
     versions = place["versions"]
     return (
@@ -149,16 +149,16 @@ def study_of(name: str) -> Study:
 
 
 def run_bench(
-    bench: Bench, names: Sequence[str], asked: Asked, command: str = ""
+    bench: BenchRun, names: Sequence[str], selection: Selection, command: str = ""
 ) -> dict[str, Any]:
     """Run benchmarks, one after another, and write bench.json, bench.md and the plots.
 
-    Tables of all that is known so far are written after each cell.
+    Tables of all that is known so far are written after each case.
 
     Args:
         bench: where and how.
         names: of ``BENCHMARKS``.
-        asked: what of them is run.
+        selection: what of them is run.
         command: as the user gave it, for the record.
 
     Returns:
@@ -166,38 +166,38 @@ def run_bench(
         (``Study.run``).
 
     Raises:
-        OptionError: an unknown benchmark, or no cell.
-        SvuError: that of the first cell of a benchmark, if all its cells failed.
+        OptionError: an unknown benchmark, or no case.
+        SvuError: that of the first case of a benchmark, if all its cases failed.
         OutputError: the folder cannot be written.
     """
     require_known(names, BENCHMARKS, "benchmark")
-    wanted = {name: study_of(name) for name in names}
-    places = {study.runs_on for study in wanted.values()}
-    if not asked.cells and "cells" in places:
+    chosen = {name: study_of(name) for name in names}
+    places = {study.runs_on for study in chosen.values()}
+    if not selection.cases and "cases" in places:
         raise OptionError("There is no object and light to run; change --objects or --lights.")
-    if asked.capture is None and "capture" in places:
+    if selection.capture is None and "capture" in places:
         raise OptionError("There is no capture to run on; give its folder.")
     prepare_folder(bench.folder)
-    record = {**how_it_was_run(command), "settings": bench.sizes}
+    record = {**provenance_record(command), "settings": bench.sizes}
     studies: dict[str, Study] = {}
-    for name, study in wanted.items():
+    for name, study in chosen.items():
         studies[name] = study
 
-        def told(found: Record, name: str = name) -> None:
-            record[name] = found
+        def report(measured: Record, name: str = name) -> None:
+            record[name] = measured
             write(bench, record, studies)
 
-        told(study.run(bench, asked, told))
+        report(study.run(bench, selection, report))
         draw(bench, record, studies)
     return record
 
 
-def write(bench: Bench, record: Record, studies: dict[str, Study]) -> None:
+def write(bench: BenchRun, record: Record, studies: dict[str, Study]) -> None:
     """Write bench.json and bench.md with what is known so far."""
     write_manifest(bench.folder / "bench.json", record)
-    shared = any(s.runs_on == "cells" and not s.own_sizes for s in studies.values())
+    shared = any(s.runs_on == "cases" and not s.own_sizes for s in studies.values())
     sizes = [_sizes(bench)] if shared else []
-    parts = ["# Benchmark", told_how(record), *sizes]
+    parts = ["# Benchmark", provenance(record), *sizes]
     parts += [study.markdown(record[name]) for name, study in studies.items() if name in record]
     write_text(bench.folder / "bench.md", "\n\n".join(parts))
     for name, study in studies.items():
@@ -205,17 +205,17 @@ def write(bench: Bench, record: Record, studies: dict[str, Study]) -> None:
             write_file(bench.folder / file, record[name])
 
 
-def draw(bench: Bench, record: Record, studies: dict[str, Study]) -> None:
-    """Draw the plots of all benchmarks that found anything: some show several of them."""
-    found = {name: record[name] for name in studies if record[name]["cells"]}
+def draw(bench: BenchRun, record: Record, studies: dict[str, Study]) -> None:
+    """Draw the plots of all benchmarks with results; some show several of them."""
+    finished = {name: record[name] for name in studies if record[name]["cells"]}
     with bench.progress.stage("Drawing plots"):
-        for name in found:
+        for name in finished:
             for file, plot in studies[name].plots.items():
-                if (figure := plot(found)) is not None:
+                if (figure := plot(finished)) is not None:
                     save(figure, bench.folder, file)
 
 
-def _sizes(bench: Bench) -> str:
+def _sizes(bench: BenchRun) -> str:
     size = bench.sizes
     return (
         f"{size.views} photographs of {size.film} x {size.film} with {size.spp} samples per "

@@ -1,7 +1,7 @@
 """``svu bench sureness``: coverage of the intervals of recovered textures and of pictures of them.
-Intervals of textures of every cell, recovered by SH; with a prior in common from photographs mostly
+Intervals of textures of every case, recovered by SH; with a prior in common from photographs mostly
 from one side; of what was filled where a third of the surface is in no photograph; and pictures
-under two lights that nothing was recovered from, of some cells.
+under two lights that nothing was recovered from, of some cases.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.bench.captures import Truth, chosen_views, nearest_to_front, some_views, uneven_views
-from svu_mi.bench.cases import Cell, chosen_cells
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.cases import Case, chosen_cases
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
 from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import Pictures
 from svu_mi.capture.scene import find_shape, load_scene
@@ -34,9 +34,9 @@ from svu_mi.recovery.recover import Recovery, recover
 from svu_mi.recovery.relighting import path_length, relight_draws
 from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField, texture_field
 
-RELIT_CELLS, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
+RELIT_CASES, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
 FRONT_VIEWS, BACK_VIEWS = 18, 4
-LOWEST, HIGHEST = 0.82, 0.96  # of the means over cells; of pictures .80 and .97
+LOWEST, HIGHEST = 0.82, 0.96  # of the means over cases; of pictures .80 and .97
 WORST = 0.65
 HIDDEN = 1 / 3  # part of the surface
 # Objects that are turned, or put together from pieces of one material; others show on one side what
@@ -46,15 +46,15 @@ WIDTH = 1.645  # standard deviations of a normal distribution that 90 % lie with
 
 
 @dataclass(frozen=True)
-class Sure(OnCell):
-    """A cell whose textures are recovered, with how sure they are.
+class Sure(CaseSubject):
+    """A case whose textures are recovered, with how sure they are.
 
     Attributes:
         others: the same object under lights that it was not photographed under; none where no
             pictures are judged.
     """
 
-    others: Sequence[Cell]
+    others: Sequence[Case]
 
     @property
     def rows(self) -> tuple[Part, ...]:
@@ -62,24 +62,24 @@ class Sure(OnCell):
 
     def settings(self, row: Part | None) -> Any:
         lights = [(str(one.scene), one.defines) for one in self.others]
-        return super().settings(row), lights, RELIT_CELLS, LIGHTS, VIEWS, SPP, DRAWS
+        return super().settings(row), lights, RELIT_CASES, LIGHTS, VIEWS, SPP, DRAWS
 
     @cached_property
-    def found(self) -> tuple[Recovery, TextureField]:
+    def textures_and_field(self) -> tuple[Recovery, TextureField]:
         """Textures from photographs all around, and the field around them."""
         return _recovered(self._some(self.capture), self.layout)
 
     def textures(self) -> Record:
         """Return what ``held`` says of all texels that a photograph shows."""
-        return held(*self.found, Truth.of(self.capture, self.layout))
+        return held(*self.textures_and_field, Truth.of(self.capture, self.layout))
 
     def shared(self) -> Record:
         """Return the same with a prior in common, from photographs mostly from one side."""
         scale = 1.0 if self.capture.count >= FRONT_VIEWS + BACK_VIEWS else 0.25
         front, back = (max(int(scale * count), 1) for count in (FRONT_VIEWS, BACK_VIEWS))
         uneven = uneven_views(self.capture, front, back)
-        found = _recovered(uneven, self.layout, sharing=True)
-        return held(*found, Truth.of(self.capture, self.layout))
+        recovered = _recovered(uneven, self.layout, sharing=True)
+        return held(*recovered, Truth.of(self.capture, self.layout))
 
     def filled(self) -> Record:
         """Return what filling gains where a third of the surface is never seen: ``psnr_before``,
@@ -87,23 +87,23 @@ class Sure(OnCell):
         layout, truth = self.layout, Truth.of(self.capture, self.layout)
         recovery, field = _recovered(_hiding(self.capture, layout), layout)
         seen = recovery.coverage > 0
-        found = fill(field, seen)
+        filled = fill(field, seen)
         held = {}
         for name in NAMES:
-            low, high = (end[~seen] for end in found.field.interval(name, LEVEL))
+            low, high = (end[~seen] for end in filled.field.interval(name, LEVEL))
             true = np.asarray(truth.values[name], np.float64)[~seen]
             held[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
         return {
-            "hidden": float((~seen).mean()), "held": held, "repeats": self.cell.object in REPEATING,
-            "likeness": {name: words.split(",")[0] for name, words in found.likeness.items()},
+            "hidden": float((~seen).mean()), "held": held, "repeats": self.case.object in REPEATING,
+            "likeness": {name: words.split(",")[0] for name, words in filled.likeness.items()},
             "psnr_before": truth.psnr(recovery.textures, ~seen)["average"],
-            "psnr": truth.psnr(found.textures, ~seen)["average"],
+            "psnr": truth.psnr(filled.textures, ~seen)["average"],
         }  # fmt: skip
 
     def pictures(self) -> Record:
         """Return ``held``, the part of pixel channels whose truth is within 1.64 sd; ``spearman``
         of sd and error; ``psnr_gain`` of the mean of draws over the picture; and ``seconds``."""
-        recovery, field = self.found
+        recovery, field = self.textures_and_field
         draws, records = list(field.draw(DRAWS)), []
         for other in self.others:
             scene = load_scene(other.scene, other.defines)
@@ -148,16 +148,16 @@ def held(recovery: Recovery, field: TextureField, truth: Truth) -> Record:
     """Return ``held``, the part of texels whose interval holds the truth, by parameter, and
     ``spearman`` of standard deviations and errors of all values together."""
     seen = recovery.coverage > 0
-    found, sds, errors = {}, [], []
+    shares, sds, errors = {}, [], []
     for name in NAMES:
         low, high = (end[seen] for end in field.interval(name, LEVEL))
         true = np.asarray(truth.values[name], np.float64)[seen]
-        found[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
+        shares[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
         value = np.asarray(recovery.textures.at(field.texels, name), np.float64)[seen]
         errors.append(np.abs(value - true).ravel())
         sds.append(field.sd(name)[seen].ravel())
     pooled = spearman(np.concatenate(sds), np.concatenate(errors))
-    return {"held": found, "spearman": pooled}
+    return {"held": shares, "spearman": pooled}
 
 
 def _truth(capture: Capture) -> list[np.ndarray]:
@@ -168,11 +168,11 @@ def _truth(capture: Capture) -> list[np.ndarray]:
     return pictures.traced(capture.scene, integrator, everything, SPP)
 
 
-def pixels_held(found: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
+def pixels_held(views: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
     """Compare pictures with the truth, pixels of the object only."""
     sds, errors, inside = [], [], []
     squares = np.zeros(2)
-    for view, true in zip(found, truth, strict=True):
+    for view, true in zip(views, truth, strict=True):
         mask = view.inside
         error = np.abs(view.mean - true)[mask]
         sds.append(view.sd[mask].ravel())
@@ -188,11 +188,11 @@ def pixels_held(found: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
 
 def find_bars(record: Record) -> list[Bar]:
     """Return the bars that a record has figures for."""
-    bars, rows = [], [cell["rows"] for cell in record["cells"]]
+    bars, rows = [], [case["rows"] for case in record["cells"]]
     for part, least in (("textures", LOWEST), ("shared", 0.78)):
-        found = [row[part] for row in rows if part in row]
-        for name in NAMES if found else ():
-            values = [one["held"][name] for one in found]
+        parts = [row[part] for row in rows if part in row]
+        for name in NAMES if parts else ():
+            values = [one["held"][name] for one in parts]
             bars.append(Bar(f"{part}: {name}, mean over cells", float(np.mean(values)), least,
                             least=True))  # fmt: skip
             if part == "textures":
@@ -200,8 +200,8 @@ def find_bars(record: Record) -> list[Bar]:
                     Bar(f"{part}: {name}, mean over cells", float(np.mean(values)), HIGHEST),
                     Bar(f"{part}: {name}, worst cell", min(values), WORST, least=True),
                 ]
-        if part == "textures" and found:
-            mean = float(np.mean([one["spearman"] for one in found]))
+        if part == "textures" and parts:
+            mean = float(np.mean([one["spearman"] for one in parts]))
             bars.append(Bar("textures: Spearman of sd and error", mean, 0.68, least=True))
     filled = [row["filled"] for row in rows if "filled" in row]
     bars += _bars_of_filling(filled) if filled else []
@@ -234,7 +234,7 @@ def _bars_of_filling(filled: Sequence[Record]) -> list[Bar]:
 
 def tables(record: Record) -> list[str]:
     """Return the tables of a record."""
-    lines = [(cell["cell"], cell["rows"]) for cell in record["cells"]]
+    lines = [(case["cell"], case["rows"]) for case in record["cells"]]
     count = len(lines)
     mean = {
         part: {name: _mean([row[part]["held"][name] for _, row in lines if part in row])
@@ -281,29 +281,29 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 def _held(line: tuple[str, Record], part: str, name: str) -> float | None:
-    found: float | None = line[1][part]["held"][name] if part in line[1] else None
-    return found
+    value: float | None = line[1][part]["held"][name] if part in line[1] else None
+    return value
 
 
 def _value(line: tuple[str, Record], part: str, name: str) -> float | None:
-    found: float | None = line[1][part][name] if part in line[1] else None
-    return found
+    value: float | None = line[1][part][name] if part in line[1] else None
+    return value
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     subjects = []
-    for number, cell in enumerate(asked.cells):
-        others: list[Cell] = []
-        if number % max(len(asked.cells) // RELIT_CELLS, 1) == 0:
-            others = _others(cell, asked.data, bench.folder)
-        subjects.append(Sure(bench, cell, others))
+    for number, case in enumerate(selection.cases):
+        others: list[Case] = []
+        if number % max(len(selection.cases) // RELIT_CASES, 1) == 0:
+            others = _others(case, selection.data, bench.folder)
+        subjects.append(Sure(bench, case, others))
     return Experiment("sureness", subjects)
 
 
-def _others(cell: Cell, data: Path | None, workspace: Path) -> list[Cell]:
+def _others(case: Case, data: Path | None, workspace: Path) -> list[Case]:
     """Return the same object under the next lights."""
-    around = chosen_cells(data, workspace, [cell.object])
-    first = [one.light for one in around].index(cell.light)
+    around = chosen_cases(data, workspace, [case.object])
+    first = [one.light for one in around].index(case.light)
     return [around[(first + k) % len(around)] for k in range(1, min(LIGHTS, len(around) - 1) + 1)]
 
 

@@ -80,13 +80,13 @@ MILLISECOND = 1e-3  # Dr.Jit's unit of time
 
 
 @dataclass(frozen=True)
-class Run:
+class KernelRun:
     """One run of a function, the device synchronised at both ends.
 
     Attributes:
         wall: seconds by the clock, with the tracing of kernels in Python.
         kernel: seconds in kernels.
-        compile: seconds of the backend, for kernels that were found in no cache.
+        compile: seconds of the backend, for kernels that are in no cache.
         compiled: number of these.
         launched: number of kernels launched.
         operations: of all kernels that the function traced.
@@ -100,7 +100,7 @@ class Run:
     operations: int
 
 
-def run(function: Callable[[], Any]) -> Run:
+def run(function: Callable[[], Any]) -> KernelRun:
     """Run a function once.
 
     Args:
@@ -116,7 +116,7 @@ def run(function: Callable[[], Any]) -> Run:
         history = dr.kernel_history()
     traced = [kernel for kernel in history if kernel["type"] == dr.KernelType.JIT]
     new = [k for k in traced if not (k["cache_hit"] or k["cache_disk"])]
-    return Run(
+    return KernelRun(
         wall=wall,
         kernel=MILLISECOND * sum(k["execution_time"] for k in history),
         compile=MILLISECOND * sum(k["backend_time"] for k in new),
@@ -126,7 +126,7 @@ def run(function: Callable[[], Any]) -> Run:
     )
 
 
-def summary(runs: Sequence[Run]) -> dict[str, Any]:
+def summary(runs: Sequence[KernelRun]) -> dict[str, Any]:
     """Return ``wall`` and ``kernel``, each the ``spread`` of its seconds over the runs;
     ``launched`` and ``operations`` of one run; ``repeats``; ``compiled``, 0 if warm."""
     return {

@@ -30,7 +30,7 @@ from svu_mi.capture.scene import require_light
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.texels import Texels
-from svu_mi.light.light_tree import even_radiance
+from svu_mi.light.light_tree import cell_radiance
 from svu_mi.posterior.estimate import Estimate, observations_of
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
@@ -73,7 +73,7 @@ def estimate_gains(
     with progress.stage("Choosing texels"):
         samples = Samples.of(observed, switches, options.texels)
     with progress.stage("Finding gains", ROUNDS) as stage:
-        light = even_radiance(observed.lighting.environment, CELLS)
+        light = cell_radiance(observed.lighting.environment, CELLS)
         everything, gains = Transport.of(samples, CELLS), starting_gains(samples)
         columns, heat = columns_of(everything, light, switches), HEAT
         level = level_of(samples, columns, switches)

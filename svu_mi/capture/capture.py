@@ -1,4 +1,4 @@
-"""What was seen: the record that every later stage reads."""
+"""The capture: scene, photographs, masks and exposures."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from svu_mi.capture.quantization import Clipped, Rounding
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """What is not known of a light that was found in the photographs themselves.
+class LightUncertainty:
+    """Uncertainty of a light that was estimated from the photographs.
 
     Attributes:
         widening: how many times less certain textures are: a factor of their overdispersion.
@@ -50,7 +50,7 @@ class Capture:
         rounding: the steps of photographs of integers, V or none at all; None for one of floats.
         warnings: sentences about what was found, repaired and ignored while loading.
         files: V names of their files in ``source``; empty when it was made in memory.
-        doubt: how uncertain the light is; None if it was given.
+        light_uncertainty: None if the light was given.
         found_light: the ``LightEstimate`` that is its light (``with_light``); None if it was given.
         buffer: that the pixels of ``images`` lie in, where kernels read them in place; None, or
             other images than its own, if they were made in memory.
@@ -71,7 +71,7 @@ class Capture:
     clipped: tuple[Clipped | None, ...] = field(default=())
     rounding: tuple[Rounding | None, ...] = field(default=())
     files: tuple[str, ...] = ()
-    doubt: Doubt | None = None
+    light_uncertainty: LightUncertainty | None = None
     found_light: Any | None = None
     buffer: PixelBuffer | None = None
 

@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import mesh as meshes
-from svu_mi.capture.capture import Capture, Doubt
+from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.mesh import crosses_of, unit_vectors
 from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.sensors import describe
@@ -85,7 +85,7 @@ def capture_parts(capture: Capture) -> dict[str, str]:
         shapes.add(*(np.asarray(params[name]) for name in UNWRAPPED))
     keys = {
         "shapes": shapes,
-        "light": _light(capture.scene, capture.doubt),
+        "light": _light(capture.scene, capture.light_uncertainty),
         "sensors": Key([describe(sensor) for sensor in capture.sensors]),
         "photographs": Key(list(map(bool, capture.used)), pixels),
         "masks": Key(masks),
@@ -140,14 +140,14 @@ def _arrays(node: Any) -> Iterator[tuple[str, np.ndarray]]:
         yield ADDRESS.sub("", name), np.asarray(getattr(value, "matrix", value))
 
 
-def _light(scene: Any, doubt: Doubt | None = None) -> Key:
+def _light(scene: Any, uncertainty: LightUncertainty | None = None) -> Key:
     key = Key()
     for emitter in scene.emitters():
         key.add("node", emitter.class_name(), _settings(emitter))
         for name, array in _arrays(emitter):
             key.add(name, array)
-    if doubt is not None:  # posteriors are others
-        key.add(doubt)
+    if uncertainty is not None:  # posteriors are others
+        key.add(uncertainty)
     return key
 
 

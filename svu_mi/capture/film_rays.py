@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe, film_size
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 
 RAY_FLOATS = 24  # per view, in groups of four: a kernel reads a group at once
 LAUNCH = 1 << 22  # rays at a time
@@ -49,7 +49,7 @@ def ray_floats(sensor: Any) -> np.ndarray:
 
 def table_of(sensors: Sequence[Any]) -> Any:
     """Return (V * 24,) Float, what the rays of V perspective sensors are made of."""
-    return owned(mi.Float, np.array([ray_floats(each) for each in sensors], np.float32).ravel())
+    return to_drjit(mi.Float, np.array([ray_floats(each) for each in sensors], np.float32).ravel())
 
 
 def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:
@@ -180,7 +180,7 @@ class Pictures:
         for start in range(0, len(pixels), size):
             span = slice(start, min(start + size, len(pixels)))
             parts = tuple(
-                owned(mi.UInt32, part[span].astype(np.uint32)) for part in (view, row, column)
+                to_drjit(mi.UInt32, part[span].astype(np.uint32)) for part in (view, row, column)
             )
             yield span, partial(pixel_rays, table, parts, rays)
 

@@ -18,7 +18,7 @@ from svu_mi.capture.mesh import MeshArrays, arrays, faces_at
 from svu_mi.capture.photographs import Photograph
 from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.scene import is_closed, to_world
-from svu_mi.core.arrays import evenly_spaced, owned
+from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.errors import CaptureError, excerpt
 
 NAMED = 3  # photographs that a sentence names
@@ -205,10 +205,9 @@ def part_from_behind(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -
     cosine = np.einsum("vni,ni->vn", direction, normal)
     above = OFFSET * np.linalg.norm(np.ptp(mesh.positions, axis=0)) * np.sign(cosine)
     start = point + above[..., None] * normal
-    ray = mi.Ray3f(
-        owned(mi.Point3f, start.reshape(-1, 3).T), owned(mi.Vector3f, direction.reshape(-1, 3).T)
-    )
-    ray.maxt = owned(mi.Float, distance.ravel())
+    origin, way = (values.reshape(-1, 3).T for values in (start, direction))
+    ray = mi.Ray3f(to_drjit(mi.Point3f, origin), to_drjit(mi.Vector3f, way))
+    ray.maxt = to_drjit(mi.Float, distance.ravel())
     free = ~np.array(scene.ray_test(ray), bool)
     seen = np.abs(cosine) * free.reshape(cosine.shape) / np.maximum(distance, 1e-300) ** 2
     return float(seen[cosine < 0].sum() / max(seen.sum(), 1e-300))

@@ -13,7 +13,7 @@ from svu_mi.capture import image_io as pictures
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture.film_rays import evenly, pixel_rays, table_of
 from svu_mi.capture.sensors import film_size, projected, scaled_sensor
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 
 WHITE = 0.95  # part of the object's pixels that a tone-mapped photograph does not clip
 SIDE = 512  # pixels of the longer side of a picture
@@ -138,7 +138,7 @@ class Look:
     def _texel(self, texture: np.ndarray) -> Any:
         """Color3f, the texel of every sample."""
         height, width = texture.shape[:2]
-        texels = owned(mi.Float, np.asarray(texture, np.float32).ravel())
+        texels = to_drjit(mi.Float, np.asarray(texture, np.float32).ravel())
         column, row = (
             mi.UInt32(dr.clip(at * dr.opaque(mi.Float, size), 0, dr.opaque(mi.Float, size - 1)))
             for at, size in ((self.uv.x, width), (self.uv.y, height))

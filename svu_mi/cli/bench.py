@@ -19,8 +19,8 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
 
 if TYPE_CHECKING:
-    from svu_mi.bench.cases import Cell
-    from svu_mi.bench.study import Asked
+    from svu_mi.bench.cases import Case
+    from svu_mi.bench.study import Selection
 
 What = Annotated[
     str,
@@ -52,7 +52,7 @@ class Bench(BaseCommand):
     quick: bool = False
     """Small pictures, few texels; without --data two scenes, two lights."""
     fresh: bool = False
-    """Compute finished cells again."""
+    """Compute finished cases again."""
 
     keep: bool = False
     """Reuse finished results of other versions of svu_mi, too."""
@@ -70,7 +70,7 @@ class Bench(BaseCommand):
 
     def run(self, console: Console) -> int:
         """Run the benchmarks."""
-        from svu_mi.bench.experiment import Bench as Where
+        from svu_mi.bench.experiment import BenchRun
         from svu_mi.bench.problem_sizes import FULL, QUICK
         from svu_mi.bench.study import run_bench, study_of
         from svu_mi.core.io.files import prepare_folder
@@ -82,30 +82,30 @@ class Bench(BaseCommand):
         self.start()
         chosen = ALL if self.what == "all" else (self.what,)
         studies = {name: study_of(name) for name in chosen}
-        on_cells = any(study.runs_on == "cells" for study in studies.values())
+        on_cases = any(study.runs_on == "cases" for study in studies.values())
         command = shlex.join(["svu", *sys.argv[1:]])
-        bench = Where(
+        bench = BenchRun(
             self.output, QUICK if self.quick else FULL, Progress(console), quick=self.quick,
             fresh=self.fresh, keep=self.keep, stored=self.stored,
         )  # fmt: skip
-        record = run_bench(bench, chosen, self._asked(on_cells), command)
+        record = run_bench(bench, chosen, self._selection(on_cases), command)
         for name, study in studies.items():
             for line in (*study.lines(record[name]), *self._missed(record[name])):
                 print_line(console, line)
         print_line(console, f"Wrote {self.output}")
         return 0
 
-    def _asked(self, on_cells: bool) -> Asked:
-        """Return what is run; cells only where they are objects under lights."""
-        from svu_mi.bench.cases import chosen_cells
-        from svu_mi.bench.study import Asked
+    def _selection(self, on_cases: bool) -> Selection:
+        """Return what is run; cases only where they are objects under lights."""
+        from svu_mi.bench.cases import chosen_cases
+        from svu_mi.bench.study import Selection
 
         objects, lights = names(self.objects, "--objects"), names(self.lights, "--lights")
-        cells: tuple[Cell, ...] = ()
-        if on_cells:
-            cells = chosen_cells(self.data, self.output, objects, lights, quick=self.quick)
-        return Asked(
-            cells=cells, data=self.data, objects=objects, rows=names(self.rows, "--rows"),
+        cases: tuple[Case, ...] = ()
+        if on_cases:
+            cases = chosen_cases(self.data, self.output, objects, lights, quick=self.quick)
+        return Selection(
+            cases=cases, data=self.data, objects=objects, rows=names(self.rows, "--rows"),
             capture=self.capture, every=self.every, environment_view=self.environment_view,
         )  # fmt: skip
 

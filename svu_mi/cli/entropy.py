@@ -30,8 +30,8 @@ class Entropy(EstimateCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Run the pipeline, write the four files, and say what is known."""
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
-        from svu_mi.output.interval_summary import Knowledge
-        from svu_mi.output.run_record import Run
+        from svu_mi.output.interval_summary import IntervalSummary
+        from svu_mi.output.run_record import RunInfo
         from svu_mi.output.write_entropy import write_outputs
         from svu_mi.presets import NOTHING, Skip
 
@@ -39,7 +39,7 @@ class Entropy(EstimateCommand, ResultCommand):
         capture, result = self.estimated(progress, size, "entropy", skip=skip)
         warn_if_too_bright(result)
         with progress.stage("Writing the results"):
-            knowledge = Knowledge.of(result)
-            run = Run(settings=opt.given(self), kernels=progress.kernels)
+            knowledge = IntervalSummary.of(result)
+            run = RunInfo(settings=opt.given(self), kernels=progress.kernels)
             write_outputs(capture, result, place, run, knowledge=knowledge, pictures=self.pictures)
         return [knowledge.summary()]

@@ -72,8 +72,8 @@ class Guide(EstimateCommand):
 
     def run(self, console: Console) -> int:
         """Judge the candidates, and write the results."""
-        from svu_mi.output.interval_summary import Knowledge
-        from svu_mi.output.run_record import Run
+        from svu_mi.output.interval_summary import IntervalSummary
+        from svu_mi.output.run_record import RunInfo
         from svu_mi.output.write_guidance import write_guidance
 
         self.check()
@@ -82,14 +82,16 @@ class Guide(EstimateCommand):
             progress = Progress(console)
             capture, estimate, guidance = self._guide(progress)
             with progress.stage("Writing the results") as stage:
-                run = Run(settings=opt.given(self), kernels=progress.kernels, progress=stage.update)
+                run = RunInfo(
+                    settings=opt.given(self), kernels=progress.kernels, progress=stage.update
+                )
                 write_guidance(
                     capture, estimate, guidance, place, run, up=self.up,
                     pictures=self.pictures,
                 )  # fmt: skip
         _print(console, estimate, guidance)
         print_line(console, f"Wrote {self.output}")
-        print_line(console, Knowledge.of(estimate).summary())
+        print_line(console, IntervalSummary.of(estimate).summary())
         return 0
 
     def _guide(self, progress: Progress) -> tuple[Capture, Estimate, Guidance]:

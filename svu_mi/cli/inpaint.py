@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from svu_mi.capture.capture import Capture
-    from svu_mi.recovery.inpaint.diffusion.latent_diffusion import Model
+    from svu_mi.recovery.inpaint.diffusion.latent_diffusion import LatentDiffusion
     from svu_mi.recovery.inpaint.fill_result import Filled
     from svu_mi.recovery.uncertainty.texture_field import TextureField
 
@@ -73,8 +73,12 @@ class Inpaint(CaptureCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> Iterable[str]:
         """Fill, and write the results."""
         from svu_mi.geometry.neighbors import neighbors
-        from svu_mi.output.run_record import Run
-        from svu_mi.output.texture_files import read_textures, require_textures_of, settings_of
+        from svu_mi.output.run_record import RunInfo
+        from svu_mi.output.texture_files import (
+            read_textures,
+            recovery_settings,
+            require_textures_of,
+        )
         from svu_mi.output.write_fill import fill_sentences, write_filled
         from svu_mi.parameters import NAMES
         from svu_mi.pipeline import estimate
@@ -87,16 +91,16 @@ class Inpaint(CaptureCommand, ResultCommand):
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("How sure the textures are"):
-            used, around = settings_of(self.recovered), neighbors(texels, capture.mesh)
+            used, around = recovery_settings(self.recovered), neighbors(texels, capture.mesh)
             names = used.get("parameters", NAMES)
             field = field_around(textures, known, around, names, weights_of(used))
         found = self._fill(progress, model, capture, field, known.posterior.observed)
         with progress.stage("Writing the results"):
-            run = Run(settings=opt.given(self), kernels=progress.kernels)
+            run = RunInfo(settings=opt.given(self), kernels=progress.kernels)
             write_filled(capture, field, found, place, run, pictures=self.pictures)
         return fill_sentences(found)
 
-    def _model(self, progress: Progress) -> Model | None:
+    def _model(self, progress: Progress) -> LatentDiffusion | None:
         """Read the weights: before anything that takes long."""
         if self.model is None:
             return None
@@ -106,8 +110,8 @@ class Inpaint(CaptureCommand, ResultCommand):
             return load_model(self.model, self.diffusion.device)
 
     def _fill(
-        self, progress: Progress, model: Model | None, capture: Capture, field: TextureField,
-        seen: np.ndarray,
+        self, progress: Progress, model: LatentDiffusion | None, capture: Capture,
+        field: TextureField, seen: np.ndarray,
     ) -> Filled:  # fmt: skip
         if model is None:
             from svu_mi.recovery.inpaint.fill import fill

@@ -100,8 +100,8 @@ class FindLight(CaptureCommand, ResultCommand):
         from svu_mi.calibration.light import light_summary as summary
         from svu_mi.calibration.light.estimate_light import estimate_light
         from svu_mi.output.light_page import write_light
-        from svu_mi.output.object_views import upright
-        from svu_mi.output.run_record import Run
+        from svu_mi.output.object_views import up_direction
+        from svu_mi.output.run_record import RunInfo
 
         options, size = self._options(), opt.texel_size(self.resolution)
         need = partial(to_find_light, resolution=size, options=options)
@@ -115,12 +115,12 @@ class FindLight(CaptureCommand, ResultCommand):
             found = self._scaled(progress, capture, found)
         against = None if own is None or found.moves else summary.likeness(found, own)
         with progress.stage("Writing the results"):
-            run = Run(settings=opt.given(self), kernels=progress.kernels)
+            run = RunInfo(settings=opt.given(self), kernels=progress.kernels)
             write_light(
                 capture, found, place, run, used=asdict(options), against=against,
                 timings=progress.timings, pictures=self.pictures,
             )  # fmt: skip
-        lines = list(summary.sentences(found, upright(capture)))
+        lines = list(summary.sentences(found, up_direction(capture)))
         if found.gains is not None:
             lines += summary.gain_sentences(found.gains, capture)
         return lines if against is None else [*lines, summary.likeness_sentence(against)]

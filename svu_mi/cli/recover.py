@@ -20,7 +20,7 @@ from svu_mi.parameters import NAMES
 from svu_mi.recovery.recovery_options import PRINTED_PRESETS
 
 if TYPE_CHECKING:
-    from svu_mi.output.interval_summary import Knowledge
+    from svu_mi.output.interval_summary import IntervalSummary
 
 MOST_DRAWS = 1000
 Name = Literal[NAMES]  # type: ignore[valid-type]
@@ -109,11 +109,11 @@ class Recover(CaptureCommand, ResultCommand):
                 "--resume, or start again with --overwrite."
             )
 
-    def _recover(self, progress: Progress, place: Claim) -> Knowledge:
+    def _recover(self, progress: Progress, place: Claim) -> IntervalSummary:
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
-        from svu_mi.output.interval_summary import Knowledge
-        from svu_mi.output.run_record import Run
-        from svu_mi.output.write_recovery import Draws, write_recovery
+        from svu_mi.output.interval_summary import IntervalSummary
+        from svu_mi.output.run_record import RunInfo
+        from svu_mi.output.write_recovery import DrawOptions, write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.posterior.observations import observe
         from svu_mi.recovery.initialisation import has_field
@@ -140,12 +140,13 @@ class Recover(CaptureCommand, ResultCommand):
         if has_field(known):
             field = texture_field(recovery, known, capture.mesh, progress=progress)
         with progress.stage("Writing the results") as stage:
-            run = Run(settings=opt.given(self), kernels=progress.kernels, progress=stage.update)
+            run = RunInfo(settings=opt.given(self), kernels=progress.kernels, progress=stage.update)
             write_recovery(
                 capture, recovery, place, run, estimate=known, field=field,
-                draws=Draws(self.drawn, self.seed) if self.drawn else None, pictures=self.pictures,
+                draws=DrawOptions(self.drawn, self.seed) if self.drawn else None,
+                pictures=self.pictures,
             )  # fmt: skip
-            return Knowledge.of(known)
+            return IntervalSummary.of(known)
 
     def _options(self) -> dict[str, Any]:
         """Return the options of the parts of the method."""

@@ -69,8 +69,8 @@ class Relight(CaptureCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Render, and write the results."""
         from svu_mi.calibration.light.resolve_light import with_map
-        from svu_mi.output.relight_page import doubt_sentence, write_relighting
-        from svu_mi.output.run_record import Run
+        from svu_mi.output.relight_page import uncertainty_sentence, write_relighting
+        from svu_mi.output.run_record import RunInfo
         from svu_mi.output.texture_files import read_textures, require_textures_of
         from svu_mi.output.texture_samples import find_draws, read_draws
         from svu_mi.recovery.relighting import relight_draws
@@ -95,23 +95,23 @@ class Relight(CaptureCommand, ResultCommand):
                 progress=lambda done: stage.update(done, len(files)),
             )  # fmt: skip
         with progress.stage("Writing the results"):
-            run = Run(settings=opt.given(self), kernels=progress.kernels)
+            run = RunInfo(settings=opt.given(self), kernels=progress.kernels)
             write_relighting(
                 capture, found, names, place, run, draws=len(files), pictures=self.pictures
             )
-        return [doubt_sentence(found)]
+        return [uncertainty_sentence(found)]
 
     def _sensors(self, capture: Capture) -> tuple[list[Any], list[str]]:
         """Return the sensors that pictures are made from, and their names."""
         from svu_mi.capture.sensors import scaled_sensor
         from svu_mi.guidance.candidates import Candidates
-        from svu_mi.output.object_views import far_apart
+        from svu_mi.output.object_views import distant_views
 
         if self.sensors is not None:
             read = Candidates.read(self.sensors)
             sensors, names = list(read.sensors), list(read.names)
         else:
-            chosen = far_apart(capture, count=self.views)
+            chosen = distant_views(capture, count=self.views)
             sensors = [capture.sensors[view] for view in chosen]
             names = [f"view_{view:04d}" for view in chosen]
         return [scaled_sensor(one, self.side) for one in sensors], names

@@ -17,7 +17,7 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 
 if TYPE_CHECKING:
-    from svu_mi.output.interval_summary import Knowledge
+    from svu_mi.output.interval_summary import IntervalSummary
     from svu_mi.recovery.svbrdf_textures import Textures
 
 SUFFIXES = (".html", ".htm")
@@ -80,7 +80,7 @@ class Report(EstimateCommand):
 
     def _write(
         self, progress: Progress, size: tuple[int, int], textures: Textures | None
-    ) -> Knowledge:
+    ) -> IntervalSummary:
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
         from svu_mi.output.report.report import write_report
 

@@ -1,4 +1,4 @@
-"""NumPy arrays as Dr.Jit arrays and tensors, evenly spaced indices and directions."""
+"""NumPy arrays as Dr.Jit arrays and tensors; evenly spaced indices and directions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from svu_mi.errors import ShapeError
 LARGE = 2**20  # bytes, from which a second copy costs more than waiting for Dr.Jit
 
 
-def owned(kind: Any, values: np.ndarray) -> Any:
+def to_drjit(kind: Any, values: np.ndarray) -> Any:
     """Copy a NumPy array, (N,) or (dimension, N), into a Dr.Jit array of type ``kind``.
 
     ``mi.Float(array)`` shares NumPy's memory: later writes show through, and Dr.Jit compiles
@@ -23,15 +23,15 @@ def owned(kind: Any, values: np.ndarray) -> Any:
     if not values.size:
         return kind()
     if dr.depth_v(kind) > 1:
-        return kind(*(owned(dr.value_t(kind), component) for component in values))
+        return kind(*(to_drjit(dr.value_t(kind), component) for component in values))
     plain = np.ascontiguousarray(values)
     # Dr.Jit makes its copy when its queue gets there, which may be after we have returned: give
     # it an array that nobody else writes to, or wait.
     if plain.nbytes < LARGE:
         return dr.opaque(kind(plain.copy()))
-    found = dr.opaque(kind(plain))
+    copied = dr.opaque(kind(plain))
     dr.sync_thread()
-    return found
+    return copied
 
 
 def tensor(

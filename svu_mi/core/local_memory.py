@@ -59,11 +59,11 @@ def scatter_strided(target: Any, values: list[Any], start: Any, stride: Any) -> 
 QUAD = 4
 
 
-def fours(count: int) -> int:
-    """Return how many groups so many values take."""
+def quad_count(count: int) -> int:
+    """Return ceil(count / 4), the number of Vector4f that hold ``count`` values."""
     return -(-count // QUAD)
 
 
-def padded(count: int) -> int:
-    """Return how many values have the room that ``count`` take."""
-    return QUAD * fours(count)
+def padded_to_quads(count: int) -> int:
+    """Return ``count`` rounded up to a multiple of 4."""
+    return QUAD * quad_count(count)

@@ -15,16 +15,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
-from svu_mi.light.light_visibility import is_open
+from svu_mi.light.light_visibility import is_unoccluded
 from svu_mi.posterior.calibrated_problem import spline
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
-from svu_mi.reflection.mix_columns import Parts, interpolated
-from svu_mi.reflection.reflection_model import Model
+from svu_mi.reflection.mix_columns import Parts, interpolate_radiance
+from svu_mi.reflection.reflection_model import ReflectionModel
 from svu_mi.statistics.gather_statistics import GRAZING, Values, mixed_of
 
 CHANNELS = 3
@@ -42,7 +42,7 @@ class Prediction:
     """
 
     scene: Any
-    model: Model
+    model: ReflectionModel
     draws: list[Values]
     shares: list[list[Any]]
 
@@ -83,7 +83,7 @@ class Prediction:
         lobes = columns_seen_from(self.scene, self.model, eye)
         found = np.empty((len(self.draws), self.model.surface.count, CHANNELS), np.float32)
         for k, (values, shares) in enumerate(zip(self.draws, self.shares, strict=True)):
-            shown = interpolated(lobes, shares, values["base_color"], mixed_of(values))
+            shown = interpolate_radiance(lobes, shares, values["base_color"], mixed_of(values))
             shown = [dr.maximum(x, 0) for x in shown]  # splines overshoot
             dr.eval(shown)
             found[k] = np.stack([x.numpy() for x in shown], axis=1)
@@ -111,15 +111,17 @@ def diffuse_seen_from(
     return seen_from
 
 
-def columns_seen_from(scene: Any, model: Model, eye: np.ndarray) -> list[list[Parts]]:
-    """Return what ``Model.columns`` does, evaluated, for a camera at a point (3,)."""
+def columns_seen_from(scene: Any, model: ReflectionModel, eye: np.ndarray) -> list[list[Parts]]:
+    """Return what ``ReflectionModel.columns`` does, evaluated, for a camera at a point (3,)."""
     surface: TexelLanes = model.surface
     point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in eye))
     direction = mi.Vector3f(dr.normalize(point - surface.position))
     cosine = dr.maximum(dr.dot(surface.normal, direction), GRAZING)
     mirrored = mirror_direction(surface.normal, direction)
     up = dr.dot(surface.geometric_normal, mirrored) > 0
-    lobes = model.columns(direction, cosine, is_open(scene, surface, mirrored, up, coherent=True))
+    lobes = model.columns(
+        direction, cosine, is_unoccluded(scene, surface, mirrored, up, coherent=True)
+    )
     dr.eval(lobes)
     return lobes
 
@@ -127,4 +129,4 @@ def columns_seen_from(scene: Any, model: Model, eye: np.ndarray) -> list[list[Pa
 def _floats(values: np.ndarray) -> list[Any]:
     """A Float for every channel of (n,) or (n, C)."""
     columns = np.asarray(values, np.float32).reshape(len(values), -1).T
-    return [owned(mi.Float, column) for column in columns]
+    return [to_drjit(mi.Float, column) for column in columns]

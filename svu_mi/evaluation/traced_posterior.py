@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.evaluation import reference_cache as cached
@@ -109,7 +109,7 @@ def _trace(
     total, rays, dropped = len(batches) * options.renders, 0, 0
     tables, weights, brightness, coverage = [], [], [], []
     for number, batch in enumerate(batches):
-        pairs = visible_pairs(observed, owned(mi.UInt32, batch.astype(np.uint32)), target)
+        pairs = visible_pairs(observed, to_drjit(mi.UInt32, batch.astype(np.uint32)), target)
         renderer = _renderer(target, pairs, options, number, lambda done: update(done, total))
         mean = PerTexel(pairs.texel, len(batch))
         weight = _weights(pairs, observed, options.noise)

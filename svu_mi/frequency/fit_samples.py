@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.frequency.fit_sh import SolverGroup, fit_lanes, solver_groups
 from svu_mi.frequency.harmonics import System
@@ -21,7 +21,7 @@ from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
 from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.band_limited import Lighting
-from svu_mi.light.light_visibility import mirror_free
+from svu_mi.light.light_visibility import trace_mirror
 from svu_mi.presets import Fit, Preset
 
 Masking = Callable[[Any, Any], list[Any]]
@@ -74,7 +74,7 @@ class Samples:
         seen = visibility.sample(views, self.surface, slot)
         lit = visibility.needs_work(seen.seen)
         if self.occluded:
-            lit = mirror_free(views.scene, self.surface, seen, lit)
+            lit = trace_mirror(views.scene, self.surface, seen, lit)
         incoming = dr.if_stmt(
             args=(seen.direction, mi.Vector3f(self.surface.normal)),
             cond=lit,
@@ -154,7 +154,7 @@ class MirroredLight:
         """(T,) UInt32, which lane a texel has; 0 for others."""
         lane = np.zeros(self.observed.texels.count, np.uint32)
         lane[self.chosen] = np.arange(len(self.chosen))
-        return owned(mi.UInt32, lane)
+        return to_drjit(mi.UInt32, lane)
 
     def solutions(self, masking: Masking, count: int) -> Iterator[tuple[Any, list[list[Any]]]]:
         """Yield UInt32 lanes of seen texels, and (l* + 1)^2 lists of F C Floats, unevaluated."""

@@ -18,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned, tensor
+from svu_mi.core.arrays import tensor, to_drjit
 from svu_mi.core.local_memory import scatter_rows
 from svu_mi.errors import OptionError
 from svu_mi.frequency import harmonics
@@ -83,7 +83,7 @@ def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[Solve
     held = int(counts[few].max(initial=0))
     parts = (few, next(size for size in CAPACITIES if size >= held)), (counts > limits[method], 0)
     return [
-        SolverGroup(owned(mi.UInt32, np.flatnonzero(chosen).astype(np.uint32)), capacity)
+        SolverGroup(to_drjit(mi.UInt32, np.flatnonzero(chosen).astype(np.uint32)), capacity)
         for chosen, capacity in parts if chosen.any()
     ]  # fmt: skip
 

@@ -20,13 +20,13 @@ from svu_mi.core.local_memory import scatter_strided
 from svu_mi.frequency import harmonics
 from svu_mi.frequency.fit_samples import MirroredLight
 from svu_mi.presets import AngularPreset, Fresnel
-from svu_mi.reflection.lobes import reflected_at_view, smith_g1, smith_g1_slope
+from svu_mi.reflection.lobes import smith_g1, smith_g1_slope, view_albedo
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.wide_lobes import Lobe
 
 
 @dataclass(frozen=True)
-class FittedLobes:
+class ShLobes:
     """Lobes of a few widths, the same for all texels.
 
     Attributes:
@@ -41,7 +41,7 @@ class FittedLobes:
     light: MirroredLight
 
     @staticmethod
-    def of(light: MirroredLight, alpha: np.ndarray, switches: AngularPreset) -> FittedLobes:
+    def of(light: MirroredLight, alpha: np.ndarray, switches: AngularPreset) -> ShLobes:
         """Fit and convolve the light with a lobe of each width; 4 n C bytes per texel and width."""
         rows, count = (light.fit.degree + 1) ** 2 * light.channels, len(light.chosen)
         values = light.room(len(alpha) * rows)
@@ -56,7 +56,7 @@ class FittedLobes:
                 stride = dr.opaque(mi.UInt32, count)
                 values = scatter_strided(values, convolved, start, stride)
                 dr.eval(values)
-        return FittedLobes(switches.fresnel, alpha, values, light)
+        return ShLobes(switches.fresnel, alpha, values, light)
 
     def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
         """Reflect light towards a camera: the lobe of each width."""
@@ -73,7 +73,7 @@ class FittedLobes:
         result = []
         for level, alpha in enumerate(self.alpha.tolist()):
             # Opaque: as a literal, every grid would compile kernels of its own.
-            A, B, D = reflected_at_view(self.fresnel, cosine, dr.opaque(mi.Float, alpha))
+            A, B, D = view_albedo(self.fresnel, cosine, dr.opaque(mi.Float, alpha))
             own = found[level * channels : (level + 1) * channels]
             result.append([(A * value, B * value, D * value) for value in own])
         return result

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 
 WORD = 32
 
@@ -67,7 +67,7 @@ class Bits:
         ]
         words = np.concatenate(rows, axis=1)
         stride = dr.opaque(mi.UInt32, words.shape[1])
-        return Bits(owned(mi.UInt32, words.ravel()), stride, self.last)
+        return Bits(to_drjit(mi.UInt32, words.ravel()), stride, self.last)
 
     def count(self) -> np.ndarray:
         """Return how many bits of every lane are set: (S,) int64."""

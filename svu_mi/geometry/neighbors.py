@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from svu_mi.capture.mesh import arrays
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import ShapeError
 from svu_mi.geometry.texels import Texels
 
@@ -58,8 +58,8 @@ class Neighbors:
         place = _place(owner, other)
         table = np.tile(np.arange(count), (int(place.max(initial=0)) + 1, 1))
         table[place, owner] = other
-        first, second = (owned(mi.UInt32, column.astype(np.uint32)) for column in pairs.T)
-        around = tuple(owned(mi.UInt32, column.astype(np.uint32)) for column in table)
+        first, second = (to_drjit(mi.UInt32, column.astype(np.uint32)) for column in pairs.T)
+        around = tuple(to_drjit(mi.UInt32, column.astype(np.uint32)) for column in table)
         return Neighbors(pairs=(first, second), around=around, seams=seams)
 
     @property

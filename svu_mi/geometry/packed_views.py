@@ -21,7 +21,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import ray_floats
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.sensors import describe, film_size, scaled_sensor
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.geometry.silhouettes import Films, Outline, find_tiles, interior
 
@@ -193,7 +193,7 @@ class _Pixels:
             found = capture.clipped[index]
             if found is not None:
                 least[place] = found.least
-        return ClippedPixels(self.clipped, owned(mi.Float, least.ravel()))
+        return ClippedPixels(self.clipped, to_drjit(mi.Float, least.ravel()))
 
     def drop_hot(self, offset: np.ndarray) -> list[tuple[int, int, float]]:
         """Mark implausibly bright pixels unusable; return (view, number, largest / median)."""
@@ -263,12 +263,12 @@ def _views(scene: Any, poses: Sequence[_Pose], offset: np.ndarray) -> Views:
     """Return views without pixels, of which ``offset`` has the first of each."""
     sizes = np.array([pose.size for pose in poses], np.uint32).reshape(-1, 2)
     return Views(
-        width=owned(mi.UInt32, sizes[:, 0]),
-        height=owned(mi.UInt32, sizes[:, 1]),
-        offset=owned(mi.UInt32, offset.astype(np.uint32)),
-        angle=owned(mi.Float, np.array([pose.angle for pose in poses], np.float32)),
-        rays=owned(mi.Float, np.array([pose.rays for pose in poses], np.float32).ravel()),
-        cameras=owned(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
+        width=to_drjit(mi.UInt32, sizes[:, 0]),
+        height=to_drjit(mi.UInt32, sizes[:, 1]),
+        offset=to_drjit(mi.UInt32, offset.astype(np.uint32)),
+        angle=to_drjit(mi.Float, np.array([pose.angle for pose in poses], np.float32)),
+        rays=to_drjit(mi.Float, np.array([pose.rays for pose in poses], np.float32).ravel()),
+        cameras=to_drjit(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
         count=dr.opaque(mi.UInt32, len(poses)),
         number=len(poses),
         scene=scene,
@@ -307,7 +307,7 @@ def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
     none = np.zeros(3, np.float32)
     first = np.stack([none if each is None else each.first for each in found])
     slope = np.stack([none if each is None else each.slope for each in found])
-    return owned(mi.Float, first.ravel()), owned(mi.Float, slope.ravel())
+    return to_drjit(mi.Float, first.ravel()), to_drjit(mi.Float, slope.ravel())
 
 
 def _buffer(capture: Capture, kept: Sequence[int]) -> tuple[PixelBuffer, list[int]]:

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 
 
@@ -25,7 +25,7 @@ def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray,
         empty = np.zeros(width * height, np.int64)
         return empty - 1, empty
     corners = [
-        (owned(mi.Float64, uvs[:, k, 0] * width), owned(mi.Float64, uvs[:, k, 1] * height))
+        (to_drjit(mi.Float64, uvs[:, k, 0] * width), to_drjit(mi.Float64, uvs[:, k, 1] * height))
         for k in range(3)
     ]
     # Plus one, so that zero means no face.

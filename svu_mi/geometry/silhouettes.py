@@ -19,7 +19,7 @@ import numpy as np
 
 from svu_mi.capture.film_rays import film_ray
 from svu_mi.capture.mesh import face_normals
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 
 TILE = 32  # corners per side, a power of two: lanes of a kernel are split into tiles by shifts
 MARGIN = 1  # pixels around the projected box: its projection is rounded
@@ -124,7 +124,7 @@ def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterat
     """Yield pixels of the tiles (UInt32), each once, and whether they are interior (Bool)."""
     for start in range(0, len(tiles), BLOCK):
         block = tiles[start : start + BLOCK]
-        table = owned(mi.UInt32, np.pad(block, ((0, 0), (0, 1))).ravel())
+        table = to_drjit(mi.UInt32, np.pad(block, ((0, 0), (0, 1))).ravel())
         lane = dr.arange(mi.UInt32, len(block) * TILE * TILE)
         column, row = _corner(lane & (TILE * TILE - 1))
         view, left, top, _ = dr.gather(mi.Vector4u, table, lane // (TILE * TILE))

@@ -14,7 +14,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs, unit_vectors
 from svu_mi.capture.scene import require_variant
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.geometry.rasterize_uv import rasterize
 
@@ -257,14 +257,14 @@ def _surface_points(
             found[name][:, span] = values.T
     return Texels(
         resolution=resolution,
-        index=owned(mi.UInt32, index.astype(np.uint32)),
-        face=owned(mi.UInt32, face.astype(np.uint32)),
-        position=owned(mi.Point3f, found["position"]),
-        normal=owned(mi.Normal3f, found["normal"]),
-        geometric_normal=owned(mi.Normal3f, found["geometric_normal"]),
-        uv=owned(mi.Point2f, found["uv"]),
-        footprint=owned(mi.Float, found["footprint"][0]),
-        sides=(owned(mi.Vector3f, found["along_u"]), owned(mi.Vector3f, found["along_v"])),
+        index=to_drjit(mi.UInt32, index.astype(np.uint32)),
+        face=to_drjit(mi.UInt32, face.astype(np.uint32)),
+        position=to_drjit(mi.Point3f, found["position"]),
+        normal=to_drjit(mi.Normal3f, found["normal"]),
+        geometric_normal=to_drjit(mi.Normal3f, found["geometric_normal"]),
+        uv=to_drjit(mi.Point2f, found["uv"]),
+        footprint=to_drjit(mi.Float, found["footprint"][0]),
+        sides=(to_drjit(mi.Vector3f, found["along_u"]), to_drjit(mi.Vector3f, found["along_v"])),
         overlapping=overlapping,
         degenerate=degenerate,
         extent=_extent(source),

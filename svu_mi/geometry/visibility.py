@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
@@ -137,7 +137,7 @@ def trace_visibility(
         total=total,
         per_view=counts,
         bits=bits,
-        order=owned(mi.UInt32, order.astype(np.uint32)),
+        order=to_drjit(mi.UInt32, order.astype(np.uint32)),
         count=dr.opaque(mi.UInt32, len(order)),
         clipped=clipped,
         dense=not skip_pairs,

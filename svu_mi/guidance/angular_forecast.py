@@ -26,13 +26,13 @@ from svu_mi.geometry.sample_view import ViewSample
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, Colors, Parts
 from svu_mi.guidance.predicted_responses import Respond
-from svu_mi.light.light_visibility import mirror_free
+from svu_mi.light.light_visibility import trace_mirror
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.reflection.mix_columns import dot
 from svu_mi.reflection.principled import columns as columns_of
 from svu_mi.reflection.principled import mixture
-from svu_mi.reflection.reflection_model import Model
+from svu_mi.reflection.reflection_model import ReflectionModel
 from svu_mi.statistics.gather_statistics import GRAZING
 from svu_mi.statistics.statistics import noise_weight
 
@@ -44,14 +44,14 @@ def columns(levels: int, channels: int) -> int:
     return 1 + 4 * levels * channels
 
 
-def respond(scene: Any, model: Model) -> Respond:
+def respond(scene: Any, model: ReflectionModel) -> Respond:
     """Return what evaluates a view of texels."""
     surface = model.surface
 
     def evaluate(seen: ViewSample) -> list[Any]:
         free = mi.Bool(True)
         if model.reads_mirrors:
-            free = mirror_free(scene, surface, seen, seen.seen)
+            free = trace_mirror(scene, surface, seen, seen.seen)
         found = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
         return [value for level in found for lobe in level for value in lobe]
 
@@ -258,7 +258,7 @@ class _Launch:
     def _lines(self, lobes: Lobes, mixed: Any) -> list[tuple[Any, Any]]:
         """Radiance of a row as slope and value at 0 over the base colour of each channel."""
         how = mixture(*row_entropy.nodes(mi.Float, self._mixed, mixed))
-        found = [(dot(how.scaled, x), dot(how.constant, x)) for x in lobes]
+        found = [(dot(how.slope, x), dot(how.offset, x)) for x in lobes]
         return found if len(found) == self.channels else found * self.channels
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.nerf import read_transforms
-from svu_mi.capture.importers.resampling import squared
+from svu_mi.capture.importers.resampling import square_pixel_frame
 from svu_mi.capture.scene import check_sensor, find_sensors, load_scene
 from svu_mi.capture.sensors import sensors_like
 from svu_mi.core.io.files import read_json
@@ -135,7 +135,7 @@ class Candidates:
             description = capture_folder.read(path.parent)
             assert description is not None
             return Candidates.of(description.make_sensors(path))
-        frames = (squared(frame)[0] for frame in read_transforms(path).frames)
+        frames = (square_pixel_frame(frame)[0] for frame in read_transforms(path).frames)
         return Candidates.of([frame.sensor() for frame in frames])
 
     def restricted(self, reachable: Any) -> Candidates:

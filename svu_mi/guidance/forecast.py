@@ -16,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.guidance.objectives import Measure
 from svu_mi.guidance.predicted_responses import Responses
 from svu_mi.posterior.grid import Grid
@@ -70,9 +70,9 @@ class Hypotheses:
         order = np.argsort(-part, axis=1, kind="stable")
         cells, part = (np.take_along_axis(x, order, axis=1) for x in (cells, part))
         return Hypotheses(
-            cells=owned(mi.UInt32, cells.T.astype(np.uint32).ravel()),
-            weights=owned(mi.Float, part.T.astype(np.float32).ravel()),
-            counts=owned(mi.UInt32, counts.astype(np.uint32)),
+            cells=to_drjit(mi.UInt32, cells.T.astype(np.uint32).ravel()),
+            weights=to_drjit(mi.Float, part.T.astype(np.float32).ravel()),
+            counts=to_drjit(mi.UInt32, counts.astype(np.uint32)),
         )
 
 
@@ -149,4 +149,4 @@ class Forecast(ABC):
 
 def numbers(values: np.ndarray | list[int]) -> Any:
     """Return indices as UInt32."""
-    return owned(mi.UInt32, np.asarray(values, np.uint32))
+    return to_drjit(mi.UInt32, np.asarray(values, np.uint32))

@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.sample_view import TexelLanes
@@ -20,7 +20,7 @@ from svu_mi.guidance.guidance_options import GuidanceOptions
 from svu_mi.guidance.objectives import Colors, Entropy, prior_tables
 from svu_mi.guidance.predicted_responses import Respond, Responses, collect
 from svu_mi.guidance.spectral_forecast import SpectrumForecast
-from svu_mi.light.band_limited import band_limit
+from svu_mi.light.band_limited import band_limited_lighting
 from svu_mi.posterior.angular import AngularKernel
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.estimate import Estimate, observations_of
@@ -111,8 +111,8 @@ def _angular(
     return AngularForecast(
         responses=responses, hypotheses=draw(rows, posterior.prior.sum(axis=2).ravel()),
         grid=grid, prior=prior, measure=_entropy(posterior),
-        truths=owned(mi.Float, truths.ravel()), channels=channels,
-        precision=owned(mi.Float, 0.5 / variance), kappa=switches.kappa(observed.unit),
+        truths=to_drjit(mi.Float, truths.ravel()), channels=channels,
+        precision=to_drjit(mi.Float, 0.5 / variance), kappa=switches.kappa(observed.unit),
         averaged=by_nodes and switches.errors == "mean", colors=colors,
     )  # fmt: skip
 
@@ -182,7 +182,7 @@ def _growing(
     surface = TexelLanes.of(observed.texels, numbers(texels))
 
     def relight(views: int) -> tuple[Responses, float]:
-        lighting = band_limit(environment, views)
+        lighting = band_limited_lighting(environment, views)
         respond = spectral_forecast.respond(observed.views.scene, surface, lighting, switches)
         return look(surface, respond, spectral_forecast.columns(switches)), lighting.prefilter
 
@@ -193,8 +193,8 @@ def _growing(
     return GrowingForecast(
         responses=known.responses, hypotheses=Hypotheses.of(cells), grid=known.grid,
         prior=known.prior, measure=known.measure, switches=switches, sigma=known.sigma,
-        prefilter=known.prefilter, relight=relight, observed=owned(mi.Bool, seen),
-        photographs=owned(mi.Float, shown[texels][:, :, list(channels)].ravel()),
+        prefilter=known.prefilter, relight=relight, observed=to_drjit(mi.Bool, seen),
+        photographs=to_drjit(mi.Float, shown[texels][:, :, list(channels)].ravel()),
     )  # fmt: skip
 
 
@@ -220,4 +220,4 @@ def _energies(prior: tuple[Any, Any] | None) -> Any | None:
         return None
     row, cell = (np.array(part, np.float64) for part in prior)
     total = row[:, None] + cell.reshape(len(row), -1)
-    return owned(mi.Float, np.minimum(total - total.min(), 1e4).astype(np.float32).ravel())
+    return to_drjit(mi.Float, np.minimum(total - total.min(), 1e4).astype(np.float32).ravel())

@@ -18,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior.row_entropy import nats
 from svu_mi.posterior.truncated_normal import Channel, Integrals
 
@@ -231,5 +231,5 @@ def prior_tables(prior: np.ndarray, usual: np.ndarray) -> tuple[Any, Any | None]
     given = np.where(rows > 0, table / np.where(rows > 0, rows, 1), usual) / usual
     with np.errstate(divide="ignore"):
         energies = np.minimum(-np.log(rows.ravel()), UNLIKELY)
-    given = None if np.allclose(given, 1) else owned(mi.Float, given.ravel())
-    return owned(mi.Float, energies), given
+    given = None if np.allclose(given, 1) else to_drjit(mi.Float, given.ravel())
+    return to_drjit(mi.Float, energies), given

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.local_memory import QUAD, fours, padded
+from svu_mi.core.local_memory import QUAD, padded_to_quads, quad_count
 from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.sample_view import (
@@ -53,7 +53,7 @@ class Responses:
         """Make room for the other columns of all pairs that see each other."""
         seen = dr.select(first > 0, mi.UInt32(1), 0)
         slot, pairs = dr.prefix_sum(seen), int(dr.sum(seen)[0])  # of those before
-        rest = dr.empty(mi.Float, max(pairs, 1) * padded(columns - 1))  # never nothing at all
+        rest = dr.empty(mi.Float, max(pairs, 1) * padded_to_quads(columns - 1))  # never empty
         dr.eval(slot)
         lane = dr.arange(mi.UInt32, count)
         return Responses(first, slot, rest, columns, dr.opaque(mi.UInt32, count), lane)
@@ -66,7 +66,7 @@ class Responses:
     @property
     def groups(self) -> int:
         """Q."""
-        return fours(self.columns - 1)
+        return quad_count(self.columns - 1)
 
     def table(self) -> np.ndarray:
         """Return (V, T, K) float32."""
@@ -164,7 +164,7 @@ def cosines(
 
 def _require_room(count: int, number: int, columns: int) -> None:
     """Refuse more numbers than 32-bit indices reach."""
-    room = count * number * max(padded(columns - 1), 1)
+    room = count * number * max(padded_to_quads(columns - 1), 1)
     if room >= 2**32:
         most = count * 2**32 // room
         raise OptionError(

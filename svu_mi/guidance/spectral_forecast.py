@@ -18,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.frequency.harmonics import System
 from svu_mi.frequency.solve_primal import extend_lanes
 from svu_mi.geometry.pixel_footprint import as_channels
@@ -27,7 +27,7 @@ from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.predicted_responses import Respond, Responses
 from svu_mi.light.band_limited import Lighting
-from svu_mi.light.light_visibility import mirror_free
+from svu_mi.light.light_visibility import trace_mirror
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import decay
 from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
@@ -51,7 +51,7 @@ def respond(scene: Any, surface: TexelLanes, lighting: Lighting, switches: Prese
     def evaluate(seen: ViewSample) -> list[Any]:
         free = seen.seen
         if switches.occluded:
-            free = mirror_free(scene, surface, seen, seen.seen)
+            free = trace_mirror(scene, surface, seen, seen.seen)
         mirrored = lighting.radiance(mirror_direction(surface.normal, seen.direction))
         light = [dr.select(free, x, 0) for x in as_channels(mirrored, switches.colors)]
         return [*seen.direction, *light]
@@ -108,7 +108,7 @@ class SpectrumForecast(Forecast):
             return result
         values = keep(known)
         dr.eval(values)
-        return owned(mi.Float64, np.concatenate([value.numpy() for value in values]))
+        return to_drjit(mi.Float64, np.concatenate([value.numpy() for value in values]))
 
     def _kept(self, lane: Any) -> tuple[int, Keep]:
         """Return K, and a function that returns K Float64: sum_C S_L'(l)^2 / (2 sigma^2), l > 0."""
@@ -162,8 +162,8 @@ class Cells:
         self.measure = forecast.measure
         self.hypotheses = dr.gather(mi.UInt32, forecast.hypotheses.counts, texel)
         self._light, self._prior = light, forecast.prior
-        self._decay = owned(mi.Float64, decay(switches, grid, forecast.prefilter))
-        self._nodes = owned(mi.Float64, grid.specular_nodes**2)
+        self._decay = to_drjit(mi.Float64, decay(switches, grid, forecast.prefilter))
+        self._nodes = to_drjit(mi.Float64, grid.specular_nodes**2)
         self._squares = [mi.Float64(float(Ks) ** 2) for Ks in grid.specular_nodes]
 
     def truth(self, number: Any) -> tuple[Any, list[Any], Any]:

@@ -1,1 +1,1 @@
-"""The light of a capture: read, filtered for lobes, in cells, and which of these texels see."""
+"""Light of a capture: environment maps, prefiltering, light cells and their visibility."""

@@ -1,4 +1,4 @@
-"""Light as kernels look it up: band-limited radiance, irradiance and diffuse moments."""
+"""Band-limited radiance, irradiance and diffuse moments, as textures for kernels."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Lighting:
 
     @property
     def degree(self) -> int:
-        """Highest degree of the expansion that the band-limit leaves anything of."""
-        wanted = int(np.ceil(np.sqrt(-np.log(NEGLIGIBLE)) / self.prefilter))
-        return int(np.clip(wanted, MIN_DEGREE, MAX_DEGREE))
+        """Highest degree that the band limit does not remove."""
+        degree = int(np.ceil(np.sqrt(-np.log(NEGLIGIBLE)) / self.prefilter))
+        return int(np.clip(degree, MIN_DEGREE, MAX_DEGREE))
 
     @cached_property
     def coefficients(self) -> np.ndarray:
@@ -81,15 +81,15 @@ def look_up(texture: Any, local: Any) -> list[Any]:
     return texture.eval(mi.Point2f(u, v))
 
 
-def light(capture: Capture, views: int) -> Lighting:
+def read_lighting(capture: Capture, views: int) -> Lighting:
     """Read a capture's light and band-limit it by alpha' = v^(-1/2) (Sec. 3.3.2 of the paper)."""
     label = str(capture.source or "scene")
     environment = read_environment(find_environment(capture.scene, label))
-    return band_limit(environment, views)
+    return band_limited_lighting(environment, views)
 
 
-def band_limit(environment: Environment, views: int) -> Lighting:
-    """Filter an environment for v views; see ``light``."""
+def band_limited_lighting(environment: Environment, views: int) -> Lighting:
+    """Filter an environment for v views; see ``read_lighting``."""
     return Lighting(
         environment=environment,
         prefilter=max(views, 1) ** -0.5,
@@ -130,7 +130,7 @@ MOMENTS = 8  # per channel: two scalars, two vectors
 
 @dataclass(frozen=True)
 class MomentMap:
-    """c0, m0 (3), c1, m1 (3) (``Reach.diffuse``) in the light's frame: 8 C channels, by colour."""
+    """Moments of ``LightVisibility.diffuse`` in the light's frame: 8 per colour channel."""
 
     texture: Any
     to_local: Any
@@ -152,10 +152,12 @@ class MomentMap:
 
 
 def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
-    """Convolve the light."""
+    """Convolve the light with both cosine lobes of diffuse reflection."""
     factors = zonal_cosine(COSINE_DEGREE, 0), zonal_cosine(COSINE_DEGREE, 5)
     expanded = [environment.coefficients(COSINE_DEGREE)]
-    expanded += [_along(environment, axis).coefficients(COSINE_DEGREE) for axis in range(3)]
+    expanded += [
+        _times_direction(environment, axis).coefficients(COSINE_DEGREE) for axis in range(3)
+    ]
     if channels == 1:
         expanded = [c.mean(axis=1, keepdims=True) for c in expanded]
     wide = [c * f[degrees(COSINE_DEGREE)][:, None] for f in factors for c in expanded]
@@ -164,7 +166,7 @@ def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
     return MomentMap(lat_long_texture(grid), mi.Matrix3f(environment.to_local), channels)
 
 
-def _along(environment: Environment, axis: int) -> Environment:
+def _times_direction(environment: Environment, axis: int) -> Environment:
     """Return the light times a component of its direction."""
     rows, columns = environment.radiance.shape[:2]
     part = env.directions(columns, rows)[..., axis, None]

@@ -18,12 +18,12 @@ import numpy as np
 from svu_mi.capture import scene
 from svu_mi.capture.image_io import positive
 from svu_mi.errors import SceneError, SvuWarning
-from svu_mi.light.latlong import SKY_GRID, grid_size, label_of, map_of, sampled
+from svu_mi.light.latlong import SKY_GRID, emitter_label, envmap_pixels, grid_size, sample_emitter
 from svu_mi.light.latlong import directions as directions
 from svu_mi.light.latlong import quadrature as quadrature
 from svu_mi.light.latlong import radiance_from as radiance_from
 
-GREY = 1e-6  # part of the brightest channel: others that differ by less are equal
+GREY = 1e-6  # part of the brightest channel: smaller differences are ignored
 BAND = 2**18  # numbers of a map that are transformed at a time
 SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
 
@@ -71,13 +71,13 @@ def read_environment(emitter: Any) -> Environment:
         raise SceneError(
             f"Emitter '{emitter.id()}': to_world must be a rotation; remove its scale or shear."
         )
-    grid = sampled(emitter, to_world, *grid_size(emitter))
+    grid = sample_emitter(emitter, to_world, *grid_size(emitter))
     disk = (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
     if emitter.class_name() == "SunskyEmitter":
         grid, disk = _split_sun(emitter, grid, directions(*SKY_GRID), to_world)
     if not np.isfinite(grid).all():
-        raise SceneError(f"{label_of(emitter)} has NaN or infinite radiance; repair its map.")
-    for note in positive(map_of(emitter, grid), label_of(emitter), SceneError)[1]:
+        raise SceneError(f"{emitter_label(emitter)} has NaN or infinite radiance; repair its map.")
+    for note in positive(envmap_pixels(emitter, grid), emitter_label(emitter), SceneError)[1]:
         warnings.warn(note, SvuWarning, stacklevel=2)
     grid = np.maximum(grid, 0)
     if not (grid.max() > 0 or disk[2].max(initial=0) > 0):

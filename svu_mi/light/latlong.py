@@ -1,4 +1,4 @@
-"""Nodes of lat-long maps: how many, where they are, and light sampled at them."""
+"""Sampling grids of lat-long maps: directions, weights, resampling."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.memory import light_bytes
 from svu_mi.core.validation import require_memory
 from svu_mi.errors import SceneError, excerpt
 
 SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
 FINEST = 130  # columns and rows that resolve degree 64; smaller maps are sampled finer
-LONGEST = 2048  # columns and rows beyond which a long and thin map is not
+LONGEST = 2048  # columns and rows that a long, thin map is not upsampled beyond
 
 
-def label_of(emitter: Any) -> str:
-    """Return an emitter's name, with that of its map if it has one."""
+def emitter_label(emitter: Any) -> str:
+    """Return an emitter's name and file name for messages."""
     file = re.search(r'filename = "(.+)"', str(emitter))
     name = f"Emitter '{emitter.id()}'"
     return name if file is None else f"{name} ({excerpt(file[1])})"
 
 
-def map_of(emitter: Any, otherwise: np.ndarray) -> np.ndarray:
-    """Return the pixels (H, W, 3) of an ``envmap``, and something else for other emitters."""
+def envmap_pixels(emitter: Any, otherwise: np.ndarray) -> np.ndarray:
+    """Return the pixels (H, W, 3) of an ``envmap``, and ``otherwise`` for other emitters."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return otherwise
     data = mi.traverse(emitter)["data"]
@@ -43,7 +43,7 @@ def grid_size(emitter: Any) -> tuple[int, int]:
     rows, columns = mi.traverse(emitter)["data"].shape[:2]
     columns -= 2  # Mitsuba 3.9 keeps one halo column on each side
     require_memory(
-        light_bytes((columns, rows)), f"{label_of(emitter)}: {columns} x {rows} pixels",
+        light_bytes((columns, rows)), f"{emitter_label(emitter)}: {columns} x {rows} pixels",
         "shrink the map; 2048 x 1024 show all that is looked up", SceneError,
     )  # fmt: skip
     finer = int(np.ceil(max(FINEST / columns, FINEST / (rows - 1))))
@@ -56,30 +56,30 @@ def _odd(number: int) -> int:
     return max(1, number + 1 - number % 2)
 
 
-MOST = (2048, 1025)  # columns and rows: more are not told apart by any lobe that is looked up
+MAX_SIZE = (2048, 1025)  # columns and rows: no lobe resolves more
 BAND = 2**17  # nodes that are sampled at a time: 20 MB
 
 
-def sampled(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Sample an emitter at lat-long nodes, (H, W, 3); above ``MOST``, average, conserving flux."""
-    across, down = min(columns, MOST[0]), min(rows, MOST[1])
+def sample_emitter(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Sample an emitter at lat-long nodes, (H, W, 3); average those above ``MAX_SIZE``."""
+    across, down = min(columns, MAX_SIZE[0]), min(rows, MAX_SIZE[1])
     solid = quadrature(rows)
     flux, weight = np.zeros((down, across, 3)), np.zeros(down)
-    below, around = rows_to(down, rows), columns_to(across, columns)
+    below, around = row_weights(down, rows), column_weights(across, columns)
     height = max(BAND // columns, 1)
     for top in range(0, rows, height):
         band = slice(top, min(top + height, rows))
         local = directions(columns, rows, band)
-        found = radiance_from(emitter, local.reshape(-1, 3) @ to_world.T).reshape(local.shape)
+        radiance = radiance_from(emitter, local.reshape(-1, 3) @ to_world.T).reshape(local.shape)
         if across < columns:
-            turned = np.moveaxis(found, 1, 0)
+            turned = np.moveaxis(radiance, 1, 0)
             shared = around @ turned.reshape(columns, -1) / around.sum(axis=1)[:, None]
-            found = np.moveaxis(shared.reshape(across, -1, 3), 0, 1)
+            radiance = np.moveaxis(shared.reshape(across, -1, 3), 0, 1)
         if down == rows:
-            flux[band] = found
+            flux[band] = radiance
             continue
         share = below[:, band] * solid[None, band]
-        flux += (share @ found.reshape(len(found), -1)).reshape(flux.shape)
+        flux += (share @ radiance.reshape(len(radiance), -1)).reshape(flux.shape)
         weight += share.sum(axis=1)
     return flux if down == rows else flux / weight[:, None, None]
 
@@ -96,7 +96,7 @@ def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray
 def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
     """Return (N, 3) float64 radiance that an environment emitter sends from directions."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(world))
-    si.wi = -owned(mi.Vector3f, world.T.astype(np.float32))
+    si.wi = -to_drjit(mi.Vector3f, world.T.astype(np.float32))
     return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()
 
 
@@ -110,18 +110,18 @@ def quadrature(rows: int) -> np.ndarray:
     return np.where((j == 0) | (j == n), 1.0, 2.0) * series / n
 
 
-def rows_to(fewer: int, rows: int) -> scipy.sparse.csr_array:
-    """(fewer, rows), sparse: what each row of nodes gives to the nearest of fewer."""
-    return _shares(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
+def row_weights(fewer: int, rows: int) -> scipy.sparse.csr_array:
+    """(fewer, rows), sparse linear weights that resample rows of nodes to fewer ones."""
+    return _linear_weights(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
 
 
-def columns_to(fewer: int, columns: int) -> scipy.sparse.csr_array:
-    """(fewer, columns), sparse: what each column of nodes gives to the nearest of fewer."""
-    return _shares((np.arange(columns) + 0.5) * fewer / columns - 0.5, fewer, wrap=True)
+def column_weights(fewer: int, columns: int) -> scipy.sparse.csr_array:
+    """(fewer, columns), sparse linear weights that resample columns to fewer ones."""
+    return _linear_weights((np.arange(columns) + 0.5) * fewer / columns - 0.5, fewer, wrap=True)
 
 
-def _shares(place: np.ndarray, count: int, wrap: bool) -> scipy.sparse.csr_array:
-    """(count, N), sparse: what each of N points gives to its neighbours among ``count`` nodes."""
+def _linear_weights(place: np.ndarray, count: int, wrap: bool) -> scipy.sparse.csr_array:
+    """(count, N), sparse weights of N points on their two neighbours of ``count`` nodes."""
     first = np.floor(place).astype(int)
     part = place - first
     second = first + 1

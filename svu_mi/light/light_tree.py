@@ -18,21 +18,21 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.light import environment as env
 from svu_mi.light.environment import Environment
 
-EVEN = (4096, 8192)  # leaves of the light of small and large maps; .06 and .04 rad apart
+LEAF_COUNTS = (4096, 8192)  # leaves of the light of small and large maps; .06 and .04 rad apart
 FLOOR = 0.05  # weight of a cell without light, in that of the mean cell
-GROUP, LARGEST = 4, 32  # coarse cells that are judged together: on average, and at most
+GROUP, LARGEST = 4, 32  # coarse cells of a group: on average, and at most
 RING = 6  # cells around the middle of a sun's disk
-SPLIT = 8  # parts of a cell of the world that are of one cell of the light's own frame
-DIM = 0.25  # part of the mean fine cell's flux below which a cell is not worth a ray of its own
+SPLIT = 8  # cells of the light's frame per cell of the world
+DIM = 0.25  # part of the mean fine cell's flux below which a cell gets no ray of its own
 
 
 @dataclass(frozen=True)
-class Cells:
+class LightCells:
     """N cells of one depth of the tree, in its order.
 
     Attributes:
@@ -48,17 +48,17 @@ class Cells:
 
     def at(self, cell: Any) -> tuple[Any, Any]:
         """Return direction (Vector3f) and radius (Float) of a cell."""
-        found = dr.gather(mi.Vector4f, self.toward, cell)
-        return mi.Vector3f(found.x, found.y, found.z), found.w
+        x, y, z, radius = dr.gather(mi.Vector4f, self.toward, cell)
+        return mi.Vector3f(x, y, z), radius
 
     def light(self, cell: Any, channels: int) -> list[Any]:
         """Return the flux of a cell in R, G and B, or of one channel their mean."""
-        found = list(dr.gather(mi.Vector4f, self.flux, cell))
-        return found[3:] if channels == 1 else found[:3]
+        *rgb, grey = dr.gather(mi.Vector4f, self.flux, cell)
+        return [grey] if channels == 1 else rgb
 
 
 @dataclass(frozen=True)
-class LightCells:
+class LightTree:
     """Light in cells of three depths; those of one larger cell are contiguous.
 
     Attributes:
@@ -68,9 +68,9 @@ class LightCells:
         bright: (N_f,) UInt32, 1 for fine cells with rays of their own.
     """
 
-    coarse: Cells
-    fine: Cells
-    leaves: Cells
+    coarse: LightCells
+    fine: LightCells
+    leaves: LightCells
     first: Any
     first_leaf: Any
     groups: Any
@@ -108,14 +108,15 @@ class _Cluster:
         return far if far.any() and not far.all() else np.arange(len(far)) > 0
 
 
-def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
-    """Gather an environment into cells."""
-    if not 1 <= coarse <= fine <= EVEN[0]:
+def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightTree:
+    """Cluster an environment into a tree of cells."""
+    if not 1 <= coarse <= fine <= LEAF_COUNTS[0]:
         raise OptionError(
-            f"light_cells(): needs 1 <= coarse <= fine <= {EVEN[0]}, got {coarse} and {fine}."
+            f"build_light_tree(): needs 1 <= coarse <= fine <= {LEAF_COUNTS[0]}, "
+            f"got {coarse} and {fine}."
         )
     nodes = environment.radiance.shape[0] * environment.radiance.shape[1]
-    flux, pull = _gathered(environment, int(np.clip(nodes // 4, *EVEN)))
+    flux, pull = _cell_sums(environment, int(np.clip(nodes // 4, *LEAF_COUNTS)))
     light = flux.sum(axis=1)
     weight = light + FLOOR * light.mean() + 1e-300  # without any light, even cells
     points = pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-300)
@@ -123,7 +124,7 @@ def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
     numbers = np.arange(fine)
     of_coarse = _ancestors(parent, coarse)
     of_group = _ancestors(parent, max(coarse // GROUP, 1))
-    # The order of the tree: what has an ancestor in common stands together.
+    # Order of the tree: cells with a common ancestor are contiguous.
     order = np.lexsort((numbers, of_coarse, of_group))
     place = np.empty(fine, np.int64)
     place[order] = numbers
@@ -134,22 +135,23 @@ def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
     upper = np.cumsum(np.diff(of_coarse[order], prepend=-1) != 0) - 1  # of every fine cell
     above = _cells(_sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment)
     starts = np.searchsorted(upper, np.arange(coarse + 1))
+    leaves = np.searchsorted(label, np.arange(fine + 1))
     edges = _edges(of_group[order][starts[:-1]])
     grey = below.flux.numpy().reshape(-1, 4)[:, 3]
-    return LightCells(
+    return LightTree(
         coarse=above,
         fine=below,
         leaves=_cells(flux, pull, environment),
-        first=owned(mi.UInt32, starts.astype(np.uint32)),
-        first_leaf=owned(mi.UInt32, np.searchsorted(label, np.arange(fine + 1)).astype(np.uint32)),
-        groups=owned(mi.UInt32, edges.astype(np.uint32)),
+        first=to_drjit(mi.UInt32, starts.astype(np.uint32)),
+        first_leaf=to_drjit(mi.UInt32, leaves.astype(np.uint32)),
+        groups=to_drjit(mi.UInt32, edges.astype(np.uint32)),
         group_count=dr.opaque(mi.UInt32, len(edges) - 1),
-        bright=owned(mi.UInt32, (grey > DIM * grey.mean()).astype(np.uint32)),
+        bright=to_drjit(mi.UInt32, (grey > DIM * grey.mean()).astype(np.uint32)),
     )
 
 
-def disk_cells(environment: Environment) -> Cells | None:
-    """Gather a sun's disk into a few cells, for lobes that are as narrow; None without one."""
+def disk_cells(environment: Environment) -> LightCells | None:
+    """Cluster a sun's disk into a few cells, for narrow lobes; None without a sun."""
     if not len(environment.disk_weights):
         return None
     flux = environment.disk_radiance * environment.disk_weights[:, None]
@@ -173,7 +175,7 @@ def _edges(owner: np.ndarray) -> np.ndarray:
     return np.append(np.concatenate(cut), len(owner))
 
 
-def _gathered(environment: Environment, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _cell_sums(environment: Environment, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return flux and radiance-weighted sum of directions of even cells: (N, 3) each."""
     centers = fibonacci(count)
     rows, columns = environment.radiance.shape[:2]
@@ -195,9 +197,9 @@ def _gathered(environment: Environment, count: int) -> tuple[np.ndarray, np.ndar
     return flux, np.where(length > least, pull, least * centers)
 
 
-def even_radiance(environment: Environment, count: int) -> np.ndarray:
+def cell_radiance(environment: Environment, count: int) -> np.ndarray:
     """Return the mean radiance (N, 3) of the even cells of the world, float64."""
-    flux, pull = _gathered(environment, SPLIT * count)
+    flux, pull = _cell_sums(environment, SPLIT * count)
     world = pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-300)
     owner = nearest_cells(world @ environment.to_local, count)
     return _sum(owner, flux, count) * count / (4 * np.pi)
@@ -209,15 +211,15 @@ def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
     return nearest_cells(env.directions(columns, rows).reshape(-1, 3), count)
 
 
-def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> Cells:
+def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> LightCells:
     length = np.linalg.norm(pull, axis=1, keepdims=True)
     # E|w - mean|^2 = 1 - |mean|^2 of unit directions; half the squared radius for a disk.
     mean = np.minimum(length / np.maximum(flux.sum(axis=1, keepdims=True), 1e-300), 1)
     radius = np.sqrt(2 * (1 - mean * mean))
     world = pull / np.maximum(length, 1e-300) @ environment.to_local
-    return Cells(
-        toward=owned(mi.Float, np.hstack([world, radius]).ravel()),
-        flux=owned(mi.Float, np.hstack([flux, flux.mean(axis=1, keepdims=True)]).ravel()),
+    return LightCells(
+        toward=to_drjit(mi.Float, np.hstack([world, radius]).ravel()),
+        flux=to_drjit(mi.Float, np.hstack([flux, flux.mean(axis=1, keepdims=True)]).ravel()),
         number=len(flux),
         count=dr.opaque(mi.UInt32, len(flux)),
     )
@@ -237,7 +239,7 @@ def _split(points: np.ndarray, weight: np.ndarray, count: int) -> tuple[np.ndarr
 
 
 def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
-    """Return which of the first ``count`` clusters each was split from."""
+    """Return the ancestor of each cluster among the first ``count``."""
     result = np.arange(len(parent))
     for number in range(count, len(parent)):  # parents come before their children
         result[number] = result[parent[number]]

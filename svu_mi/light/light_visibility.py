@@ -14,18 +14,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample, fold, mirror_direction
 from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.band_limited import MOMENTS, Lighting
-from svu_mi.light.light_tree import LightCells
+from svu_mi.light.light_tree import LightTree
 
 
 @dataclass(frozen=True)
-class Reach:
+class LightVisibility:
     """Visibility of the light's cells from S texels.
 
     Attributes:
@@ -33,24 +33,24 @@ class Reach:
         texel: (S,) UInt32, number of each lane among all texels.
     """
 
-    cells: LightCells
+    tree: LightTree
     coarse: Bits
     fine: Bits
     texel: Any
 
-    def at(self, lanes: np.ndarray) -> Reach:
-        """Return the same for some of the lanes."""
-        chosen = owned(mi.UInt32, lanes.astype(np.uint32))
-        return Reach(
-            self.cells, self.coarse.at(chosen), self.fine.at(chosen),
+    def subset(self, lanes: np.ndarray) -> LightVisibility:
+        """Return the visibility from some lanes."""
+        chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
+        return LightVisibility(
+            self.tree, self.coarse.at(chosen), self.fine.at(chosen),
             dr.gather(mi.UInt32, self.texel, chosen),
         )  # fmt: skip
 
-    def joined(self, other: Reach) -> Reach:
-        """Return what the texels of both see of the same cells, one's own first."""
-        texel = owned(mi.UInt32, np.concatenate([self.texel.numpy(), other.texel.numpy()]))
-        return Reach(
-            self.cells, self.coarse.joined(other.coarse), self.fine.joined(other.fine), texel
+    def joined(self, other: LightVisibility) -> LightVisibility:
+        """Append the texels of another one, with the same cells."""
+        texel = to_drjit(mi.UInt32, np.concatenate([self.texel.numpy(), other.texel.numpy()]))
+        return LightVisibility(
+            self.tree, self.coarse.joined(other.coarse), self.fine.joined(other.fine), texel
         )
 
     def diffuse(self, surface: TexelLanes, lighting: Lighting, channels: int) -> list[list[Any]]:
@@ -59,7 +59,7 @@ class Reach:
         c0 = sum L V cos, m0 (3) = sum L V cos w, and the same with Schlick's (1 - cos)^5 of the
         incident direction w as c1, m1. Open surfaces take them from the light's harmonics.
         """
-        cells, lane = self.cells.fine, surface.lane
+        cells, lane = self.tree.fine, surface.lane
 
         def add(cell: Any, *state: Any) -> tuple[Any, ...]:
             direction, flux = cells.at(cell)[0], cells.light(cell, channels)
@@ -86,32 +86,34 @@ class Reach:
         return result
 
 
-def trace_reach(
-    scene: Any, surface: TexelLanes, cells: LightCells, *, occluded: bool = True
-) -> Reach:
-    """Trace the cells of the light from every texel of a launch."""
+def trace_light_visibility(
+    scene: Any, surface: TexelLanes, tree: LightTree, *, occluded: bool = True
+) -> LightVisibility:
+    """Trace the cells of the light from every texel."""
     lane, count = surface.lane, surface.count
-    coarse = Bits.clear(cells.coarse.number, count)
-    fine = Bits.clear(cells.fine.number, count)
+    coarse = Bits.clear(tree.coarse.number, count)
+    fine = Bits.clear(tree.fine.number, count)
 
     def above(direction: Any) -> Any:
         shaded, true = surface.normal, surface.geometric_normal
         return (dr.dot(shaded, direction) > 0) & (dr.dot(true, direction) > 0)
 
-    def look(direction: Any, active: Any) -> Any:
+    def trace_ray(direction: Any, active: Any) -> Any:
         # Neighbouring texels look in one direction: packets stay together.
-        return is_open(scene, surface, direction, active, coherent=True) if occluded else active
+        return (
+            is_unoccluded(scene, surface, direction, active, coherent=True) if occluded else active
+        )
 
-    def of_group(group: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
-        start, end = (dr.gather(mi.UInt32, cells.groups, group + k) for k in (0, 1))
+    def trace_group(group: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
+        start, end = (dr.gather(mi.UInt32, tree.groups, group + k) for k in (0, 1))
 
         def trace(cell: Any, word: Any, free: Any, high: Any) -> tuple[Any, ...]:
-            direction = cells.coarse.at(cell)[0]
+            direction = tree.coarse.at(cell)[0]
             up = above(direction)
-            found = look(direction, up)
+            is_open = trace_ray(direction, up)
             own = mi.UInt32(1) << (cell - start)  # groups have no more cells than a word bits
-            free, high = free | dr.select(found, own, 0), high | dr.select(up, own, 0)
-            return cell + 1, coarse.push(word, cell, lane, found), free, high
+            free, high = free | dr.select(is_open, own, 0), high | dr.select(up, own, 0)
+            return cell + 1, coarse.push(word, cell, lane, is_open), free, high
 
         none = dr.zeros(mi.UInt32, count)
         word, free, high = fold(start, end, trace, word, none, none)
@@ -120,27 +122,27 @@ def trace_reach(
         def inherit(cell: Any, below_word: Any) -> tuple[Any, ...]:
             place = cell - start
             inherited, low = (free >> place) & 1 != 0, (high >> place) & 1 == 0
-            first, last = (dr.gather(mi.UInt32, cells.first, cell + k) for k in (0, 1))
+            first, last = (dr.gather(mi.UInt32, tree.first, cell + k) for k in (0, 1))
 
             def refine(below: Any, below_word: Any) -> tuple[Any, ...]:
-                direction = cells.fine.at(below)[0]
-                own = low | (split & (dr.gather(mi.UInt32, cells.bright, below) > 0))
-                found = look(direction, own & above(direction))
-                found = dr.select(own, found, inherited)
-                return below + 1, fine.push(below_word, below, lane, found)
+                direction = tree.fine.at(below)[0]
+                own = low | (split & (dr.gather(mi.UInt32, tree.bright, below) > 0))
+                is_open = trace_ray(direction, own & above(direction))
+                is_open = dr.select(own, is_open, inherited)
+                return below + 1, fine.push(below_word, below, lane, is_open)
 
             return (cell + 1, *fold(first, last, refine, below_word))
 
         return (group + 1, word, *fold(start, end, inherit, below_word))
 
     none = dr.zeros(mi.UInt32, count)
-    fold(mi.UInt32(0), cells.group_count, of_group, none, none)
+    fold(mi.UInt32(0), tree.group_count, trace_group, none, none)
     dr.eval(coarse, fine)
-    return Reach(cells, coarse, fine, surface.index)
+    return LightVisibility(tree, coarse, fine, surface.index)
 
 
 @dataclass(frozen=True)
-class Mirrors:
+class MirrorVisibility:
     """Visibility in mirror directions: ``bits`` of N slots and S lanes, ``lane`` (T,) of texels."""
 
     bits: Bits
@@ -151,29 +153,34 @@ class Mirrors:
         return self.bits.test(slot, dr.gather(mi.UInt32, self.lane, texel))
 
 
-def trace_mirrors(views: Views, surface: TexelLanes, visibility: Visibility, lane: Any) -> Mirrors:
+def trace_mirror_visibility(
+    views: Views, surface: TexelLanes, visibility: Visibility, lane: Any
+) -> MirrorVisibility:
     """Trace the mirror direction of every sample."""
     bits, place = Bits.clear(dr.width(visibility.order), surface.count), surface.lane
 
     def trace(seen: ViewSample, slot: Any, word: Any) -> tuple[Any]:
-        free = mirror_free(views.scene, surface, seen, visibility.needs_work(seen.seen))
+        free = trace_mirror(views.scene, surface, seen, visibility.needs_work(seen.seen))
         return (bits.push(word, slot, place, free),)
 
-    start = dr.zeros(mi.UInt32, surface.count)
-    visibility.over_views(views, surface, trace, (start,), clipped=True)
+    visibility.over_views(
+        views, surface, trace, (dr.zeros(mi.UInt32, surface.count),), clipped=True
+    )
     dr.eval(bits)
-    return Mirrors(bits, lane)
+    return MirrorVisibility(bits, lane)
 
 
-def mirror_free(scene: Any, surface: TexelLanes, seen: ViewSample, needed: Any) -> Any:
-    """Trace the mirror direction of visible samples; below the horizon nothing is free."""
+def trace_mirror(scene: Any, surface: TexelLanes, seen: ViewSample, active: Any) -> Any:
+    """Trace the mirror direction of visible samples: Bool; False below the horizon."""
     mirror = mirror_direction(surface.normal, seen.direction)
-    free = needed & (dr.dot(surface.geometric_normal, mirror) > 0)
-    return seen.seen & is_open(scene, surface, mirror, free, coherent=False)
+    free = active & (dr.dot(surface.geometric_normal, mirror) > 0)
+    return seen.seen & is_unoccluded(scene, surface, mirror, free, coherent=False)
 
 
-def is_open(scene: Any, surface: TexelLanes, direction: Any, active: Any, *, coherent: bool) -> Any:
-    """Return which active texels see the sky in a direction."""
+def is_unoccluded(
+    scene: Any, surface: TexelLanes, direction: Any, active: Any, *, coherent: bool
+) -> Any:
+    """Trace one ray per active texel: Bool, whether it leaves the scene."""
     origin = surface.position + surface.offset * surface.geometric_normal
     ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])
     return active & ~scene.ray_test(ray, coherent=coherent, active=active)

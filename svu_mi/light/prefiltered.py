@@ -1,4 +1,4 @@
-"""The light, filtered once for every width of the specular lobe.
+"""Light prefiltered for every width of the specular lobe.
 
 A ``LightStack`` holds all roughness levels in one table, looked up between its levels. Every level
 keeps the resolution that its lobe needs, so all of them take little more memory than the sharpest.
@@ -15,11 +15,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.light import environment as env
 from svu_mi.light.band_limited import Lighting, lat_long_texture, look_up
 from svu_mi.light.environment import Environment, lat_long
-from svu_mi.light.latlong import columns_to, rows_to
+from svu_mi.light.latlong import column_weights, row_weights
 
 DELTA = 2e-3  # lobes narrower than this [rad] are mirrors at the resolution of any map
 NEGLIGIBLE = 1e-5  # part of a lobe's peak below which it is cut off
@@ -30,7 +30,7 @@ Profile = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Levels:
+class FilteredLight:
     """Filtered light: R lat-long Texture2f of 3 channels or 1, in the light's local frame."""
 
     textures: tuple[Any, ...]
@@ -52,21 +52,21 @@ def filter_light(
     profile: Callable[[float, np.ndarray], np.ndarray],
     grey: bool = False,
     disk: bool = True,
-) -> Levels:
+) -> FilteredLight:
     """Convolve the light with lobes of given widths alpha, with or without a sun's disk; cached."""
-    kept = lighting.lobes
+    cache = lighting.lobes
     keys = [(float(width), profile, grey, disk) for width in widths]
-    missing = [key for key in keys if key not in kept]
+    missing = [key for key in keys if key not in cache]
     if missing:
         environment = lighting.environment
-        grid = resolved(environment) if disk else environment.radiance
+        grid = rasterized(environment) if disk else environment.radiance
         grid = grid.mean(axis=2, keepdims=True) if grey else grid
         for key in missing:
-            kept[key] = lat_long_texture(convolve(grid, key[0], partial(profile, key[0])))
-    return Levels(textures=tuple(kept[key] for key in keys), to_local=lighting.to_local)
+            cache[key] = lat_long_texture(convolve(grid, key[0], partial(profile, key[0])))
+    return FilteredLight(textures=tuple(cache[key] for key in keys), to_local=lighting.to_local)
 
 
-def resolved(environment: Environment) -> np.ndarray:
+def rasterized(environment: Environment) -> np.ndarray:
     """Return the light's lat-long grid (H, W, 3), a sun's disk added to the nearest nodes."""
     grid = environment.radiance
     if not len(environment.disk_weights):
@@ -89,7 +89,7 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         return grid
     if np.ptp(grid, axis=(0, 1)).max() == 0:
         return grid[:2, :2]
-    flux = _coarser(grid, width)
+    flux = _coarsened(grid, width)
     rows, columns = flux.shape[:2]
     # On the map's own nodes a row has one solid angle, and a lobe one norm all along it.
     even = flux.shape[:2] == grid.shape[:2]
@@ -126,7 +126,7 @@ def _reach(profile: Profile, rows: int) -> int:
     return int(above[-1]) + 1
 
 
-def _coarser(grid: np.ndarray, width: float) -> np.ndarray:
+def _coarsened(grid: np.ndarray, width: float) -> np.ndarray:
     """Return flux and solid angle (H', W', C + 1) on the coarsest grid that resolves a lobe."""
     rows, columns, channels = grid.shape
     solid, own = env.quadrature(rows), np.ones(columns)
@@ -134,11 +134,11 @@ def _coarser(grid: np.ndarray, width: float) -> np.ndarray:
     if fewer >= rows:
         flux = grid * solid[:, None, None]
     else:
-        down = rows_to(fewer, rows) * solid[None]  # what is small soon is never made large
+        down = row_weights(fewer, rows) * solid[None]  # what is small soon is never made large
         flux = (down @ grid.reshape(rows, -1)).reshape(fewer, columns, channels)
         solid, across = down.sum(axis=1), 2 * (fewer - 1)
         if across < columns:
-            around = columns_to(across, columns)
+            around = column_weights(across, columns)
             turned = np.moveaxis(flux, 1, 0)
             shared = (around @ turned.reshape(columns, -1)).reshape(across, fewer, channels)
             flux, own = np.moveaxis(shared, 0, 1), around.sum(axis=1)
@@ -196,9 +196,9 @@ class LightStack:
         return [value.x, value.y, value.z]
 
 
-def stack(levels: Levels) -> LightStack:
+def stack_levels(light: FilteredLight) -> LightStack:
     """Put the maps of at least two levels into one table."""
-    return _stacked([np.array(texture.tensor()) for texture in levels.textures], levels.to_local)
+    return _stacked([np.array(texture.tensor()) for texture in light.textures], light.to_local)
 
 
 def _stacked(maps: Sequence[np.ndarray], to_local: Any) -> LightStack:
@@ -214,8 +214,8 @@ def _stacked(maps: Sequence[np.ndarray], to_local: Any) -> LightStack:
         flat.append(padded.ravel())
         first += rows * (columns + 2)
     return LightStack(
-        values=owned(mi.Float, np.concatenate(flat)),
-        tables=owned(mi.UInt32, np.array(tables, np.uint32)),
+        values=to_drjit(mi.Float, np.concatenate(flat)),
+        tables=to_drjit(mi.UInt32, np.array(tables, np.uint32)),
         count=len(maps),
         channels=channels,
         to_local=to_local,

@@ -14,15 +14,15 @@ from svu_mi.calibration.checks.surface_samples import emitter_of
 from svu_mi.calibration.checks.thumbnails import Frames, outline, reduced, silhouettes
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
-from svu_mi.capture.importers.axis_fixes import fixes_named
+from svu_mi.capture.importers.axis_fixes import find_fixes
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere
 from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import nearest_node, read_environment
-from svu_mi.light.prefiltered import resolved
-from svu_mi.output.html import THUMBNAIL, Picture, photograph, write_page
-from svu_mi.output.object_views import facing, up_of
+from svu_mi.light.prefiltered import rasterized
+from svu_mi.output.html import THUMBNAIL, PageImage, embedded_jpeg, write_page
+from svu_mi.output.object_views import up_of_poses, viewing_frame
 from svu_mi.output.run_record import environment_record, write_manifest
 from svu_mi.output.style import AFTER, BEFORE
 
@@ -50,7 +50,7 @@ MEASURES = {
 
 
 def write_check(
-    capture: Capture, found: Check, folder: str | os.PathLike[str], *,
+    capture: Capture, check: Check, folder: str | os.PathLike[str], *,
     settings: Mapping[str, Any] | None = None, remedy: str = "",
 ) -> None:  # fmt: skip
     """Write ``check.html``, with all its pictures inside, and ``check.json``.
@@ -59,47 +59,47 @@ def write_check(
         OutputError: a file cannot be written.
     """
     with writing(folder, "check", RECORD, capture=capture_key(capture)) as draft:
-        fixes = fixes_named(found.fixes)
-        corrected = apply_fixes(capture, fixes, found.camera_axes) if fixes else capture
+        fixes = find_fixes(check.fixes)
+        corrected = apply_fixes(capture, fixes, check.camera_axes) if fixes else capture
         write_page(
             draft.folder / TEMPLATE, TEMPLATE,
-            verdict=verdict(found), remedy=remedy, numbers=_numbers(found),
-            findings=[_finding(one) for one in found.findings], questions=QUESTIONS,
-            views=list(_views(capture, corrected, found)), total=len(found.views),
+            verdict=verdict(check), remedy=remedy, numbers=_numbers(check),
+            findings=[_finding_rows(one) for one in check.findings], questions=QUESTIONS,
+            views=list(_views(capture, corrected, check)), total=len(check.views),
             panoramas=_panoramas(capture, corrected), source=str(capture.source or ""),
             is_corrected=bool(fixes), before=BEFORE, after=AFTER,
         )  # fmt: skip
         write_manifest(draft.folder / RECORD, {
-            "fits": found.fits, "fixes": found.fixes, "check": found, "settings": settings,
+            "fits": check.fits, "fixes": check.fixes, "check": check, "settings": settings,
             "environment": environment_record(), **draft.entries(),
         })  # fmt: skip
 
 
-def verdict(found: Check) -> str:
+def verdict(check: Check) -> str:
     """Return the outcome as one sentence."""
-    if found.fixes:
-        count = len(found.fixes)
+    if check.fixes:
+        count = len(check.fixes)
         words = "one correction makes" if count == 1 else f"{count} corrections make"
-        return f"Something is wrong, and {words} it fit: {' + '.join(found.fixes)}."
-    unclear = [one.question for one in found.findings if one.verdict == "unclear"]
+        return f"Something is wrong, and {words} it fit: {' + '.join(check.fixes)}."
+    unclear = [one.question for one in check.findings if one.verdict == "unclear"]
     if any(question in AXES for question in unclear):
         return "Something may be wrong, but which correction is right cannot be determined."
     if unclear:
         return f"Axes fit, but results may be wrong for another reason: {', '.join(unclear)}."
     fits = "The capture fits its photographs, as far as can be determined"
-    if any(one.question == "ignored" for one in found.findings):
+    if any(one.question == "ignored" for one in check.findings):
         return f"{fits}; results may be off by what is ignored."
     return f"{fits}."
 
 
-def _numbers(found: Check) -> Iterator[tuple[str, str, str]]:
+def _numbers(check: Check) -> Iterator[tuple[str, str, str]]:
     """Yield names, means over the views, and notes: what it is when corrected, how to read it."""
-    before, after = Summary.of(found.views), Summary.of(found.corrected)
+    before, after = Summary.of(check.views), Summary.of(check.corrected)
     for name, (title, note, _) in MEASURES.items():
         old, new = getattr(before, name), getattr(after, name)
         if old is None and new is None:
             continue
-        if found.corrected is not found.views:
+        if check.corrected is not check.views:
             note = f"{_number(new)} when corrected; {note}"
         yield title, _number(old), note
 
@@ -108,7 +108,7 @@ def _number(value: float | None, unknown: str = "unknown") -> str:
     return unknown if value is None else f"{value:.2f}"
 
 
-def _finding(one: Finding) -> dict[str, Any]:
+def _finding_rows(one: Finding) -> dict[str, Any]:
     """A finding, the hypotheses to show, each with the width of its bar, and how many more are."""
     scores = [hypothesis.score for hypothesis in one.hypotheses]
     low, high = min(scores, default=0.0), max(scores, default=1.0)
@@ -116,32 +116,32 @@ def _finding(one: Finding) -> dict[str, Any]:
     shown += [h for h in one.hypotheses[ROWS:] if not h.fixes]  # how it is, however bad
     widths = [3 + 97 * (h.score - low) / max(high - low, 1e-9) for h in shown]
     return {
-        "found": one, "rows": list(zip(shown, widths, strict=True)),
+        "finding": one, "rows": list(zip(shown, widths, strict=True)),
         "left_out": len(one.hypotheses) - len(shown),
     }  # fmt: skip
 
 
 def _views(
-    capture: Capture, corrected: Capture, found: Check
-) -> Iterator[tuple[str, Picture, list[tuple[str, str]]]]:
+    capture: Capture, corrected: Capture, check: Check
+) -> Iterator[tuple[str, PageImage, list[tuple[str, str]]]]:
     """Yield names, pictures with outlines, and numbers of the views that fit worst."""
     frames = Frames.of(reduced(capture, THUMBNAIL))
     seen = after = silhouettes(frames)
     if corrected is not capture:
         after = silhouettes(Frames.of(reduced(corrected, THUMBNAIL)))
     place = {int(view): index for index, view in enumerate(np.flatnonzero(capture.used))}
-    better = {one.view: one for one in found.corrected}
-    for one in found.worst[:MOST]:
+    better = {one.view: one for one in check.corrected}
+    for one in check.worst[:MOST]:
         index = place[one.view]
-        picture = _screen(frames, index, after[index])
-        _draw(picture, seen[index], BEFORE)
+        picture = _exposed_photograph(frames, index, after[index])
+        _draw_outline(picture, seen[index], BEFORE)
         if corrected is not capture:
-            _draw(picture, after[index], AFTER)
+            _draw_outline(picture, after[index], AFTER)
         numbers = [
             (word, _change(getattr(one, name), getattr(better[one.view], name)))
             for name, (*_, word) in MEASURES.items()
         ]
-        yield one.name, photograph(picture), [entry for entry in numbers if entry[1] != "-"]
+        yield one.name, embedded_jpeg(picture), [entry for entry in numbers if entry[1] != "-"]
 
 
 def _change(before: float | None, after: float | None) -> str:
@@ -149,7 +149,7 @@ def _change(before: float | None, after: float | None) -> str:
     return old if old == new else f"{old} → {new}"
 
 
-def _screen(frames: Frames, index: int, seen: np.ndarray) -> np.ndarray:
+def _exposed_photograph(frames: Frames, index: int, seen: np.ndarray) -> np.ndarray:
     """Expose a photograph for the object; what is clipped is white."""
     image, mask = frames.radiance[index], frames.masks[index]
     shown = tone_mapped(image, seen if mask is None else mask)
@@ -157,12 +157,12 @@ def _screen(frames: Frames, index: int, seen: np.ndarray) -> np.ndarray:
     return shown
 
 
-def _draw(picture: np.ndarray, seen: np.ndarray, color: tuple[float, float, float]) -> None:
+def _draw_outline(picture: np.ndarray, seen: np.ndarray, color: tuple[float, float, float]) -> None:
     """Draw an outline into a picture, two pixels wide, on both sides of the edge."""
     picture[outline(seen) | outline(~seen)] = color
 
 
-def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[Picture, str]]:
+def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[PageImage, str]]:
     """The light as it is and, if that differs, corrected, around the object; none without one."""
     if emitter_of(capture) is None:
         return []
@@ -170,17 +170,17 @@ def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[Picture, str]
     return shown if corrected is capture else [*shown, (_panorama(corrected), "corrected")]
 
 
-def _panorama(capture: Capture) -> Picture:
+def _panorama(capture: Capture) -> PageImage:
     """Draw the light around the object, up as the cameras have it; cameras are dots.
 
     The centre is where the first camera looks: it can be compared with the background of the
     first photograph.
     """
     environment = read_environment(emitter_of(capture))
-    grid = resolved(environment)
+    grid = rasterized(environment)
     poses = np.array([to_world(sensor) for sensor in capture.used_sensors])
     # Seen from within, right is where it is left of somebody in front.
-    frame = facing(up_of(poses), poses[0, :3, 2]) * [[-1], [1], [1]]
+    frame = viewing_frame(up_of_poses(poses), poses[0, :3, 2]) * [[-1], [1], [1]]
     width, height = LIGHT
     azimuth = 2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
     elevation = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
@@ -199,4 +199,4 @@ def _panorama(capture: Capture) -> Picture:
     for i, j in zip(down.astype(int), across.astype(int), strict=True):
         for size, color in ((4, (0, 0, 0)), (3, (1.0, 0.85, 0.1))):
             picture[max(i - size, 0) : i + size, max(j - size, 0) : j + size] = color
-    return photograph(picture, None)
+    return embedded_jpeg(picture, None)

@@ -10,7 +10,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.output import style
-from svu_mi.output.object_views import UP, facing
+from svu_mi.output.object_views import UP, viewing_frame
 from svu_mi.output.style import FAINT, INK, RULE, UNSEEN
 
 if TYPE_CHECKING:
@@ -35,10 +35,10 @@ def draw_directions(
     """
     center, _ = bounding_sphere(capture.shape)
     used = directions_of(capture.used_sensors, center)
-    frame = facing(np.array(up, np.float64), used[0])
+    frame = viewing_frame(np.array(up, np.float64), used[0])
     x, y = _hammer(directions_of(guidance.candidates.sensors, center) @ frame.T)
     gains, reachable = guidance.gains, guidance.candidates.reachable
-    drawn = style.scale(color_range(gains[reachable]))
+    drawn = style.scalar_mappable(color_range(gains[reachable]))
     _graticule(axes)
     size, hollow = _dot(axes, len(gains)), ~reachable
     axes.scatter(x[hollow], y[hollow], size, facecolors="none", edgecolors=UNSEEN, lw=1)
@@ -47,7 +47,7 @@ def draw_directions(
     for color, width in (("white", 4.5), (INK, 2.0)):
         axes.scatter(*_hammer(used @ frame.T), 60, c=color, marker="x", lw=width, zorder=3)
     for rank, k in enumerate((one.candidate for one in guidance.proposals), 1):
-        numbered(axes, x[k], y[k], rank, drawn.to_rgba(gains[k]), max(size, 230))
+        draw_numbered(axes, x[k], y[k], rank, drawn.to_rgba(gains[k]), max(size, 230))
     _key(axes, bool(hollow.any()))
     return drawn
 
@@ -96,7 +96,7 @@ def _key(axes: Axes, unreachable: bool) -> None:
     )  # fmt: skip
 
 
-def numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: float,
+def draw_numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: float,
               **options: Any) -> None:  # fmt: skip
     """Draw a disk with a number in it."""
     from matplotlib.colors import to_rgb

@@ -12,7 +12,7 @@ SAMPLE = 2_000  # texels that a mean marginal is taken over
 
 
 @dataclass(frozen=True)
-class Result:
+class EstimateArrays:
     """NumPy copies of what is drawn.
 
     Attributes:
@@ -35,7 +35,7 @@ class Result:
         return max(int(self.coverage.max(initial=0)), 1)
 
     @classmethod
-    def of(cls, estimate: Any) -> Result:
+    def of(cls, estimate: Any) -> EstimateArrays:
         """Copy what an estimate says."""
         texels, seen = estimate.texels, is_seen(estimate)
         return cls(
@@ -50,18 +50,18 @@ def is_seen(estimate: Any) -> np.ndarray:
     return np.array(estimate.coverage) > 0
 
 
-def areas(estimate: Any) -> np.ndarray:
+def texel_areas(estimate: Any) -> np.ndarray:
     """Return how much of the surface each texel stands for, (T,) float64."""
     return np.array(estimate.texels.footprint, np.float64) ** 2
 
 
-def place_of(estimate: Any, texel: int) -> tuple[int, int]:
+def column_and_row(estimate: Any, texel: int) -> tuple[int, int]:
     """Return column and row of a texel in the texture."""
     row, column = divmod(int(estimate.texels.index.numpy()[texel]), estimate.texels.resolution[0])
     return column, row
 
 
-def words(name: str) -> str:
+def label_of(name: str) -> str:
     """Return a parameter's name as it is said: base colour, roughness, ..."""
     return name.replace("_", " ").replace("color", "colour")
 
@@ -71,7 +71,7 @@ def open_axes(estimate: Any) -> dict[str, np.ndarray]:
     return {name: nodes for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1}
 
 
-def known(estimate: Any) -> dict[str, float]:
+def known_values(estimate: Any) -> dict[str, float]:
     """Return the parameters of an estimate that were not in question, by name."""
     axes = estimate.posterior.axes.items()
     return {name: float(nodes[0]) for name, nodes in axes if len(nodes) == 1}
@@ -84,7 +84,7 @@ def prior_marginal(posterior: Any, name: str) -> np.ndarray:
 
 
 def mean_marginals(
-    estimate: Any, result: Result
+    estimate: Any, result: EstimateArrays
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return mean marginals by parameter: over texels seen, and those of the lowest entropy.
 
@@ -95,10 +95,10 @@ def mean_marginals(
     def mean(of: np.ndarray) -> dict[str, np.ndarray]:
         every = np.flatnonzero(of)
         some = every[:: max(len(every) // SAMPLE, 1)]
-        found = {}
+        marginals = {}
         for name, table in estimate.posterior.marginals(some).items():
             p = np.array(table, np.float64)
-            found[name] = p.reshape(len(some), p.shape[1], -1).mean(axis=0)
-        return found
+            marginals[name] = p.reshape(len(some), p.shape[1], -1).mean(axis=0)
+        return marginals
 
     return mean(result.seen), mean(result.seen & (result.entropy <= limit))

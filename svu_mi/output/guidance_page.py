@@ -16,10 +16,10 @@ from svu_mi.core.identifiers import plain_name
 from svu_mi.guidance.guidance_result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import style
-from svu_mi.output.direction_map import color_range, draw_directions, numbered
+from svu_mi.output.direction_map import color_range, draw_directions, draw_numbered
 from svu_mi.output.html import grouped
 from svu_mi.output.object_views import UP
-from svu_mi.output.panels import all_seen, draw_look, draw_map, map_colors
+from svu_mi.output.panels import draw_look, draw_map, fully_seen, map_colors
 from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE, Block
 from svu_mi.posterior.estimate import Estimate
 
@@ -39,7 +39,7 @@ WHITE = 0.99  # part of the positive gains of texels that colours do not clip
 CROWDED = 0.04  # part of the candidates within which two numbers would overlap
 
 
-def looks_of(capture: Capture, guidance: Guidance) -> list[Look]:
+def proposal_views(capture: Capture, guidance: Guidance) -> list[Look]:
     """Return what each proposed camera will see of the object."""
     scene = alone(capture)
     return [Look.at(scene, _large(one.sensor)) for one in guidance.proposals]
@@ -51,26 +51,26 @@ def write_guidance_overview(
 ) -> None:  # fmt: skip
     """Draw directions, ranking, and what proposed cameras will see: 1800 x 1120 pixels.
 
-    ``maps`` are of ``Guidance.gain_maps``, ``looks`` of ``looks_of``; ``up`` is the top of the map.
+    ``maps`` are ``Guidance.gain_maps()``, ``looks`` ``proposal_views``; ``up`` is the map's top.
     """
     entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
-    everywhere, empty = all_seen(guidance.texels), np.zeros(guidance.texels.count, np.float32)
+    everywhere, empty = fully_seen(guidance.texels), np.zeros(guidance.texels.count, np.float32)
     scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
     first = maps[0] if len(maps) else empty
     sights: list[Panel | None] = [
-        ("", partial(_sight, look=look, colors=entropy, words=_short(one.name), rank=rank,
+        ("", partial(_draw_view, look=look, colors=entropy, words=_short_name(one.name), rank=rank,
                      row="entropy so far" if rank == 1 else ""))
         for rank, (look, one) in enumerate(zip(looks, shown, strict=False), 1)
     ]  # fmt: skip
-    sights.append(("", partial(_map, estimate=estimate, words="entropy of every texel")))
+    sights.append(("", partial(_draw_texture, estimate=estimate, words="entropy of every texel")))
     sights += [None] * (SHOWN - len(shown))
     sights += [
-        ("", partial(_sight, look=look, colors=map_colors(everywhere, gains, **scale),
-                     words=_worth(one), row="expected gain" if k == 0 else ""))
+        ("", partial(_draw_view, look=look, colors=map_colors(everywhere, gains, **scale),
+                     words=_caption(one), row="expected gain" if k == 0 else ""))
         for k, (look, gains, one) in enumerate(zip(looks, maps, shown, strict=False))
     ]  # fmt: skip
-    sights.append(("", partial(
-        _map, estimate=everywhere, values=first, words="gain by proposal 1", **scale)))  # fmt: skip
+    gained = partial(_draw_texture, estimate=everywhere, values=first, **scale)
+    sights.append(("", partial(gained, words="gain by proposal 1")))
     plots: list[Panel] = [
         ("", partial(_directions, capture=capture, guidance=guidance, up=up)),
         ("Mean entropy of all texels, now and expected",
@@ -85,7 +85,7 @@ def write_guidance_overview(
     style.write_page(path, SIZE, HEADING, _notes(capture, estimate, guidance), blocks)
 
 
-def _sight(
+def _draw_view(
     axes: Axes, look: Look, colors: np.ndarray, words: str, rank: int = 0, row: str = ""
 ) -> None:
     """Draw what a proposed camera will see, cut to the object."""
@@ -95,10 +95,10 @@ def _sight(
         axes.text(-0.03, 0.5, row, transform=axes.transAxes, rotation=90, size=11, color=INK,
                   ha="right", va="center")  # fmt: skip
     if rank:
-        numbered(axes, 0.06, 0.93, rank, "white", 260, transform=axes.transAxes)
+        draw_numbered(axes, 0.06, 0.93, rank, "white", 260, transform=axes.transAxes)
 
 
-def _map(axes: Axes, estimate: Any, words: str, **options: Any) -> None:
+def _draw_texture(axes: Axes, estimate: Any, words: str, **options: Any) -> None:
     """Draw a map in the layout of the texture, with the scale of the pictures beside it."""
     drawn = draw_map(axes, estimate, **options)
     style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
@@ -144,7 +144,7 @@ def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
     axes.scatter([first], values[:1], 42, c=INK, zorder=2,
                  label=f"of these photographs: {guidance.entropy:.3f}")  # fmt: skip
     for rank, value in enumerate(values[1:], 1):
-        numbered(axes, first + rank, value, rank, "white", 210)
+        draw_numbered(axes, first + rank, value, rank, "white", 210)
     room = max(0.12 * float(np.ptp(values)), 0.01)
     axes.set(xlim=(first - 0.5, first + len(values) - 0.5))
     axes.set(ylim=(max(float(values.min()) - room, -0.02), float(values.max()) + 2.2 * room))
@@ -153,7 +153,7 @@ def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
     growing = guidance.options.band_limit == "growing"
     light = "; light filtered for that number" if growing else ""
     style.labels(axes, f"photographs{light}", "mean entropy", 9.5)
-    style.plain(axes)
+    style.minimal_axes(axes)
 
 
 def draw_ranking(axes: Axes, guidance: Guidance) -> None:
@@ -178,7 +178,7 @@ def draw_ranking(axes: Axes, guidance: Guidance) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
     what = "gain" if guidance.options.strategy == "entropy" else "worth"
     style.labels(axes, "candidates, the best first", what, 9.5)
-    style.plain(axes)
+    style.minimal_axes(axes)
 
 
 def gain_limit(maps: np.ndarray) -> float:
@@ -202,7 +202,7 @@ def gain_pictures(
     looks: Sequence[Look], guidance: Guidance, maps: np.ndarray, limit: float
 ) -> list[np.ndarray]:
     """Return gains as proposed cameras will see them (see ``gain_picture``)."""
-    everywhere, scale = all_seen(guidance.texels), gain_colors()
+    everywhere, scale = fully_seen(guidance.texels), gain_colors()
     return [
         look.painted(map_colors(everywhere, gains, limits=(0, limit), colormap=scale))
         for look, gains in zip(looks, maps, strict=True)
@@ -241,13 +241,13 @@ def _large(sensor: Any) -> Any:
     return resized_sensor(sensor, -(-SIDE // max(film_size(sensor))))
 
 
-def _worth(proposal: Proposal) -> str:
+def _caption(proposal: Proposal) -> str:
     error = f" ± {proposal.error:.4f}" if proposal.error > 0 else ""
     new = f", {100 * proposal.new:.0f} % new" if proposal.new >= 0.005 else ""
     gain = f"{proposal.gain:.4f}{error}\n" if np.isfinite(proposal.gain) else ""
     return f"{gain}sees {100 * proposal.sees:.0f} % of the texels{new}"
 
 
-def _short(name: str) -> str:
+def _short_name(name: str) -> str:
     name = plain_name(name)
     return name if len(name) <= 24 else f"{name[:11]}…{name[-12:]}"

@@ -33,7 +33,7 @@ NARROW_SPACE = "\u202f"  # at which no line breaks
 
 
 @dataclass(frozen=True)
-class Picture:
+class PageImage:
     """A picture inside a page: the file as a ``data:`` URI, and its size in pixels."""
 
     uri: str
@@ -41,7 +41,7 @@ class Picture:
     height: int
 
 
-def drawing(image: np.ndarray, side: int | None = None) -> Picture:
+def embedded_png(image: np.ndarray, side: int | None = None) -> PageImage:
     """Embed a map (H, W, 3) or, with opacity, (H, W, 4) of screen values in [0, 1], as PNG.
 
     Its longer side is reduced to ``side``. An ``OutputError`` if a value is NaN or infinite.
@@ -49,7 +49,7 @@ def drawing(image: np.ndarray, side: int | None = None) -> Picture:
     return _embedded(image, side, "png", compress_level=PNG_LEVEL)
 
 
-def photograph(image: np.ndarray, side: int | None = THUMBNAIL) -> Picture:
+def embedded_jpeg(image: np.ndarray, side: int | None = THUMBNAIL) -> PageImage:
     """Embed a photograph (H, W, 3) as ``drawing`` does a map, but as JPEG."""
     return _embedded(image, side, "jpeg", quality=JPEG_QUALITY)
 
@@ -80,7 +80,7 @@ def percent(part: float) -> str:
     return f"{100 * part:.0f}{NARROW_SPACE}%"
 
 
-def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) -> Picture:
+def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) -> PageImage:
     # Pillow takes a while to import, and most of this package does without.
 
     if not (image.size and np.isfinite(image).all()):
@@ -91,7 +91,7 @@ def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) ->
     file = io.BytesIO()
     picture.save(file, kind, **options)
     data = base64.b64encode(file.getvalue()).decode("ascii")
-    return Picture(f"data:image/{kind};base64,{data}", *picture.size)
+    return PageImage(f"data:image/{kind};base64,{data}", *picture.size)
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.geometry.rasterize_uv import dilate
-from svu_mi.output.estimate_arrays import areas, is_seen, open_axes, words
+from svu_mi.output.estimate_arrays import is_seen, label_of, open_axes, texel_areas
 from svu_mi.output.html import NARROW_SPACE, percent
 from svu_mi.posterior.intervals import LEVEL, spread
 from svu_mi.posterior.quadrature import cell_edges
@@ -39,8 +39,8 @@ class Intervals:
         An unknown parameter raises an ``OptionError``.
         """
         if name not in self._ends:
-            found = self._posterior.interval(name, self.level, self.chosen)
-            low, high = (np.array(end) for end in found)
+            ends = self._posterior.interval(name, self.level, self.chosen)
+            low, high = (np.array(end) for end in ends)
             self._ends[name] = low.reshape(len(low), -1), high.reshape(len(high), -1)
         return self._ends[name]
 
@@ -83,7 +83,7 @@ def picture_intervals(estimate: Any, side: int) -> Intervals:
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class IntervalSummary:
     """How much of the surface is known to a tolerance, by area.
 
     Attributes:
@@ -111,7 +111,7 @@ class Knowledge:
     @classmethod
     def of(
         cls, estimate: Any, intervals: Intervals | None = None, tolerance: float = TOLERANCE
-    ) -> Knowledge:
+    ) -> IntervalSummary:
         """Measure what an estimate says.
 
         Intervals are of its posterior, by default those of some thousand texels all over what is
@@ -120,13 +120,13 @@ class Knowledge:
         seen = is_seen(estimate)
         if intervals is None:
             intervals = Intervals(estimate.posterior, chosen=spread(np.flatnonzero(seen)))
-        area = areas(estimate)
-        seen_part = part(area, seen)
+        area = texel_areas(estimate)
+        seen_part = area_share(area, seen)
         entropy = np.array(estimate.entropy, np.float64)[seen]
         area, seen = area[intervals.chosen], seen[intervals.chosen]
         names = list(open_axes(estimate)) if seen.any() else []
         half = {name: intervals.half_width(name)[seen] for name in names}
-        narrow = {name: within(width, tolerance) for name, width in half.items()}
+        narrow = {name: is_within(width, tolerance) for name, width in half.items()}
         every = np.logical_and.reduce(list(narrow.values())) if narrow else np.zeros(0, bool)
         widest = {name: _widest_cell(estimate.posterior, name) for name in names}
         return cls(
@@ -134,10 +134,12 @@ class Knowledge:
             tolerance=tolerance,
             seen_part=seen_part,
             mean_entropy=float(entropy.mean()) if len(entropy) else None,
-            known_part={name: part(area[seen], yes) for name, yes in narrow.items()},
-            all_known_part=part(area[seen], every) if narrow else 0.0,
-            median_half_width={name: median(width, area[seen]) for name, width in half.items()},
-            cell_width={name: w for name, w in widest.items() if not within(w / 2, tolerance)},
+            known_part={name: area_share(area[seen], yes) for name, yes in narrow.items()},
+            all_known_part=area_share(area[seen], every) if narrow else 0.0,
+            median_half_width={
+                name: weighted_median(width, area[seen]) for name, width in half.items()
+            },
+            cell_width={name: w for name, w in widest.items() if not is_within(w / 2, tolerance)},
         )
 
     def summary(self) -> str:
@@ -156,7 +158,9 @@ class Knowledge:
             return "Nothing is known: no photograph shows the surface."
         if not self.known_part:
             return "All parameters were taken as known."
-        (first, share), *others = [(words(n), plain_percent(x)) for n, x in self.known_part.items()]
+        (first, share), *others = [
+            (label_of(n), plain_percent(x)) for n, x in self.known_part.items()
+        ]
         told = [f"{first} known to ±{self.tolerance:g} on {share} of the surface seen"]
         told += [f"{name} on {share}" for name, share in others]
         limits = f"{100 * self.level:g} % intervals"
@@ -166,12 +170,12 @@ class Knowledge:
         return text[0].upper() + text[1:]
 
 
-def within(half_width: Any, tolerance: float) -> Any:
+def is_within(half_width: Any, tolerance: float) -> Any:
     """Return whether half-widths of intervals are within a tolerance."""
     return half_width <= tolerance + ROUNDING
 
 
-def part(area: np.ndarray, chosen: np.ndarray) -> float:
+def area_share(area: np.ndarray, chosen: np.ndarray) -> float:
     """Return the part of an area (T,) that is chosen (T,): exactly 1 if all of it is."""
     return float(area[chosen].sum() / area.sum())
 
@@ -181,7 +185,7 @@ def plain_percent(value: float) -> str:
     return percent(value).replace(NARROW_SPACE, " ")
 
 
-def median(values: np.ndarray, weights: np.ndarray) -> float:
+def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
     """Return the smallest value that half of the weight does not exceed."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])

@@ -21,7 +21,7 @@ from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import directions, radiance_from
 from svu_mi.output import style
 from svu_mi.output.interval_summary import plain_percent
-from svu_mi.output.run_record import Run, environment_record, inputs_record, write_manifest
+from svu_mi.output.run_record import RunInfo, environment_record, inputs_record, write_manifest
 from svu_mi.output.style import LEFT, RIGHT, Block
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def write_light(
     capture: Capture,
     estimate: LightEstimate,
     folder: str | os.PathLike[str],
-    run: Run | None = None,
+    run: RunInfo | None = None,
     *,
     used: Mapping[str, Any] | None = None,
     against: Likeness | None = None,
@@ -57,7 +57,7 @@ def write_light(
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    run = run or Run()
+    run = run or RunInfo()
     with writing(folder, COMMAND, RECORD, capture=photographs_key(capture)) as draft:
         write_arrays_of(estimate, draft)
         if pictures:
@@ -77,8 +77,8 @@ def write_light_page(
 
     With ``against`` the capture's own light is drawn, too.
     """
-    truth = None if against is None else _map_of(capture.environment, estimate.radiance.shape)
-    tone = Tone.of(estimate.radiance if truth is None else truth)
+    truth = None if against is None else _emitter_map(capture.environment, estimate.radiance.shape)
+    tone = ToneCurve.of(estimate.radiance if truth is None else truth)
     panels = _radiance("Radiance", estimate.radiance, tone)
     if truth is not None:
         panels += _radiance("The capture's own light", truth, tone)
@@ -97,7 +97,7 @@ def write_light_page(
     style.write_page(path, (WIDTH, height), HEADING, _notes(estimate, against), [block])
 
 
-def _radiance(title: str, radiance: np.ndarray, tone: Tone) -> list[Panel]:
+def _radiance(title: str, radiance: np.ndarray, tone: ToneCurve) -> list[Panel]:
     """Return panels of a map (H, W, 3): in screen colours, and its logarithm."""
     return [
         (title, partial(_draw_colors, colors=tone.colors(radiance))),
@@ -108,7 +108,7 @@ def _radiance(title: str, radiance: np.ndarray, tone: Tone) -> list[Panel]:
 
 
 @dataclass(frozen=True)
-class Tone:
+class ToneCurve:
     """Tone mapping of radiance for dark parts and lamps at once (Reinhard's curve).
 
     ``middle`` is drawn in middle grey; ``limits`` are the ends of the scale of powers of two,
@@ -119,7 +119,7 @@ class Tone:
     limits: tuple[float, float]
 
     @classmethod
-    def of(cls, radiance: np.ndarray) -> Tone:
+    def of(cls, radiance: np.ndarray) -> ToneCurve:
         """Return what suits a map (H, W, 3)."""
         grey = radiance.mean(axis=-1)
         grey = np.maximum(grey, max(DARK * grey.mean(), 1e-30))  # black is not far darker than dark
@@ -142,7 +142,7 @@ class Tone:
 
 def light_colors(radiance: np.ndarray) -> np.ndarray:
     """Return a map of radiance (H, W, 3) as screen colours."""
-    return Tone.of(radiance).colors(radiance)
+    return ToneCurve.of(radiance).colors(radiance)
 
 
 def deviation_colors(estimate: LightEstimate) -> np.ndarray:
@@ -168,7 +168,7 @@ def _notes(estimate: LightEstimate, against: Likeness | None) -> list[str]:
     return notes
 
 
-def _map_of(emitter: Any, shape: tuple[int, ...]) -> np.ndarray:
+def _emitter_map(emitter: Any, shape: tuple[int, ...]) -> np.ndarray:
     """Return what an emitter sends, as a map like that of an estimate."""
     world = directions(shape[1], shape[0]).reshape(-1, 3)
     return radiance_from(emitter, world).reshape(shape)
@@ -192,6 +192,6 @@ def _draw_scaled(
 
 def _around(axes: Axes) -> None:
     """Say which way the columns of a lat-long map look."""
-    style.framed(axes)
+    style.frame_map(axes)
     axes.set_xticks([place for place, _ in AXIS], [name for _, name in AXIS])
     axes.tick_params(labelsize=style.TEXT, color=style.RULE, labelcolor=style.INK, length=3)

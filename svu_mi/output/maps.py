@@ -77,8 +77,8 @@ def _channels(made: Any, name: str, values: Any) -> dict[str, np.ndarray]:
 
 def header(made: Any, **more: Any) -> dict[str, Any]:
     """Return header entries for a file of an ``Estimate``, ``Guidance`` or ``Recovery``."""
-    found = {"version": svu_mi.__version__, "method": made.method, **more}
-    return {f"svu:{name}": value for name, value in found.items()}
+    entries = {"version": svu_mi.__version__, "method": made.method, **more}
+    return {f"svu:{name}": value for name, value in entries.items()}
 
 
 def padded(made: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:
@@ -105,4 +105,4 @@ def read_deviations(folder: Path) -> dict[str, np.ndarray]:
     channels = read_exr(path) if path.is_file() else {}
     planes = {name: [channels[f"{name}.sd{letter}"] for letter in ("", ".R", ".G", ".B")
                      if f"{name}.sd{letter}" in channels] for name in CHANNELS}  # fmt: skip
-    return {name: np.stack(found, axis=-1) for name, found in planes.items() if found}
+    return {name: np.stack(channels, axis=-1) for name, channels in planes.items() if channels}

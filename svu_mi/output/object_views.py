@@ -22,7 +22,7 @@ Axis = Literal["y", "z"]
 DIRECTION: dict[Axis, tuple[float, float, float]] = {"y": UP, "z": (0.0, 0.0, 1.0)}
 
 
-def far_apart(
+def distant_views(
     capture: Any, seen_per_view: Sequence[int] | None = None, count: int = 2
 ) -> list[int]:
     """Return ``count`` used sensors: the one that sees most texels, and those farthest from it.
@@ -41,7 +41,7 @@ def far_apart(
     return [used[index] for index in chosen]
 
 
-def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
+def render_object(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
     """Render a texture on the mesh of a capture alone, as ``Look.painted`` does.
 
     The picture is at most 512 pixels on its longer side.
@@ -78,10 +78,10 @@ def _span(center: float, side: float, size: int) -> tuple[float, float]:
     return first / size, (first + side) / size
 
 
-def upright(capture: Any) -> np.ndarray:
-    """Return the direction (3,) that is up in a capture, as ``up_of`` its cameras."""
+def up_direction(capture: Any) -> np.ndarray:
+    """Return the direction (3,) that is up in a capture, as ``up_of_poses`` its cameras."""
     sensors = capture.used_sensors or capture.sensors
-    return up_of(np.array([to_world(sensor) for sensor in sensors]))
+    return up_of_poses(np.array([to_world(sensor) for sensor in sensors]))
 
 
 def front_and_right(
@@ -89,11 +89,11 @@ def front_and_right(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return directions (3,) to the front, where the first photograph is from, and to the right."""
     sensors = capture.used_sensors or capture.sensors
-    right, _, front = facing(up, directions_of(sensors[:1], center)[0])
+    right, _, front = viewing_frame(up, directions_of(sensors[:1], center)[0])
     return front, right
 
 
-def facing(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+def viewing_frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     """Return the unit directions right, up and front (3, 3) of whoever is looked at from the front.
 
     Args:
@@ -110,7 +110,7 @@ def facing(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     return np.stack([np.cross(up, front), up, front])
 
 
-def up_of(poses: np.ndarray) -> np.ndarray:
+def up_of_poses(poses: np.ndarray) -> np.ndarray:
     """Return the direction (3,) that is up for poses (V, 4, 4), camera to world.
 
     It is their mean upward direction, or the world's axis next to it; +Y if they are turned

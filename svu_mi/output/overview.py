@@ -12,15 +12,15 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.output import object_views, style
 from svu_mi.output.estimate_arrays import (
-    Result,
-    known,
+    EstimateArrays,
+    known_values,
+    label_of,
     mean_marginals,
     open_axes,
     prior_marginal,
-    words,
 )
 from svu_mi.output.html import grouped
-from svu_mi.output.interval_summary import Knowledge, plain_percent
+from svu_mi.output.interval_summary import IntervalSummary, plain_percent
 from svu_mi.output.panels import draw_photograph, draw_scaled_map, map_colors
 from svu_mi.output.style import LEFT, RIGHT, RULE, Block
 from svu_mi.posterior.estimate import Estimate
@@ -35,7 +35,7 @@ HEADING = "What the photographs say about the reflectance"
 
 
 def write_overview(
-    capture: Capture, estimate: Estimate, path: str | Path, knowledge: Knowledge | None = None
+    capture: Capture, estimate: Estimate, path: str | Path, knowledge: IntervalSummary | None = None
 ) -> None:
     """Draw photographs, entropy, coverage and marginals on one page of 1600 x 940 pixels.
 
@@ -44,11 +44,11 @@ def write_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    result, knowledge = Result.of(estimate), knowledge or Knowledge.of(estimate)
+    result, knowledge = EstimateArrays.of(estimate), knowledge or IntervalSummary.of(estimate)
     names = list(open_axes(estimate))
     means = mean_marginals(estimate, result) if result.seen.any() else None
     marginals = [
-        (words(name).capitalize(), partial(
+        (label_of(name).capitalize(), partial(
             _marginal, estimate=estimate, name=name, means=means, knowledge=knowledge))
         for name in names
     ]  # fmt: skip
@@ -65,12 +65,12 @@ def write_overview(
     ])  # fmt: skip
 
 
-def _notes(capture: Capture, estimate: Estimate, result: Result) -> list[str]:
+def _notes(capture: Capture, estimate: Estimate, result: EstimateArrays) -> list[str]:
     seen, (width, height) = int(result.seen.sum()), estimate.texels.resolution
     return [
         f"method {estimate.method}",
         f"preset {estimate.preset.name}",
-        *(f"known {words(name)} {value:g}" for name, value in known(estimate).items()),
+        *(f"known {label_of(name)} {value:g}" for name, value in known_values(estimate).items()),
         f"{sum(capture.used)} of {capture.count} views",
         f"{width} × {height} texels, {grouped(len(result.seen))} in charts",
         f"{grouped(seen)} seen ({100 * seen / max(len(result.seen), 1):.0f} %)",
@@ -81,8 +81,8 @@ def _notes(capture: Capture, estimate: Estimate, result: Result) -> list[str]:
 def _objects(capture: Capture, estimate: Estimate) -> Iterator[Panel]:
     """Yield photograph and entropy side by side, for two views far apart."""
     texture = map_colors(estimate)
-    for view in object_views.far_apart(capture, getattr(estimate, "seen_per_view", None)):
-        shown = object_views.picture(capture, texture, capture.sensors[view])
+    for view in object_views.distant_views(capture, getattr(estimate, "seen_per_view", None)):
+        shown = object_views.render_object(capture, texture, capture.sensors[view])
         window = object_views.object_window(shown[..., 3] > 0)
         draw = partial(draw_photograph, capture=capture, view=view, window=window)
         yield f"Photograph {view}", draw
@@ -90,12 +90,12 @@ def _objects(capture: Capture, estimate: Estimate) -> Iterator[Panel]:
         yield "Entropy seen from there", partial(style.draw_image, image=entropy)
 
 
-def _entropy_map(axes: Axes, estimate: Estimate, result: Result) -> None:
+def _entropy_map(axes: Axes, estimate: Estimate, result: EstimateArrays) -> None:
     draw_scaled_map(axes, estimate, label=style.ENTROPY_ENDS, interpolation="nearest")
     _hatch(axes, result)
 
 
-def _coverage_map(capture: Capture, estimate: Estimate, result: Result, axes: Axes) -> None:
+def _coverage_map(capture: Capture, estimate: Estimate, result: EstimateArrays, axes: Axes) -> None:
     from matplotlib.ticker import MaxNLocator
 
     label = f"views that see the texel, of {sum(capture.used)}"
@@ -107,8 +107,8 @@ def _coverage_map(capture: Capture, estimate: Estimate, result: Result, axes: Ax
     _hatch(axes, result)
 
 
-def _histogram(axes: Axes, result: Result) -> None:
-    style.plain(axes)
+def _histogram(axes: Axes, result: EstimateArrays) -> None:
+    style.minimal_axes(axes)
     edges, values = np.linspace(0, 1, 51), result.entropy[result.seen]
     if len(values) == 0:
         _nothing(axes)
@@ -128,15 +128,17 @@ def _histogram(axes: Axes, result: Result) -> None:
     style.labels(axes, up="% of texels")
 
 
-def _marginal(axes: Axes, estimate: Estimate, name: str, means: Any, knowledge: Knowledge) -> None:
+def _marginal(
+    axes: Axes, estimate: Estimate, name: str, means: Any, knowledge: IntervalSummary
+) -> None:
     """Draw the mean marginal of the texels seen, and of those of the lowest entropy."""
-    style.plain(axes)
+    style.minimal_axes(axes)
     if means is None:
         _nothing(axes)
         return
     nodes, (of_all, of_lowest) = estimate.posterior.axes[name], (mean[name] for mean in means)
     several = of_all.shape[1] == 3
-    label = words(name).capitalize()
+    label = label_of(name).capitalize()
     style.title(axes, f"{label}: R, G, B" if several else label, pad=21)
     share = f"±{knowledge.tolerance:g} on {plain_percent(knowledge.known_part[name])}"
     width = knowledge.cell_width.get(name)
@@ -165,7 +167,7 @@ def _hatch(axes: Axes, result: Any) -> None:
             extent=(-0.5, width - 0.5, -0.5, height - 0.5),
         )  # fmt: skip
         stripes.set(edgecolor=RULE, linewidth=0)
-    style.framed(axes)
+    style.frame_map(axes)
     key = []
     if result.unseen.any():
         key.append(Patch(facecolor=style.UNSEEN, label="never seen"))
@@ -181,4 +183,4 @@ def _hatch(axes: Axes, result: Any) -> None:
 
 def _nothing(axes: Axes) -> None:
     axes.set(xlim=(0, 1), yticks=[])
-    style.nothing(axes, "no texel was seen")
+    style.write_centered(axes, "no texel was seen")

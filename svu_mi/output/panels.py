@@ -24,7 +24,7 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import object_views, style
-from svu_mi.output.estimate_arrays import is_seen, prior_marginal, words
+from svu_mi.output.estimate_arrays import is_seen, label_of, prior_marginal
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.posterior import Posterior
 
@@ -77,7 +77,7 @@ def draw_map(
     cover = np.zeros((*image.shape, 4), np.float32)
     cover[~seen], cover[~inside] = (*style.UNSEEN, 1), (*style.OUTSIDE, 1)
     axes.imshow(cover, interpolation="nearest")
-    style.framed(axes)
+    style.frame_map(axes)
     return drawn
 
 
@@ -150,7 +150,7 @@ def _laid_out(estimate: Estimate, colors: np.ndarray, gutter: float, unseen: Any
     return dilate(image, inside, gutter)
 
 
-def all_seen(texels: Texels) -> Any:
+def fully_seen(texels: Texels) -> Any:
     """Return what the functions here take for an estimate that has seen every texel."""
     return SimpleNamespace(texels=texels.places, coverage=np.ones(texels.count, np.uint32))
 
@@ -187,7 +187,7 @@ def draw_posterior(
         point = [truth.grey(name)[texel] for name in (x, y)]
         axes.plot(*point, "x", color="white", ms=9, mew=4, clip_on=False)
         axes.plot(*point, "x", color=style.MARK, ms=8, mew=2, clip_on=False)
-    axes.set(xlabel=_words(x), ylabel=_words(y), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
+    axes.set(xlabel=_axis_label(x), ylabel=_axis_label(y), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
     return drawn
 
 
@@ -210,7 +210,7 @@ def draw_marginal(
     axes.plot(nodes, prior_marginal(posterior, name), color=style.INK, lw=1, ls=(0, (2, 2)))
     if truth is not None:
         axes.axvline(truth.grey(name)[texel], color=style.MARK, lw=2)
-    axes.set(xlabel=_words(name), ylim=(0, 1), xlim=(edges[0], edges[-1]), xticks=[0, 0.5, 1])
+    axes.set(xlabel=_axis_label(name), ylim=(0, 1), xlim=(edges[0], edges[-1]), xticks=[0, 0.5, 1])
     axes.spines[["top", "right"]].set_visible(False)
 
 
@@ -226,5 +226,5 @@ def _values(estimate: Estimate, values: Any | None) -> np.ndarray:
     return np.array(estimate.entropy if values is None else values).astype(np.float32)
 
 
-def _words(name: str) -> str:
-    return "specular (Ks)" if name == "specular" else words(name)
+def _axis_label(name: str) -> str:
+    return "specular (Ks)" if name == "specular" else label_of(name)

@@ -12,10 +12,10 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import Look, alone, srgb
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import is_seen, words
+from svu_mi.output.estimate_arrays import is_seen, label_of
 from svu_mi.output.html import grouped
-from svu_mi.output.panels import all_seen, draw_look, draw_scaled_map, map_colors
-from svu_mi.output.rerender import SIDE, Comparison
+from svu_mi.output.panels import draw_look, draw_scaled_map, fully_seen, map_colors
+from svu_mi.output.rerender import SIDE, RenderComparison
 from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP, Block
 from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 SIZE = (18.0, 10.2)  # inches
 HEADING = "Reflectance recovered from the photographs"
-TITLES = tuple(words(name).capitalize() for name in NAMES)
+TITLES = tuple(label_of(name).capitalize() for name in NAMES)
 GREYS = "grey: never seen"
 WIDEST_SD = 0.3  # at the upper end of the colours; an even prior's is 0.29, that of metals 0.46
 SMOOTH = 50  # losses are averaged over this part of the steps
@@ -39,7 +39,7 @@ SMOOTH = 50  # losses are averaged over this part of the steps
 def write_recovery_overview(
     capture: Capture,
     recovery: Recovery,
-    comparisons: Sequence[Comparison],
+    comparisons: Sequence[RenderComparison],
     path: str | Path,
     estimate: Estimate | None = None,
     field: TextureField | None = None,
@@ -50,10 +50,10 @@ def write_recovery_overview(
     """
     scene = alone(capture)
     objects: list[Panel | None] = []
-    kinds: Any = (_parameters, _rest)
+    kinds: Any = (_parameter_panels, _other_panels)
     for comparison, rest in zip(comparisons, kinds, strict=False):
         look = Look.at(scene, capture.sensors[comparison.view], SIDE)
-        objects += [*_compared(comparison), *rest(look, recovery, comparison, estimate)]
+        objects += [*_comparison_panels(comparison), *rest(look, recovery, comparison, estimate)]
     losses = [("Loss by step", partial(_losses, losses=np.array(recovery.losses, np.float64)))]
     style.write_page(path, SIZE, HEADING, _notes(capture, recovery, estimate), [
         Block(panels=losses, box=(0.87, RIGHT, 0.64, 0.875)),
@@ -80,7 +80,7 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
 
 def _maps(recovery: Recovery, estimate: Estimate | None, field: TextureField | None) -> list[Panel]:
     """Return the textures, their standard deviations and the entropy, in the texture's layout."""
-    inside, everywhere = recovery.texels.inside(), all_seen(recovery.texels)
+    inside, everywhere = recovery.texels.inside(), fully_seen(recovery.texels)
     color = np.where(inside[..., None], srgb(np.clip(recovery.image("base_color"), 0, 1)), OUTSIDE)
     panels: list[Panel] = [(TITLES[0], partial(_texture, image=color))]
     for title, name in zip(TITLES[1:], NAMES[1:], strict=True):
@@ -101,7 +101,7 @@ def _maps(recovery: Recovery, estimate: Estimate | None, field: TextureField | N
 
 def _texture(axes: Axes, image: np.ndarray) -> None:
     axes.imshow(image)
-    style.framed(axes)
+    style.frame_map(axes)
 
 
 def _scaled(axes: Axes, estimate: Any, **options: Any) -> None:
@@ -122,10 +122,10 @@ def _losses(axes: Axes, losses: np.ndarray) -> None:
     axes.plot(np.arange(len(mean)) + (width - 1) / 2, mean, color=INK, lw=1.6)
     if losses.min() > 0 and losses.max() > 20 * losses.min():
         axes.set_yscale("log")
-    style.plain(axes)
+    style.minimal_axes(axes)
 
 
-def _compared(comparison: Comparison) -> list[Panel]:
+def _comparison_panels(comparison: RenderComparison) -> list[Panel]:
     """A photograph, what the textures make of it, and the difference."""
     error = comparison.mean_difference
     titles = (
@@ -137,7 +137,9 @@ def _compared(comparison: Comparison) -> list[Panel]:
             for title, image in zip(titles, images, strict=False)]  # fmt: skip
 
 
-def _parameters(look: Look, recovery: Recovery, _: Comparison, __: Estimate | None) -> list[Panel]:
+def _parameter_panels(
+    look: Look, recovery: Recovery, _: RenderComparison, __: Estimate | None
+) -> list[Panel]:
     """Return the three parameters on the object."""
     return [
         (title, partial(draw_look, look=look, colors=texture_colors(
@@ -146,8 +148,8 @@ def _parameters(look: Look, recovery: Recovery, _: Comparison, __: Estimate | No
     ]  # fmt: skip
 
 
-def _rest(
-    look: Look, recovery: Recovery, comparison: Comparison, estimate: Estimate | None
+def _other_panels(
+    look: Look, recovery: Recovery, comparison: RenderComparison, estimate: Estimate | None
 ) -> list[Panel | None]:
     """Return the other light, entropy and coverage on the object."""
     coverage, made = np.array(recovery.coverage), cast(Any, recovery)  # has texels and coverage
@@ -162,6 +164,6 @@ def _rest(
 
 
 def _empty(axes: Axes, text: str) -> None:
-    style.framed(axes)
+    style.frame_map(axes)
     axes.set_box_aspect(1)
-    style.nothing(axes, text)
+    style.write_centered(axes, text)

@@ -21,7 +21,7 @@ from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import replacing
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import object_views, style
-from svu_mi.output.run_record import RECORD, Run, inputs_record, write_run
+from svu_mi.output.run_record import RECORD, RunInfo, inputs_record, write_run
 from svu_mi.output.style import VIEWS_COLORMAP, Block
 from svu_mi.recovery.relighting import RelitView
 
@@ -41,33 +41,34 @@ WIDEST = 0.5  # relative standard deviation at the upper end of its colours
 
 
 def write_relighting(
-    capture: Capture, found: Sequence[RelitView], names: Sequence[str],
-    folder: str | os.PathLike[str], run: Run | None = None, *, draws: int, pictures: bool = True,
+    capture: Capture, views: Sequence[RelitView], names: Sequence[str],
+    folder: str | os.PathLike[str], run: RunInfo | None = None, *, draws: int,
+    pictures: bool = True,
 ) -> None:  # fmt: skip
     """Write pictures, their standard deviations, ``relight.png`` and ``run.json``.
 
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    run = run or Run()
+    run = run or RunInfo()
     about = {"svu:version": svu_mi.__version__, "svu:draws": draws}
     with writing(folder, "relight", RECORD, capture=capture_key(capture)) as draft:
-        files = files_of(names)
-        write_relit_views(found, files, draft.folder, about)
+        files = view_file_names(names)
+        write_relit_views(views, files, draft.folder, about)
         if pictures:
-            notes = [f"{len(found)} views", f"{draws} draws"]
-            write_relit_page(found, names, draft.folder / PAGE, notes)
+            notes = [f"{len(views)} views", f"{draws} draws"]
+            write_relit_page(views, names, draft.folder / PAGE, notes)
         record = {
             "inputs": inputs_record(capture), "settings": {"draws": draws},
             "result": {
-                "relative_sd": [relative_sd(view) for view in found],
+                "relative_sd": [relative_sd(view) for view in views],
                 "views": dict(zip(files, names, strict=True)),
             },
         }  # fmt: skip
         write_run(draft, record, run)
 
 
-def files_of(names: Sequence[str]) -> list[str]:
+def view_file_names(names: Sequence[str]) -> list[str]:
     """Return file names of views, without endings: their own, or numbers where these cannot be."""
     own = {Path(PAGE).stem, Path(RECORD).stem, *(name.casefold() for name in names)}
     if len(own) == len(names) + 2 and all(map(PLAIN.fullmatch, names)):
@@ -77,25 +78,25 @@ def files_of(names: Sequence[str]) -> list[str]:
 
 def relative_sd(view: RelitView) -> float | None:
     """Return the median over the object's pixels of standard deviation over radiance, if any."""
-    level, sd = view.picture[view.inside].mean(axis=-1), view.sd[view.inside].mean(axis=-1)
-    lit = level > 0
-    return float(np.median(sd[lit] / level[lit])) if lit.any() else None
+    radiance, sd = view.picture[view.inside].mean(axis=-1), view.sd[view.inside].mean(axis=-1)
+    lit = radiance > 0
+    return float(np.median(sd[lit] / radiance[lit])) if lit.any() else None
 
 
-def doubt_sentence(found: Sequence[RelitView]) -> str:
+def uncertainty_sentence(views: Sequence[RelitView]) -> str:
     """Return how sure pictures are, in a sentence."""
-    parts = [part for part in map(relative_sd, found) if part is not None]
+    parts = [part for part in map(relative_sd, views) if part is not None]
     if not parts:
         return "The object is in none of the pictures, or is black."
     return f"Half of the object's pixels are known to {100 * float(np.median(parts)):.1f} % (sd)."
 
 
 def write_relit_views(
-    found: Sequence[RelitView], names: Sequence[str], folder: Path,
+    views: Sequence[RelitView], names: Sequence[str], folder: Path,
     attributes: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
     """Write ``NAME.exr`` (R, G, B, mean.R, ... and sd.R, ..., linear) and ``NAME.png`` per view."""
-    for view, name in zip(found, names, strict=True):
+    for view, name in zip(views, names, strict=True):
         channels = {"RGB": view.picture}
         for kind, image in (("mean", view.mean), ("sd", view.sd)):
             channels |= {f"{kind}.{letter}": image[..., k] for k, letter in enumerate("RGB")}
@@ -106,18 +107,18 @@ def write_relit_views(
 
 
 def write_relit_page(
-    found: Sequence[RelitView], names: Sequence[str], path: Path, notes: Sequence[str]
+    views: Sequence[RelitView], names: Sequence[str], path: Path, notes: Sequence[str]
 ) -> None:
     """Draw the first six views: picture, standard deviation, and that relative to the picture."""
-    shown = list(zip(found, names, strict=True))[:ROWS]
+    shown = list(zip(views, names, strict=True))[:ROWS]
     panels: list[Panel] = []
     for view, name in shown:
         window = object_views.object_window(view.inside)
         sd = np.where(view.inside, view.sd.mean(axis=-1), np.nan)
-        level = np.where(view.inside, view.picture.mean(axis=-1), np.nan)
+        radiance = np.where(view.inside, view.picture.mean(axis=-1), np.nan)
         top = float(f"{np.nanpercentile(sd, 99):.1g}") if view.inside.any() else 1.0
         picture = tone_mapped(view.picture, view.inside)
-        relative = sd / np.maximum(level, DARK * float(np.nanmedian(level)))
+        relative = sd / np.maximum(radiance, DARK * float(np.nanmedian(radiance)))
         panels += [
             (name, partial(style.draw_image, image=object_views.crop(picture, window))),
             ("Standard deviation", partial(
@@ -135,5 +136,5 @@ def write_relit_page(
 
 def _scaled(axes: Axes, values: np.ndarray, limits: tuple[float, float]) -> None:
     drawn = axes.imshow(values, cmap=VIEWS_COLORMAP, vmin=limits[0], vmax=limits[1])
-    style.framed(axes)
+    style.frame_map(axes)
     style.color_bar(axes, drawn, "", ticks=np.linspace(*limits, 3).tolist())

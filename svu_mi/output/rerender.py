@@ -26,7 +26,7 @@ WORST = 0.25  # difference of sRGB values at the end of the scale
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class RenderComparison:
     """One view: what was photographed and what the textures say, at most 320 pixels wide.
 
     Attributes:
@@ -88,10 +88,10 @@ class Comparison:
         return np.where(self.inside[..., None], image, np.float32(1))
 
 
-def compare(
+def compare_renders(
     capture: Capture, textures: Textures, chosen: Sequence[int], spp: int = SAMPLES,
     side: int = SIDE, *, relit: bool = True,
-) -> list[Comparison]:  # fmt: skip
+) -> list[RenderComparison]:  # fmt: skip
     """Render the object in textures as the ``chosen`` sensors saw it, and under ``novel_light``.
 
     ``side`` is the longer side of the pictures, in pixels; the other light only if ``relit``.
@@ -103,7 +103,7 @@ def compare(
     for light in under:
         lit.append(relight(capture, textures, light, sensors, spp, pixels=inside))
     return [
-        Comparison(
+        RenderComparison(
             view=view, photograph=resized(capture.images[view], film_size(sensor)),
             inside=mask, render=renders[0], relit=renders[1] if relit else None,
         )
@@ -111,7 +111,7 @@ def compare(
     ]  # fmt: skip
 
 
-def write_relit(comparisons: Sequence[Comparison], path: str | Path) -> None:
+def write_relit(comparisons: Sequence[RenderComparison], path: str | Path) -> None:
     """Draw one row per view of ``compare``: photograph, render, their difference, another light.
 
     Raises:

@@ -28,7 +28,7 @@ from svu_mi.core.io.provenance import RUN_RECORD
 from svu_mi.core.progress import Stage
 from svu_mi.errors import OutputError
 from svu_mi.output.estimate_arrays import is_seen
-from svu_mi.output.interval_summary import Knowledge
+from svu_mi.output.interval_summary import IntervalSummary
 from svu_mi.posterior.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class RunInfo:
     """How results came about that are to be written, and who watches.
 
     Attributes:
@@ -78,13 +78,13 @@ def environment_record() -> dict[str, Any]:
 
 
 def run_record(
-    capture: Capture, estimate: Estimate, knowledge: Knowledge | None = None
+    capture: Capture, estimate: Estimate, knowledge: IntervalSummary | None = None
 ) -> dict[str, Any]:
     """Return what a capture and its estimate say about the run; intervals are ``knowledge``."""
     entropy, seen = np.asarray(estimate.entropy), is_seen(estimate)
     result = {
         "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
-        "intervals": knowledge or Knowledge.of(estimate),
+        "intervals": knowledge or IntervalSummary.of(estimate),
     }
     return _record(
         capture, estimate, _settings(estimate), result,
@@ -159,7 +159,7 @@ def inputs_record(capture: Capture) -> dict[str, Any]:
     }
 
 
-def write_run(draft: Draft, record: Mapping[str, Any], run: Run) -> None:
+def write_run(draft: Draft, record: Mapping[str, Any], run: RunInfo) -> None:
     """Write ``run.json`` beside everything else: a record of this module, and where it ran."""
     write_manifest(draft.folder / RECORD, {
         **record, "settings": {**record["settings"], "given": run.settings},

@@ -140,7 +140,7 @@ def legend(axes: Axes, size: float = TEXT, **options: Any) -> None:
     axes.legend(fontsize=size, frameon=False, labelcolor=INK, **options)
 
 
-def nothing(axes: Axes, text: str) -> None:
+def write_centered(axes: Axes, text: str) -> None:
     """Say in the middle of axes why there is nothing in them."""
     same: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
     axes.text(0.5, 0.5, text, color=FAINT, size=11, **same)
@@ -154,14 +154,14 @@ def subtitle(axes: Axes, text: str) -> None:
     )  # fmt: skip
 
 
-def plain(axes: Axes) -> None:
+def minimal_axes(axes: Axes) -> None:
     """Draw axes below and on the left, faintly, and none elsewhere."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(RULE)
     axes.tick_params(labelsize=9, color=RULE, labelcolor=INK, length=3)
 
 
-def framed(axes: Axes) -> None:
+def frame_map(axes: Axes) -> None:
     """Draw a faint frame around a map, without ticks."""
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_color(RULE)
@@ -173,7 +173,9 @@ def draw_image(axes: Axes, image: np.ndarray) -> None:
     axes.set_axis_off()
 
 
-def scale(limits: tuple[float, float], colormap: str | Colormap = COLORMAP) -> ScalarMappable:
+def scalar_mappable(
+    limits: tuple[float, float], colormap: str | Colormap = COLORMAP
+) -> ScalarMappable:
     """Return what makes colours of numbers; a colour bar can be drawn of it."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -185,7 +187,7 @@ def colors(
     values: np.ndarray, limits: tuple[float, float] = (0, 1), colormap: str | Colormap = COLORMAP
 ) -> np.ndarray:
     """Return numbers of any shape as screen colours (..., 3), float32."""
-    drawn = scale(limits, colormap)
+    drawn = scalar_mappable(limits, colormap)
     return np.array(drawn.get_cmap()(drawn.norm(values))[..., :3], np.float32)
 
 

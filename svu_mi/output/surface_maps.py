@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture.tonemap import srgb
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import Result, open_axes, words
+from svu_mi.output.estimate_arrays import EstimateArrays, label_of, open_axes
 from svu_mi.output.interval_summary import TOLERANCE, WIDEST, Intervals
 from svu_mi.output.panels import GUTTER, albedo_colors, map_colors
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
@@ -104,7 +104,7 @@ def surface_maps(
 
 def entropy_maps(estimate: Estimate) -> list[SurfaceMap]:
     """Return maps of the entropy and of the coverage."""
-    result = Result.of(estimate)
+    result = EstimateArrays.of(estimate)
     most = result.most_views
     return [
         SurfaceMap(
@@ -125,7 +125,7 @@ def entropy_maps(estimate: Estimate) -> list[SurfaceMap]:
 
 def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
     """Return the map of a parameter of the most probable material."""
-    scale: Scale | None = Scale(colormap=VALUES_COLORMAP, label=words(name), ends=ENDS[name])
+    scale: Scale | None = Scale(colormap=VALUES_COLORMAP, label=label_of(name), ends=ENDS[name])
     sentence = "Of the material that explains the photographs best."
     if name == "base_color" and estimate.posterior.groups == 3:
         scale = None
@@ -133,7 +133,7 @@ def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
     elif name == "base_color":
         sentence = "Brightness of the material that explains the photographs best."
     return SurfaceMap(
-        name=f"most probable {words(name)}", sentence=sentence, estimate=estimate,
+        name=f"most probable {label_of(name)}", sentence=sentence, estimate=estimate,
         values=lambda: estimate.posterior.map()[name], scale=scale,
     )  # fmt: skip
 
@@ -144,7 +144,7 @@ def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceM
     several = name == "base_color" and estimate.posterior.groups == 3
     widest = "; of the three channels, the least known" if several else ""
     return SurfaceMap(
-        name=f"uncertainty of {words(name)}", estimate=estimate,
+        name=f"uncertainty of {label_of(name)}", estimate=estimate,
         values=lambda: intervals.half_width(name),
         scale=Scale(high=WIDEST, label=half, ends=("±0", f"±{WIDEST:g} and more")),
         sentence=f"Half the width of its {100 * intervals.level:g} % interval{widest}. Settled is "
@@ -156,9 +156,9 @@ def recovered_maps(textures: Textures) -> list[SurfaceMap]:
     """Return recovered textures as maps."""
     return [
         SurfaceMap(
-            name=f"recovered {words(name)}", estimate=None, values=partial(np.array, tensor),
+            name=f"recovered {label_of(name)}", estimate=None, values=partial(np.array, tensor),
             scale=None if name == "base_color" else
-            Scale(colormap=VALUES_COLORMAP, label=words(name), ends=ENDS[name]),
+            Scale(colormap=VALUES_COLORMAP, label=label_of(name), ends=ENDS[name]),
             sentence="The recovered texture, also where nothing was seen.",
         )
         for name, tensor in textures.items()
@@ -175,7 +175,7 @@ def field_maps(field: TextureField, estimate: Estimate) -> list[SurfaceMap]:
     label = f"half the width of the {100 * LEVEL:g} % interval"
     return [
         SurfaceMap(
-            name=f"uncertainty of recovered {words(name)}", estimate=estimate,
+            name=f"uncertainty of recovered {label_of(name)}", estimate=estimate,
             values=partial(half_width, name),
             scale=Scale(high=WIDEST, label=label, ends=("±0", f"±{WIDEST:g} and more")),
             sentence="Of the recovered texture, which neighbours make surer than a point is by "
@@ -187,7 +187,7 @@ def field_maps(field: TextureField, estimate: Estimate) -> list[SurfaceMap]:
 
 def _marginal_entropy(estimate: Estimate, name: str) -> SurfaceMap:
     return SurfaceMap(
-        name=f"entropy of {words(name)}", estimate=estimate,
+        name=f"entropy of {label_of(name)}", estimate=estimate,
         values=lambda: estimate.posterior.marginal_entropy(name), scale=ENTROPY,
-        sentence=f"What the photographs leave open of {words(name)}.",
+        sentence=f"What the photographs leave open of {label_of(name)}.",
     )  # fmt: skip

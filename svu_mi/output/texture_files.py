@@ -100,7 +100,7 @@ def object_node(
     return node
 
 
-def settings_of(folder: str | Path) -> dict[str, Any]:
+def recovery_settings(folder: str | Path) -> dict[str, Any]:
     """Return ``Recovery.settings`` as the record of a folder of textures has them; nothing where
     there is none, such as beside textures of others."""
     try:
@@ -157,8 +157,8 @@ def require_textures_of(capture: Capture, folder: str | Path) -> None:
 def find_textures(folder: Path) -> dict[str, Path]:
     """Return the textures of a folder, whoever wrote them, by parameter: EXR before PNG."""
     places = {name: [folder / f"{name}{kind}" for kind in KINDS] for name in NAMES}
-    found = {name: next(filter(Path.is_file, paths), None) for name, paths in places.items()}
-    return {name: path for name, path in found.items() if path is not None}
+    files = {name: next(filter(Path.is_file, paths), None) for name, paths in places.items()}
+    return {name: path for name, path in files.items() if path is not None}
 
 
 def read_texture(path: Path, name: str) -> tuple[np.ndarray, str]:

@@ -16,8 +16,8 @@ from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import words
-from svu_mi.output.panels import all_seen, draw_look, map_colors
+from svu_mi.output.estimate_arrays import label_of
+from svu_mi.output.panels import draw_look, fully_seen, map_colors
 from svu_mi.output.style import GREY, Block
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recover import Recovery
@@ -54,12 +54,12 @@ def write_draws(
 
 def find_draws(folder: Path) -> list[Path]:
     """Return the files of ``write_draws`` in order; a ``CaptureError`` if there are none."""
-    found = sorted((folder / FOLDER).glob("draw_*.exr"))
-    if not found:
+    files = sorted((folder / FOLDER).glob("draw_*.exr"))
+    if not files:
         raise CaptureError(
             f"{folder}: has no draws of the textures; svu recover --draws 16 writes some."
         )
-    return found
+    return files
 
 
 def read_draws(files: Sequence[Path]) -> Iterator[Textures]:
@@ -84,7 +84,7 @@ def write_sheet(
     panels: list[Panel] = []
     for name in NAMES:
         for number, textures in enumerate(columns):
-            title = words(name).capitalize() if number == 0 else f"draw {number - 1}"
+            title = label_of(name).capitalize() if number == 0 else f"draw {number - 1}"
             shown = texture_colors(recovery.texels, textures, name)
             panels.append((title, partial(draw_look, look=look, colors=shown)))
     height = CELL * len(NAMES) + 1.3
@@ -99,7 +99,7 @@ def texture_colors(texels: Texels, textures: Textures, name: str) -> np.ndarray:
     """Return a parameter as screen colours (H, W, 3)."""
     if CHANNELS[name] > 1:
         return srgb(np.clip(np.array(textures[name], np.float32), 0, 1))
-    return map_colors(all_seen(texels), textures.at(texels, name), colormap=GREY)
+    return map_colors(fully_seen(texels), textures.at(texels, name), colormap=GREY)
 
 
 def _channels(name: str) -> list[str]:

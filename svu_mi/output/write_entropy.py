@@ -7,10 +7,10 @@ import os
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.core.io.output_folder import writing
-from svu_mi.output.interval_summary import Knowledge
+from svu_mi.output.interval_summary import IntervalSummary
 from svu_mi.output.maps import write_maps
 from svu_mi.output.overview import write_overview
-from svu_mi.output.run_record import RECORD, Run, run_record, write_run
+from svu_mi.output.run_record import RECORD, RunInfo, run_record, write_run
 from svu_mi.posterior.estimate import Estimate
 
 
@@ -18,9 +18,9 @@ def write_outputs(
     capture: Capture,
     estimate: Estimate,
     folder: str | os.PathLike[str],
-    run: Run | None = None,
+    run: RunInfo | None = None,
     *,
-    knowledge: Knowledge | None = None,
+    knowledge: IntervalSummary | None = None,
     pictures: bool = True,
 ) -> None:
     """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json`` in one step.
@@ -30,7 +30,7 @@ def write_outputs(
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    knowledge = knowledge or Knowledge.of(estimate)
+    knowledge = knowledge or IntervalSummary.of(estimate)
     # Photographs that are in other processes have no digest here.
     key = "" if estimate.observed is None else capture_key(capture)
     with writing(folder, "entropy", RECORD, capture=key) as draft:
@@ -38,4 +38,4 @@ def write_outputs(
         if pictures:
             write_overview(capture, estimate, draft.folder / "overview.png", knowledge)
         record = run_record(capture, estimate, knowledge)
-        write_run(draft, record, run or Run())
+        write_run(draft, record, run or RunInfo())

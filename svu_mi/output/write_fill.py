@@ -18,16 +18,16 @@ from svu_mi.capture.tonemap import Look, alone
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import words
+from svu_mi.output.estimate_arrays import label_of
 from svu_mi.output.html import percent
 from svu_mi.output.maps import padded, write_field
-from svu_mi.output.panels import all_seen, draw_look, draw_map, map_colors
-from svu_mi.output.run_record import RECORD, Run, inputs_record, write_run
+from svu_mi.output.panels import draw_look, draw_map, fully_seen, map_colors
+from svu_mi.output.run_record import RECORD, RunInfo, inputs_record, write_run
 from svu_mi.output.style import Block
 from svu_mi.output.texture_files import write_scene
 from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.inpaint.fill_result import Filled, Invented
+from svu_mi.recovery.inpaint.fill_result import Filled, ModelReport
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ CELL = 3.2  # inches
 
 
 def write_filled(
-    capture: Capture, before: TextureField, found: Filled, folder: str | os.PathLike[str],
-    run: Run | None = None, *, pictures: bool = True,
+    capture: Capture, before: TextureField, result: Filled, folder: str | os.PathLike[str],
+    run: RunInfo | None = None, *, pictures: bool = True,
 ) -> None:  # fmt: skip
     """Write textures, ``recovered.xml``, ``uncertainty.exr``, ``filled.exr`` and ``run.json``.
 
@@ -50,63 +50,63 @@ def write_filled(
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    run = run or Run()
+    run = run or RunInfo()
     about = {"svu:version": svu_mi.__version__, "svu:method": "inpaint"}
-    model = found.invented
+    model = result.invented
     with writing(folder, "inpaint", RECORD, capture=capture_key(capture)) as draft:
-        write_scene(capture, found.textures, draft.folder, attributes=about)
-        write_field(found.field, draft.folder, about)
-        masks = {"Y": found.filled} | ({} if model is None else {"model": model.reached})
+        write_scene(capture, result.textures, draft.folder, attributes=about)
+        write_field(result.field, draft.folder, about)
+        masks = {"Y": result.filled} | ({} if model is None else {"model": model.reached})
         write_exr(draft.folder / MASK, {
-            name: padded(found.field, mask.astype(np.float32), fill=0)
+            name: padded(result.field, mask.astype(np.float32), fill=0)
             for name, mask in masks.items()
         }, about)  # fmt: skip
         if pictures:
-            _draw(capture, before, found, draft.folder / PAGE)
+            _draw_page(capture, before, result, draft.folder / PAGE)
         record = {
             "inputs": inputs_record(capture), "settings": {},
-            "result": {"filled": int(found.filled.sum()), "likeness": found.likeness,
-                       "errors": found.errors, **({} if model is None else _of_model(model))},
+            "result": {"filled": int(result.filled.sum()), "likeness": result.likeness,
+                       "errors": result.errors, **({} if model is None else _model_record(model))},
         }  # fmt: skip
         write_run(draft, record, run)
 
 
-def fill_sentences(found: Filled) -> Iterator[str]:
+def fill_sentences(result: Filled) -> Iterator[str]:
     """Yield what was filled, and by what."""
-    part = found.filled.mean() if len(found.filled) else 0.0
-    if not found.filled.any():
+    part = result.filled.mean() if len(result.filled) else 0.0
+    if not result.filled.any():
         yield "Every texel is seen, and surely enough; nothing was filled."
         return
     yield f"{percent(part)} of the texels filled."
-    if found.invented is not None:
-        yield from _invented_sentences(found.invented, found)
-    for name in found.field.names:
+    if result.invented is not None:
+        yield from _invented_sentences(result.invented, result)
+    for name in result.field.names:
         yield (
-            f"{words(name).capitalize()}: {found.likeness[name]}, off by "
-            f"{found.errors[name]:.2f} (rms) where that was tried on what was seen."
+            f"{label_of(name).capitalize()}: {result.likeness[name]}, off by "
+            f"{result.errors[name]:.2f} (rms) where that was tried on what was seen."
         )
 
 
-def _invented_sentences(model: Invented, found: Filled) -> Iterator[str]:
+def _invented_sentences(model: ModelReport, result: Filled) -> Iterator[str]:
     """Yield what a model has filled, and how far off it is, beside likeness."""
-    part = model.reached.sum() / found.filled.sum()
+    part = model.reached.sum() / result.filled.sum()
     yield f"{percent(part)} of these by {model.model}; licence of its weights: {model.licence}."
     for answer in model.answers:
         number = len(answer.pictures)
         kind = {"photographs": "photograph", "renders": "render"}[answer.source]
         off = ", ".join(
-            f"{words(name)} {error:.2f} ({answer.likeness[name]:.2f})"
+            f"{label_of(name)} {error:.2f} ({answer.likeness[name]:.2f})"
             for name, error in answer.errors.items()
         )
         yield (
             f"In {number} {kind}{'' if number == 1 else 's'}. Off, where that was tried on what "
             f"was seen, by (in brackets: likeness, there): {off} (rms)."
         )
-    if model.reached.sum() < found.filled.sum():
+    if model.reached.sum() < result.filled.sum():
         yield "What no picture shows well is filled by likeness:"
 
 
-def _of_model(model: Invented) -> dict[str, Any]:
+def _model_record(model: ModelReport) -> dict[str, Any]:
     """Return what a model was asked, for ``run.json``."""
     answers = [
         {"source": answer.source, "pictures": list(answer.pictures),
@@ -117,28 +117,28 @@ def _of_model(model: Invented) -> dict[str, Any]:
     return {"model": {"title": model.model, "licence": model.licence, "answers": answers}}
 
 
-def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> None:
+def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Path) -> None:
     """Draw every parameter before and after, and what was filled, from where most of that is
     seen."""
     rows = ("before", "after", "standard deviation")
-    model, texels = found.invented, before.texels
+    model, texels = result.invented, before.texels
     heading = LIKE if model is None else INVENTED.format(model.model)
-    look = Look.at(alone(capture), capture.sensors[_facing(capture, found)])
-    everywhere = all_seen(texels)
+    look = Look.at(alone(capture), capture.sensors[_best_sensor(capture, result)])
+    everywhere = fully_seen(texels)
     mask = partial(draw_map, estimate=everywhere, colormap=style.GREY)
-    masks = {"before": ("Filled, in the texture", partial(mask, values=found.filled))}
+    masks = {"before": ("Filled, in the texture", partial(mask, values=result.filled))}
     if model is not None:
         masks["after"] = ("By the model, in the texture", partial(mask, values=model.reached))
     panels: list[Panel | None] = []
     for row in rows:
         for name in NAMES:
             if row == "standard deviation":
-                sd = found.field.sd(name).reshape(texels.count, -1).max(axis=1)
+                sd = result.field.sd(name).reshape(texels.count, -1).max(axis=1)
                 shown = map_colors(everywhere, sd, limits=(0, 0.3))
             else:
-                field = before if row == "before" else found.field
+                field = before if row == "before" else result.field
                 shown = texture_colors(texels, field.textures, name)
-            title = f"{words(name).capitalize()}, {row}"
+            title = f"{label_of(name).capitalize()}, {row}"
             panels.append((title, partial(draw_look, look=look, colors=shown)))
         panels.append(masks.get(row))
     height, columns = CELL * len(rows) + 1.1, len(NAMES) + 1
@@ -149,10 +149,10 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
     style.write_page(path, (CELL * columns, height), heading, [], [block])
 
 
-def _facing(capture: Capture, found: Filled) -> int:
+def _best_sensor(capture: Capture, result: Filled) -> int:
     """Return the sensor that most of what was filled faces."""
-    texels = found.field.texels
-    position, normal = (np.array(x)[:, found.filled] for x in (texels.position, texels.normal))
+    texels = result.field.texels
+    position, normal = (np.array(x)[:, result.filled] for x in (texels.position, texels.normal))
     eyes = [to_world(sensor)[:3, 3] for sensor in capture.sensors]
     facing = [int((((eye[:, None] - position) * normal).sum(axis=0) > 0).sum()) for eye in eyes]
     return int(np.argmax(facing))

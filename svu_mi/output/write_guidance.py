@@ -25,12 +25,12 @@ from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.guidance_page import (
     gain_limit,
     gain_pictures,
-    looks_of,
+    proposal_views,
     write_guidance_overview,
 )
 from svu_mi.output.maps import GUTTER, header, padded
 from svu_mi.output.object_views import UP
-from svu_mi.output.run_record import RECORD, Run, guidance_record, write_manifest, write_run
+from svu_mi.output.run_record import RECORD, RunInfo, guidance_record, write_manifest, write_run
 from svu_mi.posterior.estimate import Estimate
 
 PLAN, PAGE = "guidance.json", "guidance.png"
@@ -42,7 +42,7 @@ def write_guidance(
     estimate: Estimate,
     guidance: Guidance,
     folder: str | os.PathLike[str],
-    run: Run | None = None,
+    run: RunInfo | None = None,
     *,
     up: tuple[float, float, float] = UP,
     pictures: bool = True,
@@ -54,7 +54,7 @@ def write_guidance(
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    run = run or Run()
+    run = run or RunInfo()
     with writing(folder, "guide", RECORD, capture=capture_key(capture)) as draft:
         target = draft.folder
         _write_poses(capture, guidance, target)
@@ -63,7 +63,7 @@ def write_guidance(
         maps = guidance.gain_maps()
         run.progress(2, 4)
         if pictures:
-            looks = looks_of(capture, guidance)
+            looks = proposal_views(capture, guidance)
             write_guidance_overview(capture, estimate, guidance, maps, looks, target / PAGE, up)
             thumbnails = gain_pictures(looks, guidance, maps, gain_limit(maps))
             _write_thumbnails(thumbnails, prepare_folder(target / THUMBNAILS))

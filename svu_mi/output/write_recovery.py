@@ -25,8 +25,8 @@ from svu_mi.output.maps import (
     write_uncertainty,
 )
 from svu_mi.output.recovery_page import write_recovery_overview
-from svu_mi.output.rerender import compare, write_relit
-from svu_mi.output.run_record import RECORD, Run, recovery_record, write_run
+from svu_mi.output.rerender import compare_renders, write_relit
+from svu_mi.output.run_record import RECORD, RunInfo, recovery_record, write_run
 from svu_mi.output.texture_files import write_scene
 from svu_mi.output.texture_samples import SHEET, write_draws, write_sheet
 from svu_mi.posterior.estimate import Estimate
@@ -39,7 +39,7 @@ VIEWS = 3  # that pictures are made of
 
 
 @dataclass(frozen=True)
-class Draws:
+class DrawOptions:
     """Textures to draw: how many, and with which seed."""
 
     count: int
@@ -50,11 +50,11 @@ def write_recovery(
     capture: Capture,
     recovery: Recovery,
     folder: str | os.PathLike[str],
-    run: Run | None = None,
+    run: RunInfo | None = None,
     *,
     estimate: Estimate | None = None,
     field: TextureField | None = None,
-    draws: Draws | None = None,
+    draws: DrawOptions | None = None,
     pictures: bool = True,
 ) -> None:
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
@@ -75,7 +75,7 @@ def write_recovery(
     """
     estimate = recovery.estimate if estimate is None else estimate
     key = capture_key(capture)
-    run = run or Run()
+    run = run or RunInfo()
     about = header(recovery, settings=json.dumps(recovery.settings, default=str))
     with writing(folder, "recover", RECORD, capture=key) as draft:
         target = draft.folder
@@ -84,16 +84,15 @@ def write_recovery(
         if pictures:
             _draw(capture, recovery, estimate, field, target)
         run.progress(2, 4)
-        _write_known(recovery, estimate, field, target)
+        _write_uncertainty(recovery, estimate, field, target)
         write_losses(recovery.losses, target / LOSSES)
         record = recovery_record(capture, recovery, estimate)
         run.progress(3, 4)
         if field is not None and draws is not None:
             first = write_draws(field.draw(draws.count, draws.seed), target, about)
             if pictures:
-                view = object_views.far_apart(capture, getattr(estimate, "seen_per_view", None), 1)[
-                    0
-                ]
+                seen = getattr(estimate, "seen_per_view", None)
+                (view,) = object_views.distant_views(capture, seen, 1)
                 write_sheet(capture, recovery, first, target / SHEET, view)
         run.progress(4, 4)
         write_run(draft, record, run)
@@ -104,13 +103,13 @@ def _draw(
     folder: Path,
 ) -> None:  # fmt: skip
     """Write ``relit.png`` and ``recovery.png``."""
-    chosen = object_views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
-    comparisons = compare(capture, recovery.textures, chosen)
+    chosen = object_views.distant_views(capture, getattr(estimate, "seen_per_view", None), VIEWS)
+    comparisons = compare_renders(capture, recovery.textures, chosen)
     write_relit(comparisons, folder / RELIT)
     write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate, field)
 
 
-def _write_known(
+def _write_uncertainty(
     recovery: Recovery, estimate: Estimate | None, field: TextureField | None, folder: Path
 ) -> None:
     if estimate is None:

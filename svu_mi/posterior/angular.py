@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
@@ -23,7 +23,7 @@ from svu_mi.posterior.kernel import CellKernel, Pair, Prior, observed_by, requir
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
-from svu_mi.reflection.principled import Mixture, lobe_mixture, mixture
+from svu_mi.reflection.principled import Mixture, mixture, paper_mixture
 from svu_mi.statistics.cholesky_factors import FLOOR, Factors, combined
 from svu_mi.statistics.statistics import Statistics
 
@@ -164,7 +164,7 @@ def angular_posterior(
     problem = Problem(
         factors=factors,
         copies=copies,
-        slots=owned(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
+        slots=to_drjit(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
         rows=row_entropy.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
         sigma=dr.opaque(mi.Float, switches.sigma * (1 if switches.noise == "fixed" else scale)),
@@ -179,7 +179,7 @@ def angular_posterior(
 def _prior(tables: tuple[np.ndarray, np.ndarray] | None) -> tuple[Any, Any] | None:
     if tables is None:
         return None
-    return owned(mi.Float64, tables[0]), owned(mi.Float, np.minimum(tables[1], UNLIKELY))
+    return to_drjit(mi.Float64, tables[0]), to_drjit(mi.Float, np.minimum(tables[1], UNLIKELY))
 
 
 def _require_levels(
@@ -228,15 +228,15 @@ def _cells(problem: Problem, column: Any, U: list[Any]) -> list[Any]:
     """Mean squared error of every cell of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
     nodes = [mi.Float(node) for node in row_entropy.cells(problem.cells)]
     if problem.mixed is None:
-        return [_over_diffuse(U, lobe_mixture(Ks)) for Ks in nodes]
+        return [_over_diffuse(U, paper_mixture(Ks)) for Ks in nodes]
     how = mixture(*row_entropy.nodes(mi.Float, problem.mixed, column))
-    u, v = (combined(U, x)[:-1] for x in (how.scaled, how.constant))
+    u, v = (combined(U, x)[:-1] for x in (how.slope, how.offset))
     return [_square([dr.fma(a, c, b) for a, b in zip(u, v, strict=True)], U[FLOOR]) for c in nodes]
 
 
 def _over_diffuse(U: list[Any], how: Mixture) -> Any:
     """The same at the best Kd in [0, 1], which only the first component depends on."""
-    first, *others = combined(U, how.constant)[:-1]
+    first, *others = combined(U, how.offset)[:-1]
     slope = U[0]
     inverse = dr.select(slope > 0, dr.rcp(dr.select(slope > 0, slope, 1)), 0)
     first = dr.fma(slope, dr.clip(-first * inverse, 0, 1), first)

@@ -17,8 +17,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.capture import Doubt
-from svu_mi.core.arrays import owned
+from svu_mi.capture.capture import LightUncertainty
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import ShapeError
 from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
@@ -229,7 +229,8 @@ class CalibratedKernel(Kernel):
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
         """Draw parameters, the same of a texel whichever others are asked for (see ``Kernel``)."""
         problem, lanes, names = self.problem, self.lane[texels], list(self.grid.axes)
-        total = dr.gather(mi.Float, self.summary.total, owned(mi.UInt32, lanes.astype(np.uint32)))
+        index = to_drjit(mi.UInt32, lanes.astype(np.uint32))
+        total = dr.gather(mi.Float, self.summary.total, index)
         drawn = {name: np.empty((count, len(texels), self.channels_of(name)), np.float32)
                  for name in names}  # fmt: skip
         for number in range(count):
@@ -237,7 +238,7 @@ class CalibratedKernel(Kernel):
                 (len(names) + 2 * self.groups, problem.factors.count), np.float32
             )
             shared, colors = kernel.draw(
-                problem, lanes, total, [owned(mi.Float, u[lanes]) for u in random]
+                problem, lanes, total, [to_drjit(mi.Float, u[lanes]) for u in random]
             )
             for name, values in zip(names, [*([x] for x in shared), colors], strict=True):
                 drawn[name][number] = np.stack([np.array(x) for x in values], axis=-1)
@@ -262,7 +263,7 @@ def calibrated_posterior(
     prior: Any | None = None,
     copies: int = 1,
     texels: int | None = None,
-    doubt: Doubt | None = None,
+    light_uncertainty: LightUncertainty | None = None,
     rounding: np.ndarray | None = None,
 ) -> Posterior[CalibratedKernel]:
     """Integrate over what explains the photographs.
@@ -277,7 +278,7 @@ def calibrated_posterior(
             a range is half as wide as others, and 1 for every cell is not the default.
         copies: how many equal colour channels each channel of the statistics stands for.
         texels: T, how many there are in all, seen or not; by default up to the last of S.
-        doubt: of the light, whose scale base colours have in common.
+        light_uncertainty: of the light, whose scale base colours have in common.
         rounding: (S,) variance of a sample of weight 1 by rounding alone, squared radiance, below
             which its noise is never; None for photographs of floats.
 
@@ -293,9 +294,8 @@ def calibrated_posterior(
     observed = observed_by("calibrated_posterior()", factors, copies, texels)
     problem = _problem(factors, grid, switches, prior, copies)
     problem, noise = _with_noise(problem, switches, scale, rounding)
-    of_texels = CalibratedKernel(
-        grid=grid, problem=problem, noise=noise, common=(doubt or Doubt()).scale
-    )
+    common = (light_uncertainty or LightUncertainty()).scale
+    of_texels = CalibratedKernel(grid=grid, problem=problem, noise=noise, common=common)
     return Posterior(kernel=of_texels, observed=observed)
 
 
@@ -332,7 +332,7 @@ def _problem(
     else:
         rows = tables[0]
         width = cell_widths(edges)
-        given = owned(mi.Float, (np.exp(-tables[1]).reshape(-1, len(width)) / width).ravel())
+        given = to_drjit(mi.Float, (np.exp(-tables[1]).reshape(-1, len(width)) / width).ravel())
         possible = rows.reshape(r.cells, -1) < row_entropy.IMPOSSIBLE
         r = r.only(np.any(possible, axis=1))
     empty = dr.zeros(mi.Float, factors.count)
@@ -356,8 +356,8 @@ def _with_noise(
     )  # fmt: skip
     energy_scale = weight / (variance * switches.overdispersion)
     problem = replace(
-        problem, scale=owned(mi.Float, np.sqrt(energy_scale) / scale),
-        least=owned(mi.Float, energy_scale * rest),
+        problem, scale=to_drjit(mi.Float, np.sqrt(energy_scale) / scale),
+        least=to_drjit(mi.Float, energy_scale * rest),
     )  # fmt: skip
     if problem.given is not None:  # which may contradict the likelihood by any number of nats
         above = kernel.least(problem, excess=True)

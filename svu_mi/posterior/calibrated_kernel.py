@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated_problem import Problem
 from svu_mi.posterior.node_integration import Node, Walker
@@ -275,7 +275,7 @@ def _walked(problem: Problem, chosen: np.ndarray) -> tuple[Any, Any]:
     # A packet is about one cell of roughness of many texels, which leave out the same nodes.
     number = dr.opaque(mi.UInt32, len(chosen))
     texel, cell = launch % number, launch // number
-    walker = Walker(problem, dr.gather(mi.UInt32, owned(mi.UInt32, chosen), texel))
+    walker = Walker(problem, dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), texel))
 
     def visit(node: Node, masses: CellMasses) -> tuple[CellMasses]:
         masses.add(problem, node)
@@ -293,14 +293,14 @@ def node_masses(problem: Problem, name: str, chosen: np.ndarray) -> Any:
     number, place = problem.axis(name).count, None
     if name in MIXED:
         nodes = np.unravel_index(np.arange(problem.mixed.count), problem.mixed.shape)
-        place = owned(mi.UInt32, nodes[MIXED.index(name)].astype(np.uint32))
+        place = to_drjit(mi.UInt32, nodes[MIXED.index(name)].astype(np.uint32))
 
     def visit(node: Node, masses: Any) -> tuple[Any]:
         k = node.row if place is None else dr.gather(mi.UInt32, place, node.column)
         masses[k] = masses[k] + node.weight
         return (masses,)
 
-    walker = Walker(problem, owned(mi.UInt32, chosen))
+    walker = Walker(problem, to_drjit(mi.UInt32, chosen))
     (masses,) = walker.over_all(visit, (cleared(number),))
     return _in_blocks(masses, number, len(chosen))
 
@@ -311,8 +311,8 @@ def color_masses(
     """Return the masses of K parts of base colour (see ``node_masses``), for each channel, or for
     one of each texel, ``channel`` (t,) int64, where the prior leaves colours alike."""
     edges = np.append(parts.low, parts.high[-1])
-    only = None if channel is None else owned(mi.UInt32, channel.astype(np.uint32))
-    walker = Walker(problem, owned(mi.UInt32, chosen), edges, only)
+    only = None if channel is None else to_drjit(mi.UInt32, channel.astype(np.uint32))
+    walker = Walker(problem, to_drjit(mi.UInt32, chosen), edges, only)
     K, channels = parts.count, problem.factors.channels if only is None else 1
 
     def visit(node: Node, masses: Any) -> tuple[Any]:
@@ -334,7 +334,7 @@ def draw(
 
     ``random`` are Floats (t,) in [0, 1): one, one for each mixing parameter, two per channel.
     """
-    walker = Walker(problem, owned(mi.UInt32, lanes.astype(np.uint32)))
+    walker = Walker(problem, to_drjit(mi.UInt32, lanes.astype(np.uint32)))
     nodes, count = problem.nodes, len(lanes)
     wanted = random[0] * total
 

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.quadrature import Axis, Product
 from svu_mi.posterior.truncated_normal import GENTLE
@@ -74,7 +74,7 @@ class Problem:
 
     def some(self, chosen: np.ndarray) -> Problem:
         """Return the problem of some texels, by their numbers among S."""
-        lanes = owned(mi.UInt32, chosen)
+        lanes = to_drjit(mi.UInt32, chosen)
         return replace(
             self, factors=self.factors.some(chosen),
             scale=dr.gather(mi.Float, self.scale, lanes),
@@ -91,7 +91,7 @@ class AtNodes:
 
     @staticmethod
     def of(value: np.ndarray, spread: np.ndarray) -> AtNodes:
-        return AtNodes(owned(mi.Float, value), owned(mi.Float, spread))
+        return AtNodes(to_drjit(mi.Float, value), to_drjit(mi.Float, spread))
 
     def at(self, node: Any) -> Any:
         """Return the value of a node: Float."""
@@ -141,15 +141,15 @@ class Nodes:
         rows = problem.rows.reshape(problem.shape[:2])[r.cell][:, m.cell]
         prior = np.minimum(rows - np.log(inside[0])[:, None] - np.log(inside[1]), NEVER)
         return Nodes(
-            levels=owned(mi.UInt32, levels.ravel().astype(np.uint32)),
-            weights=owned(mi.Float, weights.ravel()),
+            levels=to_drjit(mi.UInt32, levels.ravel().astype(np.uint32)),
+            weights=to_drjit(mi.Float, weights.ravel()),
             rows=AtNodes.of(r.value, r.spread),
             columns=[AtNodes.of(*x) for x in zip(m.each("value"), m.each("spread"), strict=True)],
-            row=owned(mi.UInt32, r.cell.astype(np.uint32)),
-            column=owned(mi.UInt32, m.cell.astype(np.uint32)),
-            prior=owned(mi.Float, prior.ravel()),
-            first=owned(mi.UInt32, r.first.astype(np.uint32)),
-            last=owned(mi.UInt32, (ends * problem.shape[1]).astype(np.uint32)),
+            row=to_drjit(mi.UInt32, r.cell.astype(np.uint32)),
+            column=to_drjit(mi.UInt32, m.cell.astype(np.uint32)),
+            prior=to_drjit(mi.Float, prior.ravel()),
+            first=to_drjit(mi.UInt32, r.first.astype(np.uint32)),
+            last=to_drjit(mi.UInt32, (ends * problem.shape[1]).astype(np.uint32)),
         )
 
 

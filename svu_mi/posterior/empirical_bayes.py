@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import evenly_spaced, owned
+from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.calibrated import CalibratedKernel, prior_tables
@@ -73,7 +73,7 @@ def _under(problem: Problem, prior: np.ndarray) -> Problem:
     given = prior / np.maximum(prior.sum(axis=2, keepdims=True), LEAST)
     density = np.moveaxis(given, 3, 2) / cell_widths(problem.edges)
     found = replace(
-        problem, rows=energies, given=owned(mi.Float, density.ravel()), tables=prior.shape[-1]
+        problem, rows=energies, given=to_drjit(mi.Float, density.ravel()), tables=prior.shape[-1]
     )  # fmt: skip
     # Energies are relative to the best node's, which the prior may have made another.
     found = replace(found, least=found.least + kernel.least(found, excess=True))

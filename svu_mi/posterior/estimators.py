@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.core.validation import MAX_LANES
 from svu_mi.errors import OptionError
@@ -111,7 +111,7 @@ def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarra
         own = np.flatnonzero(part.coverage[texels])
         part = part.subset(texels[own])
     factors = _factors(inputs, part, switches, None)
-    factors = replace(factors, texel=owned(mi.UInt32, own.astype(np.uint32)))
+    factors = replace(factors, texel=to_drjit(mi.UInt32, own.astype(np.uint32)))
     return _posterior(inputs, switches, factors, _rounding(part, switches), len(texels))
 
 
@@ -147,7 +147,7 @@ def _posterior(
     if switches.noise == "estimated":
         return calibrated_posterior(
             factors, inputs.grid, seen.unit, switches, prior=inputs.prior, copies=plan.copies,
-            texels=texels, doubt=seen.capture.doubt, rounding=rounding,
+            texels=texels, light_uncertainty=seen.capture.light_uncertainty, rounding=rounding,
         )  # fmt: skip
     return angular_posterior(
         factors, inputs.grid, seen.unit, switches,
@@ -179,6 +179,7 @@ def uses_saturated_samples(switches: AnyPreset) -> bool:
 
 def inflated(switches: AnyPreset, capture: Capture) -> AnyPreset:
     """Return switches of a posterior that knows how uncertain the light is."""
-    if capture.doubt is None or not isinstance(switches, AngularPreset):
+    uncertainty = capture.light_uncertainty
+    if uncertainty is None or not isinstance(switches, AngularPreset):
         return switches
-    return replace(switches, overdispersion=switches.overdispersion * capture.doubt.widening)
+    return replace(switches, overdispersion=switches.overdispersion * uncertainty.widening)

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior.quadrature import Axis
 from svu_mi.statistics.texel_blocks import BLOCK, start
 
@@ -29,7 +29,7 @@ def shortest(masses: Any, parts: Axis, count: int, level: float) -> tuple[Any, A
     """
     number = dr.opaque(mi.UInt32, parts.count)
     place = start(dr.arange(mi.UInt32, count), number)
-    low, high = (owned(mi.Float, ends) for ends in parts.ends)
+    low, high = (to_drjit(mi.Float, ends) for ends in parts.ends)
 
     def mass(part: Any, active: Any = True) -> Any:
         return dr.gather(mi.Float, masses, place + part * BLOCK, active)

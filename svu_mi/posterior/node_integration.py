@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior.calibrated_problem import NEAR, Problem
 from svu_mi.posterior.truncated_normal import Channel, Integrals
 from svu_mi.reflection.principled import Mixture, mixture
@@ -119,7 +119,7 @@ class Walker:
         how = self._mixture(column)
         return [
             Channel.of(
-                combined(of_channel, how.scaled)[:-1], combined(of_channel, how.constant)[:-1],
+                combined(of_channel, how.slope)[:-1], combined(of_channel, how.offset)[:-1],
                 of_channel[FLOOR],
             )
             for of_channel in U
@@ -153,7 +153,7 @@ class Walker:
             return [dr.opaque(mi.Float, float(problem.edges[0]), dr.width(self.lane))] * number
         channels = self.channels(self.entries(row), column)
         prior = self._color_prior(row, column)
-        ends = owned(mi.Float, problem.edges)
+        ends = to_drjit(mi.Float, problem.edges)
         found = []
         for k in range(number):
             channel, u, v = channels[k // problem.copies], random[2 * k], random[2 * k + 1]

@@ -18,22 +18,27 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import require_light
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.frequency.fit_samples import MirroredLight
-from svu_mi.frequency.sh_lobes import FittedLobes
+from svu_mi.frequency.sh_lobes import ShLobes
 from svu_mi.geometry.packed_views import Views, pack_views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Visibility, trace_visibility
-from svu_mi.light.band_limited import Lighting, light
-from svu_mi.light.light_tree import LightCells, light_cells
-from svu_mi.light.light_visibility import Mirrors, Reach, trace_mirrors, trace_reach
+from svu_mi.light.band_limited import Lighting, read_lighting
+from svu_mi.light.light_tree import LightTree, build_light_tree
+from svu_mi.light.light_visibility import (
+    LightVisibility,
+    MirrorVisibility,
+    trace_light_visibility,
+    trace_mirror_visibility,
+)
 from svu_mi.presets import AngularPreset, Fit, Preset
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.reflection_model import Arriving, Model
+from svu_mi.reflection.reflection_model import IncidentLight, ReflectionModel
 from svu_mi.statistics.censored import PASSES, best_models
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.gather_statistics import (
@@ -67,11 +72,11 @@ class Observed:
     visibility: Visibility
     seen: np.ndarray
     _of_light: dict[Any, Any] = field(default_factory=dict, repr=False)
-    _reached: dict[Any, Reach] = field(default_factory=dict, repr=False)
+    _light_visibility: dict[Any, LightVisibility] = field(default_factory=dict, repr=False)
 
     def subset(self, texels: np.ndarray) -> Observed:
         """Return the same with (t,) texels to compute; the light is read once for both."""
-        return replace(self, seen=texels, _reached={})
+        return replace(self, seen=texels, _light_visibility={})
 
     @cached_property
     def coverage(self) -> np.ndarray:
@@ -105,17 +110,17 @@ class Observed:
         """The light; read when first needed."""
         if "lighting" not in self._of_light:
             require_light(self.capture)
-            self._of_light["lighting"] = light(self.capture, sum(self.capture.used))
+            self._of_light["lighting"] = read_lighting(self.capture, sum(self.capture.used))
         lighting: Lighting = self._of_light["lighting"]
         return lighting
 
-    def cells(self, fine: int) -> LightCells:
-        """Return the light in ``fine`` cells, gathered when first needed."""
+    def light_tree(self, fine: int) -> LightTree:
+        """Return the light in ``fine`` cells; cached."""
         if fine not in self._of_light:
             coarse = min(max(fine // COARSE, 64), fine)
-            self._of_light[fine] = light_cells(self.lighting.environment, coarse, fine)
-        cells: LightCells = self._of_light[fine]
-        return cells
+            self._of_light[fine] = build_light_tree(self.lighting.environment, coarse, fine)
+        tree: LightTree = self._of_light[fine]
+        return tree
 
     @cached_property
     def surface(self) -> TexelLanes:
@@ -130,40 +135,42 @@ class Observed:
         return lanes
 
     @cached_property
-    def mirrors(self) -> Mirrors:
+    def mirrors(self) -> MirrorVisibility:
         """Whether anything blocks the mirror direction of a sample; traced when first needed."""
-        lane = owned(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
-        return trace_mirrors(self.views, self.surface, self.visibility, lane)
+        lane = to_drjit(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
+        return trace_mirror_visibility(self.views, self.surface, self.visibility, lane)
 
-    def reach(self, cells: int, *, occluded: bool = True) -> Reach:
+    def light_visibility(self, cells: int, *, occluded: bool = True) -> LightVisibility:
         """Return the visibility of ``cells`` fine light cells from the ``seen`` texels; cached."""
         key = (cells, occluded)
-        if key not in self._reached:
-            self._reached[key] = trace_reach(
-                self.views.scene, self.surface, self.cells(cells), occluded=occluded
+        if key not in self._light_visibility:
+            self._light_visibility[key] = trace_light_visibility(
+                self.views.scene, self.surface, self.light_tree(cells), occluded=occluded
             )
-        return self._reached[key]
+        return self._light_visibility[key]
 
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
         """Return the irradiance of the ``seen`` texels: a Float (S,) per channel, 3 or 1."""
         if not switches.occluded:
             return as_channels(self.lighting.irradiance(self.surface.normal), channels)
-        moments = self.reach(switches.rays).diffuse(self.surface, self.lighting, channels)
+        moments = self.light_visibility(switches.rays).diffuse(
+            self.surface, self.lighting, channels
+        )
         return [of_channel[0] for of_channel in moments]
 
     def model(
         self, roughness: np.ndarray, switches: AngularPreset, channels: int,
         texels: np.ndarray | None = None,
-    ) -> Model:  # fmt: skip
+    ) -> ReflectionModel:  # fmt: skip
         """Return the reflection model of (t,) texels (default: ``seen``) at (R,) roughnesses."""
-        surface, reach = self.surface if texels is None else self._lanes(texels), None
+        surface, visibility = self.surface if texels is None else self._lanes(texels), None
         if switches.traced:
-            reach = self._reach_of(texels, switches)
+            visibility = self._visibility_of(texels, switches)
         mirrored, fitted = self.mirrored(switches.fit, channels, texels), None
         if mirrored is not None:
-            fitted = FittedLobes.of(mirrored, alpha_from_roughness(roughness), switches)
-        light = Arriving(self.lighting, reach, channels)
-        return Model.of(surface, light, roughness, switches, fitted)
+            fitted = ShLobes.of(mirrored, alpha_from_roughness(roughness), switches)
+        light = IncidentLight(self.lighting, visibility, channels)
+        return ReflectionModel.of(surface, light, roughness, switches, fitted)
 
     def mirrored(
         self, fit: Fit | None, channels: int, texels: np.ndarray | None = None
@@ -202,7 +209,9 @@ class Observed:
         total = rounding_sums(self.views, self.visibility, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
 
-    def _with_clipped(self, model: Model, channels: int, weighting: Weighting) -> Statistics:
+    def _with_clipped(
+        self, model: ReflectionModel, channels: int, weighting: Weighting
+    ) -> Statistics:
         """Gather statistics, in which clipped samples count as bounds."""
         statistics = self._gather(model, channels, weighting).statistics()
         clipped = self.clipped_coverage
@@ -225,7 +234,7 @@ class Observed:
             combined = plain + self._gather(model, channels, around).statistics()
         return statistics.replaced(lanes, combined)
 
-    def _gather(self, model: Model, channels: int, weighting: Weighting) -> Gathered:
+    def _gather(self, model: ReflectionModel, channels: int, weighting: Weighting) -> Gathered:
         mirrors = self.mirrors if model.reads_mirrors else None
         return gather(self.views, self.visibility, model, mirrors, channels, weighting)
 
@@ -234,11 +243,11 @@ class Observed:
         return self.clipped_coverage is not None and counts
 
     def _lanes(self, texels: np.ndarray) -> TexelLanes:
-        return TexelLanes.of(self.texels, owned(mi.UInt32, texels.astype(np.uint32)))
+        return TexelLanes.of(self.texels, to_drjit(mi.UInt32, texels.astype(np.uint32)))
 
-    def _reach_of(self, texels: np.ndarray | None, switches: AngularPreset) -> Reach:
-        """Return the reach of texels; those that are not in ``seen`` are traced now."""
-        known = self.reach(switches.cells, occluded=switches.occluded)
+    def _visibility_of(self, texels: np.ndarray | None, switches: AngularPreset) -> LightVisibility:
+        """Return the light visibility of texels; those not in ``seen`` are traced now."""
+        known = self.light_visibility(switches.cells, occluded=switches.occluded)
         if texels is None or np.array_equal(texels, self.seen):
             return known
         lanes = self.lane[texels]
@@ -246,10 +255,12 @@ class Observed:
         if new.any():
             others = self._lanes(texels[new])
             known = known.joined(
-                trace_reach(self.views.scene, others, known.cells, occluded=switches.occluded)
+                trace_light_visibility(
+                    self.views.scene, others, known.tree, occluded=switches.occluded
+                )
             )
             lanes[new] = len(self.seen) + np.arange(int(new.sum()))
-        return known.at(lanes)
+        return known.subset(lanes)
 
 
 def observe(

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned, tensor
+from svu_mi.core.arrays import tensor, to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import Kernel
@@ -96,7 +96,7 @@ class Posterior(Generic[K]):
         values = np.full(self.count, self.prior_entropy, np.float32)
         if len(self._seen):
             values[self._seen] = self.kernel.entropy(self._seen)
-        return owned(mi.Float, values)
+        return to_drjit(mi.Float, values)
 
     @cached_property
     def _seen(self) -> np.ndarray:

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 
 FAR = 1e4  # exp(-FAR) is 0, FAR * 0 is not NaN
@@ -111,7 +111,7 @@ def tables(
     count = len(chosen)
     lane = dr.arange(mi.UInt32, count * rows)
     place = lane // dr.opaque(mi.UInt32, rows)
-    texel = dr.gather(mi.UInt32, owned(mi.UInt32, chosen), place)
+    texel = dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), place)
     groups = energies_of(texel)(lane - place * rows)
     base = sum(low for low, _ in groups)
     columns = [offset for _, offsets in groups for offset in offsets]
@@ -202,7 +202,7 @@ def prior_of(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.ndarr
 def node(kind: Any, nodes: np.ndarray, index: Any) -> Any:
     """Return one of evenly spaced nodes as ``kind``, Float or Float64; index UInt32."""
     if len(nodes) == 1:  # known: read, so that another value needs no kernel of its own
-        return dr.gather(kind, owned(kind, nodes), index)
+        return dr.gather(kind, to_drjit(kind, nodes), index)
     return dr.fma(kind(index), float(nodes[1] - nodes[0]), float(nodes[0]))
 
 
@@ -223,4 +223,4 @@ def cells(nodes: np.ndarray) -> list[Any]:
 def possible_rows(tables: tuple[np.ndarray, np.ndarray] | None, rows: int) -> Any:
     """Return the rows that a prior, as ``log_prior`` returns it, does not exclude: UInt32."""
     kept = np.arange(rows) if tables is None else np.flatnonzero(tables[0] < IMPOSSIBLE)
-    return owned(mi.UInt32, kept.astype(np.uint32))
+    return to_drjit(mi.UInt32, kept.astype(np.uint32))

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned, tensor
+from svu_mi.core.arrays import tensor, to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior import spectrum_kernel as kernel
@@ -20,7 +20,7 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import Preset
 from svu_mi.presets import preset as find_preset
 from svu_mi.reflection.lobes import mean_albedo
-from svu_mi.reflection.principled import alpha_from_roughness, unbounded_alpha
+from svu_mi.reflection.principled import alpha_from_roughness, paper_alpha
 
 DARK = 1e-4  # part of the incident power that counts when nothing at all is reflected
 
@@ -136,10 +136,10 @@ def _problem(
         groups=_groups(switches, channels, copies),
         rows=row_entropy.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
-        decay=owned(mi.Float64, falloff),
-        albedo=owned(mi.Float64, np.square(_albedo(switches, grid))),
+        decay=to_drjit(mi.Float64, falloff),
+        albedo=to_drjit(mi.Float64, np.square(_albedo(switches, grid))),
         cells=cells,
-        prior=None if tables is None else tuple(owned(mi.Float64, t) for t in tables),
+        prior=None if tables is None else tuple(to_drjit(mi.Float64, t) for t in tables),
     )
 
 
@@ -209,7 +209,7 @@ def spectrum_grid(
 
 
 def _alpha(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarray:
-    of_roughness = alpha_from_roughness if switches.bounded_alpha else unbounded_alpha
+    of_roughness = alpha_from_roughness if switches.bounded_alpha else paper_alpha
     return of_roughness(grid.roughness_nodes)
 
 
@@ -244,7 +244,7 @@ def _constant(
     return kernel.Constant(
         mixed=grid.mixed_nodes,
         irradiance=known.array,
-        albedo=owned(mi.Float64, _albedo(switches, grid)),
+        albedo=to_drjit(mi.Float64, _albedo(switches, grid)),
         sigma=dr.opaque(mi.Float64, sigma),
     )
 

@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 from drjit.opt import Adam
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.interrupts import between_steps
 from svu_mi.core.progress import Stage
 from svu_mi.errors import SvuError
@@ -206,9 +206,10 @@ class _Run:
         if state is None:
             return
         for name, shape in shapes.items():
-            optimizer[name] = mi.TensorXf(owned(mi.Float, state.values[name].ravel()), shape=shape)
+            kept = (state.values, state.first, state.second)
+            last, *moments = (to_drjit(mi.Float, values[name].ravel()) for values in kept)
+            optimizer[name] = mi.TensorXf(last, shape=shape)
             value, promoted, own_rate, (_, _, _, most) = optimizer.state[name]
-            moments = (owned(mi.Float, state.first[name]), owned(mi.Float, state.second[name]))
             count = mi.UInt32(state.step)
             optimizer.state[name] = value, promoted, own_rate, (count, *moments, most)
         self.losses = state.losses.tolist()

@@ -102,7 +102,7 @@ def _reweighted(found: Estimate, observed: Observed) -> Posterior[CalibratedKern
         switches,
         prior=found.prior,
         texels=posterior.count,
-        doubt=observed.capture.doubt,
+        light_uncertainty=observed.capture.light_uncertainty,
     )
 
 

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texel_materials import parameters_at
@@ -41,7 +41,7 @@ class Textures(ByParameter):
     def of(cls, images: Mapping[str, np.ndarray]) -> Textures:
         """Copy NumPy images of these shapes, by name."""
         return cls(**{
-            name: mi.TensorXf(owned(mi.Float, images[name].ravel()), shape=images[name].shape)
+            name: mi.TensorXf(to_drjit(mi.Float, images[name].ravel()), shape=images[name].shape)
             for name in NAMES
         })  # fmt: skip
 

@@ -1,8 +1,8 @@
-"""Specular lobes: their shape, where they point, and how much they reflect.
+"""Specular lobes: profiles, directions and albedos.
 
-A lobe of width alpha is treated as if it were symmetric around one direction: light is
-filtered once for every alpha (light/prefiltered.py) and looked up there. What depends on the
-angle of view is left to the directional albedo, and to where the lobe points.
+A lobe of width alpha is approximated by one that is symmetric around a direction: light is
+filtered once for every alpha (light/prefiltered.py) and looked up there. The directional albedo,
+and the lobe's direction, depend on the angle of view.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _gaussian(alpha: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @lru_cache
-def profile_of(lobe: Lobe) -> Callable[[float, np.ndarray], np.ndarray]:
+def lobe_profile(lobe: Lobe) -> Callable[[float, np.ndarray], np.ndarray]:
     """Return ``zonal_profile`` of a lobe by width and cosine; the same function every time."""
     return partial(zonal_profile, lobe)
 
@@ -86,22 +86,22 @@ def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> lis
     below = [
         incident + _root(incident)(dr.fma(incident * (1 - a), incident, a)) for a in squares
     ]  # fmt: skip
-    found, inverses = [], reciprocals([*s, *below])
+    means, inverses = [], reciprocals([*s, *below])
     for a, inverse, masking in zip(squares, inverses, inverses[len(s) :], strict=False):
         change = square * inverse * dr.fma(-0.75 * a, inverse, 0.5)
         mean = (a / np.pi) * inverse * inverse * dr.maximum(1 + change, LEAST)
-        found.append(mean * 2 * incident * masking)
-    return found
+        means.append(mean * 2 * incident * masking)
+    return means
 
 
 def reciprocals(values: list[Any]) -> list[Any]:
     """Return 1 / x of some numbers, none near 0, by a single division [Montgomery 1987]."""
     below = list(accumulate(values, lambda product, x: product * x))
-    rest, found = dr.rcp(below[-1]), []
+    rest, inverses = dr.rcp(below[-1]), []
     for x, product in zip(values[:0:-1], below[-2::-1], strict=True):
-        found.append(rest * product)
+        inverses.append(rest * product)
         rest = rest * x
-    return [rest, *found[::-1]]
+    return [rest, *inverses[::-1]]
 
 
 def dielectric_fresnel(cosine: Any) -> Any:
@@ -114,8 +114,8 @@ def dielectric_fresnel(cosine: Any) -> Any:
     return (s * s + p * p) / 2
 
 
-def reflected_at_view(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any, Any]:
-    """Return (A, B, D) of Eq. 6: Fresnel's term is that of the camera's angle."""
+def view_albedo(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any, Any]:
+    """Return (A, B, D) of Eq. 6: Fresnel reflectance at the camera's angle."""
     masking = smith_g1(cosine, alpha)
     schlick = (1 - cosine) ** 5 if rule == "schlick" else 0.0
     A, B = masking * (1 - schlick), masking * schlick

@@ -15,11 +15,11 @@ Parts = tuple[Any, Any, Any, Any]
 """(e, p, q, d) of one channel of the light, Floats: radiance (``reflection/principled.py``)."""
 
 
-def parts_of(
+def combine_parts(
     diffuse: list[tuple[Any, Any]], roughness: Any, reflected: tuple[Any, Any, Any],
     light: list[Any],
 ) -> list[Parts]:  # fmt: skip
-    """Put diffuse and specular light together, for every channel of the light."""
+    """Return the parts of every channel of the light."""
     A, B, D = reflected
     return [
         (dr.fma(roughness, b, a), A * value, B * value, D * value)
@@ -27,30 +27,32 @@ def parts_of(
     ]
 
 
-def radiance(parts: list[Parts], base_color: Sequence[Any], mixed: Sequence[Any]) -> list[Any]:
+def mixed_radiance(
+    parts: list[Parts], base_color: Sequence[Any], mixed: Sequence[Any]
+) -> list[Any]:
     """Return outgoing radiance, a Float per channel of the base colour."""
-    how = mixture(*mixed)
+    mix = mixture(*mixed)
     return [
-        dot(how.at(color), columns(*parts[k % len(parts)])) for k, color in enumerate(base_color)
+        dot(mix.at(color), columns(*parts[k % len(parts)])) for k, color in enumerate(base_color)
     ]
 
 
-def hats(roughness: Any, levels: int) -> list[Any]:
-    """Return how much each of so many even levels counts at a roughness, linearly between two."""
+def linear_weights(roughness: Any, levels: int) -> list[Any]:
+    """Return the weights of linear interpolation between evenly spaced levels of roughness."""
     place = roughness * (levels - 1)
     return [dr.maximum(1 - dr.abs(place - k), 0) for k in range(levels)]
 
 
-def interpolated(
+def interpolate_radiance(
     levels: Sequence[list[Parts]], shares: Sequence[Any], base_color: Sequence[Any],
     mixed: Sequence[Any],
 ) -> list[Any]:  # fmt: skip
-    """Return outgoing radiance between levels of roughness."""
-    found = [dr.zeros(type(shares[0]))] * len(base_color)
+    """Return outgoing radiance, interpolated between levels of roughness by ``shares``."""
+    total = [dr.zeros(type(shares[0]))] * len(base_color)
     for level, share in zip(levels, shares, strict=True):
-        here = radiance(level, base_color, mixed)
-        found = [dr.fma(share, new, old) for new, old in zip(here, found, strict=True)]
-    return found
+        added = mixed_radiance(level, base_color, mixed)
+        total = [dr.fma(share, new, old) for new, old in zip(added, total, strict=True)]
+    return total
 
 
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
@@ -72,7 +74,7 @@ def diffuse_shading(
         f = ((1 - F_o / 2) (1 - F_i / 2) + R (F_o + F_i + F_o F_i (R - 1))) / pi,
         R = roughness (1 + w_i . w_o).
 
-    Without R^2 F_o F_i, it is linear in four moments of the light (``visibility.Reach``).
+    Without R^2 F_o F_i, it is linear in four moments of the light (``LightVisibility.diffuse``).
     """
     c0, m0, c1, m1 = moments[0], moments[1:4], moments[4], moments[5:8]
     if model == "lambert":

@@ -1,8 +1,8 @@
-"""Narrow lobes, by looking up light that was filtered for their width.
+"""Narrow lobes, as look-ups of prefiltered light.
 
-A lobe is taken for round, and its Fresnel term for the lobe's mean (split sum) or that of the
-camera's angle (Eq. 6): close to exact where a lobe is as narrow as a mirror's. What hides its
-light is what stands in the mirror direction.
+A lobe is approximated by a round one, with the mean Fresnel term (split sum) or that of the
+camera's angle (Eq. 6). The error vanishes for mirrors. One ray in the mirror direction decides
+about visibility.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.band_limited import Lighting
-from svu_mi.light.light_tree import Cells, disk_cells
-from svu_mi.light.prefiltered import Levels, filter_light
+from svu_mi.light.light_tree import LightCells, disk_cells
+from svu_mi.light.prefiltered import FilteredLight, filter_light
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.lobes import (
     ALBEDO_NODES,
     dielectric_albedo,
     dominance,
-    profile_of,
-    reflected_at_view,
+    lobe_profile,
     split_sum,
+    view_albedo,
 )
-from svu_mi.reflection.wide_lobes import Lobe, Sums
+from svu_mi.reflection.wide_lobes import Lobe, LobeSums
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class NarrowLobes:
 
     switches: AngularPreset
     alpha: np.ndarray
-    levels: Levels
+    levels: FilteredLight
     albedo: Any
     dielectric: Any
-    sun: Cells | None = None
+    sun: LightCells | None = None
 
     @staticmethod
     def of(
@@ -54,13 +54,13 @@ class NarrowLobes:
         *, disk: bool = True,
     ) -> NarrowLobes:  # fmt: skip
         """Filter the light."""
-        profile = profile_of(switches.lobe)
+        profile = lobe_profile(switches.lobe)
         return NarrowLobes(
             switches=switches,
             alpha=alpha,
             levels=filter_light(lighting, alpha.tolist(), profile, grey=channels == 1, disk=disk),
-            albedo=owned(mi.Float, split_sum(alpha).ravel()),
-            dielectric=owned(mi.Float, dielectric_albedo(alpha).ravel()),
+            albedo=to_drjit(mi.Float, split_sum(alpha).ravel()),
+            dielectric=to_drjit(mi.Float, dielectric_albedo(alpha).ravel()),
             sun=None if disk else disk_cells(lighting.environment),
         )
 
@@ -86,22 +86,22 @@ class NarrowLobes:
         """Add a sun's disk; where a narrow lobe meets it, the mirror direction does."""
         sun = self.sun
         assert sun is not None
-        sums = Sums(self.alpha, len(lobes[0]), normal, direction)
+        sums = LobeSums(self.alpha, len(lobes[0]), normal, direction)
 
         def add(cell: Any, memory: Any) -> tuple[Any, Any]:
-            return (cell + 1, *sums.lit(sun, cell, sums.look(sun, cell), free, memory))
+            return (cell + 1, *sums.add(sun, cell, sums.angles(sun, cell), free, memory))
 
-        found = sums.over(sun.count, add, cosine)
+        added = sums.integrate(sun.count, add, cosine)
         return [
             [tuple(a + b for a, b in zip(*pair, strict=True)) for pair in zip(*both, strict=True)]
-            for both in zip(lobes, found, strict=True)
+            for both in zip(lobes, added, strict=True)
         ]  # type: ignore[misc]
 
     def _reflected(self, level: int, alpha: float, cosine: Any) -> tuple[Any, Any, Any]:
         """(A, B, D): the lobe reflects R0 A + B, and that of a dielectric D."""
         rule = self.switches.fresnel
         if rule != "split_sum":
-            return reflected_at_view(rule, cosine, alpha)
+            return view_albedo(rule, cosine, alpha)
         place = dr.clip(cosine * ALBEDO_NODES - 0.5, 0, ALBEDO_NODES - 1.001)
         first = mi.UInt32(place)
         part = place - first

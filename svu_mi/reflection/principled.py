@@ -23,14 +23,14 @@ MIN_ALPHA = 1e-3
 """Mitsuba's lower bound of the microfacet width."""
 
 
-def unbounded_alpha(roughness: Any) -> Any:
+def paper_alpha(roughness: Any) -> Any:
     """Return alpha = roughness^2, the width of the GGX lobe as the paper has it."""
     return roughness * roughness
 
 
 def alpha_from_roughness(roughness: Any) -> Any:
     """Return alpha = max(roughness^2, 1e-3), as Mitsuba's principled BSDF has it."""
-    alpha = unbounded_alpha(roughness)
+    alpha = paper_alpha(roughness)
     maximum = dr.maximum if dr.is_array_v(alpha) else np.maximum
     return maximum(alpha, MIN_ALPHA)
 
@@ -45,52 +45,52 @@ COLUMNS = len(columns(0, 0, 0, 0))
 
 @dataclass(frozen=True)
 class Mixture:
-    """Coefficients of ``COLUMNS`` columns at a base colour c: x = scaled c + constant.
+    """Coefficients of ``COLUMNS`` columns at a base colour c: x = slope c + offset.
 
-    Constants 0 and 1 are Python numbers, which Dr.Jit omits from kernels.
+    Values 0 and 1 are Python numbers, which Dr.Jit omits from kernels.
     """
 
-    scaled: tuple[Any, ...]
-    constant: tuple[Any, ...]
+    slope: tuple[Any, ...]
+    offset: tuple[Any, ...]
 
     def at(self, color: Any) -> list[Any]:
         """Return x at a base colour."""
-        return [color * a + b for a, b in zip(self.scaled, self.constant, strict=True)]
+        return [color * a + b for a, b in zip(self.slope, self.offset, strict=True)]
 
 
 def mixture(metallic: Any) -> Mixture:
-    """Return how parameters mix the columns: a value of every name of ``MIXED``, in this order."""
+    """Return the coefficients of the columns, for one value of every name of ``MIXED``."""
     return Mixture((1 - metallic, metallic, 0, 0), (0, 0, metallic, 1))
 
 
-def lobe_mixture(specular: Any) -> Mixture:
-    """Return the same for the paper's parameters: r = Kd e + Ks p + q, with Kd in place of c."""
+def paper_mixture(specular: Any) -> Mixture:
+    """Return the mixture of the paper's parameters: r = Kd e + Ks p + q, with Kd for c."""
     return Mixture((1, 0, 0, 0), (0, specular, 1, 1))
 
 
-def slope(values: Sequence[Any], which: int) -> Mixture:
-    """Return the derivative of ``mixture`` for one of its values, exactly: it is affine in it."""
+def mixture_derivative(values: Sequence[Any], which: int) -> Mixture:
+    """Return the derivative of ``mixture`` (affine in each value) for one of its values."""
     low, high = (
         mixture(*(end if k == which else value for k, value in enumerate(values))) for end in (0, 1)
     )
-    return Mixture(_less(high.scaled, low.scaled), _less(high.constant, low.constant))
+    return Mixture(_subtract(high.slope, low.slope), _subtract(high.offset, low.offset))
 
 
-def _less(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, ...]:
+def _subtract(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(x - y for x, y in zip(a, b, strict=True))
 
 
 def specular_from_principled(base_color: Any, *mixed: Any) -> Any:
     """Return Ks = R0, in [0, 1]: 0.04 + (base_color - 0.04) metallic; others as ``mixture``."""
-    return _of_parts(base_color, mixed, columns(0, 1, 0, F0))
+    return _mix(base_color, mixed, columns(0, 1, 0, F0))
 
 
 def diffuse_from_principled(base_color: Any, *mixed: Any) -> Any:
     """Return Kd, in [0, 1]: (1 - metallic) base_color; others as ``mixture``."""
-    return _of_parts(base_color, mixed, columns(1, 0, 0, 0))
+    return _mix(base_color, mixed, columns(1, 0, 0, 0))
 
 
-def _of_parts(base_color: Any, mixed: Sequence[Any], columns: Sequence[float]) -> Any:
-    """Return what is reflected where the parts of the light are numbers."""
+def _mix(base_color: Any, mixed: Sequence[Any], columns: Sequence[float]) -> Any:
+    """Return the mixture of columns that are numbers."""
     x = mixture(*mixed).at(base_color)
     return sum(a * b for a, b in zip(x, columns, strict=True))

@@ -15,7 +15,7 @@ import numpy as np
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import Lighting, moment_map
-from svu_mi.light.light_visibility import Reach
+from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
@@ -24,23 +24,23 @@ from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes
 
 
 @dataclass(frozen=True)
-class Arriving:
-    """Light in 3 channels or 1, and what reaches texels of it (None: everything)."""
+class IncidentLight:
+    """Light in 3 channels or 1, and its visibility (None: unoccluded)."""
 
     lighting: Lighting
-    reach: Reach | None
+    visibility: LightVisibility | None
     channels: int
 
 
 class FittedLobes(Protocol):
-    """All lobes by a fit of each texel's light (``frequency/sh_lobes.py``)."""
+    """Lobes of each texel's fitted light (``frequency/sh_lobes.py``)."""
 
     def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
         """Reflect light towards a camera: the lobe of each level."""
 
 
 @dataclass(frozen=True)
-class Model:
+class ReflectionModel:
     """Reflection of S texels at R levels of roughness.
 
     Attributes:
@@ -48,7 +48,7 @@ class Model:
         narrow: lobes of the first levels, or None.
         wide: those of the others, or None.
         fitted: all lobes, if light is fitted per texel; or None.
-        moments: of diffuse light (``Reach.diffuse``), 8 Floats (S,) per channel.
+        moments: of diffuse light (``LightVisibility.diffuse``), 8 Floats (S,) per channel.
     """
 
     roughness: np.ndarray
@@ -61,25 +61,27 @@ class Model:
 
     @staticmethod
     def of(
-        surface: TexelLanes, light: Arriving, roughness: np.ndarray, switches: AngularPreset,
+        surface: TexelLanes, light: IncidentLight, roughness: np.ndarray, switches: AngularPreset,
         fitted: FittedLobes | None = None,
-    ) -> Model:  # fmt: skip
-        """Filter the light, unless its lobes are fitted; put together what reaches every texel."""
+    ) -> ReflectionModel:  # fmt: skip
+        """Filter the light, unless its lobes are fitted, and sum its diffuse moments."""
         if np.any(np.diff(roughness) <= 0):
             raise OptionError(f"Roughness levels must ascend, got {roughness.tolist()}.")
-        lighting, reach, channels = light.lighting, light.reach, light.channels
+        lighting, visibility, channels = light.lighting, light.visibility, light.channels
         alpha = alpha_from_roughness(roughness)
-        split = len(alpha) if reach is None else int(np.searchsorted(alpha, NARROW, "right"))
+        split = len(alpha) if visibility is None else int(np.searchsorted(alpha, NARROW, "right"))
         narrow, wide = None, None
         if fitted is None and split > 0:
-            narrow = NarrowLobes.of(lighting, alpha[:split], switches, channels, disk=reach is None)
-        if reach is not None and split < len(alpha):
-            wide = WideLobes(reach, alpha[split:], channels)
-        if reach is None:
+            narrow = NarrowLobes.of(
+                lighting, alpha[:split], switches, channels, disk=visibility is None
+            )
+        if visibility is not None and split < len(alpha):
+            wide = WideLobes(visibility, alpha[split:], channels)
+        if visibility is None:
             moments = moment_map(lighting.environment, channels).in_world(surface.normal)
         else:
-            moments = reach.diffuse(surface, lighting, channels)
-        return Model(roughness, surface, switches, narrow, wide, fitted, moments)
+            moments = visibility.diffuse(surface, lighting, channels)
+        return ReflectionModel(roughness, surface, switches, narrow, wide, fitted, moments)
 
     @property
     def channels(self) -> int:
@@ -93,7 +95,7 @@ class Model:
 
     @property
     def reads_mirrors(self) -> bool:
-        """Whether ``columns`` depends on what stands in the mirror direction."""
+        """Whether ``columns`` depends on the visibility of the mirror direction."""
         return self.narrow is not None and self.switches.traced and self.switches.occluded
 
     def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Parts]]:

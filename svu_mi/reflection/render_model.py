@@ -15,19 +15,19 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.band_limited import Lighting
-from svu_mi.light.prefiltered import LightStack, stack
+from svu_mi.light.prefiltered import LightStack, stack_levels
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.lobes import (
     ALBEDO_NODES,
     dielectric_albedo,
     dominance,
-    reflected_at_view,
     split_sum,
+    view_albedo,
 )
-from svu_mi.reflection.mix_columns import Parts, diffuse_shading, parts_of
+from svu_mi.reflection.mix_columns import Parts, combine_parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
 
@@ -35,13 +35,13 @@ NARROWEST = 1e-3  # cosine: more grazing views are treated like this one
 
 
 @dataclass(frozen=True)
-class Continuous:
-    """Light, and its reflection by lobes of any roughness.
+class PrefilteredModel:
+    """Prefiltered light and its reflection by lobes of any roughness.
 
     Attributes:
         light: R levels, uniform in roughness on [0, 1].
         albedo: (R * ALBEDO_NODES * 4,) Float: A and B of the split sum, D of a dielectric, 0.
-        narrow: whether oblique lobes are narrower; not so in Eq. 6.
+        narrow: whether oblique lobes are narrower; False for Eq. 6.
     """
 
     switches: AngularPreset
@@ -55,10 +55,10 @@ class Continuous:
         return self.light.channels
 
 
-def continuous(
+def prefiltered_model(
     lighting: Lighting, switches: AngularPreset, levels: int = 16, channels: int = 3
-) -> Continuous:
-    """Filter the light."""
+) -> PrefilteredModel:
+    """Filter the light at evenly spaced levels of roughness."""
     lobes = NarrowLobes.of(
         lighting, alpha_from_roughness(np.linspace(0, 1, levels)), switches, channels
     )
@@ -66,11 +66,13 @@ def continuous(
     if switches.fresnel == "split_sum":
         table[..., :2], table[..., 2] = split_sum(lobes.alpha), dielectric_albedo(lobes.alpha)
     narrow = switches.lobe == "ggx" and switches.off_specular
-    return Continuous(switches, stack(lobes.levels), owned(mi.Float, table.ravel()), narrow)
+    return PrefilteredModel(
+        switches, stack_levels(lobes.levels), to_drjit(mi.Float, table.ravel()), narrow
+    )
 
 
 def shade(
-    model: Continuous,
+    model: PrefilteredModel,
     roughness: Any,
     normal: Any,
     direction: Any,
@@ -94,11 +96,11 @@ def shade(
     if visible is not None:
         seen = visible(mirror, alpha)
         lobe = [seen * value for value in lobe]
-    return parts_of(shading, roughness, _reflected(model, place, alpha, cosine), lobe)
+    return combine_parts(shading, roughness, _reflected(model, place, alpha, cosine), lobe)
 
 
-def _narrower(model: Continuous, center: Any, direction: Any) -> Any:
-    """Factor of the roughness of a lobe that is seen obliquely, the root of that of alpha."""
+def _narrower(model: PrefilteredModel, center: Any, direction: Any) -> Any:
+    """Return the factor of roughness, sqrt of that of alpha, for oblique lobes."""
     if not model.narrow:
         return 1.0
     # The half vector of the lobe's centre: cos^2 theta_h = (1 + center . direction) / 2.
@@ -106,7 +108,9 @@ def _narrower(model: Continuous, center: Any, direction: Any) -> Any:
     return dr.maximum(square, NARROWEST) ** 0.125
 
 
-def _reflected(model: Continuous, place: Any, alpha: Any, cosine: Any) -> tuple[Any, Any, Any]:
+def _reflected(
+    model: PrefilteredModel, place: Any, alpha: Any, cosine: Any
+) -> tuple[Any, Any, Any]:
     """(A, B, D): the lobe reflects R0 A + B, and that of a dielectric D."""
     rule = model.switches.fresnel
     if rule == "split_sum":
@@ -115,11 +119,11 @@ def _reflected(model: Continuous, place: Any, alpha: Any, cosine: Any) -> tuple[
         first = mi.UInt32(dr.detach(column))
         rows = [_row(model, mi.UInt32(level + k) * ALBEDO_NODES + first, column - first)
                 for k in (0, 1)]  # fmt: skip
-        found = dr.lerp(rows[0], rows[1], place - level)
-        return found.x, found.y, found.z
-    return reflected_at_view(rule, cosine, alpha)
+        A, B, D, _ = dr.lerp(rows[0], rows[1], place - level)
+        return A, B, D
+    return view_albedo(rule, cosine, alpha)
 
 
-def _row(model: Continuous, index: Any, part: Any) -> Any:
+def _row(model: PrefilteredModel, index: Any, part: Any) -> Any:
     low, high = (dr.gather(mi.Vector4f, model.albedo, index + step) for step in (0, 1))
     return dr.lerp(low, high, part)

@@ -1,4 +1,4 @@
-"""Shadows of surface points by two rays, for images.
+"""Shadows of surface points by two rays per sample.
 
 A few directions are drawn from the light and from the specular lobe; one is chosen for diffuse and
 one for specular reflection (resampled importance sampling [Talbot et al. 2005], balance heuristic).
@@ -19,8 +19,8 @@ FROM_LIGHT, FROM_LOBE = 4, 2  # directions drawn
 
 
 @dataclass(frozen=True)
-class Side:
-    """Shading and true normal on the side that a camera sees, and the direction to it."""
+class FacingFrame:
+    """Shading and true normal, facing the camera, and the direction to it."""
 
     normal: Any
     geometric: Any
@@ -28,8 +28,8 @@ class Side:
 
 
 @dataclass
-class _Choice:
-    """One direction of many, each with a probability in proportion to its weight."""
+class _Reservoir:
+    """Weighted reservoir of one direction."""
 
     direction: Any
     total: Any
@@ -39,16 +39,16 @@ class _Choice:
         self.direction = dr.select(sample * self.total < weight, direction, self.direction)
 
 
-def open_to_light(
-    scene: Any, sampler: Any, si: Any, side: Side, alpha: Any, active: Any
+def sample_light_visibility(
+    scene: Any, sampler: Any, si: Any, side: FacingFrame, alpha: Any, active: Any
 ) -> tuple[Any, Any]:
-    """Estimate which part of diffuse and specular light nothing hides: 0 or 1 per lane."""
+    """Estimate the visible part of diffuse and specular light: 0 or 1 per lane."""
     with dr.suspend_grad():
         frame, alpha = mi.Frame3f(side.normal), dr.detach(alpha)
         lobe = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
         outgoing = frame.to_local(side.direction)
-        diffuse = _Choice(mi.Vector3f(side.normal), mi.Float(0))
-        specular = _Choice(mi.Vector3f(mi.reflect(side.direction, side.normal)), mi.Float(0))
+        diffuse = _Reservoir(mi.Vector3f(side.normal), mi.Float(0))
+        specular = _Reservoir(mi.Vector3f(mi.reflect(side.direction, side.normal)), mi.Float(0))
         for _ in range(FROM_LIGHT):
             ds, flux = scene.sample_emitter_direction(si, sampler.next_2d(active), False, active)
             flux, local = dr.mean(flux), frame.to_local(ds.d)
@@ -67,8 +67,10 @@ def open_to_light(
             mixed = FROM_LIGHT * pdf + FROM_LOBE * density
             weight = dr.select(mixed > 0, light * density / mixed, 0)
             specular.offer(direction, weight, sampler.next_1d(active))
-        found = (_free(scene, si, side, each.direction, active) for each in (diffuse, specular))
-        first, second = (dr.select(free, mi.Float(1), mi.Float(0)) for free in found)
+        first, second = (
+            dr.select(_is_open(scene, si, side, each.direction, active), mi.Float(1), mi.Float(0))
+            for each in (diffuse, specular)
+        )
         return dr.select(diffuse.total > 0, first, 1), second
 
 
@@ -89,7 +91,7 @@ def _light_from(scene: Any, si: Any, direction: Any, active: Any) -> tuple[Any, 
     return dr.mean(emitter.eval(away, active)), emitter.pdf_direction(si, ds, active)
 
 
-def _free(scene: Any, si: Any, side: Side, direction: Any, active: Any) -> Any:
-    """Nothing stands in a direction; below the horizon is the surface itself."""
+def _is_open(scene: Any, si: Any, side: FacingFrame, direction: Any, active: Any) -> Any:
+    """Whether a direction is unoccluded; False below the horizon."""
     above = active & (dr.dot(side.geometric, direction) > 0)
     return above & ~scene.ray_test(si.spawn_ray(direction), above)

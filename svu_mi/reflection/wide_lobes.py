@@ -18,8 +18,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.geometry.sample_view import fold
-from svu_mi.light.light_tree import Cells
-from svu_mi.light.light_visibility import Reach
+from svu_mi.light.light_tree import LightCells
+from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
 
 NARROW = 0.03  # lobe alpha up to which light is looked up; its leaves are as far apart
@@ -29,7 +29,7 @@ Lobe = list[tuple[Any, Any, Any]]
 """(p, q, d) per colour channel: a metal of base colour c reflects c p + q, a dielectric d."""
 
 
-class _Look(NamedTuple):
+class _CellAngles(NamedTuple):
     """A cell's radius and its square; cosines of (normal, light), (normal, half), (light, half)."""
 
     radius: Any
@@ -39,15 +39,15 @@ class _Look(NamedTuple):
     across: Any
 
 
-class Sums:
+class LobeSums:
     """Sums of cells under lobes of K ascending widths; a plain class, opaque to loops."""
 
     def __init__(self, alpha: np.ndarray, channels: int, normal: Any, direction: Any) -> None:
         self.alpha, self.channels = alpha.tolist(), channels
         self.normal, self.direction = normal, direction
 
-    def over(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
-        """Return the lobes of all cells; ``add(cell, sums)`` returns the next cell, and sums."""
+    def integrate(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
+        """Sum all cells into lobes; ``add(cell, sums)`` returns the next cell, and sums."""
         size = 3 * self.channels
         sums = dr.alloc_local(mi.Float, size * len(self.alpha))
         for k in range(size * len(self.alpha)):
@@ -60,18 +60,20 @@ class Sums:
             result.append([tuple(own[3 * c : 3 * c + 3]) for c in range(self.channels)])
         return result
 
-    def look(self, cells: Cells, cell: Any) -> _Look:
-        """Read a cell, and turn half way to it."""
+    def angles(self, cells: LightCells, cell: Any) -> _CellAngles:
+        """Return the radius and angles of a cell."""
         toward, radius = cells.at(cell)
         half = dr.normalize(toward + self.direction)
-        return _Look(
+        return _CellAngles(
             radius, dr.square(radius), incident=dr.dot(self.normal, toward),
             up=dr.dot(self.normal, half), across=dr.dot(toward, half),
         )  # fmt: skip
 
-    def lit(self, cells: Cells, cell: Any, look: _Look, free: Any, sums: Any) -> tuple[Any]:
-        """Add what one cell contributes to every width, if it is seen."""
-        _, square, incident, up, across = look
+    def add(
+        self, cells: LightCells, cell: Any, angles: _CellAngles, free: Any, sums: Any
+    ) -> tuple[Any]:
+        """Add one cell, if visible, to the lobe of every width."""
+        _, square, incident, up, across = angles
 
         def reflected(sums: Any) -> tuple[Any]:
             schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
@@ -95,61 +97,61 @@ class Sums:
 class WideLobes:
     """Lobes of (K,) ascending widths, summed over the visible light of S texels."""
 
-    reach: Reach
+    visibility: LightVisibility
     alpha: np.ndarray
     channels: int
 
     def reflect(self, lane: Any, normal: Any, direction: Any, cosine: Any) -> list[Lobe]:
         """Reflect the visible light towards a camera: the lobe of each width."""
-        sums = Sums(self.alpha, self.channels, normal, direction)
-        tree = _Tree(self.reach, lane, sums)
-        return sums.over(self.reach.cells.coarse.count, tree.coarse, cosine)
+        sums = LobeSums(self.alpha, self.channels, normal, direction)
+        traversal = _Traversal(self.visibility, lane, sums)
+        return sums.integrate(self.visibility.tree.coarse.count, traversal.coarse, cosine)
 
 
-class _Depth(NamedTuple):
-    """Cells of one size; where the smaller ones begin that each is made of; what adds one."""
+class _TreeLevel(NamedTuple):
+    """Cells of one depth, the first child of each, and the function that adds a child."""
 
-    cells: Cells
+    cells: LightCells
     first: Any
     below: Callable[..., Any]
 
 
-class _Tree:
-    """Goes through the cells of the light, into small ones where the narrowest lobe asks for it."""
+class _Traversal:
+    """Traversal of the light tree, as deep as the narrowest lobe needs."""
 
-    def __init__(self, reach: Reach, lane: Any, sums: Sums) -> None:
-        self.reach, self.lane, self.sums = reach, lane, sums
-        # The same cells for any set of widths: one that is known must not change the others.
+    def __init__(self, visibility: LightVisibility, lane: Any, sums: LobeSums) -> None:
+        self.visibility, self.lane, self.sums = visibility, lane, sums
+        # The same cells for any set of widths: a known roughness must not change the others.
         self.flat = 1 - NARROW**2
         self.limit = dr.opaque(mi.Float, LARGE)
 
     def coarse(self, cell: Any, sums: Any) -> tuple[Any, Any]:
-        """Add a coarse cell, or the fine ones that it is made of."""
-        cells = self.reach.cells
-        free = self.reach.coarse.test(cell, self.lane)
-        return self._add(_Depth(cells.coarse, cells.first, self.fine), cell, free, sums)
+        """Add a coarse cell, or its fine cells."""
+        cells = self.visibility.tree
+        free = self.visibility.coarse.test(cell, self.lane)
+        return self._add(_TreeLevel(cells.coarse, cells.first, self.fine), cell, free, sums)
 
     def fine(self, cell: Any, sums: Any) -> tuple[Any, Any]:
-        """Add a fine cell, or its leaves, which are seen if it is."""
-        cells, free = self.reach.cells, self.reach.fine.test(cell, self.lane)
+        """Add a fine cell, or its leaves, with the visibility of the cell."""
+        cells, free = self.visibility.tree, self.visibility.fine.test(cell, self.lane)
 
         def leaf(below: Any, sums: Any) -> tuple[Any, Any]:
-            look = self.sums.look(cells.leaves, below)
-            return (below + 1, *self.sums.lit(cells.leaves, below, look, free, sums))
+            angles = self.sums.angles(cells.leaves, below)
+            return (below + 1, *self.sums.add(cells.leaves, below, angles, free, sums))
 
-        depth = _Depth(cells.fine, cells.first_leaf, leaf)
+        depth = _TreeLevel(cells.fine, cells.first_leaf, leaf)
         return self._add(depth, cell, free, sums, inside=free)
 
     def _add(
-        self, depth: _Depth, cell: Any, free: Any, sums: Any, inside: Any = True
+        self, depth: _TreeLevel, cell: Any, free: Any, sums: Any, inside: Any = True
     ) -> tuple[Any, Any]:
-        """Add a cell, or what is below it where it is too large; only if ``inside`` is."""
+        """Add a cell, or its children where it is too large; only where ``inside``."""
         cells, first, below = depth
-        look = self.sums.look(cells, cell)
+        angles = self.sums.angles(cells, cell)
 
         def above(sums: Any) -> tuple[Any]:
-            s = dr.fma(-self.flat * look.up, look.up, 1)
-            large = look.square > self.limit * look.across * look.across * s
+            s = dr.fma(-self.flat * angles.up, angles.up, 1)
+            large = angles.square > self.limit * angles.across * angles.across * s
 
             def smaller(sums: Any) -> tuple[Any, ...]:
                 start, end = (dr.gather(mi.UInt32, first, cell + k) for k in (0, 1))
@@ -157,11 +159,11 @@ class _Tree:
 
             return dr.if_stmt(
                 args=(sums,), cond=large, true_fn=smaller,
-                false_fn=lambda sums: self.sums.lit(cells, cell, look, free, sums),
+                false_fn=lambda sums: self.sums.add(cells, cell, angles, free, sums),
             )  # fmt: skip
 
         (sums,) = dr.if_stmt(
-            args=(sums,), cond=(look.incident > -look.radius) & inside,
+            args=(sums,), cond=(angles.incident > -angles.radius) & inside,
             true_fn=above, false_fn=lambda sums: (sums,),
         )  # fmt: skip
         return cell + 1, sums

@@ -20,7 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.sample_view import fold
 from svu_mi.parameters import MIXED
@@ -112,7 +112,7 @@ def best_models(statistics: Statistics) -> Models:
     (least,) = fold(mi.UInt32(0), end, search, dr.full(mi.Float64, dr.inf, count))
     dr.eval(least, values)
     sigma = _noise(statistics, least.numpy(), weight.numpy())
-    return Models(values, owned(mi.Float, sigma.astype(np.float32)), channels)
+    return Models(values, to_drjit(mi.Float, sigma.astype(np.float32)), channels)
 
 
 def _best_color(mean: list[list[Any]], mixed: np.ndarray) -> tuple[list[Any], Any]:

@@ -19,8 +19,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
-from svu_mi.core.local_memory import QUAD, fours, padded, scatter_strided
+from svu_mi.core.arrays import to_drjit
+from svu_mi.core.local_memory import QUAD, padded_to_quads, quad_count, scatter_strided
 from svu_mi.reflection.principled import COLUMNS
 
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
@@ -70,7 +70,7 @@ class Factors:
 
     def some(self, chosen: np.ndarray) -> Factors:
         """Return the factors of some texels, by their numbers among S."""
-        lanes = owned(mi.UInt32, np.asarray(chosen).astype(np.uint32))
+        lanes = to_drjit(mi.UInt32, np.asarray(chosen).astype(np.uint32))
         values = mi.Float()
         if len(chosen):
             place, of_texel = (
@@ -108,7 +108,8 @@ class Factors:
     def table(self) -> np.ndarray:
         """Return U as (R, C, P, S) float32, with its last entry itself."""
         rows, number = self.values.numpy().reshape(self.count, self.stride), len(PAIRS)
-        of_levels, ends = np.split(rows, [self.levels * padded(self.channels * number)], axis=1)
+        width = self.levels * padded_to_quads(self.channels * number)
+        of_levels, ends = np.split(rows, [width], axis=1)
         of_levels = of_levels.reshape(self.count, self.levels, -1)[..., : self.channels * number]
         entries = of_levels.reshape(self.count, self.levels, self.channels, number)
         entries = np.transpose(entries, (1, 2, 3, 0)).copy()
@@ -135,7 +136,7 @@ class FactorReader:
     def __init__(self, factors: Factors, lane: Any) -> None:
         self._values, self._channels = factors.values, factors.channels
         self._first = lane * dr.opaque(mi.UInt32, factors.stride // QUAD)
-        self._row = fours(factors.channels * len(PAIRS))
+        self._row = quad_count(factors.channels * len(PAIRS))
         ends = self._first + dr.opaque(mi.UInt32, factors.levels * self._row)
         self._ends = self._read(ends, factors.channels + 1)
 
@@ -164,13 +165,13 @@ class FactorReader:
     def _read(self, first: Any, count: int) -> list[Any]:
         """Read so many values from a multiple of four on."""
         found = [dr.gather(mi.Vector4f, self._values, first + k)
-                 for k in range(fours(count))]  # fmt: skip
+                 for k in range(quad_count(count))]  # fmt: skip
         return [x for four in found for x in four][:count]
 
 
 def stride(levels: int, channels: int) -> int:
     """Return how many values the factors of a texel take."""
-    return levels * padded(channels * len(PAIRS)) + padded(channels + 1)
+    return levels * padded_to_quads(channels * len(PAIRS)) + padded_to_quads(channels + 1)
 
 
 def combined(U: list[Any], x: Sequence[Any]) -> list[Any]:
@@ -212,7 +213,7 @@ def factorize(
 
 def _filled(values: list[Any]) -> list[Any]:
     """Pad values by zeros."""
-    return [*values, *[mi.Float64(0)] * (padded(len(values)) - len(values))]
+    return [*values, *[mi.Float64(0)] * (padded_to_quads(len(values)) - len(values))]
 
 
 def _cholesky(sums: list[Any]) -> list[Any]:

@@ -17,11 +17,16 @@ from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
 from svu_mi.geometry.visibility import Visibility
-from svu_mi.light.light_visibility import Mirrors
+from svu_mi.light.light_visibility import MirrorVisibility
 from svu_mi.parameters import MIXED, NAMES
-from svu_mi.reflection.mix_columns import Parts, hats, interpolated, radiance
+from svu_mi.reflection.mix_columns import (
+    Parts,
+    interpolate_radiance,
+    linear_weights,
+    mixed_radiance,
+)
 from svu_mi.reflection.principled import columns
-from svu_mi.reflection.reflection_model import Model
+from svu_mi.reflection.reflection_model import ReflectionModel
 from svu_mi.statistics.censored import CLIPPED_PART, Models, parabola
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import EDGES, Gathered, noise_weight
@@ -56,7 +61,7 @@ ALIKE = Weighting()
 
 
 def gather(
-    views: Views, visibility: Visibility, model: Model, mirrors: Mirrors | None,
+    views: Views, visibility: Visibility, model: ReflectionModel, mirrors: MirrorVisibility | None,
     channels: int | None = None, weighting: Weighting = ALIKE,
 ) -> Gathered:  # fmt: skip
     """Collect the statistics of a model's texels in C channels, 3 or 1.
@@ -161,8 +166,8 @@ class Reweighted:
     def columns_and_weights(self, sample: Sample) -> tuple[list[Columns], Any]:
         """See ``SampleModel``."""
         current = self._current
-        shares = hats(current["roughness"][0], len(sample.lobes))
-        r = interpolated(sample.lobes, shares, current["base_color"], mixed_of(current))
+        shares = linear_weights(current["roughness"][0], len(sample.lobes))
+        r = interpolate_radiance(sample.lobes, shares, current["base_color"], mixed_of(current))
         off = sum(dr.abs(x - b) for x, b in zip(r, sample.radiance, strict=True)) / len(r)
         weight = sample.weight * (self._knee / dr.maximum(off, SMALLEST * self._knee))
         shown = [(b, None) for b in sample.radiance]
@@ -184,7 +189,7 @@ class Censored:
         found: list[Columns] = []
         for number, level in enumerate(sample.lobes):
             mixed, color = self._models.of_level(sample.lane, number, len(sample.lobes))
-            expected, shown = radiance(level, color, mixed), []
+            expected, shown = mixed_radiance(level, color, mixed), []
             for b, flag, r in zip(sample.radiance, sample.saturated, expected, strict=True):
                 t, h = parabola(r, b, noise)
                 shown.append((t, dr.select(flag, h, 0)))

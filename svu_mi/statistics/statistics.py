@@ -20,7 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.principled import mixture
@@ -157,7 +157,7 @@ class Statistics:
 
     def at(self, lanes: np.ndarray) -> Statistics:
         """Return the statistics of some lanes, by their numbers."""
-        chosen = owned(mi.UInt32, lanes.astype(np.uint32))
+        chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return replace(
             self, sums=taken(self.sums, self.rows, chosen),
             counts=dr.gather(mi.Float, self.counts, chosen),
@@ -166,7 +166,7 @@ class Statistics:
 
     def replaced(self, lanes: np.ndarray, others: Statistics) -> Statistics:
         """Return statistics that are others' for some lanes, each of which comes once."""
-        chosen = owned(mi.UInt32, lanes.astype(np.uint32))
+        chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         counts = mi.Float(self.counts)
         dr.scatter(counts, others.counts, chosen)
         dr.eval(counts)
@@ -196,7 +196,7 @@ class Statistics:
         rows = np.concatenate([table.reshape(-1, count), np.reshape(weight, (1, count))])
         return Statistics(
             sums=in_blocks(mi.Float64, rows),
-            counts=owned(mi.Float, np.asarray(views, np.float32)),
+            counts=to_drjit(mi.Float, np.asarray(views, np.float32)),
             texel=dr.arange(mi.UInt32, count),
             roughness=np.asarray(roughness, np.float64), channels=channels, kappa=kappa,
         )  # fmt: skip

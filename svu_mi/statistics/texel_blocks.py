@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.local_memory import scatter_strided
 
 BLOCK = 16
@@ -51,7 +51,7 @@ def cleared(kind: Any, rows: int, count: int) -> Any:
 def in_blocks(kind: Any, table: np.ndarray) -> Any:
     """Lay values (N, S) out as an array of ``kind``."""
     padded = np.pad(table, ((0, 0), (0, -table.shape[1] % BLOCK)))
-    return owned(kind, np.moveaxis(padded.reshape(len(table), -1, BLOCK), 1, 0).ravel())
+    return to_drjit(kind, np.moveaxis(padded.reshape(len(table), -1, BLOCK), 1, 0).ravel())
 
 
 def rows_of(values: Any, rows: int, count: int) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 
 import mitsuba as mi
@@ -12,30 +13,31 @@ import pytest
 from PIL import Image
 from scipy import stats
 
-from svu_mi.bench import speed
-from svu_mi.bench.cases import own_cells
+from svu_mi.bench import guidance, speed
+from svu_mi.bench.cases import own_cases
 from svu_mi.bench.compared_estimators import Variant
-from svu_mi.bench.experiment import Bench
-from svu_mi.bench.guidance import Shoot
+from svu_mi.bench.experiment import BenchRun
+from svu_mi.bench.guidance import ViewSelectionCase
 from svu_mi.bench.guidance.guidance_tables import compare, mean_gain, times_as_many, views_needed
-from svu_mi.bench.problem_sizes import GuidanceSizes, RecoverySizes, Sizes
-from svu_mi.bench.recovery import Judge, Relit, under_another_light
+from svu_mi.bench.problem_sizes import GuidanceSizes, ProblemSizes, RecoverySizes
+from svu_mi.bench.recovery import Relit, TextureScorer, under_another_light
 from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER, SH_PATH
 from svu_mi.bench.recovery.recovery_tables import find_bars
-from svu_mi.bench.study import Asked, run_bench
+from svu_mi.bench.study import Selection, run_bench
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.evaluation.image_metrics import CEILING_DB
 from svu_mi.geometry.texels import texels
+from svu_mi.recovery.recover import recover
 from svu_mi.recovery.svbrdf_textures import lay_out, uniform
 
-CELLS = own_cells(["vase"], ["window"])
-WAYS = (SH, SH_PATH, PATH, SH_PAPER)
+CASES = own_cases(["vase"], ["window"])
+METHODS = (SH, SH_PATH, PATH, SH_PAPER)
 STRATEGIES = ("entropy", "farthest", "random")
-SIZES = Sizes(
+SIZES = ProblemSizes(
     views=6, film=32, spp=4, texels=32, speed_texels=32, reference_texels=20, reference_spp=4,
     speed_film=32, repeats=1,
     recovery=RecoverySizes(
-        rows=tuple(row.label for row in WAYS), relit_views=1, relit_spp=2, repeats=1, long_s=1e4,
+        rows=tuple(row.label for row in METHODS), relit_views=1, relit_spp=2, repeats=1, long_s=1e4,
         scale=0.05,
     ),
     guidance=GuidanceSizes(
@@ -46,23 +48,25 @@ SIZES = Sizes(
 LABEL = "spectrum default"
 ON_SCENES = ["accuracy", "speed", "recovery", "guidance"]
 VARIANTS = (Variant(LABEL, "spectrum", "default"),)
-SHORT = {"DEGREES": (2, 4), "NODES": (4,), "VIEWS": (3, 10), "SAMPLES": (2, 4, 8)}
-ASKED = Asked(cells=CELLS, variants=VARIANTS)
+SHORT = {"DEGREES": (2, 4), "NODES": (4,), "VIEWS": (3, 10), "SAMPLES": (2, 4, 8),
+         "WARM_UP": 1}  # fmt: skip
+SELECTION = Selection(cases=CASES, variants=VARIANTS)
 
 
 @pytest.fixture(scope="module", params=[pytest.param("all", marks=pytest.mark.slow)])
 def finished(tmp_path_factory):
     """Every benchmark on one cell: where, and the record."""
-    bench = Bench(tmp_path_factory.mktemp("bench"), SIZES, quick=True)
+    bench = BenchRun(tmp_path_factory.mktemp("bench"), SIZES, quick=True)
     with pytest.MonkeyPatch.context() as patch:
         for name, short in SHORT.items():
             patch.setattr(speed, name, short)
-        return bench, run_bench(bench, ON_SCENES, ASKED, "svu b")
+        patch.setattr(guidance, "recover", partial(recover, sh=SH.options(0.05)[0]))
+        return bench, run_bench(bench, ON_SCENES, SELECTION, "svu b")
 
 
 @pytest.fixture
 def capture(finished):
-    return finished[0].capture(CELLS[0])
+    return finished[0].capture(CASES[0])
 
 
 # --- the whole ----------------------------------------------------------------------------
@@ -79,7 +83,7 @@ def test_figures_tables_and_plots_are_written(finished):
     assert written["environment"]["versions"]["mitsuba"] == mi.__version__
     assert written["accuracy"]["summary"] == record["accuracy"]["summary"]
     text = (bench.folder / "bench.md").read_text()
-    words = (*(row.label for row in WAYS), *STRATEGIES, LABEL, "brightness", "number of views",
+    words = (*(row.label for row in METHODS), *STRATEGIES, LABEL, "brightness", "number of views",
              "vase / window", "90%", "(extrapolated)", "paired t-test", "Quick sizes")  # fmt: skip
     for word in words:
         assert word in text, word
@@ -93,30 +97,30 @@ def test_what_is_stored_is_all_that_a_second_run_needs(finished):
     bench, record = finished
     for name in ON_SCENES:
         study = import_module(f"svu_mi.bench.{name}").STUDY
-        again = study.run(replace(bench, stored=True), ASKED)
+        again = study.run(replace(bench, stored=True), SELECTION)
         assert again["cells"] == record[name]["cells"] and again["failed"] == []
 
 
 def test_accuracy_has_every_figure_in_its_range(finished):
-    found = finished[1]["accuracy"]
-    (cell,) = found["cells"]
-    assert list(cell["rows"]) == [variant.label for variant in VARIANTS]
-    for row in cell["rows"].values():
+    record = finished[1]["accuracy"]
+    (case,) = record["cells"]
+    assert list(case["rows"]) == [variant.label for variant in VARIANTS]
+    for row in case["rows"].values():
         assert -1 <= row["pearson"] <= 1 and -1 <= row["spearman"] <= 1
         assert 0 <= row["mean_entropy"] <= 1
         assert 0 < sum(row["timings"].values()) <= row["seconds"]
         assert row["credible"]["0.5"]["plain"] <= row["credible"]["0.9"]["plain"]
         assert list(row["parameters"]) == ["roughness", "metallic", "base_color"]
-        assert len(row["entropy"]) == cell["reference"]["texels"]
-    assert 0 < cell["reference"]["half_overlap"] < 1
-    assert list(cell["reference"]["parameters"]) == ["roughness", "metallic", "base_color"]
-    kinds = [row["kind"] for row in found["summary"]]
+        assert len(row["entropy"]) == case["reference"]["texels"]
+    assert 0 < case["reference"]["half_overlap"] < 1
+    assert list(case["reference"]["parameters"]) == ["roughness", "metallic", "base_color"]
+    kinds = [row["kind"] for row in record["summary"]]
     assert kinds == ["estimator", "sanity", "sanity", "reference"]
 
 
 def test_run_times_of_one_cell(finished):
-    (cell,) = finished[1]["speed"]["cells"]
-    parts = cell["rows"]
+    (case,) = finished[1]["speed"]["cells"]
+    parts = case["rows"]
     ((label, times),) = parts["estimators"].items()
     assert label == LABEL and times["cold"]["kernels"] > 3
     assert list(times["warm"]) == list(times["cold"]["timings"])
@@ -131,16 +135,16 @@ def test_run_times_of_one_cell(finished):
 
 
 def test_every_way_of_recovery_has_figures(finished):
-    (cell,) = finished[1]["recovery"]["cells"]
-    assert [row.label for row in WAYS] == list(cell["rows"])
-    assert 0 < cell["seen"] <= cell["texels"] and cell["relit"] != cell["light"]
-    for label, row in cell["rows"].items():
+    (case,) = finished[1]["recovery"]["cells"]
+    assert [row.label for row in METHODS] == list(case["rows"])
+    assert 0 < case["seen"] <= case["texels"] and case["relit"] != case["light"]
+    for label, row in case["rows"].items():
         assert row["seconds"] > 0 and row["steps"] >= 1
         assert row["compiled"] == 0, label
         assert 0 < row["psnr"]["average"] < CEILING_DB
         assert set(row["psnr"]) == {"base_color", "roughness", "metallic", "average"}
         assert -1 <= row["relit"]["ssim"] <= 1 and -1 <= row["entropy_correlation"] <= 1
-        assert cell["truth_relit"]["psnr_ldr"] > row["relit"]["psnr_ldr"]
+        assert case["truth_relit"]["psnr_ldr"] > row["relit"]["psnr_ldr"]
 
 
 def test_every_strategy_adds_views_that_are_judged(finished):
@@ -164,14 +168,14 @@ def test_every_strategy_adds_views_that_are_judged(finished):
 
 def test_true_textures_have_no_error_and_others_do(capture, tmp_path):
     grid = texels(capture.mesh, 48)
-    judge = Judge.of(capture, grid, poor=2)
+    judge = TextureScorer.of(capture, grid, poor=2)
     true = lay_out(grid, judge.truth.values)
     best, grey = judge.judge(true), judge.judge(uniform(grid))
     assert best["psnr"]["average"] > 99 and grey["psnr"]["average"] < 20
     seen = judge.coverage > 0
     by_hand = np.mean((judge.truth.values["roughness"][seen] - 0.5) ** 2)
     assert grey["psnr"]["roughness"] == pytest.approx(-10 * np.log10(by_hand), rel=1e-6)
-    relit = Relit.of(capture, under_another_light(CELLS[0], None, tmp_path), 2, 16)
+    relit = Relit.of(capture, under_another_light(CASES[0], None, tmp_path), 2, 16)
     best, grey = relit.judge(true), relit.judge(uniform(grid))
     for name in ("psnr_hdr", "psnr_ldr", "ssim"):
         assert best[name] > grey[name]
@@ -179,7 +183,7 @@ def test_true_textures_have_no_error_and_others_do(capture, tmp_path):
 
 def test_the_truth_under_its_own_light_is_the_photograph(capture):
     """Relit by the light of the photographs, with the same samples: the same picture."""
-    relit = Relit.of(capture, CELLS[0], 6, SIZES.spp, SIZES.seed)
+    relit = Relit.of(capture, CASES[0], 6, SIZES.spp, SIZES.seed)
     for picture, photograph, mask in zip(relit.truth, capture.images, relit.masks, strict=True):
         np.testing.assert_allclose(picture[mask], photograph[mask], rtol=2e-3)  # half floats
 
@@ -228,13 +232,13 @@ def test_starts_of_an_object_are_no_independent_samples():
     rng = np.random.default_rng(0)
     first, second = (rng.normal(1, 0.2, (6, 2, 2)).tolist() for _ in range(2))
     sizes = GuidanceSizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
-    (found,) = compare(runs_of(first, second, 2), sizes)
-    gains = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in first]
-    others = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in second]
+    (comparison,) = compare(runs_of(first, second, 2), sizes)
+    gains = [[mean_gain((1, 2), [0, *s]) for s in case] for case in first]
+    others = [[mean_gain((1, 2), [0, *s]) for s in case] for case in second]
     exact = stats.ttest_rel(np.mean(gains, axis=1), np.mean(others, axis=1))
-    assert found["p"] == pytest.approx(exact.pvalue) and found["objects"] == 6
+    assert comparison["p"] == pytest.approx(exact.pvalue) and comparison["objects"] == 6
     (entropy,) = compare(runs_of(first, second, 2), sizes, "entropy")
-    assert entropy["difference"] == pytest.approx(found["difference"])  # lower is better there
+    assert entropy["difference"] == pytest.approx(comparison["difference"])  # lower is better there
 
 
 def test_who_never_gets_there_needs_at_least_all_views():
@@ -247,7 +251,7 @@ def test_who_never_gets_there_needs_at_least_all_views():
 def test_farthest_is_the_library_s_own(finished, capture):
     bench, record = finished
     (run,) = record["guidance"]["cells"]
-    sided, even = (Shoot(bench, CELLS[0], 0, kind) for kind in ("one-sided", "even"))
+    sided, even = (ViewSelectionCase(bench, CASES[0], 0, kind) for kind in ("one-sided", "even"))
     assert sided.start == run["start"] and even.start[0] == sided.start[0]
     directions = directions_of(capture.sensors, bounding_sphere(capture.shape)[0])
     angles = directions @ directions[sided.start[0]]  # the nearest to it, and the farthest

@@ -18,19 +18,19 @@ from svu_mi import scenes
 from svu_mi.bench import BENCHMARKS, captures, experiment
 from svu_mi.bench.accuracy import judge_posterior
 from svu_mi.bench.captures import capture_of, some_views
-from svu_mi.bench.cases import convert_glb, data_cells, own_cells
-from svu_mi.bench.experiment import Bench, Experiment
+from svu_mi.bench.cases import convert_glb, data_cases, own_cases
+from svu_mi.bench.experiment import BenchRun, Experiment
 from svu_mi.bench.markdown import Bar, bar_table
-from svu_mi.bench.problem_sizes import Sizes
+from svu_mi.bench.problem_sizes import ProblemSizes
 from svu_mi.bench.result_cache import Store, key_of
-from svu_mi.bench.study import Asked, Study, run_bench
+from svu_mi.bench.study import Selection, Study, run_bench
 from svu_mi.capture.scene import load_scene
 from svu_mi.cli.main import main
 from svu_mi.core.progress import Progress
 from svu_mi.errors import MeshError, OptionError, SceneError, ShapeError, SvuWarning
 from svu_mi.evaluation.ground_truth import GroundTruth
 
-CELLS = own_cells(["vase"], ["window"])
+CASES = own_cases(["vase"], ["window"])
 
 
 # --- experiments --------------------------------------------------------------------------
@@ -43,11 +43,11 @@ class Letter:
 
 @dataclass(frozen=True)
 class Word:
-    """A cell that counts letters, and notes what it was asked; a dot cannot be measured."""
+    """A case that counts letters, and lists what was measured; a dot cannot be measured."""
 
     name: str
     rows: tuple[Letter, ...]
-    asked: list[str] = field(default_factory=list)
+    measured: list[str] = field(default_factory=list)
 
     @property
     def title(self):
@@ -57,11 +57,11 @@ class Word:
         return self.name, row and row.label
 
     def head(self):
-        self.asked.append("head")
+        self.measured.append("head")
         return {"word": self.name}
 
     def measure(self, row):
-        self.asked.append(row.label)
+        self.measured.append(row.label)
         if row.label == "!":
             raise KeyboardInterrupt
         if row.label == ".":
@@ -69,58 +69,58 @@ class Word:
         return {"count": self.name.count(row.label)}
 
 
-def run_words(bench, *words, letters="ab", told=None, whole=False):
-    """The record, and what every word was asked."""
+def run_words(bench, *words, letters="ab", reports=None, whole=False):
+    """The record, and what was measured of each word."""
     subjects = [Word(name, tuple(map(Letter, letters))) for name in words]
-    record = Experiment("words", subjects, whole).run(bench, told)
-    return record, [subject.asked for subject in subjects]
+    record = Experiment("words", subjects, whole).run(bench, reports)
+    return record, [subject.measured for subject in subjects]
 
 
 @pytest.fixture
 def bench(tmp_path):
-    return Bench(tmp_path)
+    return BenchRun(tmp_path)
 
 
 def test_every_row_of_every_cell_is_measured_and_told(bench):
-    told = []
-    record, asked = run_words(
-        bench, "abba", "bar", told=lambda found: told.append(len(found["cells"]))
+    reports = []
+    record, measured = run_words(
+        bench, "abba", "bar", reports=lambda record: reports.append(len(record["cells"]))
     )
     assert record["cells"] == [
         {"word": "abba", "rows": {"a": {"count": 2}, "b": {"count": 2}}},
         {"word": "bar", "rows": {"a": {"count": 1}, "b": {"count": 1}}},
     ]
-    assert told == [1, 2] and record["versions"] == 1 and record["failed"] == []
-    assert asked == [["head", "a", "b"]] * 2
+    assert reports == [1, 2] and record["versions"] == 1 and record["failed"] == []
+    assert measured == [["head", "a", "b"]] * 2
 
 
 def test_what_is_finished_is_not_measured_again(bench):
     first, _ = run_words(bench, "abba")
-    again, asked = run_words(bench, "abba", "bar", letters="abr")
-    assert asked == [["r"], ["head", "a", "b", "r"]]
+    again, measured = run_words(bench, "abba", "bar", letters="abr")
+    assert measured == [["r"], ["head", "a", "b", "r"]]
     assert again["cells"][0]["rows"]["a"] == first["cells"][0]["rows"]["a"]
-    _, asked = run_words(replace(bench, fresh=True), "abba")
-    assert asked == [["head", "a", "b"]]
+    _, measured = run_words(replace(bench, fresh=True), "abba")
+    assert measured == [["head", "a", "b"]]
 
 
 def test_an_interrupted_run_goes_on_where_it_stopped(bench):
     with pytest.raises(KeyboardInterrupt):
         run_words(bench, "abba", "bar", letters="a!b")
-    record, asked = run_words(bench, "abba", "bar")
-    assert asked == [["b"], ["head", "a", "b"]] and len(record["cells"]) == 2
+    record, measured = run_words(bench, "abba", "bar")
+    assert measured == [["b"], ["head", "a", "b"]] and len(record["cells"]) == 2
 
 
 def test_results_of_another_version_are_taken_up_only_if_asked_for(bench, monkeypatch):
     run_words(bench, "abba")
     monkeypatch.setattr(experiment, "code_now", lambda: "other")
     for how in ({"keep": True}, {"stored": True}):
-        record, asked = run_words(replace(bench, **how), "abba", letters="ab")
-        assert asked == [[]] and len(record["cells"]) == 1
-    record, asked = run_words(replace(bench, keep=True), "abba", letters="abc")
-    assert asked == [["c"]] and record["versions"] == 2
+        record, measured = run_words(replace(bench, **how), "abba", letters="ab")
+        assert measured == [[]] and len(record["cells"]) == 1
+    record, measured = run_words(replace(bench, keep=True), "abba", letters="abc")
+    assert measured == [["c"]] and record["versions"] == 2
     assert run_words(bench, "abba")[1] == [["head", "a", "b"]]
-    record, asked = run_words(replace(bench, stored=True), "abba", "bar", letters="abd")
-    assert asked == [[], []] and list(record["cells"][0]["rows"]) == ["a", "b"]
+    record, measured = run_words(replace(bench, stored=True), "abba", "bar", letters="abd")
+    assert measured == [[], []] and list(record["cells"][0]["rows"]) == ["a", "b"]
 
 
 def test_what_cannot_be_measured_is_told_and_left_out(bench):
@@ -141,13 +141,13 @@ def test_a_module_and_a_line_are_a_benchmark(bench, monkeypatch):
     module = ModuleType("svu_mi.bench.words")
     module.STUDY = Study(
         title="Words", tables=lambda record: [str(record["longest"])],
-        experiment=lambda _, asked: Experiment("words", [Word(asked.cells[0].object, letters)]),
+        experiment=lambda _, chosen: Experiment("words", [Word(chosen.cases[0].object, letters)]),
         summary=lambda record: {**record, "longest": record["cells"][0]["word"]},
         bars=lambda record: [Bar("letters", len(record["longest"]), 3.0)],
     )  # fmt: skip
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setitem(BENCHMARKS, "words", "counts letters")
-    record = run_bench(bench, ["words"], Asked(cells=CELLS), "svu bench words")
+    record = run_bench(bench, ["words"], Selection(cases=CASES), "svu bench words")
     assert record["words"]["cells"] == [{"word": "vase", "rows": {"a": {"count": 1}}}]
     text = (bench.folder / "bench.md").read_text()
     assert "# Words" in text and "| letters | 4 | <= 3 | **no** |" in text and "\nvase" in text
@@ -199,13 +199,13 @@ def test_photographs_with_other_settings_are_rendered_anew(tmp_path, monkeypatch
     rendered, render = [], captures.render_capture
     monkeypatch.setattr(captures, "render_capture",
                         lambda *a, **k: rendered.append(1) or render(*a, **k))  # fmt: skip
-    (cell,) = CELLS
-    small = Sizes(views=6, film=8, spp=1)
+    (case,) = CASES
+    small = ProblemSizes(views=6, film=8, spp=1)
     for settings, count in ((small, 1), (small, 1), (replace(small, spp=2), 2)):
-        whole = capture_of(cell, settings, tmp_path / "capture", Progress())
+        whole = capture_of(case, settings, tmp_path / "capture", Progress())
         assert len(rendered) == count
     (tmp_path / "capture" / "bench.json").write_text("{")  # a broken mark is no mark
-    capture_of(cell, replace(small, spp=2), tmp_path / "capture", Progress())
+    capture_of(case, replace(small, spp=2), tmp_path / "capture", Progress())
     assert len(rendered) == 3
     half = some_views(whole, 3)  # evenly
     assert half.names == ("view_0000.exr", "view_0002.exr", "view_0005.exr")
@@ -302,19 +302,19 @@ def test_objects_and_environments_of_a_folder(tmp_path):
     (data / "envmaps").mkdir()
     for name in ("sky.exr", "sky.hdr", "room.hdr"):
         (data / "envmaps" / name).touch()
-    cells = data_cells(data, tmp_path / "work")
-    assert [cell.title for cell in cells] == [
+    cases = data_cases(data, tmp_path / "work")
+    assert [case.title for case in cases] == [
         "cup / room", "cup / sky", "thing / room", "thing / sky"
     ]  # fmt: skip
-    assert cells[1].defines["environment"].endswith("sky.exr")  # before Radiance
+    assert cases[1].defines["environment"].endswith("sky.exr")  # before Radiance
     assert (tmp_path / "work" / "objects" / "thing" / "roughness.png").is_file()
-    (only,) = data_cells(data, tmp_path / "work", ["cup"], ["sky"])
+    (only,) = data_cases(data, tmp_path / "work", ["cup"], ["sky"])
     assert Path(only.defines["object"]) == (data / "objects" / "cup").resolve()
     with pytest.raises(OptionError, match="'jug'; use one of cup, thing"):
-        data_cells(data, tmp_path / "work", ["jug"])
+        data_cases(data, tmp_path / "work", ["jug"])
     (data / "objects" / "cup" / "metallic.png").unlink()
     with pytest.raises(OptionError, match="cup: an object's folder needs .* add metallic.png"):
-        data_cells(data, tmp_path / "work")
+        data_cases(data, tmp_path / "work")
 
 
 # --- parts --------------------------------------------------------------------------------
@@ -332,10 +332,10 @@ def test_a_posterior_at_the_truth_is_judged_perfect():
     p = np.zeros((30, 5, 5, 3))
     p[np.arange(30)[:, None], pick[0][:, None], colors, np.arange(3)] = 1
     kept = np.arange(30)
-    found = judge_posterior(p, axes, truth, rng.random(30), kept)
-    assert found["credible"]["0.5"]["plain"] == 1
-    assert all(figures["rmse"] == 0 for figures in found["parameters"].values())
-    assert found["ause"] == 0
+    scores = judge_posterior(p, axes, truth, rng.random(30), kept)
+    assert scores["credible"]["0.5"]["plain"] == 1
+    assert all(figures["rmse"] == 0 for figures in scores["parameters"].values())
+    assert scores["ause"] == 0
     grey = judge_posterior(np.eye(5)[pick[0]], {"roughness": nodes}, truth, rng.random(30), kept)
     assert grey["parameters"]["roughness"]["mae"] == 0
     with pytest.raises(ShapeError, match="do not fit a grid of"):

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from svu_mi import scenes
 from svu_mi.bench import orb
-from svu_mi.bench.cases import own_cells
-from svu_mi.bench.experiment import Bench
+from svu_mi.bench.cases import own_cases
+from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.orb import (
     ROWS,
     STUDY,
@@ -34,9 +34,9 @@ from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.bench.orb.orb_tables import GREY, orb_lines
 from svu_mi.bench.orb.orb_targets import Target, judge_pictures
 from svu_mi.bench.problem_sizes import RecoverySizes
-from svu_mi.bench.study import Asked, run_bench
+from svu_mi.bench.study import Selection, run_bench
 from svu_mi.capture.image_io import read_planes
-from svu_mi.capture.importers.axis_fixes import turned
+from svu_mi.capture.importers.axis_fixes import rotation
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.registry import read_source
 from svu_mi.capture.importers.stanford_orb import read_orb, read_views, recognises
@@ -207,12 +207,12 @@ def pictures():
     """A photograph, a picture of it, and a mask that reaches one border."""
     rng = np.random.default_rng(330917452)
     truth = rng.uniform(size=(14, 17, 3)) * 3
-    found = truth * [0.5, 1, 2] + rng.uniform(size=truth.shape) * 0.2
+    picture = truth * [0.5, 1, 2] + rng.uniform(size=truth.shape) * 0.2
     mask = np.zeros((14, 17), bool)
     mask[3:, 2:15] = True
     inside = np.zeros_like(mask)
     inside[5:, 4:13] = True  # two pixels less, but not at the border
-    return found, truth, mask, inside
+    return picture, truth, mask, inside
 
 
 def encode(x):
@@ -224,44 +224,44 @@ def decibels(a, b):
 
 
 def test_psnr_is_of_the_whole_picture_with_channels_scaled_on_the_eroded_mask():
-    found, truth, mask, inside = pictures()
+    picture, truth, mask, inside = pictures()
     for scaled in (True, False):
-        a, b = (np.where(inside[..., None], x, 0) for x in (found, truth))
+        a, b = (np.where(inside[..., None], x, 0) for x in (picture, truth))
         if scaled:
             for c in range(3):
                 a[..., c] *= (a[..., c] * b[..., c]).sum() / (a[..., c] ** 2).sum()
         gain = encode(np.clip(b, 0, 1)).mean() / np.clip(b, 0, 1).mean()
-        error = orb_error(found, truth, mask, scaled=scaled)
+        error = orb_error(picture, truth, mask, scaled=scaled)
         high = decibels(np.clip(gain * a, 0, 4), np.clip(gain * b, 0, 4))
         low = decibels(encode(np.clip(a, 0, 1)), encode(np.clip(b, 0, 1)))
         assert (error.psnr_hdr, error.psnr_ldr) == pytest.approx((high, low), abs=1e-9)
-    error = orb_albedo_error(found / 3, truth / 3, mask)
-    a, b = (np.where(inside[..., None], x / 3, 0) for x in (found, truth))
+    error = orb_albedo_error(picture / 3, truth / 3, mask)
+    a, b = (np.where(inside[..., None], x / 3, 0) for x in (picture, truth))
     a *= (a * b).sum(axis=(0, 1)) / (a**2).sum(axis=(0, 1))
     assert error.psnr_ldr == pytest.approx(decibels(np.clip(a, 0, 1), b), abs=1e-9)
     assert error.psnr_hdr is None
 
 
 def test_no_picture_is_worse_than_grey():
-    found, truth, mask, inside = pictures()
+    picture, truth, mask, inside = pictures()
     truth = truth / 30
-    bad = orb_error(np.full_like(found, 1e3), truth, mask, scaled=False)
+    bad = orb_error(np.full_like(picture, 1e3), truth, mask, scaled=False)
     grey = np.where(inside[..., None], 0.5, 0) * np.ones(3)
     low = np.where(inside[..., None], encode(truth), 0)
     assert bad.psnr_ldr == pytest.approx(decibels(grey, low), abs=1e-9)
 
 
 def test_what_cannot_be_compared_is_refused():
-    found, truth, mask, _ = pictures()
+    picture, truth, mask, _ = pictures()
     with pytest.raises(ShapeError, match="Two .H, W, 3. pictures"):
-        orb_error(found[:5], truth, mask, scaled=True)
+        orb_error(picture[:5], truth, mask, scaled=True)
     with pytest.raises(ShapeError, match="mask is empty"):
-        orb_error(found, truth, np.zeros_like(mask), scaled=True)
+        orb_error(picture, truth, np.zeros_like(mask), scaled=True)
     truth[7, 7] = np.nan
     with pytest.raises(OptionError, match="the true picture has 3 values"):
-        orb_error(found, truth, mask, scaled=True)
+        orb_error(picture, truth, mask, scaled=True)
     truth[7, 7], truth[0, 0] = 1, np.nan  # outside, nobody looks
-    black = orb_error(found * [1, 0, 1], truth, mask, scaled=True)
+    black = orb_error(picture * [1, 0, 1], truth, mask, scaled=True)
     assert np.isfinite([black.psnr_hdr, black.ssim]).all()
 
 
@@ -272,17 +272,17 @@ def test_lpips_is_asked_where_it_is_installed(monkeypatch):
         assert normalize
         return np.mean((a - b) ** 2)
 
-    found, truth, mask, inside = pictures()
+    picture, truth, mask, inside = pictures()
     torch = types.ModuleType("torch")
     torch.no_grad, torch.from_numpy = pytest.MonkeyPatch.context, np.array
     monkeypatch.setitem(sys.modules, "torch", torch)
     monkeypatch.setattr(orb_metrics, "_network", lambda: distance)
-    error = orb_error(found, truth, mask, scaled=False)
-    a, b = (np.where(inside[..., None], np.clip(x, 0, 1), 0) for x in (found, truth))
+    error = orb_error(picture, truth, mask, scaled=False)
+    a, b = (np.where(inside[..., None], np.clip(x, 0, 1), 0) for x in (picture, truth))
     twice = np.mean((encode(encode(a)) - encode(encode(b))) ** 2)
     assert error.lpips == pytest.approx(twice, rel=1e-4)
     monkeypatch.setattr(orb_metrics, "_network", lambda: None)
-    assert orb_error(found, truth, mask, scaled=False).lpips is None
+    assert orb_error(picture, truth, mask, scaled=False).lpips is None
 
 
 # --- the benchmark ------------------------------------------------------------------------
@@ -291,7 +291,7 @@ def test_lpips_is_asked_where_it_is_installed(monkeypatch):
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     root = tmp_path_factory.mktemp("orb")
-    render_dataset(root, own_cells(["vase"], LIGHTS), PHOTOGRAPHS)
+    render_dataset(root, own_cases(["vase"], LIGHTS), PHOTOGRAPHS)
     return root
 
 
@@ -301,7 +301,7 @@ def folder(tmp_path_factory):
 
 
 def bench_in(folder, **changes):
-    return Bench(folder, quick=True, **changes)
+    return BenchRun(folder, quick=True, **changes)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -318,8 +318,8 @@ def setting(data, folder):
 
 
 def run(folder, data, captures=(FIRST,), **changes):
-    asked = Asked(data=data, objects=captures, rows=["SH (ours)"])
-    return run_bench(bench_in(folder, **changes), ["orb"], asked)["orb"]
+    selection = Selection(data=data, objects=captures, rows=["SH (ours)"])
+    return run_bench(bench_in(folder, **changes), ["orb"], selection)["orb"]
 
 
 @pytest.fixture(scope="module")
@@ -346,13 +346,13 @@ def test_normals_of_the_scan_are_computed_anew(setting):
 
 def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting):
     textures = true_textures()
-    found = setting.judge(textures, "truth")
-    assert found["light"]["mean"]["psnr_ldr"] > 40 and found["light"]["mean"]["psnr_hdr"] > 30
-    assert found["view"]["mean"]["psnr_ldr"] > 40 and found["view"]["mean"]["psnr_hdr"] > 30
-    assert found["albedo"]["mean"]["psnr_ldr"] > 45
+    scores = setting.judge(textures, "truth")
+    assert scores["light"]["mean"]["psnr_ldr"] > 40 and scores["light"]["mean"]["psnr_hdr"] > 30
+    assert scores["view"]["mean"]["psnr_ldr"] > 40 and scores["view"]["mean"]["psnr_hdr"] > 30
+    assert scores["albedo"]["mean"]["psnr_ldr"] > 45
     turned_light = [
         replace(target, view=replace(target.view, light=replace(
-            target.view.light, to_world=target.view.light.to_world @ turned("y", 180)
+            target.view.light, to_world=target.view.light.to_world @ rotation("y", 180)
         )))
         for target in setting.novel
     ]  # fmt: skip
@@ -363,14 +363,14 @@ def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting)
 @pytest.mark.slow
 def test_recovered_textures_are_far_better_than_grey(record):
     (capture,) = record["cells"]
-    grey, found = capture["grey"], capture["rows"]["SH (ours)"]
+    grey, recovered = capture["grey"], capture["rows"]["SH (ours)"]
     assert capture["name"] == FIRST and capture["photographs"] == PHOTOGRAPHS.train
     assert 0 < capture["entropy"] < 1 and 0.4 < capture["seen"] / capture["texels"] < 1  # hollow
     for task, gain in (("light", 3), ("view", 5), ("albedo", 3)):
-        assert found[task]["mean"]["psnr_ldr"] > grey[task]["mean"]["psnr_ldr"] + gain
-        assert found[task]["mean"]["ssim"] > grey[task]["mean"]["ssim"]
-    assert {one["capture"] for one in found["light"]["single"]} == {SECOND}
-    assert {one["capture"] for one in found["view"]["single"]} == {FIRST}
+        assert recovered[task]["mean"]["psnr_ldr"] > grey[task]["mean"]["psnr_ldr"] + gain
+        assert recovered[task]["mean"]["ssim"] > grey[task]["mean"]["ssim"]
+    assert {one["capture"] for one in recovered["light"]["single"]} == {SECOND}
+    assert {one["capture"] for one in recovered["view"]["single"]} == {FIRST}
 
 
 def test_everything_is_written(record, folder):
@@ -382,9 +382,9 @@ def test_everything_is_written(record, folder):
     assert {line["row"] for line in lines} == {GREY, "SH (ours)"}
     text = (folder / "bench.md").read_text()
     assert "26.918" in text and "| SH (ours) |" in text
-    grey, found = orb_lines(record)
-    assert grey.startswith(f"{GREY}: PSNR-H ") and found.startswith("SH (ours): PSNR-H ")
-    assert found.endswith("LPIPS -")
+    grey, recovered = orb_lines(record)
+    assert grey.startswith(f"{GREY}: PSNR-H ") and recovered.startswith("SH (ours): PSNR-H ")
+    assert recovered.endswith("LPIPS -")
     assert (folder / "orb" / FIRST / "sh_ours.png").stat().st_size > 5000
 
 
@@ -402,9 +402,9 @@ def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeyp
 
     monkeypatch.setattr(Setting, "head", torn)
     with pytest.warns(SvuWarning, match="vase_scene002 is left out: torn"):
-        found = run(folder, data, ())
-    assert [capture["name"] for capture in found["cells"]] == [FIRST]
-    assert found["failed"] == [{"cell": SECOND, "reason": "torn"}]
+        record = run(folder, data, ())
+    assert [capture["name"] for capture in record["cells"]] == [FIRST]
+    assert record["failed"] == [{"cell": SECOND, "reason": "torn"}]
 
 
 def test_a_test_needs_its_light_and_its_mask(data):
@@ -423,11 +423,11 @@ def test_a_test_needs_its_light_and_its_mask(data):
 
 
 def test_names_are_looked_up_before_anything_is_run(data):
-    found = find_captures(data)
-    assert chosen_captures(found, ["vase"]) == chosen_captures(found, []) == found
-    assert [path.name for path in chosen_captures(found, [SECOND])] == [SECOND]
+    folders = find_captures(data)
+    assert chosen_captures(folders, ["vase"]) == chosen_captures(folders, []) == folders
+    assert [path.name for path in chosen_captures(folders, [SECOND])] == [SECOND]
     with pytest.raises(OptionError, match="no capture or object 'cup'"):
-        chosen_captures(found, ["cup"])
+        chosen_captures(folders, ["cup"])
     with pytest.raises(OptionError, match="no row 'best'"):
         chosen_rows(["best"])
     labels = [row.label for row in chosen_rows([])]
@@ -438,8 +438,8 @@ def test_names_are_looked_up_before_anything_is_run(data):
 def test_without_the_data_set_our_own_scenes_are_rendered_once(tmp_path, monkeypatch):
     rendered = []
 
-    def note(root, cells, sizes, progress):
-        rendered.append([cell.name for cell in cells])
+    def note(root, cases, sizes, progress):
+        rendered.append([case.name for case in cases])
 
     monkeypatch.setattr(dataset, "render_dataset", note)
     for _ in range(2):
@@ -447,4 +447,4 @@ def test_without_the_data_set_our_own_scenes_are_rendered_once(tmp_path, monkeyp
     assert folder == tmp_path / "orb" / "data" and len(rendered) == 1
     assert rendered[0][:2] == ["vase__window", "vase__overcast"]
     with pytest.raises(OptionError, match="holds no capture"):
-        STUDY.run(bench_in(tmp_path), Asked())
+        STUDY.run(bench_in(tmp_path), Selection())

@@ -15,11 +15,11 @@ from support.helpers import fails, run
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.bench.cases import own_cells
-from svu_mi.bench.experiment import Bench
+from svu_mi.bench.cases import own_cases
+from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.real import find_bars
-from svu_mi.bench.real.predictors import WAYS, Score, Shown, gain_of, r_squared
-from svu_mi.bench.study import Asked, run_bench
+from svu_mi.bench.real.predictors import PREDICTORS, Score, Shown, gain_of, r_squared
+from svu_mi.bench.study import Selection, run_bench
 from svu_mi.calibration.light import resolve_light
 from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.capture.importers.nerf import write_transforms
@@ -72,8 +72,8 @@ def _depth(capture: svu.Capture, sensor: object) -> object:
     index = dr.arange(mi.UInt32, int(width * height))
     place = mi.Point2f((index % int(width) + 0.5) / width, (index // int(width) + 0.5) / height)
     ray, _ = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
-    found = capture.scene.ray_intersect(ray)
-    on = found.is_valid() & (found.shape == mi.ShapePtr(capture.shape))
+    hit = capture.scene.ray_intersect(ray)
+    on = hit.is_valid() & (hit.shape == mi.ShapePtr(capture.shape))
     return dr.reshape(mi.TensorXf(dr.select(on, mi.Float(1), 0)), (int(height), int(width)))
 
 
@@ -92,10 +92,10 @@ def measured(imported: Path) -> Path:
 
 @pytest.mark.slow
 def test_photographs_of_a_phone_are_predicted_from_each_other(measured):
-    (cell,) = json.loads((measured / "bench.json").read_text())["real"]["cells"]
-    rows = cell["rows"]
-    assert (cell["photographs"], cell["left_out"]) == (VIEWS, VIEWS // 4)
-    assert cell["odd"] == [f"IMG_{SPOILT:04d}.jpg"]
+    (case,) = json.loads((measured / "bench.json").read_text())["real"]["cells"]
+    rows = case["rows"]
+    assert (case["photographs"], case["left_out"]) == (VIEWS, VIEWS // 4)
+    assert case["odd"] == [f"IMG_{SPOILT:04d}.jpg"]
     assert rows["posterior"]["r2"] > rows["texel means"]["r2"] + 0.05
     assert rows["posterior"]["r2"] > rows["diffuse only"]["r2"]
     assert 0.8 <= rows["posterior"]["holds"]["0.9"] <= 0.97
@@ -118,7 +118,9 @@ def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, cap
 
 def test_without_a_capture_there_is_nothing_to_run(tmp_path):
     with pytest.raises(OptionError, match="no capture to run on"):
-        run_bench(Bench(tmp_path / "out"), ["real"], Asked(cells=own_cells(["vase"], ["window"])))
+        run_bench(
+            BenchRun(tmp_path / "out"), ["real"], Selection(cases=own_cases(["vase"], ["window"]))
+        )
     assert not (tmp_path / "out").exists()
 
 
@@ -155,28 +157,28 @@ def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
     sums = observed.statistics(levels, switches, 3, texels=number)
     expected = sums.errors(np.array([metallic]), np.array([color]))[:, level, :, 0, 0]
     samples = seen_in_views(observed, number)
-    found = np.zeros_like(expected)
+    sums = np.zeros_like(expected)
     for view, sensor in enumerate(vase.capture.used_sensors):
         (shown,) = prediction.seen_from(to_world(sensor)[:3, 3])
         seen, radiance = samples[view]
-        found += seen[:, None] * np.square(shown - radiance)
-    found /= sum(seen for seen, _ in samples)[:, None]
-    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-5 * observed.unit**2)
+        sums += seen[:, None] * np.square(shown - radiance)
+    sums /= sum(seen for seen, _ in samples)[:, None]
+    np.testing.assert_allclose(sums, expected, rtol=2e-3, atol=1e-5 * observed.unit**2)
 
 
 def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
     """What every view shows of some texels: whether it does, and radiance."""
-    from svu_mi.core.arrays import owned
+    from svu_mi.core.arrays import to_drjit
     from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 
-    surface = TexelLanes.of(observed.texels, owned(mi.UInt32, number.astype(np.uint32)))
-    found = []
+    surface = TexelLanes.of(observed.texels, to_drjit(mi.UInt32, number.astype(np.uint32)))
+    samples = []
     for view in range(sum(observed.capture.used)):
         which = dr.opaque(mi.UInt32, view)
         seen = sample_view(observed.views, surface, which).seen
         shown = sample_visible(observed.views, surface, which, seen)
-        found.append((seen.numpy().astype(float), shown.radiance.numpy().T))
-    return found
+        samples.append((seen.numpy().astype(float), shown.radiance.numpy().T))
+    return samples
 
 
 def test_between_levels_it_is_what_the_posterior_goes_by():
@@ -219,9 +221,9 @@ def test_diffuse_texels_look_the_same_from_everywhere_but_for_grazing_angles(vas
 def test_what_is_no_calibrated_posterior_predicts_nothing(vase):
     fixed = svu.estimate(vase.estimate, preset="fixed")
     fast = svu.estimate(vase.estimate, preset="fast")
-    for found in (fixed, fast):  # without noise, and in grey
+    for estimated in (fixed, fast):  # without noise, and in grey
         with pytest.raises(OptionError, match="preset default"):
-            Prediction.of(found, np.arange(4))
+            Prediction.of(estimated, np.arange(4))
 
 
 # --- scores -----------------------------------------------------------------------------------
@@ -261,7 +263,7 @@ def test_a_black_photograph_is_not_scored():
     score.add(np.arange(400), np.zeros((400, 3)), np.ones(400), Shown(np.ones((1, 400, 3))))
     record = score.record()
     assert np.isnan(record["r2"]) and record["holds"] == {}
-    rows = {way.label: record for way in WAYS}
+    rows = {way.label: record for way in PREDICTORS}
     assert find_bars({"cells": [{"rows": rows}]}) == []
 
 

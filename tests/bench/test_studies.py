@@ -10,14 +10,15 @@ import pytest
 import svu_mi as svu
 from svu_mi.bench import BENCHMARKS, calibration, light, paper, scaling
 from svu_mi.bench.captures import FRONT, uneven_views
-from svu_mi.bench.cases import own_cells
+from svu_mi.bench.cases import own_cases
 from svu_mi.bench.compared_estimators import Variant
-from svu_mi.bench.experiment import Bench
+from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.paper import figure9, table2, table3
-from svu_mi.bench.problem_sizes import RecoverySizes, Sizes
+from svu_mi.bench.problem_sizes import ProblemSizes, RecoverySizes
+from svu_mi.bench.recovery.methods import RecoveryMethod
 from svu_mi.bench.scaling import line, repeated
 from svu_mi.bench.speed import go_all_the_way, timed_kernels
-from svu_mi.bench.study import Asked, study_of
+from svu_mi.bench.study import Selection, study_of
 from svu_mi.bench.timing import in_new_process, run, spread
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError, SvuEnvironmentError
@@ -25,41 +26,49 @@ from svu_mi.evaluation.ground_truth import ground_truth
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.visibility import trace_visibility
+from svu_mi.recovery.recover import recover
 
-SIZES = Sizes(
+SIZES = ProblemSizes(
     views=12, film=32, spp=4, texels=32, reference_texels=20, reference_spp=4,
     recovery=RecoverySizes(relit_views=1, relit_spp=2, repeats=1, scale=0.05, warm=False),
 )  # fmt: skip
-CELLS = own_cells(["vase"], ["window"])
+CASES = own_cases(["vase"], ["window"])
 BASE = Variant("spectrum default", "spectrum", "default")
-WAYS = table3._ways()[:3]
+ENTROPY_ROWS = table3._entropy_rows()[:3]
+
+
+def _briefly(known, **words):
+    return recover(known, **words, sh=RecoveryMethod("", "sh", words["preset"]).options(0.05)[0])
+
+
 TINY = {
     light: {"QUICK": {"views": 16, "film": 48, "spp": 4}, "QUICK_TEXELS": 32},
     calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 4},
     scaling: {"QUICK": scaling.Range(resolutions=(16, 32, 48), views=(3, 6, 12), resolution=24,
                                      photographs=(6, 32), repeats=1)},
     table2: {"QUICK_FILM": 32, "QUICK_TEXELS": 24, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
-    table3: {"QUICK": (12, 4), "_ways": lambda: WAYS},
-    figure9: {"QUICK_VIEWS": 12, "ADDED": (1,), "QUICK_TEXELS": 16},
+    table3: {"QUICK": (12, 4), "_entropy_rows": lambda: ENTROPY_ROWS},
+    figure9: {"QUICK_VIEWS": 12, "ADDED": (1,), "QUICK_TEXELS": 16, "recover": _briefly},
 }  # fmt: skip
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "cells", "rows"),
+    ("name", "cases", "rows"),
     [("calibration", 1, 3), ("light", 1, 1), ("paper", 3, None), ("paths", 1, 1),
      ("scaling", 1, 4), ("sureness", 1, 4)],
 )  # fmt: skip
-def test_a_study_finds_figures_for_every_row(name, cells, rows, tmp_path, monkeypatch):
+def test_a_study_finds_figures_for_every_row(name, cases, rows, tmp_path, monkeypatch):
     for module, changes in TINY.items():
         for constant, value in changes.items():
             monkeypatch.setattr(module, constant, value)
-    study, asked = study_of(name), Asked(cells=CELLS, variants=[BASE])
-    record = study.run(Bench(tmp_path, SIZES, quick=True), asked)
-    assert len(record["cells"]) == cells and record["failed"] == []
+    monkeypatch.setattr(RecoveryMethod.recover, "__defaults__", (0.05,))
+    study, selection = study_of(name), Selection(cases=CASES, variants=[BASE])
+    record = study.run(BenchRun(tmp_path, SIZES, quick=True), selection)
+    assert len(record["cells"]) == cases and record["failed"] == []
     assert rows is None or len(record["cells"][0]["rows"]) == rows
     assert study.markdown(record).count("\n| ") > 2
-    again = study.run(Bench(tmp_path, SIZES, quick=True, stored=True), asked)
+    again = study.run(BenchRun(tmp_path, SIZES, quick=True, stored=True), selection)
     assert again["cells"] == record["cells"]
 
 
@@ -68,14 +77,14 @@ def test_every_benchmark_has_a_study():
 
 
 def test_parts_of_the_paper_are_chosen_by_name(tmp_path):
-    bench, cells = Bench(tmp_path), own_cells(["vase"])
-    every = list(paper.STUDY.experiment(bench, Asked(cells=cells)).subjects)
+    bench, cases = BenchRun(tmp_path), own_cases(["vase"])
+    every = list(paper.STUDY.experiment(bench, Selection(cases=cases)).subjects)
     names = [subject.name.partition("/")[0] for subject in every]
     assert [names.count(part) for part in paper.PARTS] == [4, 3, 2]
-    one = paper.STUDY.experiment(bench, Asked(cells=cells, rows=["table2"])).subjects
+    one = paper.STUDY.experiment(bench, Selection(cases=cases, rows=["table2"])).subjects
     assert [subject.name for subject in one] == [s.name for s in every if "table2" in s.name]
     with pytest.raises(OptionError, match="no part of the paper 'table9'"):
-        paper.STUDY.experiment(bench, Asked(cells=cells, rows=["table9"]))
+        paper.STUDY.experiment(bench, Selection(cases=cases, rows=["table9"]))
 
 
 # --- parts --------------------------------------------------------------------------------
@@ -92,9 +101,9 @@ def test_the_survey_and_both_bare_ways_trace_the_same_rays():
     normal = np.array(layout.geometric_normal)[:, np.nonzero(traced)[1]]
     assert (np.array(rays.direction) * normal).sum(axis=0).min() > 0
     assert (traced.sum(axis=0) >= np.array(trace_visibility(views, surface).coverage)).all()
-    found = timed_kernels.measure_gather(capture, 32, 1)
-    assert found["triangles"] > 70_000 and 0 < found["rays"] == rays.count
-    free = {way["free"] for way in found["ways"].values()}
+    gather = timed_kernels.measure_gather(capture, 32, 1)
+    assert gather["triangles"] > 70_000 and 0 < gather["rays"] == rays.count
+    free = {way["free"] for way in gather["ways"].values()}
     assert len(free) == 1 and 0 < free.pop() < rays.count
 
 
@@ -114,13 +123,13 @@ def test_the_clock_sees_kernels_and_compilation():
 @pytest.mark.slow
 def test_a_failed_process_says_why(tmp_path):
     with pytest.raises(SvuEnvironmentError, match="failed when cold: .*nowhere"):
-        asked = {"source": str(tmp_path / "nowhere"), "resolution": 8, "method": "angular"}
-        in_new_process(go_all_the_way, **asked)
+        arguments = {"source": str(tmp_path / "nowhere"), "resolution": 8, "method": "angular"}
+        in_new_process(go_all_the_way, **arguments)
 
 
 def test_a_line_is_fitted_and_the_exponent_of_the_upper_half():
-    found = line([1, 2, 4, 8], [5.0, 7.0, 11.0, 19.0])
-    assert (found["a"], found["b"], found["r2"]) == pytest.approx((3, 2, 1))
+    fit = line([1, 2, 4, 8], [5.0, 7.0, 11.0, 19.0])
+    assert (fit["a"], fit["b"], fit["r2"]) == pytest.approx((3, 2, 1))
     assert line([1, 2, 4, 8], [1, 4, 16, 64])["slope"] == pytest.approx(2)
     assert line([1, 2, 4, 8], [1, 4, 16, 64])["r2"] < 0.98
 
@@ -129,15 +138,15 @@ def test_views_are_repeated_spread_or_crowded_on_one_side(shot):
     capture = svu.load_capture(shot)
     assert repeated(capture, 18).names == (capture.names * 3)[:18]
     assert repeated(capture, 3).names == tuple(capture.names[i] for i in (0, 4, 7))
-    found = uneven_views(capture, 3, 1)
-    assert found.count == len(set(found.names)) == 4
+    uneven = uneven_views(capture, 3, 1)
+    assert uneven.count == len(set(uneven.names)) == 4
     axis = np.array(FRONT) / np.linalg.norm(FRONT)
 
     def cosines(views):
         origins = np.array([to_world(sensor)[:3, 3] for sensor in views.sensors])
         return np.sort(origins / np.linalg.norm(origins, axis=1, keepdims=True) @ axis)[::-1]
 
-    np.testing.assert_allclose(cosines(found)[:3], cosines(capture)[:3], atol=1e-6)
+    np.testing.assert_allclose(cosines(uneven)[:3], cosines(capture)[:3], atol=1e-6)
     with pytest.raises(OptionError, match="too many"):
         uneven_views(capture, 7, 2)
 
@@ -155,6 +164,8 @@ def test_figures_of_calibration_are_parts(vase):
     chosen = np.flatnonzero(np.array(vase.estimate.coverage))[::5]
     known = ground_truth(vase.capture, vase.texels)
     truth = {name: known[name][chosen] for name in calibration.NAMES}
-    found = calibration.figures(vase.estimate.posterior, truth, chosen)
-    assert all(np.isfinite(value) for value in found.values())
-    assert all(0 <= found[key] <= 1 for key in found if key.startswith(("90", "50", "interval")))
+    figures = calibration.figures(vase.estimate.posterior, truth, chosen)
+    assert all(np.isfinite(value) for value in figures.values())
+    assert all(
+        0 <= figures[key] <= 1 for key in figures if key.startswith(("90", "50", "interval"))
+    )

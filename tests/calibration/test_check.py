@@ -37,7 +37,7 @@ from svu_mi.calibration.checks.surface_samples import (
 )
 from svu_mi.calibration.checks.thumbnails import Frames, reduced, silhouettes
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.importers.axis_fixes import FIXES, fixes_named, turn_of
+from svu_mi.capture.importers.axis_fixes import FIXES, find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, OPENGL
 from svu_mi.capture.rendering import object_mask
@@ -342,7 +342,7 @@ def test_texture_without_likeness_is_not_judged(capture):
 def test_a_fix_undoes_its_mistake_and_changes_nothing_else(capture, name):
     before = [to_world(s) for s in capture.sensors], capture_mesh.arrays(capture.shape)
     wrong = spoil(capture, FIXES[name])
-    again = apply_fixes(wrong, fixes_named([name]))
+    again = apply_fixes(wrong, find_fixes([name]))
     for one in (capture, again):
         np.testing.assert_allclose([to_world(s) for s in one.sensors], before[0], atol=1e-6)
         mesh = capture_mesh.arrays(one.shape)
@@ -379,7 +379,7 @@ def test_turned_cameras_see_what_a_turned_mesh_shows(capture):
 
 def test_every_way_to_lay_axes_is_tried_once():
     found = light_hypotheses()
-    turns = [turn_of(one.fixes, "light") for one in found]
+    turns = [fix_rotation(one.fixes, "light") for one in found]
     assert len({turn.round().astype(int).tobytes() for turn in turns}) == len(found) == 48
     assert [len(one.fixes) for one in found] == sorted(len(one.fixes) for one in found)
     for right in ENVIRONMENT_AXES.values():  # any convention that was read as any other

@@ -42,7 +42,7 @@ from svu_mi.calibration.light.light_transport import (
     materials_of,
 )
 from svu_mi.calibration.light.light_uncertainty import level_of, sample_lights, widening_of
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.posterior.empirical_bayes import shared
 from svu_mi.reflection.lobes import ALBEDO_NODES, dielectric_albedo, split_sum
@@ -340,7 +340,7 @@ def outdoors(tmp_path_factory):
 def seen_from(emitter, directions: np.ndarray) -> np.ndarray:
     """(N, 3) radiance of an emitter from directions, as Mitsuba has it."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(directions))
-    si.wi = -owned(mi.Vector3f, directions.T.astype(np.float32))
+    si.wi = -to_drjit(mi.Vector3f, directions.T.astype(np.float32))
     return np.array(emitter.eval(si)).T
 
 

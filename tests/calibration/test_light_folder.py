@@ -24,7 +24,7 @@ from svu_mi.calibration.light.light_summary import (
     sentences,
 )
 from svu_mi.calibration.light.resolve_light import illuminated, with_map
-from svu_mi.capture.capture import Doubt
+from svu_mi.capture.capture import LightUncertainty
 from svu_mi.capture.content_hash import capture_key, capture_parts, photographs_key
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.npz import read_arrays, write_arrays
@@ -167,7 +167,7 @@ def test_the_scene_keeps_its_integrator(gray_ball):
 
 def test_a_map_replaces_the_light_and_is_certain(gray_ball, kept):
     lit, notes = with_map(svu.with_light(gray_ball, made_up_light()), kept / "light.exr")
-    assert not notes and lit.doubt is None and lit.found_light is None
+    assert not notes and lit.light_uncertainty is None and lit.found_light is None
     data = mi.traverse(lit.environment)["data"].numpy()[:, 1:-1]
     np.testing.assert_array_equal(data, made_up_light().radiance)
 
@@ -294,7 +294,7 @@ def test_a_level_that_was_given_is_known():
 
 
 def test_doubt_counts_once_however_often_it_is_asked(gray_ball):
-    doubted = replace(gray_ball, doubt=Doubt(3.0, (0.2, 0.2, 0.2)))
+    doubted = replace(gray_ball, light_uncertainty=LightUncertainty(3.0, (0.2, 0.2, 0.2)))
     texels = svu.texels(gray_ball.mesh, 16)
     first = svu.estimate(doubted, texels)
     second = svu.estimate(first, preset=first.preset)

@@ -13,7 +13,7 @@ from svu_mi.capture import tonemap as module
 from svu_mi.capture.mesh import positions
 from svu_mi.capture.sensors import film_size, make_sensor, projected
 from svu_mi.capture.tonemap import Look, alone
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 
 
 def sensor(distance: float, *, aside: float = 0.0, **changes: Any) -> Any:
@@ -54,7 +54,7 @@ def test_points_are_where_mitsuba_shows_them(vase: SimpleNamespace) -> None:
     points = positions(vase.capture.mesh)
     for place in (sensor(4.0), sensor(2.5, aside=0.4), sensor(4.0, x_fov=70.0)):
         interaction = mi.Interaction3f()
-        interaction.p = owned(mi.Point3f, points.T.astype(np.float32))
+        interaction.p = to_drjit(mi.Point3f, points.T.astype(np.float32))
         sample, _ = place.sample_direction(interaction, mi.Point2f(0.5))
         pixels, depth = projected(place, points)
         shown = np.array(sample.pdf) > 0

@@ -193,9 +193,9 @@ def test_a_given_light_is_taken_instead(around, dark, tmp_path, made_up):
     svu.save_light(made_up_light(), tmp_path / "light", photographs="0" * 32)
     given, said = lit(around, tmp_path / "light")
     assert "found in other photographs; it is used as it is." in said
-    assert given.found_light.texels == 99 and given.doubt.widening == 1.3
+    assert given.found_light.texels == 99 and given.light_uncertainty.widening == 1.3
     as_map, said = lit(dark, tmp_path / "light" / "light.exr")
-    assert as_map.found_light is None and as_map.doubt is None and not said
+    assert as_map.found_light is None and as_map.light_uncertainty is None and not said
     own = lit(around)[0]
     assert own.environment.id() == "light" and own.found_light is None
     assert len({capture_key(one) for one in (given, as_map, own)}) == 3

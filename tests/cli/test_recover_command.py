@@ -18,7 +18,7 @@ from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.folder_exchange import DRAFT, beside
 from svu_mi.core.io.output_folder import CHECKPOINT
 from svu_mi.errors import OutputError
-from svu_mi.output.relight_page import files_of
+from svu_mi.output.relight_page import view_file_names
 from svu_mi.output.texture_files import read_textures, write_textures
 from svu_mi.parameters import NAMES
 from svu_mi.recovery import adam
@@ -271,11 +271,11 @@ def test_draws_are_written_and_a_picture_says_how_sure_it_is(shot, tmp_path, cap
      [".hidden"], ["a\nb"], [""]],
 )  # fmt: skip
 def test_no_view_is_written_elsewhere_or_over_another(given):
-    assert files_of(given) == [f"view_{number:04d}" for number in range(len(given))]
+    assert view_file_names(given) == [f"view_{number:04d}" for number in range(len(given))]
 
 
 def test_views_keep_names_that_can_be_files():
-    assert files_of(["left", "view_0007", "IMG 12-b"]) == ["left", "view_0007", "IMG 12-b"]
+    assert view_file_names(["left", "view_0007", "IMG 12-b"]) == ["left", "view_0007", "IMG 12-b"]
 
 
 @pytest.mark.usefixtures("no_pictures")

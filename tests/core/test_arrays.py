@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.core.arrays import LARGE, owned
+from svu_mi.core.arrays import LARGE, to_drjit
 
 
 @pytest.mark.parametrize("count", [300, LARGE // 4])
@@ -17,6 +17,6 @@ def test_what_is_written_later_does_not_show(count):
     last = dr.opaque(mi.UInt32, 3000)
     dr.eval(dr.while_loop(start, lambda i, _: i < last, lambda i, x: (i + 1, x + 1))[1])
     values = np.full(count, 3, np.float32)
-    found = owned(mi.Float, values)
+    found = to_drjit(mi.Float, values)
     values[:] = 9
     assert (found.numpy() == 3).all()

@@ -18,8 +18,8 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import directions_of, sphere_sensors
-from svu_mi.core.arrays import owned
-from svu_mi.core.local_memory import padded
+from svu_mi.core.arrays import to_drjit
+from svu_mi.core.local_memory import padded_to_quads
 from svu_mi.guidance import guidance_result as results
 from svu_mi.guidance import strategies as baselines
 from svu_mi.guidance import strategy_inputs as prospects
@@ -46,14 +46,14 @@ PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3,
 def responses_of(table: np.ndarray) -> Responses:
     """Responses that hold a table (V, T, K)."""
     _, count, columns = table.shape
-    made = Responses.of(owned(mi.Float, table[..., 0].ravel()), columns, count)
-    rest = np.zeros((int((table[..., 0] > 0).sum()), padded(columns - 1)), np.float32)
+    made = Responses.of(to_drjit(mi.Float, table[..., 0].ravel()), columns, count)
+    rest = np.zeros((int((table[..., 0] > 0).sum()), padded_to_quads(columns - 1)), np.float32)
     rest[:, : columns - 1] = table[table[..., 0] > 0, 1:]
-    return dataclasses.replace(made, rest=owned(mi.Float, rest.ravel()))
+    return dataclasses.replace(made, rest=to_drjit(mi.Float, rest.ravel()))
 
 
 def test_responses_of_texels_that_no_view_sees():
-    found = Responses.of(owned(mi.Float, np.zeros(15, np.float32)), 7, 5)
+    found = Responses.of(to_drjit(mi.Float, np.zeros(15, np.float32)), 7, 5)
     assert not found.seen.any() and found.table().shape == (3, 5, 7) and not found.table().any()
     assert not np.array(found.read(mi.UInt32(2), 1)).any()
 
@@ -91,8 +91,8 @@ def angular_forecast(
     rows, given = prior_tables(prior, width / width.sum())
     forecast = AngularForecast(
         responses=responses_of(table), prior=rows, grid=grid, kappa=kappa, averaged=averaged,
-        truths=owned(mi.Float, truths.ravel()), channels=channels,
-        precision=owned(mi.Float, rng.uniform(0.5, 1.5, count)),
+        truths=to_drjit(mi.Float, truths.ravel()), channels=channels,
+        precision=to_drjit(mi.Float, rng.uniform(0.5, 1.5, count)),
         colors=Colors(edges, copies, given, axis if nodes else None),
         hypotheses=Hypotheses.draw(p, hypotheses, np.zeros(count)),
         measure=Entropy(float(np.log(np.prod(grid.shape)))),
@@ -290,13 +290,13 @@ class TestGrowing:
         cells = np.ones((self.COUNT, 12)) if prior is None else np.tile(prior, (self.COUNT, 1))
         energies = None
         if prior is not None:
-            energies = owned(mi.Float, np.minimum(-np.log(np.maximum(prior, 1e-300)), 1e4))
+            energies = to_drjit(mi.Float, np.minimum(-np.log(np.maximum(prior, 1e-300)), 1e4))
         unseen = 1.0 if prior is None else oracle.entropy(np.zeros(12), prior)
         forecast = GrowingForecast(
             responses=responses_of(table(0)), hypotheses=Hypotheses.of(cells), grid=grid,
             prior=energies, measure=Entropy(float(np.log(12)), unseen), switches=switches,
             sigma=switches.sigma, prefilter=0.0,
-            photographs=owned(mi.Float, shown.ravel()), observed=owned(mi.Bool, observed),
+            photographs=to_drjit(mi.Float, shown.ravel()), observed=to_drjit(mi.Bool, observed),
             relight=lambda views: (responses_of(table(views)), 0.0),
         )  # fmt: skip
         alphas = grid.roughness_nodes**2

@@ -14,7 +14,7 @@ from svu_mi.core.arrays import fibonacci
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError, SceneError
 from svu_mi.light import latlong
-from svu_mi.light.band_limited import band_limit, degrees, zonal_cosine
+from svu_mi.light.band_limited import band_limited_lighting, degrees, zonal_cosine
 from svu_mi.light.environment import (
     Environment,
     analyze,
@@ -25,7 +25,7 @@ from svu_mi.light.environment import (
     read_environment,
     synthesize,
 )
-from svu_mi.light.light_tree import LARGEST, light_cells
+from svu_mi.light.light_tree import LARGEST, build_light_tree
 
 
 def unit_vectors(rng, count):
@@ -104,7 +104,7 @@ def test_a_single_bright_texel_is_found_where_a_mirror_shows_it(to_world):
     seen = scene.integrator().sample(scene, sampler, mi.RayDifferential3f(ray))[0].numpy().T
     brightest = d[seen.sum(axis=1).argmax()]
 
-    lighting = band_limit(read_environment(emitter), 400)
+    lighting = band_limited_lighting(read_environment(emitter), 400)
     ours = lighting.radiance(mi.Vector3f(np.ascontiguousarray(d.T, np.float32))).numpy().T
     found = d[ours.sum(axis=1).argmax()]
     assert np.linalg.norm(found - brightest) < np.radians(3.5)  # a texel is 2.8 degrees wide
@@ -112,7 +112,7 @@ def test_a_single_bright_texel_is_found_where_a_mirror_shows_it(to_world):
 
 def test_lookups_of_the_filtered_light_agree_with_its_expansion():
     pixels = np.random.default_rng(3391).uniform(size=(33, 64, 3)) ** 8
-    lighting = band_limit(read_environment(envmap(pixels)), 60)
+    lighting = band_limited_lighting(read_environment(envmap(pixels)), 60)
     d = unit_vectors(np.random.default_rng(3392), 500)
     c = lighting.coefficients * np.exp(-((60**-0.5 * degrees(lighting.degree)) ** 2))[:, None]
     exact = basis_at(polar_from_local(d), lighting.degree) @ c
@@ -122,7 +122,7 @@ def test_lookups_of_the_filtered_light_agree_with_its_expansion():
 
 def test_light_at_the_poles_and_the_seam_has_no_jump():
     pixels = np.random.default_rng(7712).uniform(size=(33, 64, 3))
-    lighting = band_limit(read_environment(envmap(pixels)), 60)
+    lighting = band_limited_lighting(read_environment(envmap(pixels)), 60)
     eps = 1e-3
     for d in ([0, 1, 0], [0, -1, 0], [0, 0.3, -1]):
         side = np.cross(d, [0.3, 0.1, 0.7])
@@ -159,7 +159,7 @@ def test_irradiance_is_what_a_white_wall_reflects(kind):
                    "film": {"type": "hdrfilm", "width": 8, "height": 8}},
     })  # fmt: skip
     rendered = np.pi * np.array(mi.render(scene, spp=8192)).mean(axis=(0, 1))
-    light = band_limit(read_environment(scene.emitters()[0]), 60)
+    light = band_limited_lighting(read_environment(scene.emitters()[0]), 60)
     ours = light.irradiance(mi.Vector3f(n.astype(np.float32))).numpy().ravel()
     np.testing.assert_allclose(ours, rendered, rtol=0.015)  # Monte Carlo: below 0.5 %
 
@@ -221,7 +221,7 @@ SIZES = [(1, 1), (16, 16), (16, 128), (128, 1024), (512, 4096)]
 def test_cells_hold_all_the_light(coarse, fine):
     light = lamps(disk=sun())
     whole = light.coefficients(0)[0] * np.sqrt(4 * np.pi)
-    tree = light_cells(light, coarse, fine)
+    tree = build_light_tree(light, coarse, fine)
     assert (tree.coarse.number, tree.fine.number) == (coarse, fine)
     for cells in (tree.coarse, tree.fine, tree.leaves):
         toward, radius, flux, grey = values(cells)
@@ -237,7 +237,7 @@ def test_cells_hold_all_the_light(coarse, fine):
 def test_a_cell_is_the_sum_of_those_below_it(coarse, fine, turned):
     """Flux, direction (the centroid of radiance) and radius: all follow from the leaves."""
     turn = np.linalg.qr(np.random.default_rng(31).normal(size=(3, 3)))[0] if turned else None
-    tree = light_cells(lamps(to_world=turn, disk=sun()), coarse, fine)
+    tree = build_light_tree(lamps(to_world=turn, disk=sun()), coarse, fine)
     for above, below, first in (
         (tree.coarse, tree.fine, tree.first), (tree.fine, tree.leaves, tree.first_leaf)
     ):  # fmt: skip
@@ -263,7 +263,7 @@ def test_a_cell_is_the_sum_of_those_below_it(coarse, fine, turned):
 
 @pytest.mark.parametrize(("coarse", "fine"), SIZES)
 def test_groups_are_runs_of_neighbours_that_fit_a_word(coarse, fine):
-    tree = light_cells(lamps(), coarse, fine)
+    tree = build_light_tree(lamps(), coarse, fine)
     edges = tree.groups.numpy().astype(int)
     assert edges[0] == 0 and edges[-1] == coarse and (np.diff(edges) > 0).all()
     assert np.diff(edges).max() <= LARGEST <= 32
@@ -283,7 +283,7 @@ def test_cells_are_small_where_the_light_is_bright():
     rng = np.random.default_rng(77123)
     image = rng.uniform(0.1, 0.3, (24, 48, 3))
     image[5:7, 30:32] = (60, 50, 40)
-    tree = light_cells(read_environment(envmap(image)), 64, 64)
+    tree = build_light_tree(read_environment(envmap(image)), 64, 64)
     looks = unit_vectors(rng, 200)
     toward, _, flux, _ = values(tree.leaves)
 
@@ -303,7 +303,9 @@ def test_cells_are_small_where_the_light_is_bright():
 @pytest.mark.parametrize("where", [(0.36, 0.48, 0.8), (0, 1, 0), (-0.6, 0, 0.8)])
 def test_a_sun_has_a_cell_of_its_own_direction(where):
     """Its cell is looked at where the sun is, at every depth of the tree."""
-    tree = light_cells(lamps(disk=(sun(where)[0], np.array([1e-4]), np.full((1, 3), 5e5))), 64, 512)
+    tree = build_light_tree(
+        lamps(disk=(sun(where)[0], np.array([1e-4]), np.full((1, 3), 5e5))), 64, 512
+    )
     for cells in (tree.coarse, tree.fine, tree.leaves):
         toward, radius, _, grey = values(cells)
         brightest = grey.argmax()
@@ -314,7 +316,7 @@ def test_a_sun_has_a_cell_of_its_own_direction(where):
 @pytest.mark.parametrize(("coarse", "fine"), [(0, 16), (32, 16), (64, 5000)])
 def test_impossible_numbers_of_cells_are_refused(coarse, fine):
     with pytest.raises(OptionError, match="1 <= coarse <= fine <= 4096"):
-        light_cells(lamps(), coarse, fine)
+        build_light_tree(lamps(), coarse, fine)
 
 
 @pytest.mark.parametrize("size", [(256, 128), (200, 150), (200, 60)])
@@ -326,7 +328,7 @@ def test_what_is_averaged_of_a_large_map_is_its_light(size, monkeypatch):
     pixels = np.kron(coarse, np.ones((4, 4, 1)))[:rows, :columns]
     emitter = envmap(pixels)
     whole = read_environment(emitter)
-    monkeypatch.setattr(latlong, "MOST", (130, 65))
+    monkeypatch.setattr(latlong, "MAX_SIZE", (130, 65))
     less = read_environment(emitter)
     assert less.radiance.shape == (min(whole.radiance.shape[0], 65), 130, 3)
     before, after = whole.coefficients(8), less.coefficients(8)

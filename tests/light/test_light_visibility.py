@@ -10,12 +10,12 @@ from support.helpers import write_ball
 from support.walled import noise_capture, walled_ball
 
 import svu_mi as svu
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
-from svu_mi.light.band_limited import band_limit
+from svu_mi.light.band_limited import band_limited_lighting
 from svu_mi.light.environment import Environment, directions, quadrature
-from svu_mi.light.light_tree import light_cells
-from svu_mi.light.light_visibility import trace_reach
+from svu_mi.light.light_tree import build_light_tree
+from svu_mi.light.light_visibility import trace_light_visibility
 from svu_mi.posterior.observations import observe
 
 UP = np.array([0.0, 0, 1])
@@ -27,8 +27,8 @@ COLORS = np.array([[3, 2, 1], [4, 4, 5], [0.5, 2, 3], [2, 2, 2.0]])
 def points(positions, normals):
     """A surface of a few free points."""
     positions, normals = (np.atleast_2d(x).astype(np.float32).T for x in (positions, normals))
-    normal = owned(mi.Normal3f, normals)
-    position = owned(mi.Point3f, positions)
+    normal = to_drjit(mi.Normal3f, normals)
+    position = to_drjit(mi.Point3f, positions)
     return TexelLanes(position, normal, normal, dr.opaque(mi.Float, 1e-4))
 
 
@@ -58,14 +58,14 @@ def scene_of(**shapes):
 
 
 def tree(light, fine):
-    """Cells as ``Observed.reach`` makes them."""
-    return light_cells(light, max(fine // 8, 16), fine)
+    """Cells as ``Observed.light_tree`` makes them."""
+    return build_light_tree(light, max(fine // 8, 16), fine)
 
 
 def arriving(scene, light, surface, cells=1024, channels=3, occluded=True):
     """(channels, 8) moments (T,)."""
-    reach = trace_reach(scene, surface, tree(light, cells), occluded=occluded)
-    return reach.diffuse(surface, band_limit(light, 16), channels)
+    visibility = trace_light_visibility(scene, surface, tree(light, cells), occluded=occluded)
+    return visibility.diffuse(surface, band_limited_lighting(light, 16), channels)
 
 
 def irradiance(moments):
@@ -115,10 +115,10 @@ def test_a_convex_object_hides_nothing_from_itself(tmp_path):
     scene = mi.load_dict({"type": "scene", "ball": ball})
     surface = TexelLanes.of(svu.texels(scene.shapes()[0], 24))
     light = environment(white)
-    reach = trace_reach(scene, surface, tree(light, 1024))
-    above = directly(scene, surface, reach.cells.coarse, occluded=False)
-    np.testing.assert_array_equal(bits_of(reach.coarse, 128, surface.count), above)
-    result = reach.diffuse(surface, band_limit(light, 16), 3)
+    visibility = trace_light_visibility(scene, surface, tree(light, 1024))
+    above = directly(scene, surface, visibility.tree.coarse, occluded=False)
+    np.testing.assert_array_equal(bits_of(visibility.coarse, 128, surface.count), above)
+    result = visibility.diffuse(surface, band_limited_lighting(light, 16), 3)
     np.testing.assert_allclose(irradiance(result), np.pi, rtol=0.02)
 
 
@@ -147,10 +147,10 @@ def test_no_light_reaches_the_inside_of_a_box():
     box = {"type": "cube", "bsdf": {"type": "diffuse"}}
     scene, surface = scene_of(box=box), points([0.2, 0.1, -0.3], UP)
     light = environment(scenery)
-    reach = trace_reach(scene, surface, tree(light, 1024))
-    assert not bits_of(reach.coarse, 128, 1).any()
-    assert not bits_of(reach.fine, 1024, 1).any()
-    result = reach.diffuse(surface, band_limit(light, 16), 3)
+    visibility = trace_light_visibility(scene, surface, tree(light, 1024))
+    assert not bits_of(visibility.coarse, 128, 1).any()
+    assert not bits_of(visibility.fine, 1024, 1).any()
+    result = visibility.diffuse(surface, band_limited_lighting(light, 16), 3)
     assert all((moment.numpy() == 0).all() for of_channel in result for moment in of_channel)
 
 
@@ -222,12 +222,12 @@ def directly(scene, surface, cells, occluded=True):
     """(N, T) bool: above both horizons, and seen along a ray of its own, cell by cell."""
     toward = cells.toward.numpy().reshape(-1, 4)[:, :3]
     count = surface.count
-    lane = owned(mi.UInt32, np.tile(np.arange(count, dtype=np.uint32), len(toward)))
+    lane = to_drjit(mi.UInt32, np.tile(np.arange(count, dtype=np.uint32), len(toward)))
     position, normal, geometric = (
         dr.gather(type(x), x, lane)
         for x in (surface.position, surface.normal, surface.geometric_normal)
     )
-    d = owned(mi.Vector3f, np.repeat(toward, count, axis=0).T)
+    d = to_drjit(mi.Vector3f, np.repeat(toward, count, axis=0).T)
     free = (dr.dot(normal, d) > 0) & (dr.dot(geometric, d) > 0)
     if occluded:
         free &= ~scene.ray_test(mi.Ray3f(position + surface.offset * geometric, d))
@@ -274,7 +274,7 @@ def surroundings():
     tilted = normals + 0.2 * unit_vectors(rng, 40)  # facets are not smooth
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     surface = points(rng.uniform(-0.2, 0.2, (40, 3)), normals)
-    geometric = owned(mi.Normal3f, tilted.T.astype(np.float32))
+    geometric = to_drjit(mi.Normal3f, tilted.T.astype(np.float32))
     return scene, TexelLanes(surface.position, surface.normal, geometric, surface.offset)
 
 
@@ -282,12 +282,12 @@ def surroundings():
 @pytest.mark.parametrize(("coarse", "fine"), [(128, 1024), (64, 512), (64, 256), (100, 100)])
 def test_bits_are_those_of_one_ray_after_the_other(coarse, fine, occluded):
     scene, surface = surroundings()
-    cells = light_cells(environment(scenery, rotation(4)), coarse, fine)
-    reach = trace_reach(scene, surface, cells, occluded=occluded)
+    cells = build_light_tree(environment(scenery, rotation(4)), coarse, fine)
+    visibility = trace_light_visibility(scene, surface, cells, occluded=occluded)
     above = directly(scene, surface, cells.coarse, occluded)
-    np.testing.assert_array_equal(bits_of(reach.coarse, coarse, 40), above)
+    np.testing.assert_array_equal(bits_of(visibility.coarse, coarse, 40), above)
     exact = directly(scene, surface, cells.fine, occluded)
-    ours = bits_of(reach.fine, fine, 40)
+    ours = bits_of(visibility.fine, fine, 40)
     high = directly(scene, surface, cells.coarse, False)
     np.testing.assert_array_equal(ours, inherited(cells, above, exact, high))
     # What is inherited is nearly always right, and nearly all of the light.
@@ -303,15 +303,20 @@ def test_diffuse_moments_are_sums_over_visible_cells(turned, channels):
     """In float64, of the irradiance that an open surface would have."""
     scene, surface = surroundings()
     light = environment(scenery, rotation(31) if turned else None)
-    reach, lighting = trace_reach(scene, surface, tree(light, 1024)), band_limit(light, 16)
-    ours = np.array([[x.numpy() for x in c] for c in reach.diffuse(surface, lighting, channels)])
-    cells = reach.cells.fine
+    visibility, lighting = (
+        trace_light_visibility(scene, surface, tree(light, 1024)),
+        band_limited_lighting(light, 16),
+    )
+    ours = np.array(
+        [[x.numpy() for x in c] for c in visibility.diffuse(surface, lighting, channels)]
+    )
+    cells = visibility.tree.fine
     toward = cells.toward.numpy().reshape(-1, 4)[:, :3].astype(np.float64)
     flux = cells.flux.numpy().reshape(-1, 4).astype(np.float64)
     flux = flux[:, :3] if channels == 3 else flux[:, 3:]
     normal = surface.normal.numpy().T.astype(np.float64)
     cosine = np.maximum(toward @ normal.T, 0)  # (N, T)
-    seen = bits_of(reach.fine, 1024, 40)
+    seen = bits_of(visibility.fine, 1024, 40)
     known = lighting.irradiance(surface.normal).numpy().T
     known = known if channels == 3 else known.mean(axis=1, keepdims=True)
     for c in range(channels):
@@ -361,9 +366,13 @@ def test_a_plate_overhead_takes_its_form_factor():
     plates = [rectangle(mi.ScalarTransform4f().translate([0, 0, h])) for h in heights]
     found = []
     for sky in turns():
-        cells, lighting = tree(sky, 2048), band_limit(sky, 16)
-        reached = (trace_reach(scene_of(plate=plate), surface, cells) for plate in plates)
-        found.append([irradiance(reach.diffuse(surface, lighting, 3)) for reach in reached])
+        cells, lighting = tree(sky, 2048), band_limited_lighting(sky, 16)
+        reached = (
+            trace_light_visibility(scene_of(plate=plate), surface, cells) for plate in plates
+        )
+        found.append(
+            [irradiance(visibility.diffuse(surface, lighting, 3)) for visibility in reached]
+        )
     for height, ours in zip(heights, np.moveaxis(found, 1, 0), strict=True):
         # A parallel square over one of its corners, four times [Howell, B-4].
         x = 1 / height

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from oracle import angular as oracle
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.light import prefiltered as module
-from svu_mi.light.band_limited import band_limit, lat_long_texture, look_up
+from svu_mi.light.band_limited import band_limited_lighting, lat_long_texture, look_up
 from svu_mi.light.environment import Environment, directions, quadrature, read_environment
-from svu_mi.light.prefiltered import convolve, filter_light, resolved
-from svu_mi.reflection.lobes import profile_of, zonal_profile
+from svu_mi.light.prefiltered import convolve, filter_light, rasterized
+from svu_mi.reflection.lobes import lobe_profile, zonal_profile
 
 KINDS = ["ggx", "gaussian"]
 ROWS = [256, 129]  # even, as most maps have; odd, with a row on the equator
@@ -42,7 +42,7 @@ def sampled(function, rows):
 
 def at(grid, d):
     """Bilinear look-up as kernels do it."""
-    values = look_up(lat_long_texture(grid), owned(mi.Vector3f, d.T.astype(np.float32)))
+    values = look_up(lat_long_texture(grid), to_drjit(mi.Vector3f, d.T.astype(np.float32)))
     return np.stack([v.numpy() for v in values], axis=-1)
 
 
@@ -119,7 +119,7 @@ def test_a_narrow_lobe_is_a_mirror():
 
 def test_a_suns_disk_keeps_its_energy_and_its_place():
     sun, environment = lamp_environment()
-    grid = resolved(environment)
+    grid = rasterized(environment)
     excess = grid - environment.radiance
     np.testing.assert_allclose(integral(excess), [10, 9, 7], rtol=1e-9)
     columns, rows = grid.shape[1], grid.shape[0]
@@ -135,7 +135,7 @@ def test_a_small_disk_lands_on_the_node_nearest_to_it(row, column):
     beside = nodes[row, column] + [4e-4, -3e-4, 5e-4]
     beside /= np.linalg.norm(beside)
     disk = beside[None], np.array([1e-4]), np.ones((1, 3))
-    lit = np.argwhere(resolved(Environment(np.zeros((65, 128, 3)), *disk, np.eye(3)))[..., 0] > 0)
+    lit = np.argwhere(rasterized(Environment(np.zeros((65, 128, 3)), *disk, np.eye(3)))[..., 0] > 0)
     assert len(lit) == 1 and lit[0, 0] == row
     assert nodes[tuple(lit[0])] @ nodes[row, column] > 1 - 1e-9
 
@@ -144,7 +144,7 @@ def test_the_sun_of_a_sky_is_in_all_levels():
     sky = mi.load_dict({"type": "sunsky", "sun_direction": [0.4, 0.6, 0.7], "turbidity": 3.0})
     environment = read_environment(sky)
     assert len(environment.disk_weights) > 0
-    grid = resolved(environment)
+    grid = rasterized(environment)
     whole = environment.coefficients(0)[0] * np.sqrt(4 * np.pi)
     np.testing.assert_allclose(integral(grid), whole, rtol=1e-6)
     for alpha in (0.1, 0.4):
@@ -158,17 +158,17 @@ def test_levels_turn_with_the_light(grey):
     turn = np.linalg.qr(np.random.default_rng(31).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     _, environment = lamp_environment(turn)
-    lighting = band_limit(environment, 20)
+    lighting = band_limited_lighting(environment, 20)
     widths = [1e-3, 0.1, 0.6]
     levels = filter_light(lighting, widths, partial(zonal_profile, "ggx"), grey=grey)
     assert levels.count == 3
     local = unit_vectors(np.random.default_rng(13), 60)
-    world = owned(mi.Vector3f, (local @ turn.T).T.astype(np.float32))
+    world = to_drjit(mi.Vector3f, (local @ turn.T).T.astype(np.float32))
     for k, alpha in enumerate(widths):
         values = levels.radiance(k, world)
         dr.eval(values)
         ours = np.stack([v.numpy() for v in values], axis=-1)
-        grid = convolve(resolved(environment), alpha, partial(zonal_profile, "ggx", alpha))
+        grid = convolve(rasterized(environment), alpha, partial(zonal_profile, "ggx", alpha))
         truth = at(grid, local)
         truth = truth.mean(axis=1, keepdims=True) if grey else truth
         np.testing.assert_allclose(ours, truth, rtol=5e-3, atol=1e-3)
@@ -177,15 +177,15 @@ def test_levels_turn_with_the_light(grey):
 def test_light_is_filtered_once_for_the_same_lobe(monkeypatch):
     widths = []
     monkeypatch.setattr(module, "convolve", lambda grid, width, _: widths.append(width) or grid)
-    lighting = band_limit(lamp_environment(np.eye(3))[1], 20)
-    first = filter_light(lighting, [0.1, 0.3], profile_of("ggx"))
-    again = filter_light(lighting, [0.3, 0.1, 0.2], profile_of("ggx"))
+    lighting = band_limited_lighting(lamp_environment(np.eye(3))[1], 20)
+    first = filter_light(lighting, [0.1, 0.3], lobe_profile("ggx"))
+    again = filter_light(lighting, [0.3, 0.1, 0.2], lobe_profile("ggx"))
     assert sorted(widths) == [0.1, 0.2, 0.3]
     assert again.textures[:2] == first.textures[::-1]
-    filter_light(lighting, [0.1], profile_of("gaussian"))
-    filter_light(lighting, [0.1], profile_of("ggx"), grey=True)
+    filter_light(lighting, [0.1], lobe_profile("gaussian"))
+    filter_light(lighting, [0.1], lobe_profile("ggx"), grey=True)
     assert widths[3:] == [0.1, 0.1]
-    filter_light(replace(lighting, prefilter=0.5), [0.1], profile_of("ggx"))
+    filter_light(replace(lighting, prefilter=0.5), [0.1], lobe_profile("ggx"))
     assert len(widths) == 6
 
 

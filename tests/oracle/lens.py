@@ -7,7 +7,7 @@ import numpy as np
 STEPS = 250
 
 
-def bent(x: np.ndarray, y: np.ndarray, lens: dict[str, float]) -> np.ndarray:
+def distort(x: np.ndarray, y: np.ndarray, lens: dict[str, float]) -> np.ndarray:
     """Where a lens shows (2, ...) what a pinhole shows at (x, y), in parts of the focal length.
 
     Args:
@@ -27,7 +27,7 @@ def straight(x: np.ndarray, y: np.ndarray, lens: dict[str, float]) -> np.ndarray
     """Where a pinhole would show (2, ...) what the lens shows at (x, y), by small steps."""
     seen = found = np.array([x, y])
     for _ in range(STEPS):
-        found = found - 0.5 * (bent(*found, lens) - seen)
+        found = found - 0.5 * (distort(*found, lens) - seen)
     return found
 
 

@@ -133,11 +133,11 @@ def test_a_folder_with_other_files_is_refused(asset, tmp_path):
 def test_exr_textures_are_those_recovered(exported, result, asset, tmp_path):
     inside = inside_charts(asset, (HEIGHT, WIDTH))
     for name in ("base_color", "roughness", "metallic"):
-        found, given = (read_exr(folder / f"{name}.exr")
+        written, given = (read_exr(folder / f"{name}.exr")
                         for folder in (exported / "textures", result.folder))  # fmt: skip
-        assert list(found) == list(given)
+        assert list(written) == list(given)
         for channel, values in given.items():
-            np.testing.assert_array_equal(found[channel][inside], values[inside])
+            np.testing.assert_array_equal(written[channel][inside], values[inside])
     svu.export_asset(result.folder, tmp_path, svu.ExportOptions(formats=("exr",), half=True))
     assert pixels(tmp_path / "textures/roughness.exr").dtype == np.float16
 
@@ -152,9 +152,9 @@ def test_png_textures_are_rounded_and_encoded(asset, tmp_path, bits):
     truth["coverage"] = truth["coverage"] / 3
     truth["orm"] = np.dstack([np.ones((HEIGHT, WIDTH)), truth["roughness"], truth["metallic"]])
     for name, values in truth.items():
-        found = pixels(folder / f"{name}.png").squeeze()
-        assert found.dtype == (np.uint8 if bits == 8 else np.uint16)
-        np.testing.assert_allclose(found / most, values, atol=0.501 / most, err_msg=name)
+        image = pixels(folder / f"{name}.png").squeeze()
+        assert image.dtype == (np.uint8 if bits == 8 else np.uint16)
+        np.testing.assert_allclose(image / most, values, atol=0.501 / most, err_msg=name)
         # A gamma of data would make a viewer change it.
         assert (b"gAMA" in (folder / f"{name}.png").read_bytes()) == (name == "base_color")
 
@@ -227,13 +227,13 @@ def test_means_at_vertices_know_no_seam(asset):
     ones = np.ones((160, 192), np.float32)
     np.testing.assert_allclose(at_vertices(asset.mesh, ones), 1, rtol=1e-6)
     laid_out = svu.texels(meshes.make("ball", asset.mesh), (192, 160))
-    found = at_vertices(asset.mesh, laid_out.to_image(np.array(laid_out.position)[1]))
+    heights = at_vertices(asset.mesh, laid_out.to_image(np.array(laid_out.position)[1]))
     middle = np.abs(asset.mesh.positions[:, 1]) < 0.8
     edge = np.pi / 24
-    np.testing.assert_allclose(found[middle], asset.mesh.positions[middle, 1], atol=edge / 4)
-    assert len(set(found[asset.mesh.positions[:, 1] == 1])) == 1
+    np.testing.assert_allclose(heights[middle], asset.mesh.positions[middle, 1], atol=edge / 4)
+    assert len(set(heights[asset.mesh.positions[:, 1] == 1])) == 1
     u = np.round(asset.mesh.uvs[:, 0], 6)  # the seam: one meridian at both ends of the chart
-    np.testing.assert_array_equal(found[u == u.min()], found[u == u.max()])
+    np.testing.assert_array_equal(heights[u == u.min()], heights[u == u.max()])
     coarse = at_vertices(asset.mesh, np.arange(6, dtype=np.float32).reshape(3, 2))
     assert np.isfinite(coarse).all() and coarse.min() >= 0 and coarse.max() <= 5
 
@@ -325,8 +325,8 @@ def test_objects_of_several_exports_fit_into_one_scene(asset, tmp_path):
         path.write_text(lines)
         included += f'<include filename="{path}"/>'
     scene = mi.load_string(f'<scene version="3.0.0">{included}</scene>', optimize=False)
-    found = {s.id(): mi.traverse(s.bsdf())["base_color.data"] for s in scene.shapes()}
-    assert {name: float(np.mean(data)) for name, data in found.items()} == {
+    colors = {s.id(): mi.traverse(s.bsdf())["base_color.data"] for s in scene.shapes()}
+    assert {name: float(np.mean(data)) for name, data in colors.items()} == {
         "left": 0.25, "right": 0.5,
     }  # fmt: skip
 

@@ -44,10 +44,10 @@ eye.matrix.fromArray(view.matrix);
 eye.updateMatrixWorld(true);
 const data = Uint8Array.from(atob("DATA"), c => c.charCodeAt(0)).buffer;
 const done = new Promise((resolve, reject) => new THREE.GLTFLoader().parse(data, "", gltf => {
-  let found = null;
+  let material = null;
   gltf.scene.traverse(node => { if (node.isMesh) {
     const m = node.material;
-    found = {type: m.type, roughness: m.roughness, metalness: m.metalness,
+    material = {type: m.type, roughness: m.roughness, metalness: m.metalness,
       same: !!m.roughnessMap && m.roughnessMap === m.metalnessMap, colors: m.vertexColors,
       srgb: !!m.map && m.map.encoding === THREE.sRGBEncoding};
     if (view.mode == "color") node.material = new THREE.MeshBasicMaterial({map: m.map});
@@ -55,7 +55,7 @@ const done = new Promise((resolve, reject) => new THREE.GLTFLoader().parse(data,
   shown.add(gltf.scene);
   shown.updateMatrixWorld(true);
   renderer_.render(shown, eye);
-  resolve(found);
+  resolve(material);
 }, reject));</script>"""
 
 
@@ -123,17 +123,17 @@ def unpack(glb, folder):
 @pytest.mark.slow
 def test_the_glb_shows_what_was_recovered(rendered, tmp_path):
     textures = unpack(rendered.asset / "asset.glb", tmp_path)
-    found = render(scene_with(rendered, tmp_path, painted(tmp_path / "read.ply", textures)))
-    assert relative_psnr(found, rendered.pictures) > BETTER_THAN
+    pictures = render(scene_with(rendered, tmp_path, painted(tmp_path / "read.ply", textures)))
+    assert relative_psnr(pictures, rendered.pictures) > BETTER_THAN
     upside_down = render(scene_with(rendered, tmp_path, painted(tmp_path / "read.ply", {
         **textures, "base_color": flipped(textures["base_color"], tmp_path / "flipped.png"),
     })))  # fmt: skip
     assert relative_psnr(upside_down, rendered.pictures) < 25  # it can be seen
 
 
-def relative_psnr(found, truth):
+def relative_psnr(pictures, truth):
     """Peak signal-to-noise ratio; the peak is the largest value of the truth."""
-    return psnr(found / truth.max(), truth / truth.max())
+    return psnr(pictures / truth.max(), truth / truth.max())
 
 
 def flipped(path, target):
@@ -147,13 +147,13 @@ def test_png_textures_show_what_was_recovered(rendered, tmp_path, mesh):
     """Mitsuba turns v of an OBJ over: there it runs up, in a PLY down."""
     textures = {n: rendered.asset / "textures" / f"{n}.png"
                 for n in ("base_color", "roughness", "metallic")}  # fmt: skip
-    found = render(scene_with(rendered, tmp_path, painted(rendered.asset / mesh, textures)))
-    assert relative_psnr(found, rendered.pictures) > BETTER_THAN
+    pictures = render(scene_with(rendered, tmp_path, painted(rendered.asset / mesh, textures)))
+    assert relative_psnr(pictures, rendered.pictures) > BETTER_THAN
 
 
 def test_the_object_is_included_by_another_scene(rendered, tmp_path):
-    found = render(scene_with(rendered, tmp_path, included(rendered.asset)))
-    np.testing.assert_allclose(found, rendered.pictures, atol=1e-5)
+    pictures = render(scene_with(rendered, tmp_path, included(rendered.asset)))
+    np.testing.assert_allclose(pictures, rendered.pictures, atol=1e-5)
 
 
 def test_the_preview_shows_the_object(rendered):
@@ -191,11 +191,11 @@ def show(webgl, folder, glb, sensor, mode):
     page = folder / "page.html"
     page.write_text(start + SHOW.replace("VIEW", json.dumps(view)).replace("DATA", data))
     opened = webgl.open(page, width, height)
-    found = opened.evaluate("done")
+    material = opened.evaluate("done")
     assert not opened.complaints and not opened.requests
     opened.screenshot(folder / "shown.png", full=False)
     opened.close()
-    return found, np.array(mi.Bitmap(str(folder / "shown.png")))[..., :3] / 255
+    return material, np.array(mi.Bitmap(str(folder / "shown.png")))[..., :3] / 255
 
 
 def large(sensor, side=96):
@@ -212,8 +212,8 @@ def seen_by_mitsuba(rendered, sensor, shape):
 @pytest.mark.slow
 def test_a_browser_shows_the_textures_the_right_way_round(rendered, webgl, tmp_path):
     sensor = large(rendered.capture.sensors[1])  # sees the letter
-    found, shown = show(webgl, tmp_path, rendered.asset / "asset.glb", sensor, "color")
-    assert found == {
+    material, shown = show(webgl, tmp_path, rendered.asset / "asset.glb", sensor, "color")
+    assert material == {
         "type": "MeshStandardMaterial", "roughness": 1, "metalness": 1, "same": True,
         "srgb": True, "colors": False,
     }  # fmt: skip
@@ -237,8 +237,8 @@ def test_a_browser_shades_as_mitsuba_does(rendered, webgl, tmp_path):
 @pytest.mark.slow
 def test_a_browser_shows_entropy_without_light(rendered, webgl, tmp_path):
     sensor = large(rendered.capture.sensors[0])
-    found, shown = show(webgl, tmp_path, rendered.asset / "entropy.glb", sensor, "as it is")
-    assert found["type"] == "MeshBasicMaterial" and found["colors"]
+    material, shown = show(webgl, tmp_path, rendered.asset / "entropy.glb", sensor, "as it is")
+    assert material["type"] == "MeshBasicMaterial" and material["colors"]
     # Half of it is unseen: the yellow end of viridis, whatever the light.
     yellow = np.abs(shown - np.array([253, 231, 37]) / 255).max(axis=-1) < 0.02
     assert yellow.any()

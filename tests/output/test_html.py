@@ -38,8 +38,8 @@ def written(tmp_path_factory, server):
     """A page of all parts; its template smuggles in a script, a picture and a style sheet."""
     path = tmp_path_factory.mktemp("pâge & <b>") / "page.html"
     rng = np.random.default_rng(71)
-    photograph = html.photograph(rng.uniform(size=(30, 400, 3)))
-    drawing = html.drawing(rng.uniform(size=(20, 10, 4)))
+    photograph = html.embedded_jpeg(rng.uniform(size=(30, 400, 3)))
+    drawing = html.embedded_png(rng.uniform(size=(20, 10, 4)))
     frames = [(photograph, "one", NAME), (drawing, "two", "")]
     elsewhere = f"http://127.0.0.1:{server.getsockname()[1]}"
     raw = (
@@ -65,9 +65,9 @@ def test_pictures_are_inside_and_small(written):
 
 def test_a_picture_with_nan_is_refused():
     with pytest.raises(OutputError, match="NaN"):
-        html.drawing(np.full((2, 2, 3), np.nan))
+        html.embedded_png(np.full((2, 2, 3), np.nan))
     with pytest.raises(OutputError, match="no pixels"):
-        html.photograph(np.zeros((0, 2, 3)))
+        html.embedded_jpeg(np.zeros((0, 2, 3)))
 
 
 def test_percent_does_not_round_to_nothing_or_all():

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.output.interval_summary import Knowledge
+from svu_mi.output.interval_summary import IntervalSummary
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import spread
 from svu_mi.posterior.tabulated import tabulated_posterior
@@ -54,13 +54,13 @@ def posterior():
 
 def test_figures_are_those_computed_by_hand(posterior):
     """Areas seen are 1, 4, 9, 1; half-widths 0.05, 0.1, 0.04, 0.5 and 0.05, 0.05, 0.06, 0.15."""
-    found = Knowledge.of(estimate_of(posterior))
-    assert found.seen_part == pytest.approx(15 / 40)
-    assert found.known_part == pytest.approx({"roughness": 10 / 15, "base_color": 5 / 15})
-    assert found.all_known_part == pytest.approx(1 / 15)
-    assert found.median_half_width == pytest.approx({"roughness": 0.04, "base_color": 0.06})
-    assert found.cell_width == {}
-    assert found.sentence() == (
+    summary = IntervalSummary.of(estimate_of(posterior))
+    assert summary.seen_part == pytest.approx(15 / 40)
+    assert summary.known_part == pytest.approx({"roughness": 10 / 15, "base_color": 5 / 15})
+    assert summary.all_known_part == pytest.approx(1 / 15)
+    assert summary.median_half_width == pytest.approx({"roughness": 0.04, "base_color": 0.06})
+    assert summary.cell_width == {}
+    assert summary.sentence() == (
         "Roughness known to ±0.05 on 67 % of the surface seen, base colour on 33 % "
         "(90 % intervals)."
     )
@@ -68,11 +68,11 @@ def test_figures_are_those_computed_by_hand(posterior):
 
 def test_all_that_was_found_is_one_line(posterior):
     """The mean entropy is that of the four texels seen, of 0, 0.25, 0.5, 0.75 and 1."""
-    assert Knowledge.of(estimate_of(posterior)).summary() == (
+    assert IntervalSummary.of(estimate_of(posterior)).summary() == (
         "38 % of the surface seen, mean entropy 0.38. Roughness known to ±0.05 on 67 % of the "
         "surface seen, base colour on 33 % (90 % intervals)."
     )
-    nothing = Knowledge.of(estimate_of(posterior, coverage=(0,) * 5))
+    nothing = IntervalSummary.of(estimate_of(posterior, coverage=(0,) * 5))
     assert nothing.summary() == "Nothing is known: no photograph shows the surface."
 
 
@@ -89,14 +89,16 @@ def test_as_many_texels_are_taken_as_asked_for_at_equal_steps(most):
 
 def test_what_is_known_beforehand_is_no_finding(posterior):
     posterior.axes = {"roughness": np.array([0.3]), "base_color": AXES["base_color"]}
-    found = Knowledge.of(estimate_of(posterior))
-    assert list(found.known_part) == ["base_color"] and found.all_known_part == pytest.approx(1 / 3)
-    assert found.sentence() == (
+    summary = IntervalSummary.of(estimate_of(posterior))
+    assert list(summary.known_part) == ["base_color"] and summary.all_known_part == pytest.approx(
+        1 / 3
+    )
+    assert summary.sentence() == (
         "Base colour known to ±0.05 on 33 % of the surface seen (90 % intervals)."
     )
     posterior.axes = {name: np.array([0.3]) for name in AXES}
-    found = Knowledge.of(estimate_of(posterior))
-    assert found.sentence() == "All parameters were taken as known."
+    summary = IntervalSummary.of(estimate_of(posterior))
+    assert summary.sentence() == "All parameters were taken as known."
 
 
 def certain(grid, cell):
@@ -109,16 +111,16 @@ def certain(grid, cell):
 def test_a_coarse_grid_knows_no_better_than_its_cells():
     """The one cell left is 1/7 wide, or half of that at an end of the range."""
     posterior = certain(PrincipledGrid(8, 8, 21), (3, 0, 5))
-    found = Knowledge.of(estimate_of(posterior, (1,), (1.0,)))
+    summary = IntervalSummary.of(estimate_of(posterior, (1,), (1.0,)))
     half = {"roughness": 1 / 14, "metallic": 1 / 28, "base_color": 1 / 40}
-    assert found.median_half_width == pytest.approx(half, abs=1e-6)
-    assert found.known_part == {"roughness": 0, "metallic": 1, "base_color": 1}
-    assert found.cell_width == pytest.approx({"roughness": 1 / 7, "metallic": 1 / 7})
-    assert found.sentence().endswith("(90 % intervals; the grid's cells are up to 0.14 wide).")
+    assert summary.median_half_width == pytest.approx(half, abs=1e-6)
+    assert summary.known_part == {"roughness": 0, "metallic": 1, "base_color": 1}
+    assert summary.cell_width == pytest.approx({"roughness": 1 / 7, "metallic": 1 / 7})
+    assert summary.sentence().endswith("(90 % intervals; the grid's cells are up to 0.14 wide).")
 
 
 def test_nothing_seen_is_said_and_nothing_computed(posterior):
-    found = Knowledge.of(estimate_of(posterior, coverage=(0,) * 5))
-    assert (found.seen_part, found.known_part, found.all_known_part) == (0, {}, 0)
-    assert found.sentence() == "Nothing is known: no photograph shows the surface."
+    summary = IntervalSummary.of(estimate_of(posterior, coverage=(0,) * 5))
+    assert (summary.seen_part, summary.known_part, summary.all_known_part) == (0, {}, 0)
+    assert summary.sentence() == "Nothing is known: no photograph shows the surface."
     assert posterior.asked == []

@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 from svu_mi.errors import OptionError
 from svu_mi.evaluation.ground_truth import GroundTruth
 from svu_mi.output.panels import (
-    all_seen,
     draw_map,
     draw_marginal,
     draw_on_object,
     draw_photograph,
     draw_posterior,
+    fully_seen,
 )
 from svu_mi.output.style import OUTSIDE, UNSEEN
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
@@ -72,7 +72,7 @@ def test_a_map_has_values_and_greys_where_there_are_none(estimate):
 def test_on_the_object_are_the_colours_of_the_map(vase):
     place, twos = axes(), np.full(vase.texels.count, 2.0)
     scale = {"limits": (0, 2), "colormap": "Reds"}
-    draw_on_object(place, vase.capture, all_seen(vase.texels), 0, twos, **scale)
+    draw_on_object(place, vase.capture, fully_seen(vase.texels), 0, twos, **scale)
     image = shown(place)[0]
     middle, corner = image[image.shape[0] // 2, image.shape[1] // 2], image[0, 0]
     np.testing.assert_allclose(corner, 1)

@@ -16,9 +16,9 @@ import svu_mi as svu
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
-from svu_mi.output.estimate_arrays import Result
-from svu_mi.output.interval_summary import Intervals, Knowledge
-from svu_mi.output.object_views import front_and_right, upright
+from svu_mi.output.estimate_arrays import EstimateArrays
+from svu_mi.output.interval_summary import Intervals, IntervalSummary
+from svu_mi.output.object_views import front_and_right, up_direction
 from svu_mi.output.report import report, report_pictures, report_plots, summary_text
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.recovery.svbrdf_textures import uniform
@@ -150,12 +150,12 @@ def test_parts_are_of_the_area_and_sum_to_1(estimate):
     banded = Banded(estimate)
     area = np.sin(np.pi * banded.v) * (np.array(estimate.coverage) > 0)
     for name, (first, second) in banded.borders.items():
-        parts = summary_text.Parts.of(estimate, banded.half_width(name))
+        parts = summary_text.WidthShares.of(estimate, banded.half_width(name))
         below = [area[banded.v < border].sum() / area.sum() for border in (first, second)]
         assert parts.settled == pytest.approx(below[0], abs=0.02)
         assert parts.roughly == pytest.approx(below[1] - below[0], abs=0.02)
         assert parts.settled + parts.roughly + parts.wide == pytest.approx(1)
-    seen = Knowledge.of(estimate, banded).seen_part
+    seen = IntervalSummary.of(estimate, banded).seen_part
     everywhere = np.sin(np.pi * banded.v)
     assert seen == pytest.approx(area.sum() / everywhere.sum(), abs=0.02) and seen < 1
 
@@ -168,10 +168,10 @@ def test_all_of_the_surface_is_exactly_all(estimate):
         some = SimpleNamespace(texels=SimpleNamespace(footprint=footprint), posterior=posterior)
         for seen in (True, False):
             some.coverage, some.entropy = np.full(count, int(seen)), np.zeros(count)
-            assert Knowledge.of(some).seen_part == seen
+            assert IntervalSummary.of(some).seen_part == seen
         some.coverage = np.ones(count)
         for width in (0.05, 0.15, 0.16):
-            parts = summary_text.Parts.of(some, np.full(count, width, np.float32))
+            parts = summary_text.WidthShares.of(some, np.full(count, width, np.float32))
             where = (width == 0.05, width == 0.15, width == 0.16)
             assert (parts.settled, parts.roughly, parts.wide) == where
 
@@ -195,19 +195,19 @@ def test_what_is_settled_is_said_from_intervals(estimate, page, monkeypatch):
 
 def test_nothing_is_settled_by_its_entropy(capture, estimate, table):
     """Whatever the entropy is, the same is said of what is settled."""
-    result, intervals, told = Result.of(estimate), Intervals(estimate.posterior), []
+    result, intervals, told = EstimateArrays.of(estimate), Intervals(estimate.posterior), []
     for entropy in (0, 1):
         other = replace(result, entropy=np.full_like(result.entropy, entropy))
-        known = Knowledge.of(estimate, intervals)
+        known = IntervalSummary.of(estimate, intervals)
         summary = report._summary(capture, estimate, other, intervals, known, table)
         told.append((summary["settled"], summary["all_settled"]))
     assert told[0] == told[1] and len(told[0][0]) == 3
 
 
 def test_points_are_shown_with_their_intervals(estimate, table):
-    result = Result.of(estimate)
+    result = EstimateArrays.of(estimate)
     (low, high) = (np.array(end) for end in estimate.posterior.interval("roughness"))
-    for example in report_plots.examples(table, estimate, result, 0.9, [None] * 4):
+    for example in report_plots.example_texels(table, estimate, result, 0.9, [None] * 4):
         column, row = map(int, re.search(r"column (\d+), row (\d+)", example["sentence"]).groups())
         texel = list(estimate.texels.index.numpy()).index(row * 48 + column)
         told = {name: interval for name, _, interval in example["plots"]}
@@ -244,21 +244,23 @@ def test_all_that_is_skipped_is_said_in_sentences(estimate):
     every = SimpleNamespace(**vars(estimate))
     for number in (1, 2):
         every.skipped = dict.fromkeys(estimate.skipped, number)
-        lines = summary_text.skipped(every)
+        lines = summary_text.skipped_sentences(every)
         assert len(lines) == len(estimate.skipped) >= 9
         assert not any(line.startswith(reason) for reason in estimate.skipped for line in lines)
         assert all(line.endswith(".") for line in lines)
     every.skipped = {**dict.fromkeys(estimate.skipped, 0), "new reason": 3}
-    assert summary_text.skipped(every) == ["new reason: 3."]
+    assert summary_text.skipped_sentences(every) == ["new reason: 3."]
 
 
 def test_what_faces_down_is_said_to(estimate):
     normals = np.array(estimate.texels.normal)
     up = np.array([0.0, 1.0, 0.0])
-    assert summary_text.facing(estimate, normals[1] < -0.3, up) == "downwards"
-    assert summary_text.facing(estimate, normals[1] > 0.3, up) == "upwards"
-    assert summary_text.facing(estimate, normals[0] > 0, up) is None
-    assert summary_text.facing(estimate, np.zeros(estimate.texels.count, bool), up) is None
+    assert summary_text.facing_direction(estimate, normals[1] < -0.3, up) == "downwards"
+    assert summary_text.facing_direction(estimate, normals[1] > 0.3, up) == "upwards"
+    assert summary_text.facing_direction(estimate, normals[0] > 0, up) is None
+    assert (
+        summary_text.facing_direction(estimate, np.zeros(estimate.texels.count, bool), up) is None
+    )
 
 
 # --- The turntable ------------------------------------------------------------------------
@@ -268,22 +270,22 @@ def test_a_ring_is_where_its_texel_is(capture, estimate):
     """One white texel on a black ball, near its equator."""
     table = Turntable.around(capture, 3, side=96)
     uv = np.array(estimate.texels.uv)
-    found = table.find(estimate.texels, np.flatnonzero(abs(uv[1] - 0.45) < 0.05)[::9])
-    texel, number, x, y = found
+    best = table.find(estimate.texels, np.flatnonzero(abs(uv[1] - 0.45) < 0.05)[::9])
+    texel, number, x, y = best
     values = np.zeros((estimate.texels.count, 3), np.float32)
     values[texel] = 1
     frame = table.frame(estimate.texels.to_image(values), number)
     bright = np.argwhere(frame[..., 0] > 0.5 * frame[..., 0].max())
     place = (bright.mean(axis=0) + 0.5) / frame.shape[:2]
     np.testing.assert_allclose(place, (y, x), atol=0.03)
-    assert table.find(estimate.texels, np.array([texel])) == found
+    assert table.find(estimate.texels, np.array([texel])) == best
 
 
 def test_up_is_where_cameras_have_it(capture):
     to_z = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
     turned = posed(capture, *(to_z @ to_world(sensor) for sensor in capture.sensors))
-    np.testing.assert_array_equal(upright(capture), [0, 1, 0])
-    np.testing.assert_array_equal(upright(turned), [0, 0, 1])
+    np.testing.assert_array_equal(up_direction(capture), [0, 1, 0])
+    np.testing.assert_array_equal(up_direction(turned), [0, 0, 1])
     heights = [to_world(s)[2, 3] for s in Turntable.around(turned, 4, side=16).sensors]
     assert np.ptp(heights) < 1e-4 and min(heights) > 0.5
 
@@ -295,8 +297,8 @@ def test_the_front_is_the_same_in_any_unit(capture, unit):
     poses = [np.array(above.matrix), *map(to_world, capture.sensors[1:])]
     for pose in poses[1:]:
         pose[:3, 3] *= unit
-    found = front_and_right(posed(capture, *poses), np.zeros(3), np.array([0.0, 1, 0]))
-    np.testing.assert_allclose(found, [[0, 0, 1], [1, 0, 0]], atol=1e-6)
+    frame = front_and_right(posed(capture, *poses), np.zeros(3), np.array([0.0, 1, 0]))
+    np.testing.assert_allclose(frame, [[0, 0, 1], [1, 0, 0]], atol=1e-6)
 
 
 def test_frames_are_free_of_their_background(table):
@@ -339,13 +341,13 @@ def test_one_view_of_the_method_as_printed(capture, estimate, page):
 
 def test_channels_have_lines_of_their_own(capture, estimate):
     switches = svu.preset("default", method="angular", channels="joint")
-    found = svu.estimate(capture, estimate.texels, preset=switches, known={"metallic": 0.0})
-    drawn = dict(report_plots.marginals(found, Result.of(found)))
+    known = svu.estimate(capture, estimate.texels, preset=switches, known={"metallic": 0.0})
+    drawn = dict(report_plots.marginal_plots(known, EstimateArrays.of(known)))
     assert list(drawn) == ["roughness", "base colour"]
     assert {style for style, _, _ in drawn["base colour"].lines} >= {"red", "green", "blue"}
     assert len(drawn["roughness"].heights) == 8 and not len(drawn["base colour"].heights)
-    assert report_pictures.most_probable(found).resolution == (48, 24)
-    assert "metallic = 0" in " ".join(summary_text.skipped(found))
+    assert report_pictures.most_probable_textures(known).resolution == (48, 24)
+    assert "metallic = 0" in " ".join(summary_text.skipped_sentences(known))
 
 
 def test_many_photographs_are_thinned_out(capture, estimate):
@@ -358,16 +360,18 @@ def test_many_photographs_are_thinned_out(capture, estimate):
     shown, left_out = report_pictures.thumbnails(many, estimate)
     assert (len(shown), len(left_out)) == (60, 12)
     assert sum(thumbnail["first"] for thumbnail in shown) == 12
-    assert report_pictures.spread(range(200), 5) == [0, 50, 100, 149, 199]
+    assert report_pictures.subsample(range(200), 5) == [0, 50, 100, 149, 199]
 
 
 def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
     monkeypatch.setattr(report_pictures, "COMPARED", 2)
-    good = report_pictures.errors(capture, report_pictures.most_probable(estimate), grey=True)
-    bad = report_pictures.errors(capture, uniform(estimate.texels, 0.02), grey=False)
+    good = report_pictures.rerender_errors(
+        capture, report_pictures.most_probable_textures(estimate), grey=True
+    )
+    bad = report_pictures.rerender_errors(capture, uniform(estimate.texels, 0.02), grey=False)
     assert [name for name, _ in good["rows"]] == [capture.names[0], capture.names[3]]
     assert good["views"] == 4 and len(good["shown"]) == 2
-    percent = [float(found["mean"].split("\u202f")[0]) for found in (good, bad)]
+    percent = [float(errors["mean"].split("\u202f")[0]) for errors in (good, bad)]
     assert percent[0] < 5 < 20 < percent[1]
 
 

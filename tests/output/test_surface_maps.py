@@ -21,14 +21,14 @@ def test_the_most_probable_cell_is_that_of_the_table(vase):
     posterior = vase.estimate.posterior
     p = np.array(posterior.probabilities, np.float64)
     rows = p[..., 0].sum(axis=-1).reshape(len(p), -1)
-    found = posterior.kernel.best(np.arange(len(p)))
-    row = np.ravel_multi_index(tuple(found[:, :-1, 0].T), p.shape[1:-2])
+    bins = posterior.kernel.best(np.arange(len(p)))
+    row = np.ravel_multi_index(tuple(bins[:, :-1, 0].T), p.shape[1:-2])
     best = rows.max(axis=1)
     taken = rows[np.arange(len(p)), row]
     seen = posterior.observed
     np.testing.assert_allclose(taken[seen], best[seen], rtol=1e-5)  # ties may go either way
     given = p.reshape(len(p), -1, *p.shape[-2:])[np.arange(len(p)), row]
-    color = np.take_along_axis(given, found[:, -1][:, None, :], axis=1)[:, 0]
+    color = np.take_along_axis(given, bins[:, -1][:, None, :], axis=1)[:, 0]
     np.testing.assert_allclose(color[seen], given.max(axis=1)[seen], rtol=1e-5)
 
 
@@ -40,12 +40,12 @@ def test_half_a_width_is_that_of_the_least_known_channel(vase):
         low, high = (np.array(end) for end in posterior.interval(name, 0.9, chosen))
         half = ((high - low) / 2).reshape(len(chosen), -1)
         sd = np.array(posterior.sd(name))[chosen].reshape(len(chosen), -1)
-        found = np.array(posterior.half_width(name, 0.9, chosen))
+        widths = np.array(posterior.half_width(name, 0.9, chosen))
         expected = half[np.arange(len(half)), sd.argmax(axis=1)]
         part = 1.01 / 84  # a sum that is rounded otherwise may end at the next part
-        assert np.abs(found - expected).max() < part
-        assert (np.abs(found - expected) < 1e-6).mean() > 0.98
-        assert (half.max(axis=1) - found)[seen].mean() < 0.002
+        assert np.abs(widths - expected).max() < part
+        assert (np.abs(widths - expected) < 1e-6).mean() > 0.98
+        assert (half.max(axis=1) - widths)[seen].mean() < 0.002
     assert half.shape[1] == 3 and np.ptp(half[seen]) > 0.05
 
 
@@ -77,8 +77,8 @@ def test_views_one_by_one_are_those_of_single_steps(vase):
     guidance = svu.next_best_view(vase.estimate, candidates, 3, texels=300)
     forecast, known = guidance._prospect.forecast, guidance._prospect.photographs
     views, added = np.arange(known), known + np.arange(3)
-    found = forecast.one_by_one(views, added)
-    np.testing.assert_allclose(found, Forecast.one_by_one(forecast, views, added), atol=2e-5)
+    expected = forecast.one_by_one(views, added)
+    np.testing.assert_allclose(expected, Forecast.one_by_one(forecast, views, added), atol=2e-5)
 
 
 @pytest.mark.slow

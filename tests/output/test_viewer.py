@@ -24,7 +24,7 @@ from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
 from svu_mi.geometry.texels import texels
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer import viser_mesh
-from svu_mi.output.viewer.picking import Picker, nearest_texel, says
+from svu_mi.output.viewer.picking import Picker, nearest_texel, texel_markdown
 from svu_mi.output.viewer.viewer import Viewer
 from svu_mi.output.viewer.viser_mesh import GAIN, before_tone_mapping, frustum
 from svu_mi.pipeline import estimate
@@ -83,8 +83,8 @@ def test_rays_meet_the_texel_that_they_are_aimed_at(known, picker):
     for texel in random.choice(grid.count, 60, replace=False):
         aside = np.cross(normals[texel], random.normal(size=3))
         origin = points[texel] + 2 * normals[texel] + random.uniform(0, 3) * aside
-        found = picker.pick(origin, 5 * (points[texel] - origin))
-        assert (found.texel, found.column, found.row) == (texel, *place[texel])
+        pick = picker.pick(origin, 5 * (points[texel] - origin))
+        assert (pick.texel, pick.column, pick.row) == (texel, *place[texel])
         assert picker.pick(origin, normals[texel]) is None
 
 
@@ -94,12 +94,12 @@ def test_a_pick_says_what_the_estimate_says(capture, known, picker):
     means = {name: known.posterior.mean(name).numpy() for name in best}
     intervals = {name: known.posterior.interval(name) for name in best}
     for texel in (0, int(coverage.argmax()), known.texels.count - 1):
-        found = picker.describe(texel)
-        assert found.entropy == entropy[texel]
-        assert len(found.seen_by) == coverage[texel]
-        assert np.array_equal(found.position, position[:, texel])
-        assert list(found.known) == (list(best) if coverage[texel] else [])
-        for name, told in found.known.items():
+        pick = picker.describe(texel)
+        assert pick.entropy == entropy[texel]
+        assert len(pick.seen_by) == coverage[texel]
+        assert np.array_equal(pick.position, position[:, texel])
+        assert list(pick.known) == (list(best) if coverage[texel] else [])
+        for name, told in pick.known.items():
             truth = (best[name].numpy(), means[name], *(end.numpy() for end in intervals[name]))
             for one, of_all in zip(told, truth, strict=True):
                 assert np.array_equal(one.astype(np.float32), np.atleast_1d(of_all[texel]))
@@ -110,7 +110,7 @@ def test_a_pick_says_what_the_estimate_says(capture, known, picker):
 def test_the_panel_says_mean_and_interval_of_every_channel(capture, known):
     colored = estimate(capture, known.texels)
     texel = int(np.array(known.coverage).argmax())
-    text = says(capture, Picker(capture, colored).describe(texel))
+    text = texel_markdown(capture, Picker(capture, colored).describe(texel))
     text = text.replace("\u00a0", " ").replace("\u2060", "")
     for name in ("roughness", "metallic", "base_color"):
         mean = np.atleast_1d(colored.posterior.mean(name).numpy()[texel])
@@ -126,26 +126,26 @@ def test_seen_by_numbers_the_views_of_the_capture(capture, known, picker):
     but what faces away."""
     points, compared = np.array(known.texels.position).T, 0
     for texel in range(0, known.texels.count, 23):
-        found = picker.describe(texel)
-        assert 1 not in found.seen_by
+        pick = picker.describe(texel)
+        assert 1 not in pick.seen_by
         for view in (0, 3, 4):
             towards = to_world(capture.sensors[view])[:3, 3] - points[texel]
             cosine = points[texel] @ towards / np.linalg.norm(towards)
             if not -0.1 < cosine < 0.6:  # pixels near the silhouette show what is beside it, too
-                assert (view in found.seen_by) == (cosine > 0)
+                assert (view in pick.seen_by) == (cosine > 0)
                 compared += 1
     assert compared > 60
 
 
 def test_an_unseen_texel_is_grey_and_nothing_is_known_of_it(capture, known, picker):
     unseen = int(np.flatnonzero(np.array(known.coverage) == 0)[0])
-    found = picker.describe(unseen)
-    assert not found.known
-    assert "seen by none of 4 views" in says(capture, found)
-    assert "nothing is known" in says(capture, found)
+    pick = picker.describe(unseen)
+    assert not pick.known
+    assert "seen by none of 4 views" in texel_markdown(capture, pick)
+    assert "nothing is known" in texel_markdown(capture, pick)
     for name in ("entropy", "coverage", "most probable base colour", "entropy of metallic"):
         colors = surface_maps(known)[name].colors(np.inf)
-        assert np.allclose(colors[found.row, found.column], (0.55, 0.55, 0.58))
+        assert np.allclose(colors[pick.row, pick.column], (0.55, 0.55, 0.58))
 
 
 def test_maps_reach_over_all_that_is_outside_the_charts(known, quarters):

@@ -19,10 +19,10 @@ from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.errors import OutputError
 from svu_mi.output import object_views
-from svu_mi.output.interval_summary import Knowledge
+from svu_mi.output.interval_summary import IntervalSummary
 from svu_mi.output.maps import write_maps
 from svu_mi.output.overview import _hatch, write_overview
-from svu_mi.output.run_record import Run, write_manifest
+from svu_mi.output.run_record import RunInfo, write_manifest
 from svu_mi.output.style import new_figure
 from svu_mi.output.write_entropy import write_outputs
 
@@ -103,17 +103,17 @@ def test_one_column_of_texels_can_be_drawn():
 def test_the_views_shown_are_far_apart(vase):
     """First the one that sees most, then the used one in the most different direction."""
     capture = replace(vase.capture, used=(True, True, True, False))
-    first, second = object_views.far_apart(capture, [5, 9, 3])
+    first, second = object_views.distant_views(capture, [5, 9, 3])
     matrices = [np.array(s.world_transform().matrix).reshape(4, 4) for s in capture.sensors]
     forward = np.array([m[:3, 2] for m in matrices])
     assert first == 1
     assert second == min((0, 2), key=lambda i: forward[i] @ forward[1])
-    assert sorted(object_views.far_apart(vase.capture, None, 9)) == [0, 1, 2, 3]
+    assert sorted(object_views.distant_views(vase.capture, None, 9)) == [0, 1, 2, 3]
 
 
 def test_a_picture_shows_the_object_where_the_photograph_does(vase):
     color = np.broadcast_to(np.float32([0.2, 0.4, 0.8]), (8, 8, 3))
-    shown = object_views.picture(vase.capture, color, vase.capture.sensors[1])
+    shown = object_views.render_object(vase.capture, color, vase.capture.sensors[1])
     assert shown.shape == (36, 48, 4)
     covered, empty = shown[..., 3] == 1, shown[..., 3] == 0
     assert covered.any() and empty.any()
@@ -174,7 +174,7 @@ def test_a_run_leaves_four_files_and_nothing_else(tmp_path, vase):
         vase.estimate, timings={"Fitting": 0.25, "Broken": float("nan")},
         seen_per_view=vase.estimate.seen_per_view[:3],
     )  # fmt: skip
-    write_outputs(capture, estimate, folder, Run(settings={"seed": 7}, kernels={"Fitting": 2}))
+    write_outputs(capture, estimate, folder, RunInfo(settings={"seed": 7}, kernels={"Fitting": 2}))
     names = sorted(path.name for path in folder.iterdir())
     assert names == ["coverage.exr", "entropy.exr", "overview.png", "run.json"]
     record = json.loads((folder / "run.json").read_text(), parse_constant=refuse)
@@ -186,7 +186,7 @@ def test_a_run_leaves_four_files_and_nothing_else(tmp_path, vase):
     assert record["inputs"]["left_out"] == [capture.names[3]]
     assert record["warnings"] == ["a sentence"]
     assert record["result"]["texels_seen"] == (np.array(estimate.coverage) > 0).sum()
-    assert record["result"]["intervals"] == vars(Knowledge.of(estimate))
+    assert record["result"]["intervals"] == vars(IntervalSummary.of(estimate))
 
 
 def test_a_run_that_saw_nothing_is_recorded(tmp_path, vase):

@@ -23,8 +23,8 @@ from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import direction_map as sky
 from svu_mi.output import guidance_page
-from svu_mi.output.object_views import facing
-from svu_mi.output.run_record import Run
+from svu_mi.output.object_views import viewing_frame
+from svu_mi.output.run_record import RunInfo
 from svu_mi.output.write_guidance import file_names, write_guidance, write_sensors
 
 RNG_SEED = 1630517742
@@ -49,7 +49,7 @@ def written(vase, guidance, tmp_path_factory):
     folder = tmp_path_factory.mktemp("written")
     write_older(folder, "guide", "run.json", ["gain_7.exr", "thumbnails/proposal_7.png"])
     steps = []
-    run = Run(
+    run = RunInfo(
         settings={"add": 3}, kernels={"a": 1},
         progress=lambda done, total: steps.append((done, total)),
     )  # fmt: skip
@@ -84,10 +84,10 @@ def test_the_plan_says_where_to_go(guidance, written):
     assert plan["entropy"] == guidance.entropy
     assert [p["rank"] for p in plan["proposals"]] == [1, 2, 3]
     assert [p["file"] for p in plan["proposals"]] == [f"view_{k:04d}.exr" for k in (4, 5, 6)]
-    for found, proposal in zip(plan["proposals"], guidance.proposals, strict=True):
+    for entry, proposal in zip(plan["proposals"], guidance.proposals, strict=True):
         for key in ("candidate", "name", "gain", "error", "entropy", "sees", "new"):
-            assert found[key] == getattr(proposal, key)
-        made = make_sensor(found["pose"], "proposal")
+            assert entry[key] == getattr(proposal, key)
+        made = make_sensor(entry["pose"], "proposal")
         np.testing.assert_allclose(to_world(made), to_world(proposal.sensor), atol=POSE)
         np.testing.assert_allclose(rays(made), rays(proposal.sensor), atol=RAY)
 
@@ -130,10 +130,10 @@ def test_any_film_comes_back(vase, tmp_path, film, kind):
         write_sensors(tmp_path / kind, [sensor], ["view_0007"])
     else:
         write_transforms(tmp_path / kind, [frame_of(sensor, Path("view_0007.exr"))])
-    (found,) = svu.Candidates.read(tmp_path / kind).sensors
-    np.testing.assert_allclose(to_world(found), to_world(sensor), atol=POSE)
-    np.testing.assert_allclose(rays(found), rays(sensor), atol=RAY)
-    assert describe(found)["crop_size"] == describe(sensor)["crop_size"]
+    (loaded,) = svu.Candidates.read(tmp_path / kind).sensors
+    np.testing.assert_allclose(to_world(loaded), to_world(sensor), atol=POSE)
+    np.testing.assert_allclose(rays(loaded), rays(sensor), atol=RAY)
+    assert describe(loaded)["crop_size"] == describe(sensor)["crop_size"]
 
 
 def test_sensors_can_be_included_in_a_scene(written, tmp_path):
@@ -168,7 +168,7 @@ def test_a_sensor_of_the_capture_keeps_its_file_name(vase, guidance):
 def test_directions_are_seen_from_outside(up):
     """Up is above, the first photograph in front, and right is where it is from outside."""
     up, first = np.array(up, float), np.array([0.4, 0.3, 0.8])
-    frame = facing(up, first)
+    frame = viewing_frame(up, first)
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(frame @ up / np.linalg.norm(up), [0, 1, 0], atol=1e-12)
     assert frame[2] @ first > 0 and abs(frame[0] @ first) < 1e-12

@@ -24,7 +24,7 @@ from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
 from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.light.environment import read_environment
-from svu_mi.output.rerender import Comparison, compare, write_relit
+from svu_mi.output.rerender import RenderComparison, compare_renders, write_relit
 from svu_mi.output.texture_files import read_textures, write_textures
 from svu_mi.output.texture_files import write_scene as write_recovered
 from svu_mi.output.write_recovery import write_recovery
@@ -263,9 +263,9 @@ def test_odd_films_and_neighbours_are_kept(tmp_path):
     # Mitsuba puts meshes first.
     assert sorted(shape.id() for shape in written.shapes()) == ["ball", "floor", "neighbour"]
     for view, image in enumerate(relight(capture, textures, None, spp=16)):
-        found = mi.render(written, sensor=view, spp=16, seed=view)
-        assert found.shape == image.shape == (30, 40, 3)
-        assert scaled_psnr(found, image) > BETTER_THAN
+        render = mi.render(written, sensor=view, spp=16, seed=view)
+        assert render.shape == image.shape == (30, 40, 3)
+        assert scaled_psnr(render, image) > BETTER_THAN
 
 
 def test_a_material_that_cannot_be_written_is_said(tmp_path):
@@ -381,8 +381,8 @@ def test_relighting_leaves_the_capture_as_it_was(vase):
 
 @pytest.mark.slow
 def test_a_perfect_recovery_differs_by_noise_alone(vase, fine, tmp_path):
-    comparison = compare(vase.capture, fine.truth, [1], spp=32)[0]
-    wrong = compare(vase.capture, any_textures(), [1], spp=32)[0]
+    comparison = compare_renders(vase.capture, fine.truth, [1], spp=32)[0]
+    wrong = compare_renders(vase.capture, any_textures(), [1], spp=32)[0]
     assert comparison.photograph.shape == comparison.render.shape == (36, 48, 3)
     error = comparison.difference
     assert np.isnan(error[~comparison.inside]).all()
@@ -399,7 +399,7 @@ def test_pictures_of_large_photographs_are_small(vase, fine):
     photograph = np.ones((900, 1200, 3), np.float32)
     photograph[400:440, 500:540] = np.nan
     capture = replace(vase.capture, sensors=(make_sensor(record, "large"),), images=(photograph,))
-    comparison = compare(capture, fine.truth, [0], spp=1)[0]
+    comparison = compare_renders(capture, fine.truth, [0], spp=1)[0]
     assert comparison.photograph.shape == (240, 320, 3)
     hole = np.isnan(comparison.photograph).all(axis=2)
     assert hole[112, 138] and 100 < hole.sum() < 400
@@ -408,7 +408,7 @@ def test_pictures_of_large_photographs_are_small(vase, fine):
 
 def test_nothing_to_compare_is_no_error(tmp_path):
     nothing = np.full((8, 8, 3), np.nan, np.float32)
-    empty = Comparison(
+    empty = RenderComparison(
         view=0, photograph=nothing, render=np.ones((8, 8, 3)), relit=np.ones((8, 8, 3)),
         inside=np.zeros((8, 8), bool),
     )  # fmt: skip

@@ -12,7 +12,7 @@ from oracle import posterior as oracle_posterior
 from support.unseen import assert_unseen_have_the_prior
 from support.walled import Samples, angular, noise_capture, seen_in, walled_ball
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.angular import angular_posterior
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
@@ -183,7 +183,7 @@ def test_some_texels_of_many_stand_where_they_belong():
     statistics = of(random_samples(np.random.default_rng(44), 3, 1))
     texel = np.array([6, 1, 4], np.uint32)
     few = angular_posterior(statistics, PRINCIPLED, SCALE)
-    moved = replace(statistics, texel=owned(mi.UInt32, texel))
+    moved = replace(statistics, texel=to_drjit(mi.UInt32, texel))
     many = angular_posterior(moved, PRINCIPLED, SCALE, texels=8)
     H = np.array(many.entropy())
     np.testing.assert_array_equal(H[texel], np.array(few.entropy()))

@@ -18,7 +18,13 @@ from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.recovery_options import DescentOptions, ShOptions
 from svu_mi.statistics.gather_statistics import Weighting
 
-TRACERS = ("pack_views", "trace_visibility", "trace_reach", "trace_mirrors", "light")
+TRACERS = (
+    "pack_views",
+    "trace_visibility",
+    "trace_light_visibility",
+    "trace_mirror_visibility",
+    "read_lighting",
+)
 BRIEF = ShOptions(descent=DescentOptions(steps=2))
 GRID = PrincipledGrid(3, 3, 3)
 
@@ -81,7 +87,7 @@ def test_what_goes_on_from_an_estimate_traces_nothing_again(capture, layout, cal
     USES[name](estimate)
     # Forecasts are also of texels that nobody has seen, which have their own first rays; and the
     # spectrum's irradiance is of fewer, larger cells.
-    allowed = {"trace_reach"} if name in ("spectrum", "next_best_view") else set()
+    allowed = {"trace_light_visibility"} if name in ("spectrum", "next_best_view") else set()
     assert set(calls) <= allowed and sum(calls.values()) <= 1
     calls.clear()
     if name != "next_best_view":
@@ -118,7 +124,7 @@ def test_what_is_hidden_from_nothing_traces_no_cell(capture, layout, calls):
     for preset in ("fast", "paper"):
         svu.estimate(capture, layout, preset=preset)
     svu.estimate(capture, layout, "spectrum", "paper")
-    assert not {"trace_reach", "trace_mirrors"} & set(calls)
+    assert not {"trace_light_visibility", "trace_mirror_visibility"} & set(calls)
 
 
 def test_other_texels_or_none_are_refused(capture, layout):
@@ -144,9 +150,9 @@ def test_a_reference_of_texels_that_nobody_sees_knows_nothing(capture, layout):
 def test_mirrors_are_read_where_narrow_lobes_are(capture, layout, calls):
     """A roughness that is known decides which lobes there are."""
     estimate = svu.estimate(capture, layout, known={"roughness": 0.9})
-    assert calls["trace_mirrors"] == 0
+    assert calls["trace_mirror_visibility"] == 0
     svu.estimate(estimate, known={"roughness": 0.1})
-    assert calls["trace_mirrors"] == 1
+    assert calls["trace_mirror_visibility"] == 1
     model = estimate.observed.model
     narrow = model(np.array([0.1]), estimate.preset, 1)
     assert narrow.wide is None and narrow.reads_mirrors

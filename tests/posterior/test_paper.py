@@ -21,7 +21,7 @@ from support.helpers import as_values, ball, render_ball
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.mesh import make
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.frequency.spectra import Coefficients
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.geometry.sample_view import TexelLanes
@@ -105,7 +105,7 @@ def close(found: Any, exact: np.ndarray, tolerance: float = EXACT) -> None:
 
 def backward(loss: Any, values: np.ndarray) -> tuple[float, np.ndarray]:
     """Value and derivatives by Dr.Jit's AD of a function of a TensorXf."""
-    tensor = mi.TensorXf(owned(mi.Float, values.astype(np.float32).ravel()), shape=values.shape)
+    tensor = mi.TensorXf(to_drjit(mi.Float, values.astype(np.float32).ravel()), shape=values.shape)
     dr.enable_grad(tensor)
     found = loss(tensor)
     value = np.array(dr.detach(found), np.float64)
@@ -209,7 +209,7 @@ class Samples:
 @pytest.fixture(scope="module")
 def samples(observed) -> Samples:
     """Read from the capture; what is looked at is the same, what is made of it is not."""
-    surface = TexelLanes.of(observed.texels, owned(mi.UInt32, observed.seen.astype(np.uint32)))
+    surface = TexelLanes.of(observed.texels, to_drjit(mi.UInt32, observed.seen.astype(np.uint32)))
     normal = unit(surface.normal.numpy().T)
     rows = []
     for slot in range(int(observed.visibility.count[0])):
@@ -217,7 +217,7 @@ def samples(observed) -> Samples:
         direction = np.array(look.direction).T
         o = unit(direction)
         i = 2 * (o * normal).sum(axis=1, keepdims=True) * normal - o
-        light = observed.lighting.radiance(owned(mi.Vector3f, i.T.astype(np.float32)))
+        light = observed.lighting.radiance(to_drjit(mi.Vector3f, i.T.astype(np.float32)))
         rows.append([np.array(look.seen), o, (o * normal).sum(axis=1),
                      np.array(look.radiance).T, np.array(light).T])  # fmt: skip
     E = np.array(observed.lighting.irradiance(surface.normal)).T
@@ -244,8 +244,8 @@ def test_eq06_the_sh_model(observed, samples):
     found = np.zeros((LEVELS, *samples.shown.shape))
     for view, (direction, cosine) in enumerate(zip(samples.direction, samples.cosine, strict=True)):
         columns = model.columns(
-            owned(mi.Vector3f, direction.T.astype(np.float32)),
-            owned(mi.Float, np.maximum(cosine, 1e-3).astype(np.float32)), mi.Bool(True),
+            to_drjit(mi.Vector3f, direction.T.astype(np.float32)),
+            to_drjit(mi.Float, np.maximum(cosine, 1e-3).astype(np.float32)), mi.Bool(True),
         )  # fmt: skip
         for k, level in enumerate(columns):
             for c in range(3):
@@ -312,7 +312,7 @@ def textures_of(observed: Any, rows: np.ndarray) -> dict[str, Any]:
     flat[observed.texels.index.numpy()[observed.seen]] = rows
     parts = {"base_color": flat[:, :3], "roughness": flat[:, 3:4], "metallic": flat[:, 4:]}
     return {
-        name: mi.TensorXf(owned(mi.Float, np.ascontiguousarray(x).ravel()),
+        name: mi.TensorXf(to_drjit(mi.Float, np.ascontiguousarray(x).ravel()),
                           shape=(height, width, x.shape[1]))
         for name, x in parts.items()
     }  # fmt: skip
@@ -375,10 +375,10 @@ def spectral_loss(
     return SpectralObjective(
         domain=domain,
         coefficients=Coefficients(
-            owned(mi.Float, table.ravel().astype(np.float32)), math.isqrt(n) - 1, 3, 3, count
+            to_drjit(mi.Float, table.ravel().astype(np.float32)), math.isqrt(n) - 1, 3, 3, count
         ),
-        power=owned(mi.Float, np.ascontiguousarray(rows).ravel().astype(np.float32)),
-        irradiance=[owned(mi.Float, np.ascontiguousarray(x, np.float32)) for x in E.T],
+        power=to_drjit(mi.Float, np.ascontiguousarray(rows).ravel().astype(np.float32)),
+        irradiance=[to_drjit(mi.Float, np.ascontiguousarray(x, np.float32)) for x in E.T],
         texel=dr.arange(mi.UInt32, count), place=dr.arange(mi.UInt32, count),
         prefilter=dr.opaque(mi.Float, 0.0), albedo=dr.full(mi.Float, 1, 33),
         factor=dr.opaque(mi.Float, 1.0),
@@ -552,7 +552,7 @@ def test_eq13_the_light_is_band_limited_for_the_new_number_of_views(observed, sa
     d = unit(table[view, texel, 1:4])
     mirrored = 2 * (d * normal[texel]).sum(axis=1, keepdims=True) * normal[texel] - d
     local = mirrored @ observed.lighting.environment.to_local.T
-    light = look_up(texture, owned(mi.Vector3f, local.T.astype(np.float32)))
+    light = look_up(texture, to_drjit(mi.Vector3f, local.T.astype(np.float32)))
     close(table[view, texel, 4:], np.stack([x.numpy() for x in light], axis=1))
 
 
@@ -644,7 +644,7 @@ def test_total_variation(sphere):
 def test_l1_of_rendered_pixels():
     rng = np.random.default_rng(4021)
     render, target = (rng.gamma(1.0, 1.0, (9, 7, 3)).astype(np.float32) for _ in range(2))
-    fixed = mi.TensorXf(owned(mi.Float, target.ravel()), shape=target.shape)
+    fixed = mi.TensorXf(to_drjit(mi.Float, target.ravel()), shape=target.shape)
     value, gradient = backward(lambda x: l1(x, fixed), render)
     exact, slope = paper.absolute_error(render.astype(np.float64), target.astype(np.float64))
     assert value == pytest.approx(exact, rel=EXACT)

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.recovery.adam import READ, descend
 from svu_mi.recovery.checkpoint import Checkpoint
@@ -21,7 +21,7 @@ SHAPE = (8, 12, 3)
 
 def tensor(values):
     values = np.asarray(values, np.float32)
-    return mi.TensorXf(owned(mi.Float, values.ravel()), shape=values.shape)
+    return mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
 
 
 def half(shape=SHAPE):

@@ -26,14 +26,14 @@ import svu_mi
 import drjit as dr, mitsuba as mi, numpy as np
 mi.set_variant("llvm_ad_rgb")
 dr.set_thread_count(1)
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.adam import descend
 from svu_mi.recovery.recovery_options import DescentOptions
 
 path, out, pause, resume = sys.argv[1], sys.argv[2], float(sys.argv[3]), sys.argv[4] == "resume"
 shape = (16, 16, 3)
-truth = mi.TensorXf(owned(mi.Float, np.random.default_rng(5).random(768, np.float32)), shape)
+truth = mi.TensorXf(to_drjit(mi.Float, np.random.default_rng(5).random(768, np.float32)), shape)
 start = {"base_color": dr.full(mi.TensorXf, 0.5, shape=shape)}
 
 def objective(textures, step):

@@ -13,18 +13,28 @@ import pytest
 from recovery.test_texture_field import square, those_first
 from support.helpers import fails, names, run
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.neighbors import neighbors
-from svu_mi.output.texture_files import read_textures, settings_of
+from svu_mi.output.texture_files import read_textures, recovery_settings
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.inpaint import texel_hierarchy
-from svu_mi.recovery.inpaint.combine_predictors import FARTHER, TITLES, spreads
-from svu_mi.recovery.inpaint.cross_validation import UNSEEN, Judged, Trial, hidden_parts
+from svu_mi.recovery.inpaint.combine_predictors import MEAN_WEIGHTS, TITLES, tv_predictions
+from svu_mi.recovery.inpaint.cross_validation import (
+    TOLERANCE,
+    HoldoutErrors,
+    PredictorErrors,
+    holdout_masks,
+)
 from svu_mi.recovery.inpaint.fill import fill
-from svu_mi.recovery.inpaint.symmetry_predictors import FEWEST, RULES, Examples, Likeness
-from svu_mi.recovery.inpaint.texel_hierarchy import Ground, Pieces, centred, connected
+from svu_mi.recovery.inpaint.symmetry_predictors import (
+    FEWEST,
+    KNN_SETTINGS,
+    KnownTexels,
+    SymmetryPredictor,
+)
+from svu_mi.recovery.inpaint.texel_hierarchy import Pieces, TexelGraph, connected, normalized_points
 from svu_mi.recovery.recover import recover
 from svu_mi.recovery.recovery_options import ShOptions
 from svu_mi.recovery.svbrdf_textures import lay_out
@@ -40,27 +50,28 @@ def cylinder(columns: int) -> Pieces:
     around, up = np.meshgrid(angle, np.linspace(-1, 1, 60))
     normal = np.stack([np.cos(around), 0 * up, np.sin(around)], axis=-1).reshape(-1, 3)
     points = normal + [0, 1, 0] * up.reshape(-1, 1)
-    return Pieces(centred(points), normal, np.zeros(len(points), np.int64))
+    return Pieces(normalized_points(points), normal, np.zeros(len(points), np.int64))
 
 
-def known_of(values: np.ndarray, texels: np.ndarray) -> Examples:
-    return Examples(texels, values[:, texels], np.ones((len(values), len(texels))))
+def known_of(values: np.ndarray, texels: np.ndarray) -> KnownTexels:
+    return KnownTexels(texels, values[:, texels], np.ones((len(values), len(texels))))
 
 
 @pytest.mark.parametrize("likeness", [
-    Likeness("near"), Likeness("level", Y), Likeness("turned", Y), Likeness("turned piece", Y),
-    Likeness("mirrored", (1.0, 0.0, 0.0)), Likeness("repeated", Y, 4),
+    SymmetryPredictor("near"), SymmetryPredictor("level", Y), SymmetryPredictor("turned", Y),
+    SymmetryPredictor("turned piece", Y),
+    SymmetryPredictor("mirrored", (1.0, 0.0, 0.0)), SymmetryPredictor("repeated", Y, 4),
 ])  # fmt: skip
-def test_a_guess_knows_what_is_alike(likeness: Likeness) -> None:
+def test_a_guess_knows_what_is_alike(likeness: SymmetryPredictor) -> None:
     """Bands around a cylinder: near ones tell little of its far side, a turn or a mirror all."""
     pieces = cylinder(240)
     x, y, _ = pieces.point.T
     values = np.sin(9 * y)[None] * 0.5 + 0.5
     wanted = np.flatnonzero(x < -0.1)
     known = known_of(values, np.flatnonzero(x > 0))
-    found, alike = likeness.guess(pieces, known, wanted)
-    assert found.shape == (1, len(wanted)) and alike.all()
-    error = np.abs(found - values[:, wanted])
+    predicted, alike = likeness.predict(pieces, known, wanted)
+    assert predicted.shape == (1, len(wanted)) and alike.all()
+    error = np.abs(predicted - values[:, wanted])
     assert error.mean() < (0.03 if likeness.kind != "near" else 0.2)
 
 
@@ -71,9 +82,13 @@ def test_a_pattern_around_an_axis_is_continued() -> None:
     values = (np.sin(6 * np.arctan2(z, x)) > 0)[None].astype(float)
     known, wanted = known_of(values, np.flatnonzero(x > 0.02)), np.flatnonzero(x < -0.02)
     off = {}
-    for likeness in (Likeness("turned", Y), Likeness("repeated", Y, 6), Likeness("repeated", Y, 4)):
-        found, alike = likeness.guess(pieces, known, wanted)
-        off[likeness.title] = np.abs(found - values[:, wanted])[:, alike].mean()
+    for likeness in (
+        SymmetryPredictor("turned", Y),
+        SymmetryPredictor("repeated", Y, 6),
+        SymmetryPredictor("repeated", Y, 4),
+    ):
+        predicted, alike = likeness.predict(pieces, known, wanted)
+        off[likeness.title] = np.abs(predicted - values[:, wanted])[:, alike].mean()
     assert off["repeated 6 times about y"] < 0.03
     assert min(off["turned about y"], off["repeated 4 times about y"]) > 0.3
 
@@ -84,15 +99,19 @@ def test_pieces_are_of_one_material() -> None:
     ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     points = np.concatenate([ring - [1.05, 0, 0], ring + [1.05, 0, 0]])
     piece = np.repeat([0, 1], 60)
-    pieces = Pieces(centred(points), np.concatenate([ring, ring]), piece)
+    pieces = Pieces(normalized_points(points), np.concatenate([ring, ring]), piece)
     values = np.array([0.2, 0.9])[piece][None]
     hidden = np.concatenate([np.cos(angle) > 0.2, np.cos(angle) < -0.8])
     known, wanted = known_of(values, np.flatnonzero(~hidden)), np.flatnonzero(hidden)
-    for likeness in (Likeness("piece"), Likeness("near"), Likeness("turned piece", Y)):
-        found, alike = likeness.guess(pieces, known, wanted)
+    for likeness in (
+        SymmetryPredictor("piece"),
+        SymmetryPredictor("near"),
+        SymmetryPredictor("turned piece", Y),
+    ):
+        predicted, alike = likeness.predict(pieces, known, wanted)
         assert alike.all(), likeness
-        np.testing.assert_allclose(found, values[:, wanted], atol=1e-9, err_msg=likeness.title)
-    middle = centred(points)[piece == 1].mean(axis=0)
+        np.testing.assert_allclose(predicted, values[:, wanted], atol=1e-9, err_msg=likeness.title)
+    middle = normalized_points(points)[piece == 1].mean(axis=0)
     np.testing.assert_allclose(pieces.middle[60:], np.tile(middle, (60, 1)), atol=1e-12)
 
 
@@ -101,11 +120,11 @@ def test_a_piece_of_which_too_little_is_known_is_like_nothing() -> None:
     values = np.full((1, 1200), 0.4)
     some = known_of(values, np.concatenate([np.arange(100), 600 + np.arange(FEWEST - 1)]))
     for kind in ("piece", "near", "turned piece"):
-        _, alike = Likeness(kind).guess(pieces, some, np.array([200, 700]))
+        _, alike = SymmetryPredictor(kind).predict(pieces, some, np.array([200, 700]))
         assert alike.tolist() == [True, False], kind
 
 
-def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[Ground, np.ndarray]:
+def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[TexelGraph, np.ndarray]:
     """A square of surely known texels with a slope and a hole, and a piece by itself in the hole;
     and its true values."""
     rows, columns = np.divmod(np.arange(side**2), side)
@@ -113,12 +132,12 @@ def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[Ground, np.nd
     around = square(side)
     around = those_first(np.where(alone[around] == alone, around, np.arange(side**2)))
     values, deviation = np.where(hole, 0.5, true), np.where(hole, 0.3, 0.01)[None]
-    lanes = [owned(mi.UInt32, column.astype(np.uint32)) for column in around]
+    lanes = [to_drjit(mi.UInt32, column.astype(np.uint32)) for column in around]
     smoother = Smoother.of(1 / deviation**2, values, lanes, 3.0, 0.01)
     pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), connected(list(around)))
     squares = np.stack([rows, columns], axis=1)
     weights, ones = 1 / deviation**2, np.ones(side**2)
-    return Ground(values, weights, values, ~hole, ones, squares, pieces, smoother), true
+    return TexelGraph(values, weights, values, ~hole, ones, squares, pieces, smoother), true
 
 
 def round_hole(side: int, radius: float) -> np.ndarray:
@@ -127,74 +146,74 @@ def round_hole(side: int, radius: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("enough", [2**16, 1000])
-@pytest.mark.parametrize("title", FARTHER)
+@pytest.mark.parametrize("title", MEAN_WEIGHTS)
 def test_values_spread_to_the_middle_of_a_large_hole(monkeypatch, title: str, enough: int) -> None:
     """Of surely known texels with a slope: it goes on. Of a piece by itself nothing is known."""
-    monkeypatch.setattr(texel_hierarchy, "ENOUGH", enough)
+    monkeypatch.setattr(texel_hierarchy, "MOST_TEXELS", enough)
     hole, alone = round_hole(120, 0.7), round_hole(120, 0.1)
-    ground, true = sheet(120, hole, alone)
-    assert ground.many == (enough == 1000)
-    ((_, found),) = spreads(ground, {title})
-    np.testing.assert_array_equal(found[:, ~hole], ground.values[:, ~hole])
-    np.testing.assert_allclose(found[:, alone], true[:, ~hole].mean(), atol=1e-5)
-    off = (found - true)[:, hole & ~alone]
+    graph, true = sheet(120, hole, alone)
+    assert graph.is_large == (enough == 1000)
+    ((_, predicted),) = tv_predictions(graph, {title})
+    np.testing.assert_array_equal(predicted[:, ~hole], graph.values[:, ~hole])
+    np.testing.assert_allclose(predicted[:, alone], true[:, ~hole].mean(), atol=1e-5)
+    off = (predicted - true)[:, hole & ~alone]
     assert np.abs(off).max() < 0.04 and np.sqrt((off**2).mean()) < 0.01
 
 
 def test_groups_are_of_neighbours_that_are_all_known_or_none() -> None:
     hole, alone = round_hole(41, 0.7), round_hole(41, 0.3)
-    ground, _ = sheet(41, hole, alone)
-    groups, owner = ground.halved
-    assert len(owner) == ground.count and owner.max() + 1 == groups.count < 0.4 * ground.count
-    np.testing.assert_array_equal(groups.known[owner], ground.known)
-    np.testing.assert_array_equal(groups.square[owner], ground.square // 2)
+    graph, _ = sheet(41, hole, alone)
+    groups, owner = graph.halved
+    assert len(owner) == graph.count and owner.max() + 1 == groups.count < 0.4 * graph.count
+    np.testing.assert_array_equal(groups.known[owner], graph.known)
+    np.testing.assert_array_equal(groups.square[owner], graph.square // 2)
     np.testing.assert_array_equal(groups.size, np.bincount(owner))
     same = groups.pieces.piece[owner]
-    assert len(set(zip(same, ground.pieces.piece, strict=True))) == len(set(same))
+    assert len(set(zip(same, graph.pieces.piece, strict=True))) == len(set(same))
     for group in np.random.default_rng(0).integers(groups.count, size=50):
         texels = owner == group
         assert 1 <= texels.sum() <= 4
-        w, v = ground.weights[0, texels], ground.values[0, texels]
+        w, v = graph.weights[0, texels], graph.values[0, texels]
         assert groups.weights[0, group] == pytest.approx(w.sum())
         assert groups.values[0, group] == pytest.approx((w * v).sum() / w.sum())
         assert groups.single[0, group] in v
     # Groups are linked where texels are.
-    linked, expected = set(), set()
+    linked, wanted = set(), set()
     for column in groups.smoother.around:
         linked |= set(enumerate(np.array(column).tolist()))
-    for column in ground.smoother.around:
-        expected |= set(zip(owner.tolist(), owner[np.array(column)].tolist(), strict=True))
+    for column in graph.smoother.around:
+        wanted |= set(zip(owner.tolist(), owner[np.array(column)].tolist(), strict=True))
     own = {(group, group) for group in range(groups.count)}
-    assert linked - own == expected - own
+    assert linked - own == wanted - own
 
 
-@pytest.mark.parametrize("title", FARTHER)
+@pytest.mark.parametrize("title", MEAN_WEIGHTS)
 def test_over_groups_values_spread_as_far_as_over_texels(monkeypatch, title: str) -> None:
     """Guesses are tried on groups: they must be those that texels are filled by."""
     hole = round_hole(128, 0.8)
-    ground, _ = sheet(128, hole, np.zeros_like(hole))
-    ((_, fine),) = spreads(ground, {title})
-    groups, first = ground.halved
+    graph, _ = sheet(128, hole, np.zeros_like(hole))
+    ((_, fine),) = tv_predictions(graph, {title})
+    groups, first = graph.halved
     groups, second = groups.halved
-    assert groups.count < ground.count / 12
-    ((_, coarse),) = spreads(groups, {title})
+    assert groups.count < graph.count / 12
+    ((_, coarse),) = tv_predictions(groups, {title})
     # A group is as wide as a slope of .02, whose own deviation is .006.
     assert np.sqrt(((coarse[:, second[first]] - fine)[:, hole] ** 2).mean()) < 0.008
 
 
 def test_groups_are_no_help_where_known_texels_lie_here_and_there(monkeypatch) -> None:
-    monkeypatch.setattr(texel_hierarchy, "ENOUGH", 100)
+    monkeypatch.setattr(texel_hierarchy, "MOST_TEXELS", 100)
     hole = np.indices((40, 40)).sum(axis=0).ravel() % 2 > 0
-    ground, true = sheet(40, hole, np.zeros_like(hole))
-    assert not ground.many and ground.small is ground
-    for _, found in spreads(ground):
-        assert np.abs(found - true).max() < 0.02
+    graph, true = sheet(40, hole, np.zeros_like(hole))
+    assert not graph.is_large and graph.coarsest is graph
+    for _, predicted in tv_predictions(graph):
+        assert np.abs(predicted - true).max() < 0.02
 
 
-def judged_of(errors: np.ndarray) -> Judged:
+def judged_of(errors: np.ndarray) -> PredictorErrors:
     """Of one value in two parts: (P, G, w) errors."""
-    return Judged.of([Trial(e[:, None], np.full(e.shape[1], 1 / e.shape[1])) for e in errors],
-                     slice(0, 1))  # fmt: skip
+    trials = [HoldoutErrors(e[:, None], np.full(e.shape[1], 1 / e.shape[1])) for e in errors]
+    return PredictorErrors.of(trials, slice(0, 1))
 
 
 def test_what_is_filled_in_is_never_worse_than_spreading_where_it_was_tried() -> None:
@@ -205,10 +224,10 @@ def test_what_is_filled_in_is_never_worse_than_spreading_where_it_was_tried() ->
         judged = judged_of(errors)
         weights = judged.weights()
         assert sum(weights.values()) == pytest.approx(1) and min(weights.values()) >= 0
-        alone = judged.squares(dict(zip(TITLES, judged.spread.tolist(), strict=True)))
-        assert (judged.squares(weights) <= alone + 2 * UNSEEN**2).all()
-        none = judged.weights(most=0.0)
-        assert set(title for title, weight in none.items() if weight > 0) <= set(FARTHER)
+        alone = judged.squares(dict(zip(TITLES, judged.tv_weights.tolist(), strict=True)))
+        assert (judged.squares(weights) <= alone + 2 * TOLERANCE**2).all()
+        none = judged.weights(max_share=0.0)
+        assert set(title for title, weight in none.items() if weight > 0) <= set(MEAN_WEIGHTS)
 
 
 def test_the_better_a_guess_the_more_it_counts() -> None:
@@ -219,19 +238,21 @@ def test_the_better_a_guess_the_more_it_counts() -> None:
     order = sorted(weights, key=lambda title: -weights[title])
     assert order[:2] == ["turned about y", "near"]
     # Where spreading is right on one part, and all else is not, it stays.
-    errors[1, : len(FARTHER)] = 0.0
+    errors[1, : len(MEAN_WEIGHTS)] = 0.0
     assert judged_of(errors).share < 0.01
     errors[1] = 0.0  # all are
     assert judged_of(errors).share == 1.0
 
 
 def test_nothing_is_alike_where_nothing_is_near() -> None:
-    far = 3 * RULES["mirrored"].farthest
+    far = 3 * KNN_SETTINGS["mirrored"].farthest
     points = np.array([[0.5, 0, 0], [0.51, 0, 0], [-0.5, far, 0]], float)
     pieces = Pieces(points, np.zeros((3, 3)), np.zeros(3, np.int64))
     known = known_of(np.ones((1, 3)), np.array([0, 1]))
-    found, alike = Likeness("mirrored", (1.0, 0.0, 0.0)).guess(pieces, known, np.array([2]))
-    assert not alike.any() and np.isfinite(found).all()
+    predicted, alike = SymmetryPredictor("mirrored", (1.0, 0.0, 0.0)).predict(
+        pieces, known, np.array([2])
+    )
+    assert not alike.any() and np.isfinite(predicted).all()
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +260,7 @@ def banded(vase: SimpleNamespace) -> SimpleNamespace:
     """The vase painted in bands around its axis, known everywhere but on one side."""
     texels = vase.texels
     position = np.array(texels.position, np.float64).T
-    height = centred(position)[:, 1]
+    height = normalized_points(position)[:, 1]
     bands = 0.5 + 0.4 * np.sign(np.sin(40 * height))
     values = {
         name: np.tile((bands if name != "metallic" else 0 * bands + 0.1)[:, None], CHANNELS[name])
@@ -248,7 +269,7 @@ def banded(vase: SimpleNamespace) -> SimpleNamespace:
     textures = lay_out(texels, values)
     around = neighbors(texels, vase.capture.mesh)
     field = field_around(textures, vase.estimate, around)
-    hidden = centred(position)[:, 0] < -0.08
+    hidden = normalized_points(position)[:, 0] < -0.08
     return SimpleNamespace(field=field, hidden=hidden, values=values)
 
 
@@ -289,12 +310,12 @@ def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace) -> None:
 def test_what_all_texels_have_in_common_counts_once(banded: SimpleNamespace) -> None:
     """Of light that was found: what is not filled is as sure as before, and filling again."""
     field = replace(banded.field, scale=np.array([0.1, 0.2, 0.3]))
-    found = fill(field, ~banded.hidden)
-    np.testing.assert_allclose(found.field.width[:, ~banded.hidden],
+    result = fill(field, ~banded.hidden)
+    np.testing.assert_allclose(result.field.width[:, ~banded.hidden],
                                field.width[:, ~banded.hidden], rtol=1e-4)  # fmt: skip
-    assert (found.field.width >= field.width - 1e-6).all()
-    drawn = np.array([np.array(draw.base_color)[..., 2] for draw in found.field.draw(48)])
-    wide = field.texels.to_image(found.field.sd("base_color")[:, 2])
+    assert (result.field.width >= field.width - 1e-6).all()
+    drawn = np.array([np.array(draw.base_color)[..., 2] for draw in result.field.draw(48)])
+    wide = field.texels.to_image(result.field.sd("base_color")[:, 2])
     seen = field.texels.to_image(~banded.hidden, False)
     assert np.median(drawn.std(axis=0)[seen] / wide[seen]) == pytest.approx(1, abs=0.15)
 
@@ -303,25 +324,25 @@ def test_what_all_texels_have_in_common_counts_once(banded: SimpleNamespace) -> 
 def test_large_textures_are_judged_by_groups_of_texels(monkeypatch, banded) -> None:
     """What fills them is about the same, and so is how far off that is: of wide stripes."""
     field, hidden = banded.field, banded.hidden
-    _, y, z = centred(np.array(field.texels.position).T).T
+    _, y, z = normalized_points(np.array(field.texels.position).T).T
     stripes = (0.5 + 0.4 * np.sin(4 * y + 3 * np.abs(z)))[:, None]
     smooth = {name: np.repeat(stripes, count, axis=1) for name, count in CHANNELS.items()}
     field = replace(field, textures=lay_out(field.texels, smooth))
     whole = fill(field, ~hidden)
-    monkeypatch.setattr(texel_hierarchy, "ENOUGH", field.texels.count // 2)
-    found = fill(field, ~hidden)
+    monkeypatch.setattr(texel_hierarchy, "MOST_TEXELS", field.texels.count // 2)
+    filled = fill(field, ~hidden)
     for name in NAMES:
         # Other parts are hidden, of texels twice as large.
-        assert 0.5 < found.errors[name] / whole.errors[name] < 2
-        new, old = (each.field.values[field.rows(name)] for each in (found, whole))
+        assert 0.5 < filled.errors[name] / whole.errors[name] < 2
+        new, old = (each.field.values[field.rows(name)] for each in (filled, whole))
         off, before = (np.abs(x - smooth[name].T)[:, hidden].mean() for x in (new, old))
         assert off < 1.2 * before
         np.testing.assert_array_equal(new[:, ~hidden], old[:, ~hidden])
 
 
 def test_intervals_of_what_was_filled_are_honest(banded: SimpleNamespace) -> None:
-    found = fill(banded.field, ~banded.hidden)
-    low, high = found.field.interval("roughness")
+    filled = fill(banded.field, ~banded.hidden)
+    low, high = filled.field.interval("roughness")
     true = np.squeeze(banded.values["roughness"])
     assert ((low <= true) & (true <= high))[banded.hidden].mean() > 0.8
 
@@ -346,9 +367,9 @@ def test_one_texel_that_nobody_saw_is_filled(banded: SimpleNamespace) -> None:
 @pytest.mark.slow
 def test_standard_deviations_are_at_least_what_was_measured(banded: SimpleNamespace) -> None:
     """Of values that are clipped, too, where a normal distribution loses half of its width."""
-    found = fill(banded.field, ~banded.hidden)
+    filled = fill(banded.field, ~banded.hidden)
     for name in NAMES:
-        assert (found.field.sd(name)[banded.hidden] > 0.97 * found.errors[name]).all()
+        assert (filled.field.sd(name)[banded.hidden] > 0.97 * filled.errors[name]).all()
 
 
 def test_what_cannot_be_filled_is_said(banded: SimpleNamespace) -> None:
@@ -366,24 +387,24 @@ def test_what_cannot_be_filled_is_said(banded: SimpleNamespace) -> None:
 def test_of_a_flat_object_sides_are_hidden() -> None:
     """All of it faces one way, and what faces one way would be everything."""
     x, y = (side.ravel() for side in np.meshgrid(np.arange(20.0), np.arange(12.0)))
-    point = centred(np.stack([x, y, 0 * x], axis=1))
+    point = normalized_points(np.stack([x, y, 0 * x], axis=1))
     pieces = Pieces(point, np.tile([0.0, 0, 1], (len(point), 1)), np.zeros(len(point), np.int64))
     seen = x < 13
     none = np.zeros((1, len(point)))
-    parts = hidden_parts(Ground(none, none, none, seen, none[0], point[:, :2], pieces, None))
+    parts = holdout_masks(TexelGraph(none, none, none, seen, none[0], point[:, :2], pieces, None))
     assert len(parts) >= 2
     for part in parts:
         assert part.any() and not part[~seen].any() and (seen & ~part).any()
 
 
 def test_how_textures_were_recovered(tmp_path: Path) -> None:
-    assert settings_of(tmp_path) == {} and weights_of({}) == ShOptions()
+    assert recovery_settings(tmp_path) == {} and weights_of({}) == ShOptions()
     used = {"parameters": ["roughness"], "sh": {"loss": "statistics", "tv": 2, "tv_epsilon": 0.5}}
     (tmp_path / "run.json").write_text(json.dumps({"settings": {"used": used}}))
-    assert settings_of(tmp_path) == used
+    assert recovery_settings(tmp_path) == used
     assert weights_of(used) == ShOptions(tv=2, tv_epsilon=0.5)
     (tmp_path / "run.json").write_text("{")
-    assert settings_of(tmp_path) == {}
+    assert recovery_settings(tmp_path) == {}
 
 
 @pytest.mark.slow
@@ -394,13 +415,13 @@ def test_what_is_hardly_known_counts_as_much_as_it_is_sure(vase: SimpleNamespace
     )
     seen = recovery.coverage > 0
     limit = float(np.quantile(field.sds[:, seen].max(axis=0), 0.8))
-    found = fill(field, seen, above=limit)
-    filled = found.filled & seen
+    result = fill(field, seen, above=limit)
+    filled = result.filled & seen
     assert 0.1 < filled.sum() / seen.sum() < 0.3
-    np.testing.assert_array_equal(found.filled, ~seen | (field.sds > limit).any(axis=0))
+    np.testing.assert_array_equal(result.filled, ~seen | (field.sds > limit).any(axis=0))
     sure = fill(field, seen)
     np.testing.assert_array_equal(sure.filled, ~seen)
-    assert (found.field.width >= field.width - 1e-6).all()
+    assert (result.field.width >= field.width - 1e-6).all()
 
 
 @pytest.mark.slow

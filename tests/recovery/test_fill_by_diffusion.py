@@ -25,15 +25,15 @@ from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.inpaint.diffusion import load_weights
 from svu_mi.recovery.inpaint.diffusion.fill_by_diffusion import fill_by_diffusion
 from svu_mi.recovery.inpaint.diffusion.latent_diffusion import blend
-from svu_mi.recovery.inpaint.diffusion.load_weights import PARTS, require_model
+from svu_mi.recovery.inpaint.diffusion.load_weights import FOLDERS, require_model
 from svu_mi.recovery.inpaint.diffusion.model_interface import (
     FAMILIES,
     DiffusionOptions,
-    Picture,
+    ModelInput,
     family_of,
 )
-from svu_mi.recovery.inpaint.fill_result import SUREST, Filled
-from svu_mi.recovery.inpaint.texel_hierarchy import centred
+from svu_mi.recovery.inpaint.fill_result import LEAST_SD, Filled
+from svu_mi.recovery.inpaint.texel_hierarchy import normalized_points
 from svu_mi.recovery.relighting import relight
 from svu_mi.recovery.svbrdf_textures import lay_out, scene_textures
 from svu_mi.recovery.uncertainty.texture_field import field_around
@@ -84,8 +84,8 @@ def blended(free: int, predict: Callable[[Any, float], Any], steps: int = 50) ->
         return predict(latent, time)
 
     schedule = Ddim(steps)
-    found = blend(model, schedule, known, certain, noise, free)
-    return SimpleNamespace(found=found, known=known, noise=noise, given=given, schedule=schedule,
+    result = blend(model, schedule, known, certain, noise, free)
+    return SimpleNamespace(latent=result, known=known, noise=noise, given=given, schedule=schedule,
                            certain=np.broadcast_to(certain > 0, SHAPE))  # fmt: skip
 
 
@@ -101,7 +101,7 @@ def test_what_is_certain_is_put_back_after_every_step_but_the_last(free: int) ->
         a, s = Ddim.parts(times[number])
         right = np.abs(run.given[number] - (a * run.known + s * run.noise))[inside].max() < 1e-12
         assert right == (number <= back), number
-    kept = np.abs(run.found - run.known)[inside].max()
+    kept = np.abs(run.latent - run.known)[inside].max()
     assert kept == 0 if free == 0 else kept > 0.01
 
 
@@ -116,7 +116,7 @@ def test_elsewhere_the_model_has_its_way() -> None:
     for time in run.schedule.times:
         latent = run.schedule.step(latent, model(latent, time), time)
     outside = ~run.certain
-    np.testing.assert_allclose(run.found[outside], latent[outside], atol=1e-12)
+    np.testing.assert_allclose(run.latent[outside], latent[outside], atol=1e-12)
 
 
 class Truth:
@@ -126,23 +126,23 @@ class Truth:
 
     def __init__(self, object_: SimpleNamespace, always: float | None = None) -> None:
         self.object, self.always = object_, always
-        self.asked: list[tuple[Picture, int]] = []
+        self.asked: list[tuple[ModelInput, int]] = []
         self.steps: list[tuple[int, int]] = []
 
-    def invent(
-        self, picture: Picture, steps: int, free: int, seed: int, after_step: Callable[[], None]
+    def predict(
+        self, picture: ModelInput, steps: int, free: int, seed: int, after_step: Callable[[], None]
     ) -> dict[str, np.ndarray]:
         self.asked.append((picture, seed))
         self.steps.append((steps, free))
-        look, found = Look.of(alone(self.object.capture), picture.sensor), {}
+        look, maps = Look.of(alone(self.object.capture), picture.sensor), {}
         for name in NAMES:
             image = np.array(self.object.truth[name])
             shown = look.values(np.broadcast_to(image, (*image.shape[:2], 3)))
             shown = shown if CHANNELS[name] > 1 else shown[..., 0]
-            found[name] = shown if self.always is None else np.full_like(shown, self.always)
+            maps[name] = shown if self.always is None else np.full_like(shown, self.always)
         for _ in range(steps * self.runs):
             after_step()
-        return found
+        return maps
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def painted(vase: SimpleNamespace) -> SimpleNamespace:
     """The vase in its own textures, as if recovered, but for one side, which nobody saw."""
     truth = scene_textures(vase.capture, vase.texels)
     field = field_around(truth, vase.estimate, neighbors(vase.texels, vase.capture.mesh))
-    side = centred(np.array(vase.texels.position, np.float64).T)[:, 0]
+    side = normalized_points(np.array(vase.texels.position, np.float64).T)[:, 0]
     shown = np.array(vase.estimate.coverage > 0) & (side > -0.1)
     values = {name: np.where(shown, field.values[field.rows(name)], 0.5).T for name in NAMES}
     field = replace(field, textures=lay_out(vase.texels, values))
@@ -163,8 +163,10 @@ OPTIONS = DiffusionOptions(views=3, steps=4, free=1, side=96, seed=5)
 @pytest.fixture(scope="module")
 def by_truth(painted: SimpleNamespace) -> tuple[Filled, Truth]:
     model = Truth(painted)
-    found = fill_by_diffusion(painted.capture, painted.field, painted.shown, model, options=OPTIONS)
-    return found, model
+    filled = fill_by_diffusion(
+        painted.capture, painted.field, painted.shown, model, options=OPTIONS
+    )
+    return filled, model
 
 
 @pytest.mark.slow
@@ -196,7 +198,7 @@ def test_what_was_filled_is_never_surer_than_before(painted, by_truth) -> None:
 
 @pytest.mark.slow
 def test_a_model_is_given_what_is_known(painted, by_truth) -> None:
-    found, model = by_truth
+    filled, model = by_truth
     assert set(model.steps) == {(4, 1)}
     seeds = [seed for _, seed in model.asked]
     assert len(set(seeds)) == len(seeds) > 3
@@ -205,7 +207,7 @@ def test_a_model_is_given_what_is_known(painted, by_truth) -> None:
         assert picture.photograph.min() >= 0 and picture.photograph.max() == 1
         assert max(picture.certain.shape) == OPTIONS.side
     # The first of a task; what others are given holds what the model has said before.
-    for place in (0, -len(found.invented.answers[0].pictures)):
+    for place in (0, -len(filled.invented.answers[0].pictures)):
         picture = model.asked[place][0]
         look = Look.of(alone(painted.capture), picture.sensor)
         image = np.array(painted.truth.roughness)
@@ -218,8 +220,8 @@ def test_a_model_is_given_what_is_known(painted, by_truth) -> None:
 @pytest.mark.slow
 def test_what_is_hidden_to_try_is_not_known(by_truth) -> None:
     """Where likeness finds nothing, recovery's values stay, which here are the very truth."""
-    found, _ = by_truth
-    assert min(found.invented.answers[0].likeness.values()) > 0.01
+    filled, _ = by_truth
+    assert min(filled.invented.answers[0].likeness.values()) > 0.01
 
 
 @pytest.fixture(scope="module")
@@ -227,31 +229,31 @@ def by_quarter(painted: SimpleNamespace) -> tuple[Filled, Truth]:
     """By a model that says 0.25 of everything, of texels that are less sure than others, too."""
     limit = float(np.quantile(painted.field.sds[:, painted.shown].max(axis=0), 0.7))
     model = Truth(painted, always=0.25)
-    found = fill_by_diffusion(painted.capture, painted.field, painted.shown, model, limit, OPTIONS)
-    return found, model
+    filled = fill_by_diffusion(painted.capture, painted.field, painted.shown, model, limit, OPTIONS)
+    return filled, model
 
 
 @pytest.mark.slow
 def test_precisions_weigh_what_is_known_and_what_the_model_says(painted, by_quarter) -> None:
-    found, _ = by_quarter
+    filled, _ = by_quarter
     field, shown = painted.field, painted.shown
-    answers = {answer.source: answer for answer in found.invented.answers}
+    answers = {answer.source: answer for answer in filled.invented.answers}
     reached, unseen = (answers[source].reached for source in ("photographs", "renders"))
     assert reached.any() and not reached[~shown].any() and not unseen[shown].any()
     for name in NAMES:
         rows = field.rows(name)
-        off = max(answers["photographs"].errors[name], SUREST)
-        own = 1 / np.maximum(field.sds[rows][:, reached], SUREST) ** 2
+        off = max(answers["photographs"].errors[name], LEAST_SD)
+        own = 1 / np.maximum(field.sds[rows][:, reached], LEAST_SD) ** 2
         wanted = (own * field.values[rows][:, reached] + 0.25 / off**2) / (own + 1 / off**2)
-        np.testing.assert_allclose(found.field.values[rows][:, reached], wanted, atol=1e-4)
-        np.testing.assert_allclose(found.field.values[rows][:, unseen], 0.25, atol=1e-4)
-    assert (found.field.width >= field.width - 1e-6).all()
+        np.testing.assert_allclose(filled.field.values[rows][:, reached], wanted, atol=1e-4)
+        np.testing.assert_allclose(filled.field.values[rows][:, unseen], 0.25, atol=1e-4)
+    assert (filled.field.width >= field.width - 1e-6).all()
 
 
 @pytest.mark.slow
 def test_sentences_name_the_model_and_how_far_off_it_was(by_quarter) -> None:
-    found, _ = by_quarter
-    said = " ".join(fill_sentences(found))
+    filled, _ = by_quarter
+    said = " ".join(fill_sentences(filled))
     assert "by the truth; licence of its weights: none." in said
     assert "photograph" in said and "In 3 renders." in said and "likeness" in said
 
@@ -259,8 +261,8 @@ def test_sentences_name_the_model_and_how_far_off_it_was(by_quarter) -> None:
 @pytest.mark.slow
 def test_photographs_are_cut_to_the_object(painted, by_quarter) -> None:
     """What a model is shown of a photograph is what the sensor it is said to be from sees."""
-    found, model = by_quarter
-    answer = found.invented.answers[0]
+    filled, model = by_quarter
+    answer = filled.invented.answers[0]
     assert answer.source == "photographs"
     for picture, _ in model.asked[: len(answer.pictures)]:
         assert max(picture.certain.shape) <= 48
@@ -285,10 +287,10 @@ def test_a_window_of_a_sensor_sees_the_same(vase: SimpleNamespace) -> None:
     before, after = (np.array(each.sample_direction(place, mi.Point2f(0.5))[0].uv)
                      for each in (sensor, window))  # fmt: skip
     assert film_size(window) == (60, 45)
-    expected = (before - np.array([[7], [-3]])) * 1.75
-    inside = ((expected > 1) & (expected < np.array([[59], [44]]))).all(axis=0)
+    wanted = (before - np.array([[7], [-3]])) * 1.75
+    inside = ((wanted > 1) & (wanted < np.array([[59], [44]]))).all(axis=0)
     assert inside.sum() > 100
-    np.testing.assert_allclose(after[:, inside], expected[:, inside], atol=5e-3)
+    np.testing.assert_allclose(after[:, inside], wanted[:, inside], atol=5e-3)
 
 
 @pytest.mark.slow
@@ -309,8 +311,8 @@ def test_files_say_which_texels_are_the_models(painted, by_truth, tmp_path) -> N
 
 def test_nothing_to_fill_is_not_asked(painted) -> None:
     model, everything = Truth(painted), np.ones(painted.field.texels.count, bool)
-    found = fill_by_diffusion(painted.capture, painted.field, everything, model)
-    assert found.field is painted.field and found.invented is None and not model.asked
+    filled = fill_by_diffusion(painted.capture, painted.field, everything, model)
+    assert filled.field is painted.field and filled.invented is None and not model.asked
 
 
 @pytest.mark.parametrize("options", [
@@ -324,7 +326,7 @@ def test_options_are_checked(options: dict[str, Any]) -> None:
 
 def folder_of(path: Path, name: object = "MarigoldIntrinsicsPipeline", ext: str = "safetensors"):
     """A folder that looks like weights, without any."""
-    for part in PARTS:
+    for part in FOLDERS:
         (path / part).mkdir(parents=True)
         (path / part / f"model.{ext}").write_bytes(b"")
     (path / "model_index.json").write_text(json.dumps({"_class_name": name}))

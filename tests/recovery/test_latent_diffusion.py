@@ -18,9 +18,9 @@ from svu_mi.capture.image_io import decoded, srgb
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError
 from svu_mi.output.texture_files import read_textures
-from svu_mi.recovery.inpaint.diffusion.latent_diffusion import Model
+from svu_mi.recovery.inpaint.diffusion.latent_diffusion import LatentDiffusion
 from svu_mi.recovery.inpaint.diffusion.load_weights import load_model
-from svu_mi.recovery.inpaint.diffusion.model_interface import FAMILIES, Picture
+from svu_mi.recovery.inpaint.diffusion.model_interface import FAMILIES, ModelInput
 
 REASON = "the extra diffusion is not installed"
 torch = pytest.importorskip("torch", reason=REASON)
@@ -54,14 +54,14 @@ def recovered(shot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def picture(height: int = 45, width: int = 60) -> Picture:
+def picture(height: int = 45, width: int = 60) -> ModelInput:
     """Noise, of which the left half is certain."""
     random = np.random.default_rng(530619427)
     maps = {"base_color": random.random((height, width, 3)) * 0.2 + 0.4,
             "roughness": np.full((height, width), 0.3),
             "metallic": np.full((height, width), 0.8)}  # fmt: skip
     certain = np.broadcast_to(np.arange(width) < width // 2, (height, width))
-    return Picture(random.random((height, width, 3)), maps, certain, None)
+    return ModelInput(random.random((height, width, 3)), maps, certain, None)
 
 
 class Identity:
@@ -95,10 +95,11 @@ def test_models_are_given_what_their_pipelines_give_them(folders, name: str) -> 
     """Order of latents, texts, sRGB, times of the schedule; and what is certain comes back."""
     model = load_model(folders[name], "cpu")
     unet, family = Recording(), model.family
-    plain = Model(family, unet, Identity(), model.text_encoder, model.tokenizer, model.scheduler,
-                  "cpu")  # fmt: skip
+    plain = LatentDiffusion(
+        family, unet, Identity(), model.text_encoder, model.tokenizer, model.scheduler, "cpu"
+    )
     given, counted = picture(), []
-    found = plain.invent(given, 50, 0, 7, lambda: counted.append(1))
+    result = plain.predict(given, 50, 0, 7, lambda: counted.append(1))
     assert len(unet.given) == len(counted) == 50 * model.runs
     latents, _, told = unet.given[0]
     maps = len(family.runs[0].maps)
@@ -113,17 +114,17 @@ def test_models_are_given_what_their_pipelines_give_them(folders, name: str) -> 
     first = given.maps["base_color"][:44, :30]
     first = first if name == RGBX else srgb(first)
     means = first.reshape(22, 2, 15, 2, 3).mean(axis=(1, 3)).repeat(2, 0).repeat(2, 1)
-    got = found["base_color"][:44, :30]
+    got = result["base_color"][:44, :30]
     np.testing.assert_allclose(got if name == RGBX else srgb(got), means, atol=1e-3)
-    np.testing.assert_allclose(found["roughness"][:, :30], 0.3, atol=1e-3)
-    np.testing.assert_allclose(found["metallic"][:, :30], 0.8, atol=1e-3)
-    assert np.abs(found["roughness"][:, 30:] - 0.3).max() > 0.05
+    np.testing.assert_allclose(result["roughness"][:, :30], 0.3, atol=1e-3)
+    np.testing.assert_allclose(result["metallic"][:, :30], 0.8, atol=1e-3)
+    assert np.abs(result["roughness"][:, 30:] - 0.3).max() > 0.05
 
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_the_same_seed_gives_the_same_maps(folders, name: str) -> None:
     model = load_model(folders[name], "cpu")
-    first, again, other = (model.invent(picture(), 6, 2, seed) for seed in (3, 3, 4))
+    first, again, other = (model.predict(picture(), 6, 2, seed) for seed in (3, 3, 4))
     for key, values in first.items():
         assert values.shape == picture().maps[key].shape
         assert np.isfinite(values).all() and values.min() >= 0 and values.max() <= 1
@@ -172,7 +173,7 @@ def test_a_run_that_is_interrupted_leaves_the_older_result(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Model, "invent", interrupted)
+    monkeypatch.setattr(LatentDiffusion, "predict", interrupted)
     words = "inpaint", shot, "--recovered", recovered, "--model", folders[MARIGOLD]
     assert run(*words, "--side", 32, "-o", out) == 130
     assert contents(out) == before and "run.json" in before
@@ -218,7 +219,7 @@ def test_where_nothing_is_certain_it_is_the_pipeline_of_diffusers(folders) -> No
 
     model = load_model(folders[MARIGOLD], "cpu")
     given = replace(picture(44, 60), certain=np.zeros((44, 60), bool))
-    found = model.invent(given, 7, 2, 19)
+    result = model.predict(given, 7, 2, 19)
     pipeline = MarigoldIntrinsicsPipeline(
         model.unet, model.vae, model.scheduler, model.text_encoder, model.tokenizer,
         prediction_type="intrinsics", default_denoising_steps=7, default_processing_resolution=0,
@@ -228,6 +229,6 @@ def test_where_nothing_is_certain_it_is_the_pipeline_of_diffusers(folders) -> No
     noise = torch.randn((1, 8, 11, 15), generator=torch.Generator("cpu").manual_seed(19))
     shown = torch.from_numpy(srgb(given.photograph).astype(np.float32)).permute(2, 0, 1)[None]
     albedo, material = pipeline(shown, latents=noise, output_type="np").prediction
-    np.testing.assert_allclose(found["base_color"], decoded(albedo), atol=1e-4)
-    np.testing.assert_allclose(found["roughness"], material[..., 0], atol=1e-4)
-    np.testing.assert_allclose(found["metallic"], material[..., 1], atol=1e-4)
+    np.testing.assert_allclose(result["base_color"], decoded(albedo), atol=1e-4)
+    np.testing.assert_allclose(result["roughness"], material[..., 0], atol=1e-4)
+    np.testing.assert_allclose(result["metallic"], material[..., 1], atol=1e-4)

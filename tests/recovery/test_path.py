@@ -13,7 +13,7 @@ from support.helpers import ball_scene, memory_capture, render_ball
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.replace_material import is_same, repaint
 from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sensors
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.texels import texels as lay_texels
@@ -58,7 +58,7 @@ def options(**changes):
 
 def tensor(values):
     values = np.asarray(values, np.float32)
-    return mi.TensorXf(owned(mi.Float, values.ravel()), shape=values.shape)
+    return mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
 
 
 def textures_of(grid, base_color=(0.6, 0.4, 0.2), roughness=0.4, metallic=0.3):

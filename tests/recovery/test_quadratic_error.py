@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.helpers import as_values
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.recovery.sh.likelihood import Likelihood
 from svu_mi.recovery.sh.quadratic_error import energy
 from svu_mi.reflection.lobes import dielectric_albedo, dielectric_fresnel, split_sum
@@ -110,14 +110,14 @@ def test_loss_hands_derivatives_to_textures() -> None:
     factors, entries = factors_of(found), upper(found)
     place = np.random.default_rng(5).permutation(12)[:TEXELS]  # of 3 x 4 texels
     variance = np.linspace(0.5, 2, TEXELS)
-    weight = owned(mi.Float, 1 / (2 * variance))
-    loss = Likelihood(factors, owned(mi.UInt32, place), weight)
+    weight = to_drjit(mi.Float, 1 / (2 * variance))
+    loss = Likelihood(factors, to_drjit(mi.UInt32, place), weight)
     images = {name: np.full((3 * 4, n), 0.5, np.float32)
               for name, n in (("base_color", 3), ("roughness", 1), ("metallic", 1))}  # fmt: skip
     images["base_color"][place] = values[:3].T
     images["roughness"][place, 0], images["metallic"][place, 0] = values[3], values[4]
     textures: dict[str, Any] = {
-        name: mi.TensorXf(owned(mi.Float, image.ravel()), shape=(3, 4, image.shape[1]))
+        name: mi.TensorXf(to_drjit(mi.Float, image.ravel()), shape=(3, 4, image.shape[1]))
         for name, image in images.items()
     }
     dr.enable_grad(textures)

@@ -14,7 +14,7 @@ from geometry.test_neighbors import links, quad, together
 from support.helpers import ball
 
 from svu_mi.capture.mesh import make
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.geometry.texels import Texels, texels
@@ -45,7 +45,7 @@ def a_texture(seed: int, channels: int | None = 3, resolution=RESOLUTION) -> np.
 
 def differentiated(regularizer: Any, values: np.ndarray) -> tuple[float, np.ndarray]:
     """Loss and gradient, as a caller's own loop gets them."""
-    texture = mi.TensorXf(owned(mi.Float, values.ravel()), shape=values.shape)
+    texture = mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
     dr.enable_grad(texture)
     loss = regularizer(texture)
     dr.backward(3 * loss)
@@ -198,9 +198,9 @@ def test_forward_derivatives_agree_with_backward_ones(kind):
     values = a_texture(70071)
     way = np.random.default_rng(5).normal(size=values.shape).astype(np.float32)
     _, gradient = differentiated(regularizer, values)
-    texture = mi.TensorXf(owned(mi.Float, values.ravel()), shape=values.shape)
+    texture = mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
     dr.enable_grad(texture)
-    dr.set_grad(texture, mi.TensorXf(owned(mi.Float, way.ravel()), shape=way.shape))
+    dr.set_grad(texture, mi.TensorXf(to_drjit(mi.Float, way.ravel()), shape=way.shape))
     slope = float(dr.forward_to(regularizer(texture))[0])
     assert slope == pytest.approx((gradient * way).sum(), abs=1e-5 * np.abs(gradient * way).sum())
 
@@ -243,7 +243,7 @@ def an_estimate(energies: np.ndarray, observed: np.ndarray, where: Texels) -> Es
     posterior = tabulated_posterior(energies, GRID, observed)
     return Estimate(
         method="angular", preset=preset("default", method="angular"), texels=where,
-        posterior=posterior, coverage=owned(mi.UInt32, observed.astype(np.uint32)),
+        posterior=posterior, coverage=to_drjit(mi.UInt32, observed.astype(np.uint32)),
         seen_per_view=np.array([int(observed.sum())]), skipped={},
     )  # fmt: skip
 

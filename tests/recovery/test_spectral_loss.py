@@ -13,7 +13,7 @@ from support.helpers import render_ball
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.spectra import fit_coefficients, fit_spectra
 from svu_mi.geometry.sample_view import TexelLanes
@@ -25,10 +25,10 @@ from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.recovery.sh.angular_l1_loss import angular_objective
 from svu_mi.recovery.sh.spectral_loss import spectral_objective
-from svu_mi.reflection.lobes import dielectric_albedo, profile_of, split_sum
-from svu_mi.reflection.mix_columns import radiance
+from svu_mi.reflection.lobes import dielectric_albedo, lobe_profile, split_sum
+from svu_mi.reflection.mix_columns import mixed_radiance
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.render_model import continuous, shade
+from svu_mi.reflection.render_model import prefiltered_model, shade
 
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 TRUTH = {"base_color": [0.7, 0.4, 0.2], "roughness": [0.45], "metallic": [0.6]}
@@ -60,7 +60,7 @@ def random_textures(seed=9213):
     rng = np.random.default_rng(seed)
     return {
         name: mi.TensorXf(
-            owned(mi.Float, rng.uniform(0.1, 0.9, SIZE * SIZE * CHANNELS[name])),
+            to_drjit(mi.Float, rng.uniform(0.1, 0.9, SIZE * SIZE * CHANNELS[name])),
             shape=(SIZE, SIZE, CHANNELS[name]),
         )
         for name in NAMES
@@ -90,7 +90,7 @@ def backward(objective, textures, step=0):
 def tables(lighting, name, levels=LEVELS):
     """Light grids and albedo of the levels, float64."""
     alpha = alpha_from_roughness(np.linspace(0, 1, levels))
-    profile = profile_of("gaussian" if name == "gaussian" else "ggx")
+    profile = lobe_profile("gaussian" if name == "gaussian" else "ggx")
     found = filter_light(lighting, alpha.tolist(), profile)
     grids = [np.array(texture.tensor(), np.float64) for texture in found.textures]
     pair, exact = split_sum(alpha), dielectric_albedo(alpha)
@@ -114,7 +114,7 @@ def part(mirror, alpha):
 def test_the_model_is_that_of_float64(observed, name, hidden):
     """All four columns for random views and roughness, and radiance's derivative."""
     surface, lighting = TexelLanes.of(observed.texels), observed.lighting
-    model = continuous(lighting, angular(name), LEVELS)
+    model = prefiltered_model(lighting, angular(name), LEVELS)
     moments = moment_map(lighting.environment).in_world(surface.normal)
     rng = np.random.default_rng(4410)
     normal = surface.normal.numpy().T.astype(np.float64)
@@ -134,9 +134,9 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
             visible=(lambda mirror, alpha: part(mirror.T, alpha)) if hidden else None,
         )  # fmt: skip
 
-    lanes = [owned(kind, x.T.astype(np.float32)) for kind, x in
+    lanes = [to_drjit(kind, x.T.astype(np.float32)) for kind, x in
              ((mi.Normal3f, normal), (mi.Vector3f, direction))]  # fmt: skip
-    rough = owned(mi.Float, roughness.astype(np.float32))
+    rough = to_drjit(mi.Float, roughness.astype(np.float32))
     dr.enable_grad(rough)
     parts = shade(model, rough, *lanes, moments, visible=part if hidden else None)
     for ours, theirs in zip(zip(*parts, strict=True), exact(roughness), strict=True):
@@ -145,7 +145,7 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
             value = dr.detach(ours[c]).numpy()
             np.testing.assert_allclose(value, theirs[:, c], rtol=1e-4, atol=2e-4 * theirs.max())
     color, metallic = [0.3, 0.6, 0.9], 0.4
-    green = radiance(parts, color, [mi.Float(metallic)])[1]
+    green = mixed_radiance(parts, color, [mi.Float(metallic)])[1]
     dr.forward(rough)
     step = 1e-6  # a kink is at every level
     every = np.full(len(normal), metallic)
@@ -169,7 +169,7 @@ def test_moments_by_normal_are_sums_over_the_light(observed):
     normal = rng.normal(size=(20, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     world = normal @ environment.to_local  # rows: local to world
-    moments = moment_map(environment).at(owned(mi.Normal3f, world.T.astype(np.float32)))
+    moments = moment_map(environment).at(to_drjit(mi.Normal3f, world.T.astype(np.float32)))
     for k, n in enumerate(normal):
         cosine = np.maximum(local @ n, 0)
         for power, first in ((0, 0), (5, 4)):

@@ -13,7 +13,7 @@ from recovery.test_quadratic_error import TEXELS, columns, exact, factors_of, pa
 from support.helpers import as_values
 
 import svu_mi as svu
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recover import recover
@@ -60,7 +60,7 @@ def made(fields: int = 2, seed: int = 5) -> tuple[Smoother, np.ndarray]:
                     matrix[field, i, i] += weight
                     matrix[field, i, j] -= weight
         matrix[field] += np.diag(precision[field])
-    around = [owned(mi.UInt32, column.astype(np.uint32)) for column in table]
+    around = [to_drjit(mi.UInt32, column.astype(np.uint32)) for column in table]
     return Smoother.of(precision, values, around, 3.0, EPSILON), matrix
 
 
@@ -88,7 +88,7 @@ def test_from_coarse_to_fine_the_same_is_found_sooner(monkeypatch, few: int) -> 
     squares = np.stack(np.divmod(np.arange(side * side), side), axis=1)
     values = np.stack([np.sin(squares @ (0.1, 0.2)), squares[:, 0] > 20])
     known = np.random.default_rng(2).random((2, side * side)) < 0.01
-    around = [owned(mi.UInt32, column.astype(np.uint32)) for column in square(side)]
+    around = [to_drjit(mi.UInt32, column.astype(np.uint32)) for column in square(side)]
     smoother = Smoother.of(np.where(known, 100, 1e-2), values, around, 1.0, EPSILON)
     right = np.where(known, 100 * values, 0)
     found, fine = Nested.of(smoother, squares).solve(right), sizes.count(side * side)
@@ -150,7 +150,7 @@ def test_waves_are_a_field_of_their_correlation() -> None:
     place[0] = np.array([0, 0.3, 0.8, 1.5, 4])
     random, found = np.random.default_rng(2), []
     for _ in range(400):
-        found.append(np.array(waves(3, owned(mi.Point3f, place), random)))
+        found.append(np.array(waves(3, to_drjit(mi.Point3f, place), random)))
     values = np.concatenate(found)  # (1200, 5)
     wanted = np.exp(-0.5 * (place[0] - place[0][:, None]) ** 2)
     np.testing.assert_allclose(values.T @ values / len(values), wanted, atol=0.1)

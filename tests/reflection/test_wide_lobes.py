@@ -10,12 +10,12 @@ from oracle import angular as oracle
 from support.helpers import ball
 
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.light.environment import Environment, read_environment
-from svu_mi.light.light_tree import Cells, light_cells
-from svu_mi.light.light_visibility import Reach, trace_reach
+from svu_mi.light.light_tree import LightCells, build_light_tree
+from svu_mi.light.light_visibility import LightVisibility, trace_light_visibility
 from svu_mi.reflection import wide_lobes
 from svu_mi.reflection.wide_lobes import WideLobes
 
@@ -56,7 +56,7 @@ def views_of(grid: Texels, spread: float = 0.8) -> tuple[np.ndarray, np.ndarray]
 
 
 def found_by(
-    reach: Reach,
+    visibility: LightVisibility,
     surface: TexelLanes,
     view: np.ndarray,
     channels: int = 3,
@@ -65,15 +65,15 @@ def found_by(
     """(K, 3, C, T) p, q and d."""
     normal = surface.normal.numpy().T
     cosine = (view * normal / np.linalg.norm(normal, axis=1, keepdims=True)).sum(axis=1)
-    lobes = WideLobes(reach, alpha, channels).reflect(
-        surface.lane, mi.Vector3f(surface.normal), owned(mi.Vector3f, view.T),
-        owned(mi.Float, cosine),
+    lobes = WideLobes(visibility, alpha, channels).reflect(
+        surface.lane, mi.Vector3f(surface.normal), to_drjit(mi.Vector3f, view.T),
+        to_drjit(mi.Float, cosine),
     )  # fmt: skip
     values = np.array([[[x.numpy() for x in color] for color in lobe] for lobe in lobes])
     return np.moveaxis(values, 1, 2)
 
 
-def table(cells: Cells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def table(cells: LightCells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions, flux in colour, and radii, float64."""
     toward = cells.toward.numpy().reshape(-1, 4).astype(np.float64)
     return toward[:, :3], cells.flux.numpy().reshape(-1, 4)[:, :3].astype(np.float64), toward[:, 3]
@@ -86,7 +86,7 @@ def seen_by(bits: object, numbers: int, lanes: int) -> np.ndarray:
 
 
 def direct(
-    cells: Cells, seen: np.ndarray, normal: np.ndarray, view: np.ndarray, disks: bool = True
+    cells: LightCells, seen: np.ndarray, normal: np.ndarray, view: np.ndarray, disks: bool = True
 ) -> np.ndarray:
     """(K, 3, C, T): the sum over the cells that each texel sees, one by one, float64."""
     toward, flux, radius = table(cells)
@@ -116,12 +116,14 @@ def test_what_is_not_refined_is_the_sum_over_visible_cells(
     monkeypatch.setattr(wide_lobes, "LARGE", 1e30)
     scene, grid = surroundings()
     surface = TexelLanes.of(grid)
-    reach = trace_reach(scene, surface, light_cells(environment(spotted()), count, 512))
+    visibility = trace_light_visibility(
+        scene, surface, build_light_tree(environment(spotted()), count, 512)
+    )
     normal, view = views_of(grid)
-    seen = seen_by(reach.coarse, count, grid.count)
+    seen = seen_by(visibility.coarse, count, grid.count)
     assert 0.05 < seen.mean() < 0.5
-    exact = direct(reach.cells.coarse, seen, normal, view)
-    ours = found_by(reach, surface, view)
+    exact = direct(visibility.tree.coarse, seen, normal, view)
+    ours = found_by(visibility, surface, view)
     # Cosines in single precision: relative, those of grazing directions are worse.
     size = exact.max(axis=3, keepdims=True)
     np.testing.assert_allclose(ours[1:], exact[1:], rtol=1e-4, atol=1e-5 * float(size[1:].max()))
@@ -134,11 +136,13 @@ def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.Monke
     monkeypatch.setattr(wide_lobes, "LARGE", 0.0)
     scene, grid = surroundings()
     surface = TexelLanes.of(grid)
-    reach = trace_reach(scene, surface, light_cells(environment(spotted()), 64, 512))
+    visibility = trace_light_visibility(
+        scene, surface, build_light_tree(environment(spotted()), 64, 512)
+    )
     normal, view = views_of(grid)
-    leaves = below(reach.cells.first_leaf, seen_by(reach.fine, 512, grid.count))
-    exact = direct(reach.cells.leaves, leaves, normal, view)
-    ours = found_by(reach, surface, view)
+    leaves = below(visibility.tree.first_leaf, seen_by(visibility.fine, 512, grid.count))
+    exact = direct(visibility.tree.leaves, leaves, normal, view)
+    ours = found_by(visibility, surface, view)
     # A cell whose disk lies below the horizon is left out with its leaves.
     np.testing.assert_allclose(ours[1:], exact[1:], rtol=2e-3, atol=1e-4 * float(exact[1:].max()))
 
@@ -152,12 +156,14 @@ def test_at_all_widths_it_is_the_quadrature_over_leaves(name: str) -> None:
         image[15:20, 38:40] = (20, 18, 16)
     scene, grid = surroundings()
     surface = TexelLanes.of(grid)
-    reach = trace_reach(scene, surface, light_cells(environment(image), 128, 1024))
+    visibility = trace_light_visibility(
+        scene, surface, build_light_tree(environment(image), 128, 1024)
+    )
     normal, view = views_of(grid)
-    leaves = below(reach.cells.first_leaf, seen_by(reach.fine, 1024, grid.count))
-    ours = found_by(reach, surface, view)
+    leaves = below(visibility.tree.first_leaf, seen_by(visibility.fine, 1024, grid.count))
+    ours = found_by(visibility, surface, view)
     plain, blurred = (
-        direct(reach.cells.leaves, leaves, normal, view, disks=disks) for disks in (False, True)
+        direct(visibility.tree.leaves, leaves, normal, view, disks=disks) for disks in (False, True)
     )
     for k, alpha in enumerate(ALPHA):
         # Leaves are 0.06 apart: no quadrature for the narrowest lobe, unless they have an extent.
@@ -175,9 +181,11 @@ def test_at_all_widths_it_is_the_quadrature_over_leaves(name: str) -> None:
 def test_one_channel_is_the_mean_of_three() -> None:
     scene, grid = surroundings()
     surface = TexelLanes.of(grid)
-    reach = trace_reach(scene, surface, light_cells(environment(spotted()), 64, 512))
+    visibility = trace_light_visibility(
+        scene, surface, build_light_tree(environment(spotted()), 64, 512)
+    )
     _, view = views_of(grid)
-    three, one = (found_by(reach, surface, view, channels) for channels in (3, 1))
+    three, one = (found_by(visibility, surface, view, channels) for channels in (3, 1))
     np.testing.assert_allclose(one[:, :, 0], three.mean(axis=2), rtol=1e-5, atol=1e-7)
 
 
@@ -192,19 +200,21 @@ def test_a_rough_metal_under_a_sun_is_what_mitsuba_renders() -> None:
     scene = mi.load_dict({"type": "scene", "ball": mesh, "light": emitter}, optimize=False)
     grid = texels(mesh, (24, 12))
     surface = TexelLanes.of(grid)
-    reach = trace_reach(scene, surface, light_cells(read_environment(emitter), 64, 256))
+    visibility = trace_light_visibility(
+        scene, surface, build_light_tree(read_environment(emitter), 64, 256)
+    )
     camera = np.array([1.5, 2.5, 3.0])
     to_camera = camera - np.array(grid.position, np.float64).T
     view = to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
     cosine = (view * np.array(grid.normal, np.float64).T).sum(axis=1)
     seen = np.flatnonzero(cosine > 0.15)
-    (metal,) = WideLobes(reach, np.array([0.36]), 3).reflect(
-        surface.lane, mi.Vector3f(surface.normal), owned(mi.Vector3f, view.T),
-        owned(mi.Float, np.maximum(cosine, 1e-3)),
+    (metal,) = WideLobes(visibility, np.array([0.36]), 3).reflect(
+        surface.lane, mi.Vector3f(surface.normal), to_drjit(mi.Vector3f, view.T),
+        to_drjit(mi.Float, np.maximum(cosine, 1e-3)),
     )  # fmt: skip
     model = np.mean([0.8 * np.array(p) + np.array(q) for p, q, _ in metal], axis=0)[seen]
     origin = mi.Point3f(*(np.full(len(seen), x, np.float32) for x in camera))
-    rays = mi.RayDifferential3f(mi.Ray3f(origin, owned(mi.Vector3f, -view[seen].T)))
+    rays = mi.RayDifferential3f(mi.Ray3f(origin, to_drjit(mi.Vector3f, -view[seen].T)))
     integrator, total = mi.load_dict({"type": "path", "max_depth": 2}), np.zeros(len(seen))
     sampler = mi.load_dict({"type": "independent"})
     for seed in range(256):

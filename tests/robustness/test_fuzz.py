@@ -21,7 +21,7 @@ from support import fuzz_formats
 
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.image_io import open_picture, read_planes
-from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.errors import CaptureError, MeshError
@@ -122,7 +122,7 @@ def test_a_small_mesh_file_cannot_place_a_part_without_end(tmp_path):
         sizes = 20 + len(body) + len(rest), len(body)
         head = struct.pack("<4sIII4s", b"glTF", 2, *sizes, b"JSON")
         with pytest.raises(MeshError, match=reason):
-            read_geometry(written(tmp_path / "copies.glb", head + body + rest))
+            read_textured_mesh(written(tmp_path / "copies.glb", head + body + rest))
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/hostname", "C:\\secret.png"])
@@ -133,20 +133,20 @@ def test_textures_outside_the_folder_of_a_mesh_are_refused(tmp_path, name):
     path = tmp_path / "in" / "mesh.gltf"
     path.write_text(path.read_text().replace('"texture.png"', json.dumps(name)))
     with pytest.raises(MeshError, match="lies outside"):
-        read_geometry(path)
+        read_textured_mesh(path)
 
 
 def test_textures_that_are_no_file_are_told(tmp_path):
     fuzz_formats.write_mesh(tmp_path, "mesh.gltf", painted=True)
     (tmp_path / "texture.png").unlink()
     os.mkfifo(tmp_path / "texture.png")  # reading it would wait for ever
-    about_normals, note = read_geometry(tmp_path / "mesh.gltf").notes
+    about_normals, note = read_textured_mesh(tmp_path / "mesh.gltf").notes
     assert about_normals.endswith("kept sharp.")
     assert note == f"{tmp_path / 'mesh.gltf'}: refers to texture.png, which does not exist."
     (tmp_path / "texture.png").unlink()
     (tmp_path / "texture.png").write_text("<html>not found</html>")
     with pytest.raises(MeshError, match="cannot identify image file"):
-        read_geometry(tmp_path / "mesh.gltf")
+        read_textured_mesh(tmp_path / "mesh.gltf")
 
 
 def test_a_sliver_is_unwrapped_at_once(tmp_path):

@@ -25,7 +25,7 @@ from svu_mi.errors import CaptureError
 from svu_mi.output import style
 from svu_mi.output.export.asset import Asset
 from svu_mi.output.export.write_asset import export_asset
-from svu_mi.output.guidance_page import _short
+from svu_mi.output.guidance_page import _short_name
 from svu_mi.output.html import write_page
 from svu_mi.output.write_guidance import write_sensors
 from svu_mi.recovery.svbrdf_textures import Textures
@@ -128,8 +128,8 @@ def test_photographs_of_any_name_are_listed_once(name, tmp_path):
 def test_pictures_have_any_name_for_a_title(name, tmp_path):
     """matplotlib takes what stands between two $ for a formula, and raises where it is none."""
     figure = style.new_figure(4, 1)
-    style.heading(figure, _short(name) + " $", [_short(name), "$\\frac$"])
-    style.title(figure.add_subplot(), _short(name) + "$\\nonsense$")
+    style.heading(figure, _short_name(name) + " $", [_short_name(name), "$\\frac$"])
+    style.title(figure.add_subplot(), _short_name(name) + "$\\nonsense$")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a glyph that the font lacks
         style.save_figure(figure, tmp_path / "a.png")

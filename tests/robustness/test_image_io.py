@@ -13,7 +13,7 @@ from PIL import Image
 from support.helpers import render_ball, sensor_xml, write_scene
 
 from svu_mi.capture.image_io import decoded, open_picture, read_planes
-from svu_mi.capture.importers.convert_photographs import about, convert
+from svu_mi.capture.importers.convert_photographs import convert_photograph, photograph_notes
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.source import Frame, Light
 from svu_mi.capture.loading import load_capture
@@ -90,8 +90,8 @@ def test_foreign_chromaticities_are_said(given, said, scene):
     notes = notes_of(scene)
     assert len(notes) == said
     assert all("view_0000.exr: its chromaticities are not those of Rec. 709" in n for n in notes)
-    found = convert(frame(path), scene.parent / "out.exr", (1, 1))
-    notes = about([frame(path)], [found])
+    found = convert_photograph(frame(path), scene.parent / "out.exr", (1, 1))
+    notes = photograph_notes([frame(path)], [found])
     assert sum("have chromaticities other" in note for note in notes) == said
     light = write_channels(scene.parent / "light.exr", "RGB", given, colors(8, 16))
     notes = read_environment_map(Light(path=light, to_world=np.eye(3)))[2]
@@ -133,12 +133,12 @@ def test_what_counts_as_clipped_goes_by_the_bits(bits, tmp_path):
         write_16_bits(path, values)
     else:
         Image.fromarray(values.astype(np.uint8)).save(path)
-    found = convert(frame(path), tmp_path / "a.exr", (1, 1))
+    found = convert_photograph(frame(path), tmp_path / "a.exr", (1, 1))
     assert found.bits == bits and found.saturated == (SIZE[1] if bits == 8 else 0)
     written = read_exr(tmp_path / "a.exr")["R"]
     wanted, kept = decoded(values[1:, :, 0] / most), 1e-3 if bits == 8 else 1e-6  # half floats
     np.testing.assert_allclose(written[1:], wanted, rtol=kept)
-    (note, *_) = about([frame(path)], [found])
+    (note, *_) = photograph_notes([frame(path)], [found])
     assert f"are not HDR: of {bits} bits, decoded as srgb, " in note
 
 

@@ -13,7 +13,7 @@ from support.helpers import as_values
 from support.walled import ROUGHNESS, SIZE, Samples, angular, noise_capture, seen_in, walled_ball
 
 import svu_mi as svu
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.observations import observe
 from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, Factors
@@ -393,7 +393,7 @@ def test_products_and_some_of_the_texels():
     np.testing.assert_array_equal(some.texel.numpy(), chosen)
     np.testing.assert_array_equal(some.views.numpy(), statistics.views.numpy()[chosen])
     np.testing.assert_array_equal(
-        factors.at(owned(mi.UInt32, chosen)).weight.numpy(), some.at().weight.numpy()
+        factors.at(to_drjit(mi.UInt32, chosen)).weight.numpy(), some.at().weight.numpy()
     )
 
 

@@ -17,11 +17,11 @@ from svu_mi.calibration.exposure import equalized
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.content_hash import capture_key, photographs_key
 from svu_mi.capture.image_io import decoded, quantized, srgb
-from svu_mi.capture.importers.camera_response import Response, steps
+from svu_mi.capture.importers.camera_response import CameraResponse, quantization_steps
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.quantization import Rounding, variance
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 from svu_mi.posterior.observations import observe
 from svu_mi.statistics.gather_statistics import Weighting
@@ -36,9 +36,11 @@ def in_steps(capture: svu.Capture, exposure: float) -> svu.Capture:
         decoded(quantized(srgb(np.clip(np.nan_to_num(image) * exposure, 0, 1))) / 255) / exposure
         for image in capture.images
     ]
-    steps = (Rounding.of(8).divided(exposure),) * capture.count
+    rounding = (Rounding.of(8).divided(exposure),) * capture.count
     return replace(
-        capture, images=tuple(np.ascontiguousarray(x, np.float32) for x in images), rounding=steps
+        capture,
+        images=tuple(np.ascontiguousarray(x, np.float32) for x in images),
+        rounding=rounding,
     )
 
 
@@ -59,7 +61,7 @@ def test_steps_are_those_between_codes(bits, transfer):
 
 
 def owned_floats(values):
-    return owned(mi.Float, values.astype(np.float32))
+    return to_drjit(mi.Float, values.astype(np.float32))
 
 
 def test_a_gain_makes_radiance_and_steps_smaller():
@@ -113,12 +115,16 @@ def test_steps_of_a_measured_curve_are_those_of_its_codes():
     codes = np.arange(256, dtype=np.float32) / 255
     curve = np.minimum(decoded(codes) / decoded(codes)[250], 1).astype(np.float64)
     curve[:3] = 0  # black up to the code 2, white from the code 250 on
-    response = Response(name="curve", codes=codes, values=np.repeat(curve[:, None], 3, axis=1))
-    first, slope = steps(response, 8)
+    response = CameraResponse(
+        name="curve", codes=codes, values=np.repeat(curve[:, None], 3, axis=1)
+    )
+    first, slope = quantization_steps(response, 8)
     assert first == pytest.approx(curve[3], rel=1e-3)
     usual = Rounding.of(8)
     assert slope == pytest.approx(float(usual.slope[0]), rel=0.3)
-    assert steps("srgb", 8) == pytest.approx((float(usual.first[0]), float(usual.slope[0])))
+    assert quantization_steps("srgb", 8) == pytest.approx(
+        (float(usual.first[0]), float(usual.slope[0]))
+    )
 
 
 def test_gains_divide_steps(stored):
@@ -136,15 +142,15 @@ def test_the_variance_of_samples_is_that_of_their_steps(vase):
     seen = observe(dark, vase.texels)
     kappa, eta = 0.4 * seen.unit, 2.0
     found = seen.rounding(Weighting(kappa, eta))
-    surface = TexelLanes.of(seen.texels, owned(mi.UInt32, seen.seen.astype(np.uint32)))
+    surface = TexelLanes.of(seen.texels, to_drjit(mi.UInt32, seen.seen.astype(np.uint32)))
     total, count = np.zeros(len(seen.seen)), np.zeros(len(seen.seen))
     for view in range(dark.count):
         which = dr.opaque(mi.UInt32, view)
         shows = sample_view(seen.views, surface, which).seen
         shown = sample_visible(seen.views, surface, which, shows)
         b, v = shown.radiance.numpy().T.astype(np.float64), shown.contrast.numpy()
-        steps = dark.rounding[view]
-        step = np.maximum(steps.first, steps.slope * np.maximum(b, 1e-20) ** (1.4 / 2.4))
+        rounding = dark.rounding[view]
+        step = np.maximum(rounding.first, rounding.slope * np.maximum(b, 1e-20) ** (1.4 / 2.4))
         weight = noise_weight(b.mean(axis=1), kappa, v, eta)
         total += np.where(shows.numpy(), weight * (step**2 / 12).mean(axis=1), 0)
         count += shows.numpy()

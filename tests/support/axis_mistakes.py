@@ -10,7 +10,7 @@ import numpy as np
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
 from svu_mi.calibration.checks.check_result import Finding
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.importers.axis_fixes import FIXES, Fix, fixes_named, turn_of
+from svu_mi.capture.importers.axis_fixes import FIXES, AxisFix, find_fixes, fix_rotation
 
 OUTCOMES = ("right", "among several", "silent", "misled")
 
@@ -36,16 +36,16 @@ class Case:
     @property
     def mistakes(self) -> tuple[str, ...]:
         """Names of the corrections that make this mistake, when nothing asks for them."""
-        return tuple(_inverse(fix).name for fix in reversed(fixes_named(self.fixes)))
+        return tuple(_inverse(fix).name for fix in reversed(find_fixes(self.fixes)))
 
     def made(self, capture: Capture) -> Capture:
         """Return a right capture with this mistake in it."""
-        for fix in reversed(fixes_named(self.fixes)):
+        for fix in reversed(find_fixes(self.fixes)):
             capture = spoil(capture, fix, self.camera_axes)
         return capture
 
 
-def spoil(capture: Capture, fix: Fix, camera_axes: np.ndarray | None = None) -> Capture:
+def spoil(capture: Capture, fix: AxisFix, camera_axes: np.ndarray | None = None) -> Capture:
     """Return the capture as it is when the mistake was made that ``fix`` corrects.
 
     Args:
@@ -57,7 +57,7 @@ def spoil(capture: Capture, fix: Fix, camera_axes: np.ndarray | None = None) -> 
     return apply_fixes(capture, [mistake], np.eye(4) if camera_axes is None else camera_axes)
 
 
-def _inverse(fix: Fix) -> Fix:
+def _inverse(fix: AxisFix) -> AxisFix:
     if fix.matrix is None:
         return fix  # done twice, these change nothing
     return next(
@@ -95,9 +95,9 @@ def outcome(findings: Sequence[Finding], case: Case) -> str:
 
 def same(names: Sequence[str], others: Sequence[str]) -> bool:
     """Return whether corrections come to the same, whatever they are called."""
-    ours, theirs = fixes_named(names), fixes_named(others)
-    is_light_same = np.allclose(turn_of(ours, "light"), turn_of(theirs, "light"))
-    is_mesh_same = np.allclose(turn_of(ours, "mesh"), turn_of(theirs, "mesh"))
+    ours, theirs = find_fixes(names), find_fixes(others)
+    is_light_same = np.allclose(fix_rotation(ours, "light"), fix_rotation(theirs, "light"))
+    is_mesh_same = np.allclose(fix_rotation(ours, "mesh"), fix_rotation(theirs, "mesh"))
     return is_light_same and is_mesh_same and _rest(names) == _rest(others)
 
 

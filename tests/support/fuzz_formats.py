@@ -28,15 +28,15 @@ from svu_mi.capture import capture_folder, loading
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.image_io import open_picture
-from svu_mi.capture.importers.convert_photographs import convert, with_response
+from svu_mi.capture.importers.convert_photographs import convert_photograph, with_response
 from svu_mi.capture.importers.envmap import write_environment
-from svu_mi.capture.importers.exposure_list import with_exif_exposures, with_exposures
+from svu_mi.capture.importers.exposure_list import with_exif_gains, with_listed_gains
 from svu_mi.capture.importers.lens_distortion import Lens
-from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.registry import read_source
-from svu_mi.capture.importers.resampling import fitted, squared
+from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.source import Frame, Light, Source
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.scene import load_scene
@@ -74,8 +74,8 @@ def picture(folder: Path, out: Path) -> None:
     label, size = f"{folder}: frame 0", (WIDTH, HEIGHT)
     frame = Frame(label=label, image=path, mask=path, to_world=np.eye(4), focal=(20.0, 20.0),
                   center=(8.0, 4.0), size=size)  # fmt: skip
-    frame = fitted(frame, open_picture(path).size)
-    convert(frame, out / "view.exr", (1.0, 1.0))
+    frame = with_size(frame, open_picture(path).size)
+    convert_photograph(frame, out / "view.exr", (1.0, 1.0))
 
 
 def light(folder: Path, out: Path) -> None:
@@ -87,7 +87,7 @@ def light(folder: Path, out: Path) -> None:
 def mesh(folder: Path, out: Path) -> None:
     """Read a mesh with its textures, unwrap it if need be, and write it."""
     path = next(folder.glob("mesh.*"))
-    geometry = read_geometry(path)
+    geometry = read_textured_mesh(path)
     made = capture_mesh.make("object", geometry.mesh)
     if geometry.mesh.uvs is None:
         made = unwrap(made, str(path))
@@ -99,11 +99,11 @@ def source(folder: Path, out: Path, *, place: str = ".") -> None:
     """Read poses, make their sensors, and straighten a photograph of a distorted lens."""
     found = read_source(folder / place)
     for frame in found.frames:
-        frame = fitted(frame, open_picture(frame.image).size)
-        made, scale = squared(frame)
+        frame = with_size(frame, open_picture(frame.image).size)
+        made, scale = square_pixel_frame(frame)
         made.sensor()
         if frame.lens is not None:
-            convert(frame, out / "view.exr", scale)
+            convert_photograph(frame, out / "view.exr", scale)
     if found.light is not None:
         write_environment(found.light, out / "environment.exr")
 
@@ -113,7 +113,7 @@ def exposures(folder: Path, out: Path) -> None:
     image = folder / "view_0000.jpg"
     frame = Frame(label="view", image=image, to_world=np.eye(4), focal=(20.0, 20.0),
                   center=(8.0, 4.0), size=(WIDTH, HEIGHT))  # fmt: skip
-    with_exif_exposures(with_exposures([frame], folder / "gains.txt"))
+    with_exif_gains(with_listed_gains([frame], folder / "gains.txt"))
 
 
 def response(folder: Path, out: Path) -> None:
@@ -122,7 +122,7 @@ def response(folder: Path, out: Path) -> None:
     frame = Frame(label="view", image=image, to_world=np.eye(4), focal=(20.0, 20.0),
                   center=(8.0, 4.0), size=(WIDTH, HEIGHT))  # fmt: skip
     (frame,) = with_response([frame], folder / "curve.txt")
-    convert(frame, out / "view.exr", (1.0, 1.0))
+    convert_photograph(frame, out / "view.exr", (1.0, 1.0))
 
 
 def capture(folder: Path, out: Path) -> None:

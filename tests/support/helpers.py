@@ -22,14 +22,14 @@ from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers import axis_fixes
-from svu_mi.capture.importers.resampling import squared
+from svu_mi.capture.importers.resampling import square_pixel_frame
 from svu_mi.capture.importers.source import Frame, Source
 from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.cli.main import main
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import write_json
 from svu_mi.core.io.output_folder import writing
@@ -58,7 +58,7 @@ SPHERE_XML = """<scene version="3.0.0">
 def as_values(rows: np.ndarray) -> Values:
     """Return parameters (5, S), red, green, blue, roughness and metallic, as kernels take them."""
     red, green, blue, roughness, metallic = (
-        owned(mi.Float, np.asarray(row, np.float32)) for row in rows
+        to_drjit(mi.Float, np.asarray(row, np.float32)) for row in rows
     )
     return {"base_color": [red, green, blue], "roughness": [roughness], "metallic": [metallic]}
 
@@ -266,7 +266,7 @@ def foreign_source(folder: Path) -> Source:
     for index, (size, focal) in enumerate((((48, 32), (70, 70)), ((30, 40), (61.5, 48)),
                                            ((48, 32), (70, 70)))):  # fmt: skip
         pose = np.eye(4)
-        pose[:3, :3] = world @ axis_fixes.turned("y", 77 * index) @ axis_fixes.turned("x", 25)
+        pose[:3, :3] = world @ axis_fixes.rotation("y", 77 * index) @ axis_fixes.rotation("x", 25)
         pose[:3, 3] = pose[:3, :3] @ [0.1, -0.2, -4.0] + [0.2, 0, 0.1]
         pixels = rng.uniform(0.01, 0.9, (size[1], size[0], 3)).astype(np.float32)
         suffix = ".png" if index == 2 else ".exr"
@@ -285,7 +285,7 @@ def foreign_source(folder: Path) -> Source:
 
 def projected(frame: Frame, points: np.ndarray) -> np.ndarray:
     """Project points (N, 3) to pixels (N, 2) by the sensor that an import would make."""
-    square, scale = squared(frame)
+    square, scale = square_pixel_frame(frame)
     interaction = dr.zeros(mi.Interaction3f, len(points))
     interaction.p = mi.Point3f(np.array(points, np.float32).T)
     sample, _ = square.sensor().sample_direction(interaction, mi.Point2f(0.5))

@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.calibration.light.light_samples import Samples
 from svu_mi.calibration.light.light_transport import Materials, Transport
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.presets import preset
 
@@ -20,8 +20,8 @@ SWITCHES = preset("default", method="angular")
 def free_samples(normals: np.ndarray, directions: np.ndarray) -> Samples:
     """Samples (n, V, 3) of texels that float in the open; they show no radiance yet."""
     texels, views = directions.shape[:2]
-    normal = owned(mi.Normal3f, normals.T.astype(np.float32))
-    places = owned(mi.Point3f, np.zeros((3, texels), np.float32))
+    normal = to_drjit(mi.Normal3f, normals.T.astype(np.float32))
+    places = to_drjit(mi.Point3f, np.zeros((3, texels), np.float32))
     far = mi.ScalarTransform4f().translate([0, 0, -1e4]).scale(1e-3)
     scene = mi.load_dict({"type": "scene", "far": {"type": "rectangle", "to_world": far}})
     owner = np.repeat(np.arange(texels), views)

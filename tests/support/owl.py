@@ -11,8 +11,8 @@ from PIL import Image
 
 from support.photographs import copy_file
 from svu_mi.capture.image_io import quantized, read_planes
-from svu_mi.capture.importers.camera_response import linear
-from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.camera_response import linearize
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.objects_with_lighting import (
     ENVIRONMENT,
     EXPOSURE,
@@ -21,7 +21,7 @@ from svu_mi.capture.importers.objects_with_lighting import (
     STOPS,
     WORLD_TO_ENV,
 )
-from svu_mi.capture.importers.resampling import fitted
+from svu_mi.capture.importers.resampling import with_size
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, Frame, Source
 from svu_mi.capture.photographs import IN_MASK, SATURATED
 from svu_mi.capture.sensors import affine
@@ -61,7 +61,7 @@ def write_owl(root: Path, source: Source, *, exposure: float | None = None) -> N
     _write_text(inputs / EXPOSURE, [[exposure]])
     if source.mesh is not None:
         copy_file(source.mesh, test / f"{MESHES[1]}{source.mesh.suffix.lower()}")
-        positions = read_geometry(source.mesh, geometry_only=True).mesh.positions
+        positions = read_textured_mesh(source.mesh, geometry_only=True).mesh.positions
         corners = np.stack([positions.min(axis=0), positions.max(axis=0)], axis=-1)
         _write_text(inputs / BOX, corners.reshape(1, 6))
     if source.light is not None:
@@ -77,7 +77,7 @@ def _radiance(frame: Frame) -> tuple[np.ndarray, np.ndarray | None]:
     """Return (H, W, 3) radiance, infinite where a pixel holds none, and the mask, (H, W)."""
     planes, is_integer = read_planes(frame.image)
     colors = [
-        linear(plane, frame.transfer, channel) if is_integer else plane
+        linearize(plane, frame.transfer, channel) if is_integer else plane
         for channel, plane in enumerate(planes[:3])
     ]
     radiance = np.stack(colors, axis=-1) / frame.exposure
@@ -98,7 +98,7 @@ def _fitting_exposure(frames: Sequence[Frame]) -> float:
 
 def _write_frame(inputs: Path, index: int, frame: Frame, exposure: float) -> None:
     radiance, mask = _radiance(frame)
-    frame = fitted(frame, radiance.shape[1::-1])
+    frame = with_size(frame, radiance.shape[1::-1])
     tone = np.clip(radiance * 2.0**exposure, 0, 1) ** (1 / GAMMA)
     _write_png(inputs / f"image_{index:04d}.png", tone)
     if mask is not None:

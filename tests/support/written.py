@@ -21,7 +21,7 @@ from svu_mi.calibration.checks.surface_samples import base_color
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.capture.importers.import_capture import ImportOptions
-from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.registry import Format
@@ -33,7 +33,7 @@ from svu_mi.capture.sensors import affine
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.light.environment import directions, radiance_from, read_environment
-from svu_mi.light.prefiltered import resolved
+from svu_mi.light.prefiltered import rasterized
 
 PLACE = "object_scene001"  # name of a capture of Stanford-ORB
 TEXTURE = 512  # texels per side
@@ -80,7 +80,7 @@ def write(capture: Capture, form: Format, folder: Path) -> Written:
 def source_of(capture: Capture, folder: Path) -> Source:
     """Write mesh (GLB) and light (EXR) of a capture; its photographs stay where they are."""
     emitter = find_environment(capture.scene, "The scene")
-    write_exr(folder / "light.exr", {"RGB": resolved(read_environment(emitter))})
+    write_exr(folder / "light.exr", {"RGB": rasterized(read_environment(emitter))})
     assert capture.source is not None
     write_glb(folder / "mesh.glb", arrays(capture.shape), _texture(capture))
     return Source(
@@ -173,7 +173,7 @@ def as_orb(root: Path, source: Source) -> Path:
     capture = OrbCapture(
         name=PLACE, x_fov=float(x_fov), world=np.eye(4), train=records, test=[test]
     )
-    geometry = read_geometry(source.mesh)
+    geometry = read_textured_mesh(source.mesh)
     write_orb(root, geometry.mesh, [capture])
     if "base_color" in geometry.textures:
         _paint(root / TRUTH / PLACE / MESH, geometry.textures["base_color"])

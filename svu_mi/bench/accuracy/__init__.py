@@ -18,8 +18,8 @@ from svu_mi.bench.accuracy.accuracy_tables import (
     time_error,
 )
 from svu_mi.bench.compared_estimators import Variant
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
+from svu_mi.bench.study import Selection, Study
 from svu_mi.bench.timing import Timed, warm
 from svu_mi.capture.capture import Capture
 from svu_mi.errors import ShapeError
@@ -32,21 +32,21 @@ from svu_mi.geometry.texels import Texels
 DIGITS = 4  # of the entropies that are kept for scatter plots
 
 
-def reference_of(bench: Bench, capture: Capture, layout: Texels, **changes: Any) -> Any:
+def reference_of(bench: BenchRun, capture: Capture, layout: Texels, **changes: Any) -> Any:
     """Return the path-traced posterior of a few texels, from the cache if it is there."""
-    asked: dict[str, Any] = {
+    options: dict[str, Any] = {
         "subset": bench.sizes.reference_texels,
         "spp": bench.sizes.reference_spp,
         "seed": bench.sizes.seed,
         "cache": bench.folder / "cache",
         **changes,
     }
-    return reference_posterior(capture, layout, **asked)
+    return reference_posterior(capture, layout, **options)
 
 
 @dataclass(frozen=True)
-class Compared(OnCell):
-    """A cell whose estimators are compared with the reference and with the truth.
+class Compared(CaseSubject):
+    """A case whose estimators are compared with the reference and with the truth.
 
     Attributes:
         rows: the estimators.
@@ -65,7 +65,7 @@ class Compared(OnCell):
             ``object``, ``light``, ``texels``, ``reference`` (its figures) and ``sanity``.
         """
         return {
-            "object": self.cell.object, "light": self.cell.light, "texels": self.layout.count,
+            "object": self.case.object, "light": self.case.light, "texels": self.layout.count,
             **self._traced.figures(),
         }  # fmt: skip
 
@@ -75,15 +75,15 @@ class Compared(OnCell):
         return self._traced.judge(timed)
 
     @cached_property
-    def _traced(self) -> Traced:
+    def _traced(self) -> CaseReference:
         with self.bench.progress.stage(f"Tracing the reference of {self.title}"):
             reference = reference_of(self.bench, self.capture, self.layout)
-            return Traced.of(reference, self.capture, self.layout)
+            return CaseReference.of(reference, self.capture, self.layout)
 
 
 @dataclass(frozen=True)
-class Traced:
-    """The path-traced reference of a cell, and what is needed to compare an estimate with it.
+class CaseReference:
+    """The path-traced reference of a case, and what is needed to compare an estimate with it.
 
     Attributes:
         reference: as ``reference_posterior`` gives it.
@@ -98,7 +98,7 @@ class Traced:
     truth: GroundTruth
 
     @classmethod
-    def of(cls, reference: Any, capture: Capture, grid: Texels) -> Traced:
+    def of(cls, reference: Any, capture: Capture, grid: Texels) -> CaseReference:
         """Leave out what nobody saw: there, every estimator is trivially right."""
         seen = np.array(reference.coverage) > 0
         return cls(
@@ -110,24 +110,24 @@ class Traced:
 
     def figures(self) -> dict[str, Any]:
         """Return what the reference says of itself, and how the two simple maps agree with it."""
-        found = self.reference
-        seen = np.array(found.coverage) > 0
+        reference = self.reference
+        seen = np.array(reference.coverage) > 0
         maps = {
-            "brightness": -np.array(found.brightness, np.float64)[seen],
-            "number of views": -np.array(found.coverage, np.float64)[seen],
+            "brightness": -np.array(reference.brightness, np.float64)[seen],
+            "number of views": -np.array(reference.coverage, np.float64)[seen],
         }
-        posterior = np.array(found.posterior.probabilities)[seen]
+        posterior = np.array(reference.posterior.probabilities)[seen]
         judged = judge_posterior(
-            posterior, found.posterior.axes, self.truth, self.entropy, self.kept
+            posterior, reference.posterior.axes, self.truth, self.entropy, self.kept
         )
         return {
             "reference": {
                 "texels": len(self.kept),
-                "seconds": found.seconds,
-                "rays": found.rays,
-                "spp": found.spp,
-                "split_half": found.split_half().correlation,
-                "half_overlap": _overlap(found.halves, seen),
+                "seconds": reference.seconds,
+                "rays": reference.rays,
+                "spp": reference.spp,
+                "split_half": reference.split_half().correlation,
+                "half_overlap": _overlap(reference.halves, seen),
                 "mean_entropy": float(self.entropy.mean()),
                 "entropy": self.entropy.round(DIGITS),
                 **judged,
@@ -204,7 +204,7 @@ def judge_posterior(
     """
     p, channels = _channels(probabilities, axes)
     true = _truth(truth, tuple(axes), texels, channels)
-    cells = nearest_cells(axes, true)
+    bins = nearest_cells(axes, true)
     shape = tuple(len(nodes) for nodes in axes.values())
     best = np.unravel_index(p.reshape(len(p), -1).argmax(axis=1), shape)
     parameters, curves = {}, {}
@@ -219,7 +219,7 @@ def judge_posterior(
             "ause_relative": curve.relative,
         }
         curves[name] = curve.sampled()
-    levels = [asdict(credible_coverage(p, cells, level)) for level in LEVELS]
+    levels = [asdict(credible_coverage(p, bins, level)) for level in LEVELS]
     return {
         "credible": {f"{level['level']:g}": level for level in levels},
         "parameters": parameters,
@@ -245,22 +245,22 @@ def _truth(
     truth: GroundTruth, names: tuple[str, ...], texels: np.ndarray, channels: int
 ) -> dict[str, np.ndarray]:
     """Return (channels * n,) true values by parameter, in the order of ``_channels``."""
-    found = {}
+    by_parameter = {}
     for name in names:
         values = getattr(truth, name)
         if values.ndim == 2 and channels == 3:
-            found[name] = values[texels].T.ravel()
+            by_parameter[name] = values[texels].T.ravel()
         else:
-            found[name] = np.tile(truth.grey(name)[texels], channels)
-    return found
+            by_parameter[name] = np.tile(truth.grey(name)[texels], channels)
+    return by_parameter
 
 
 def _mean(parameters: Mapping[str, Mapping[str, float]], name: str) -> float:
     return float(np.mean([figures[name] for figures in parameters.values()]))
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
-    subjects = (Compared(bench, cell, asked.variants) for cell in asked.cells)
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    subjects = (Compared(bench, case, selection.variants) for case in selection.cases)
     return Experiment("accuracy", subjects, whole=True)
 
 

@@ -1,4 +1,4 @@
-"""Means over cells, tables and plots of the accuracy benchmark."""
+"""Means over cases, tables and plots of the accuracy benchmark."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 KINDS = ("estimator", "sanity", "reference")
 
 
-def _mean(found: Record) -> str:
-    return f"{found['mean']:.2f}"
+def _mean(correlation: Record) -> str:
+    return f"{correlation['mean']:.2f}"
 
 
-def _interval(found: Record) -> str:
-    if found["low"] is None:
-        return _mean(found)
-    return f"{found['mean']:.2f} ({found['low']:.2f} to {found['high']:.2f})"
+def _interval(correlation: Record) -> str:
+    if correlation["low"] is None:
+        return _mean(correlation)
+    return f"{correlation['mean']:.2f} ({correlation['low']:.2f} to {correlation['high']:.2f})"
 
 
 AGREEMENT = (
@@ -93,7 +93,7 @@ def accuracy_tables(record: Record) -> list[str]:
         "## Pearson correlation by cell",
         "The halves are those of the reference's samples: the correlation of their entropies, "
         "and the part of their posteriors that they have in common.",
-        columns(_by_cell(record), record["cells"]),
+        columns(_by_case(record), record["cells"]),
     ]
 
 
@@ -117,34 +117,34 @@ def _sets(judged: list[Record]) -> list[Column]:
     ]  # fmt: skip
 
 
-def _by_cell(record: Record) -> list[Column]:
-    def pearson(cell: Record, part: str, label: str) -> float:
-        return cell[part][label]["pearson"]
+def _by_case(record: Record) -> list[Column]:
+    def pearson(case: Record, part: str, label: str) -> float:
+        return case[part][label]["pearson"]
 
     labels = {kind: [row["label"] for row in record["summary"] if row["kind"] == kind]
               for kind in KINDS}  # fmt: skip
     return [
-        Column("object / light", lambda cell: f"{cell['object']} / {cell['light']}"),
+        Column("object / light", lambda case: f"{case['object']} / {case['light']}"),
         *(
             Column(label, partial(pearson, part=part, label=label), digits(2))
             for part, kind in (("rows", "estimator"), ("sanity", "sanity"))
             for label in labels[kind]
         ),
-        Column("reference's halves", lambda cell: cell["reference"]["split_half"], digits(3)),
-        Column("their shared mass", lambda cell: cell["reference"]["half_overlap"], digits(3)),
+        Column("reference's halves", lambda case: case["reference"]["split_half"], digits(3)),
+        Column("their shared mass", lambda case: case["reference"]["half_overlap"], digits(3)),
     ]  # fmt: skip
 
 
 AVERAGED = ("mean_entropy", "seconds", "ause", "ause_relative", "credible", "parameters")
 
 
-def summarize(cells: Sequence[Record]) -> list[Record]:
+def summarize(cases: Sequence[Record]) -> list[Record]:
     """Return one row per map: estimators, the simple maps, and the reference itself.
 
-    Means are over cells, their intervals over objects (``metrics.mean_over_objects``).
+    Means are over cases, their intervals over objects (``metrics.mean_over_objects``).
 
     Args:
-        cells: what ``Compared`` has found.
+        cases: records of ``Compared``.
 
     Returns:
         Rows with ``label``, ``kind`` (``estimator``, ``sanity`` or ``reference``),
@@ -152,22 +152,22 @@ def summarize(cells: Sequence[Record]) -> list[Record]:
         simple maps, means of ``mean_entropy``, ``seconds``, ``ause``, ``ause_relative``,
         ``credible`` and ``parameters``.
     """
-    if not cells:
+    if not cases:
         return []
-    objects = [cell["object"] for cell in cells]
+    objects = [case["object"] for case in cases]
     rows = []
-    for label in cells[0]["rows"]:
-        found = [cell["rows"][label] for cell in cells]
-        figures = {**_agreement(found, objects), **_means(found)}
+    for label in cases[0]["rows"]:
+        records = [case["rows"][label] for case in cases]
+        figures = {**_agreement(records, objects), **_means(records)}
         rows.append({"label": label, "kind": "estimator", **figures})
-    for label in cells[0]["sanity"]:
-        found = [cell["sanity"][label] for cell in cells]
-        rows.append({"label": label, "kind": "sanity", **_agreement(found, objects)})
-    return [*rows, _of_reference([cell["reference"] for cell in cells], objects)]
+    for label in cases[0]["sanity"]:
+        records = [case["sanity"][label] for case in cases]
+        rows.append({"label": label, "kind": "sanity", **_agreement(records, objects)})
+    return [*rows, _of_reference([case["reference"] for case in cases], objects)]
 
 
 def _of_reference(references: list[Record], objects: list[str]) -> Record:
-    halves = [found["split_half"] for found in references]
+    halves = [reference["split_half"] for reference in references]
     known = all(half is not None for half in halves)
     return {
         "label": "reference",
@@ -186,7 +186,7 @@ def _agreement(records: list[Record], objects: list[str]) -> Record:
 
 
 def _means(records: list[Record]) -> Record:
-    """Return means over cells of everything that a posterior is judged by."""
+    """Return means over cases of everything that a posterior is judged by."""
     return {name: mean_of([record[name] for record in records]) for name in AVERAGED}
 
 
@@ -197,7 +197,7 @@ def mean_of(values: Sequence[Any]) -> Any:
     return float(np.mean(values))
 
 
-MAX_CELLS = 6  # rows of the scatter plot
+MAX_CASES = 6  # rows of the scatter plot
 
 
 def _styles(rows: list[Record]) -> dict[str, tuple[str, str]]:
@@ -206,9 +206,9 @@ def _styles(rows: list[Record]) -> dict[str, tuple[str, str]]:
     return {one: (COLORS[k % len(COLORS)], MARKS[k % len(MARKS)]) for k, one in enumerate(labels)}
 
 
-def time_error(found: Record) -> Figure:
-    """The headline: time for all texels, and 1 - rho, mean over cells."""
-    record = found["accuracy"]
+def time_error(records: Record) -> Figure:
+    """The headline: time for all texels, and 1 - rho, mean over cases."""
+    record = records["accuracy"]
     rows, figure = record["summary"], page(9, 5.4)
     axes = figure.add_subplot()
     styles = _styles(rows)
@@ -219,7 +219,7 @@ def time_error(found: Record) -> Figure:
         spread = None if low is None else [[max(0, high - 1 + error)], [1 - low - error]]
         axes.errorbar(row["seconds"], error, spread, fmt=mark, color=color, markersize=9,
                       capsize=3, elinewidth=1, label=row["label"], zorder=3)  # fmt: skip
-    times = _reference_points(axes, found) + [row["seconds"] for row in estimators]
+    times = _reference_points(axes, records) + [row["seconds"] for row in estimators]
     time_axis(axes, times)
     for row in rows:
         if row["kind"] == "sanity":
@@ -240,20 +240,20 @@ def time_error(found: Record) -> Figure:
     return figure
 
 
-def _reference_points(axes: Axes, found: Record) -> list[float]:
+def _reference_points(axes: Axes, records: Record) -> list[float]:
     """The reference by samples, and all psi by brute force; return their times.
 
     All are extrapolated from the reference's few texels to all.
     """
-    cells, times = found["accuracy"]["cells"], []
-    texels = float(np.mean([cell["texels"] / cell["reference"]["texels"] for cell in cells]))
-    halves = [cell["reference"]["split_half"] for cell in cells]
+    cases, times = records["accuracy"]["cells"], []
+    texels = float(np.mean([case["texels"] / case["reference"]["texels"] for case in cases]))
+    halves = [case["reference"]["split_half"] for case in cases]
     if all(half is not None for half in halves):
-        times.append(float(np.mean([cell["reference"]["seconds"] for cell in cells])) * texels)
+        times.append(float(np.mean([case["reference"]["seconds"] for case in cases])) * texels)
         axes.plot(times, 1 - np.mean(halves), "*", color=INK, markersize=13,
                   label="reference, half against half")  # fmt: skip
-    if "speed" in found:
-        parts = found["speed"]["cells"][0]["rows"]
+    if "speed" in records:
+        parts = records["speed"]["cells"][0]["rows"]
         curve = parts["reference_spp"]["reference"]
         points = [row for row in curve if row["pearson"] is not None]
         axes.plot([row["seconds"] * texels for row in points],
@@ -268,34 +268,34 @@ def _reference_points(axes: Axes, found: Record) -> list[float]:
     return times
 
 
-def scatter(found: Record) -> Figure:
-    """Entropy of each estimator against that of the reference, cell by cell."""
-    record = found["accuracy"]
-    styles, cells = _styles(record["summary"]), record["cells"][:MAX_CELLS]
-    figure = page(2.6 * max(len(styles), 1) + 0.6, 2.4 * len(cells) + 0.9)
-    grid = figure.subplots(len(cells), max(len(styles), 1), squeeze=False, sharex=True,
+def scatter(records: Record) -> Figure:
+    """Entropy of each estimator against that of the reference, case by case."""
+    record = records["accuracy"]
+    styles, cases = _styles(record["summary"]), record["cells"][:MAX_CASES]
+    figure = page(2.6 * max(len(styles), 1) + 0.6, 2.4 * len(cases) + 0.9)
+    grid = figure.subplots(len(cases), max(len(styles), 1), squeeze=False, sharex=True,
                            sharey=True)  # fmt: skip
-    for line, cell in zip(grid, cells, strict=True):
+    for line, case in zip(grid, cases, strict=True):
         for axes, (label, (color, _)) in zip(line, styles.items(), strict=False):
-            row = cell["rows"][label]
+            row = case["rows"][label]
             box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.5}
             axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
-            axes.plot(cell["reference"]["entropy"], row["entropy"], ".", color=color,
+            axes.plot(case["reference"]["entropy"], row["entropy"], ".", color=color,
                       markersize=2.5, alpha=0.5)  # fmt: skip
             axes.text(0.04, 0.94, f"{row['pearson']:.2f}", transform=axes.transAxes, va="top",
                       bbox=box)  # fmt: skip
-            if cell is cells[0]:
+            if case is cases[0]:
                 axes.set_title(label, fontsize=9, color=INK)
             axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
             tidy(axes)
-        line[0].set_ylabel(f"{cell['object']}\n{cell['light']}", fontsize=9)
+        line[0].set_ylabel(f"{case['object']}\n{case['light']}", fontsize=9)
     figure.supxlabel("entropy of the reference", fontsize=9)
     return figure
 
 
-def curves(found: Record) -> Figure:
-    """Sparsification curves by parameter, mean over cells."""
-    record = found["accuracy"]
+def curves(records: Record) -> Figure:
+    """Sparsification curves by parameter, mean over cases."""
+    record = records["accuracy"]
     styles = _styles(record["summary"])
     names = list(dict.fromkeys(
         name for label in styles for name in record["cells"][0]["rows"][label]["parameters"]
@@ -305,8 +305,8 @@ def curves(found: Record) -> Figure:
     for axes, name in zip(grid, names, strict=False):
         axes.axhline(1, color=FAINT, linewidth=0.8, linestyle="--")
         for label, (color, _) in styles.items():
-            drawn = [cell["rows"][label]["sparsification"].get(name)
-                     for cell in record["cells"]]  # fmt: skip
+            drawn = [case["rows"][label]["sparsification"].get(name)
+                     for case in record["cells"]]  # fmt: skip
             if not all(drawn):
                 continue
             removed = np.mean([curve["removed"] for curve in drawn], axis=0)

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.captures import Truth, chosen_views
-from svu_mi.bench.cases import Cell
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
+from svu_mi.bench.cases import Case
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.guidance.guidance_tables import draw_guidance, find_bars, guidance_tables
 from svu_mi.bench.problem_sizes import GuidanceSizes
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.guidance.candidates import Candidates
@@ -29,14 +29,14 @@ from svu_mi.recovery.recover import recover
 
 
 @dataclass(frozen=True)
-class Strategy:
+class StrategyRow:
     """A way of choosing views, by its name in the table of strategies."""
 
     label: str
 
 
 @dataclass(frozen=True)
-class Shoot(OnCell):
+class ViewSelectionCase(CaseSubject):
     """A photographer who has photographed everything, and lets strategies choose.
 
     Attributes:
@@ -49,15 +49,15 @@ class Shoot(OnCell):
 
     @property
     def name(self) -> str:
-        return f"{self.cell.name}/{self.kind}_{self.number}"
+        return f"{self.case.name}/{self.kind}_{self.number}"
 
     @property
     def title(self) -> str:
-        return f"{self.cell.title}, {self.kind} start {self.number}"
+        return f"{self.case.title}, {self.kind} start {self.number}"
 
     @property
-    def rows(self) -> Sequence[Strategy]:
-        return [Strategy(name) for name in self.sizes.strategies]
+    def rows(self) -> Sequence[StrategyRow]:
+        return [StrategyRow(name) for name in self.sizes.strategies]
 
     @property
     def sizes(self) -> GuidanceSizes:
@@ -66,13 +66,13 @@ class Shoot(OnCell):
 
     @property
     def seed(self) -> int:
-        """Of the start, and of the random strategy: no two cells share their luck."""
-        return zlib.crc32(f"{self.cell.name} {self.number}".encode())
+        """Of the start, and of the random strategy: no two cases share their luck."""
+        return zlib.crc32(f"{self.case.name} {self.number}".encode())
 
-    def settings(self, row: Strategy | None) -> Any:
+    def settings(self, row: StrategyRow | None) -> Any:
         size = self.bench.sizes
         return (
-            str(self.cell.scene), self.cell.defines, self.kind, self.number,
+            str(self.case.scene), self.case.defines, self.kind, self.number,
             (size.views, size.film, size.spp, size.seed), asdict(self.sizes),
             row and row.label,
         )  # fmt: skip
@@ -81,11 +81,11 @@ class Shoot(OnCell):
         """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: what ``judge`` says of it,
         and ``agreement`` of forecasts."""
         return {
-            "cell": self.cell.title, "object": self.cell.object, "kind": self.kind,
+            "cell": self.case.title, "object": self.case.object, "kind": self.kind,
             "start": self.start, "first": self.first, "agreement": self.agreement(),
         }  # fmt: skip
 
-    def measure(self, row: Strategy) -> Record:
+    def measure(self, row: StrategyRow) -> Record:
         """Return the ``order`` of a strategy, and per mark what ``judge`` says, as lists."""
         order = self.order(row.label)
         marks = self.sizes.marks
@@ -164,18 +164,18 @@ class Shoot(OnCell):
         """Compare the forecast at the start with what photographs then change.
 
         Returns:
-            Per candidate asked ``gains``, expected changes of the mean entropy, and ``changes``,
+            Per candidate ``gains``, expected changes of the mean entropy, and ``changes``,
             those of ``estimate`` once its photograph is there; and their ``correlation``.
         """
         left = [view for view in range(self.capture.count) if view not in self.start]
-        asked = left[:: max(1, len(left) // self.sizes.asked)][: self.sizes.asked]
+        tried = left[:: max(1, len(left) // self.sizes.asked)][: self.sizes.asked]
         known = estimate(chosen_views(self.capture, self.start), self.grid)
-        gains = next_best_view(known, Candidates.at(self.capture, asked)).gains
+        gains = next_best_view(known, Candidates.at(self.capture, tried)).gains
         changes = [
             _mean_entropy(known) - _mean_entropy(
                 estimate(chosen_views(self.capture, [*self.start, view]), self.grid)
             )
-            for view in asked
+            for view in tried
         ]  # fmt: skip
         return {
             "gains": gains.tolist(), "changes": changes,
@@ -192,25 +192,25 @@ class Shoot(OnCell):
         return directions_of(self.capture.sensors, center)
 
 
-def _mean_entropy(found: Estimate) -> float:
-    return float(np.mean(np.array(found.entropy, np.float64)))
+def _mean_entropy(result: Estimate) -> float:
+    return float(np.mean(np.array(result.entropy, np.float64)))
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     sizes = bench.sizes.guidance
-    chosen = few_lights(asked.cells, sizes.lights)
-    # Every cell once before any twice: an interrupted run has seen them all.
+    chosen = few_lights(selection.cases, sizes.lights)
+    # Every case once before any twice: an interrupted run has seen them all.
     starts = itertools.product(range(sizes.starts), sizes.kinds, chosen)
-    subjects = (Shoot(bench, cell, number, kind) for number, kind, cell in starts)
+    subjects = (ViewSelectionCase(bench, case, number, kind) for number, kind, case in starts)
     return Experiment("guidance", subjects, whole=True)
 
 
-def few_lights(cells: Sequence[Cell], count: int) -> list[Cell]:
-    """Return the first ``count`` cells of every object."""
-    kept: list[Cell] = []
-    for cell in cells:
-        if sum(one.object == cell.object for one in kept) < count:
-            kept.append(cell)
+def few_lights(cases: Sequence[Case], count: int) -> list[Case]:
+    """Return the first ``count`` cases of every object."""
+    kept: list[Case] = []
+    for case in cases:
+        if sum(one.object == case.object for one in kept) < count:
+            kept.append(case)
     return kept
 
 

@@ -63,11 +63,11 @@ def object_curves(runs: list[Record], strategy: str, name: str = "psnr") -> np.n
 
     Starts and lights of one object are not independent samples: they are averaged.
     """
-    found: dict[str, list[np.ndarray]] = {}
+    by_object: dict[str, list[np.ndarray]] = {}
     for run in runs:
         curve = np.asarray(run["rows"][strategy][name])
-        found.setdefault(run["object"], []).append(curve - curve[0])
-    return np.array([np.mean(curves, axis=0) for curves in found.values()])
+        by_object.setdefault(run["object"], []).append(curve - curve[0])
+    return np.array([np.mean(curves, axis=0) for curves in by_object.values()])
 
 
 def mean_curve(runs: list[Record], strategy: str, name: str = "psnr") -> list[float]:
@@ -88,18 +88,18 @@ def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> lis
         s: np.array([sign * mean_gain(sizes.marks, c) for c in object_curves(runs, s, name)])
         for s in sizes.strategies
     }
-    found = []
+    comparisons = []
     for first in sizes.judged:
         for other in (s for s in sizes.strategies if s not in sizes.judged):
             difference = gains[first] - gains[other]
             several = len(difference) > 1
             p = float(scipy.stats.ttest_1samp(difference, 0).pvalue) if several else float("nan")
-            found.append({
+            comparisons.append({
                 "strategy": first, "other": other, "difference": float(difference.mean()),
                 "p": p,
                 "objects": len(difference), "better": int((difference > 0).sum()),
             })  # fmt: skip
-    return found
+    return comparisons
 
 
 def times_as_many(runs: list[Record], sizes: GuidanceSizes, first: str, other: str) -> float:
@@ -131,20 +131,20 @@ def find_bars(record: Record) -> list[Bar]:
         agreement = float(np.mean([run["agreement"]["correlation"] for run in own]))
         what = f"{kind} starts: correlation of expected and real change of entropy, mean"
         bars.append(Bar(what, agreement, AGREES, least=True))
-    for found in compare(runs, sizes) if runs else ():
-        if found["other"] in ("coverage", "random"):
-            what = f"{found['strategy']} over {found['other']}: mean gain of texture PSNR"
-            bars.append(Bar(what, found["difference"], 0.0, "dB", least=True))
-            bars.append(Bar(f"{what}: p of a paired t-test over objects", found["p"], LUCK))
+    for comparison in compare(runs, sizes) if runs else ():
+        if comparison["other"] in ("coverage", "random"):
+            what = f"{comparison['strategy']} over {comparison['other']}: mean gain of texture PSNR"
+            bars.append(Bar(what, comparison["difference"], 0.0, "dB", least=True))
+            bars.append(Bar(f"{what}: p of a paired t-test over objects", comparison["p"], LUCK))
     return bars
 
 
 COMPARED = (
-    Column("strategy", lambda found: found["strategy"]),
-    Column("over", lambda found: found["other"]),
-    Column("difference", lambda found: found["difference"], lambda value: f"{value:+.3f}"),
-    Column("p", lambda found: found["p"], lambda value: f"{value:.2g}"),
-    Column("better for", lambda found: f"{found['better']} of {found['objects']}"),
+    Column("strategy", lambda row: row["strategy"]),
+    Column("over", lambda row: row["other"]),
+    Column("difference", lambda row: row["difference"], lambda value: f"{value:+.3f}"),
+    Column("p", lambda row: row["p"], lambda value: f"{value:.2g}"),
+    Column("better for", lambda row: f"{row['better']} of {row['objects']}"),
 )
 
 
@@ -178,19 +178,19 @@ def guidance_tables(record: Record) -> list[str]:
             f"Mean gain in {what} of one strategy over another; paired t-test over objects.",
             columns(COMPARED, compare(runs, sizes, name)),
         ]
-    return [*parts, *_cells(runs, sizes)]
+    return [*parts, *_cases(runs, sizes)]
 
 
-def _cells(runs: list[Record], sizes: GuidanceSizes) -> list[str]:
-    """Mean gain of PSNR in every cell, starts averaged."""
+def _cases(runs: list[Record], sizes: GuidanceSizes) -> list[str]:
+    """Mean gain of PSNR in every case, starts averaged."""
     rows = []
-    for cell in dict.fromkeys(run["cell"] for run in runs):
-        own = [run for run in runs if run["cell"] == cell]
+    for case in dict.fromkeys(run["cell"] for run in runs):
+        own = [run for run in runs if run["cell"] == case]
         gains = [
             np.mean([mean_gain(sizes.marks, run["rows"][s]["psnr"]) for run in own])
             for s in sizes.strategies
         ]
-        rows.append([cell, *(f"{gain:+.2f}" for gain in gains)])
+        rows.append([case, *(f"{gain:+.2f}" for gain in gains)])
     return ["Mean gain of PSNR over all added views, by cell (dB).",
             table(("cell", *sizes.strategies), rows)]  # fmt: skip
 
@@ -199,9 +199,9 @@ def _needed(value: float, sizes: GuidanceSizes) -> str:
     return number(value, 1) if np.isfinite(value) else f"> {sizes.marks[-1]}"
 
 
-def draw_guidance(found: Record) -> Figure:
+def draw_guidance(records: Record) -> Figure:
     """Draw both curves of every strategy, from the records of all benchmarks."""
-    runs, sizes = found["guidance"]["cells"], found["guidance"]["sizes"].guidance
+    runs, sizes = records["guidance"]["cells"], records["guidance"]["sizes"].guidance
     figure = page(12.0, 4.6)
     left, right = figure.subplots(1, 2)
     _curves(left, runs, sizes, "psnr", "average texture PSNR over the start's (dB)")

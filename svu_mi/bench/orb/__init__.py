@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.experiment import Bench, Experiment, Record, file_name
+from svu_mi.bench.experiment import BenchRun, Experiment, Record, file_name
 from svu_mi.bench.orb.dataset import find_captures, own_dataset
 from svu_mi.bench.orb.orb_tables import draw_pictures, orb_lines, orb_tables, write_csv
 from svu_mi.bench.orb.orb_targets import Target, judge_albedo, judge_pictures
 from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.recovery import figures, run_warm
 from svu_mi.bench.recovery import methods as ways
-from svu_mi.bench.recovery.methods import Row
+from svu_mi.bench.recovery.methods import RecoveryMethod
 from svu_mi.bench.result_cache import Store
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
 from svu_mi.capture.importers.stanford_orb import Split, read_orb, read_views
@@ -40,11 +40,11 @@ PLACE = "orb"  # folder of finished results
 
 
 @dataclass(frozen=True)
-class OrbRow(Row):
+class OrbRow(RecoveryMethod):
     """A way of recovery for real photographs: paths have all the bounces of the scene."""
 
     def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
-        """Return the presets' options (see ``Row``)."""
+        """Return the presets' options (see ``RecoveryMethod``)."""
         sh, path = super().options(scale)
         return sh, replace(path, max_depth=None)
 
@@ -99,7 +99,7 @@ class Setting:
         rendered: whether the data set is one of svu_mi's own scenes.
     """
 
-    bench: Bench
+    bench: BenchRun
     path: Path
     rows: Sequence[OrbRow]
     environment_view: str | None
@@ -179,9 +179,9 @@ class Setting:
         """What holds for all rows: counts, entropy, and what a grey object reaches."""
         counts = {"novel": len(self.novel), "test": len(self.test)}
         with self.bench.progress.stage(f"{self.path.name}: entropy"):
-            found = estimate(self.capture, self.grid)
-        seen = np.array(found.coverage) > 0
-        entropy = np.array(found.entropy)[seen]
+            estimated = estimate(self.capture, self.grid)
+        seen = np.array(estimated.coverage) > 0
+        entropy = np.array(estimated.entropy)[seen]
         grey = uniform(self.grid, 0.5).but(metallic=uniform(self.grid, 0.0).metallic)
         return {
             "name": self.path.name,
@@ -194,7 +194,7 @@ class Setting:
             "texels": self.grid.count,
             "seen": int(seen.sum()),
             "entropy": float(entropy.mean()),
-            "entropy_seconds": sum(found.timings.values()),
+            "entropy_seconds": sum(estimated.timings.values()),
             "grey": self.judge(grey, "grey"),
         }
 
@@ -209,11 +209,11 @@ class Setting:
     def _targets(self, split: Split) -> Sequence[Target]:
         views = read_views(self.path, split)
         with self.bench.progress.stage(f"{self.path.name}: reading {split}", len(views)) as stage:
-            found = []
+            targets = []
             for view in views:
-                found.append(Target.of(view, self.sizes.film))
-                stage.update(len(found), len(views))
-        return found
+                targets.append(Target.of(view, self.sizes.film))
+                stage.update(len(targets), len(views))
+        return targets
 
 
 def chosen_rows(labels: Sequence[str]) -> tuple[OrbRow, ...]:
@@ -227,15 +227,15 @@ def chosen_rows(labels: Sequence[str]) -> tuple[OrbRow, ...]:
     return tuple(row for row in ROWS if row.label in labels or not (labels or row.traced))
 
 
-def chosen_captures(found: Sequence[Path], names: Sequence[str]) -> tuple[Path, ...]:
+def chosen_captures(captures: Sequence[Path], names: Sequence[str]) -> tuple[Path, ...]:
     """Return the captures of these names (``teapot_scene001``, or ``teapot``); all without any.
 
     Raises:
         OptionError: there is none of a name.
     """
-    both = {path: {path.name, object_of(path.name)} for path in found}
+    both = {path: {path.name, object_of(path.name)} for path in captures}
     require_known(names, sorted(set[str]().union(*both.values())), "capture or object")
-    return tuple(path for path in found if not names or both[path] & set(names))
+    return tuple(path for path in captures if not names or both[path] & set(names))
 
 
 def object_of(capture: str) -> str:
@@ -243,12 +243,12 @@ def object_of(capture: str) -> str:
     return capture.rpartition("_")[0] or capture
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
-    rows = chosen_rows(asked.rows)
-    data = own_dataset(bench) if asked.data is None else asked.data
-    captures = chosen_captures(find_captures(data), asked.objects)
-    own = asked.data is None
-    settings = (Setting(bench, path, rows, asked.environment_view, own) for path in captures)
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    rows = chosen_rows(selection.rows)
+    data = own_dataset(bench) if selection.data is None else selection.data
+    captures = chosen_captures(find_captures(data), selection.objects)
+    own = selection.data is None
+    settings = (Setting(bench, path, rows, selection.environment_view, own) for path in captures)
     return Experiment(PLACE, settings, whole=True)
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from svu_mi.bench.captures import contents
-from svu_mi.bench.cases import Cell, own_cells
-from svu_mi.bench.experiment import Bench
+from svu_mi.bench.cases import Case, own_cases
+from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.bench.orb.orb_targets import albedo_pictures
 from svu_mi.bench.result_cache import Store
@@ -62,27 +62,27 @@ OWN = DatasetSizes()
 OWN_QUICK = DatasetSizes(train=16, test=2, film=64, spp=32, test_spp=256, environment=128)
 
 
-def own_dataset(bench: Bench) -> Path:
+def own_dataset(bench: BenchRun) -> Path:
     """Return the folder of a set of svu_mi's own scenes, rendered the first time.
 
     Raises:
         OutputError: it cannot be written.
     """
     sizes = OWN_QUICK if bench.quick else OWN
-    store, cells = Store(bench.folder / "orb"), own_cells(quick=True)
+    store, cases = Store(bench.folder / "orb"), own_cases(quick=True)
     folder = store.folder / "data"
 
     def render() -> dict[str, Any]:
-        render_dataset(folder, cells, sizes, bench.progress)
+        render_dataset(folder, cases, sizes, bench.progress)
         return {"sizes": sizes}
 
-    settings = sizes, [(cell.name, contents(cell)) for cell in cells]
+    settings = sizes, [(case.name, contents(case)) for case in cases]
     bench.recall(store, "data", "Rendering a data set", settings, render)
     return folder
 
 
 def render_dataset(
-    root: str | Path, cells: Sequence[Cell], sizes: DatasetSizes, progress: Progress | None = None
+    root: str | Path, cases: Sequence[Case], sizes: DatasetSizes, progress: Progress | None = None
 ) -> None:
     """Render objects under lights, with all bounces, into ``root``.
 
@@ -91,7 +91,7 @@ def render_dataset(
 
     Args:
         root: folder of the data set.
-        cells: objects x lights.
+        cases: objects x lights.
         sizes: how large.
         progress: shows what is going on.
 
@@ -104,13 +104,13 @@ def render_dataset(
         raise OptionError("A data set needs a photograph to train with, and one to test.")
     progress = progress or Progress()
     # The colours of the data set's objects are those of paths, not of direct light.
-    ordered = sorted(cells, key=lambda cell: cell.object)
-    for name, lights in groupby(ordered, key=lambda cell: cell.object):
+    ordered = sorted(cases, key=lambda case: case.object)
+    for name, lights in groupby(ordered, key=lambda case: case.object):
         captures, mesh = [], None
-        for number, cell in enumerate(lights, 1):
-            with progress.stage(f"Rendering {cell.title}"):
-                scene = load_scene(cell.scene, {**cell.defines, "max_depth": "6"})
-                shape = find_shape(scene, None, str(cell.scene))
+        for number, case in enumerate(lights, 1):
+            with progress.stage(f"Rendering {case.title}"):
+                scene = load_scene(case.scene, {**case.defines, "max_depth": "6"})
+                shape = find_shape(scene, None, str(case.scene))
                 mesh = arrays(shape)
                 captures.append(_capture(f"{name}_scene{number:03d}", scene, shape, sizes))
         if mesh is not None:
@@ -186,10 +186,10 @@ def find_captures(data: str | Path) -> tuple[Path, ...]:
     """
     kind = next(iter(SUFFIXES))  # with high range
     folder = Path(data) / kind
-    found = sorted(path.parent for path in folder.glob("*/transforms_train.json"))
-    if not found:
+    captures = sorted(path.parent for path in folder.glob("*/transforms_train.json"))
+    if not captures:
         raise OptionError(
             f"{folder}: holds no capture (a folder with transforms_train.json); give the folder "
             f"that Stanford-ORB's {kind} and {TRUTH} were unpacked into."
         )
-    return tuple(found)
+    return tuple(captures)

@@ -51,11 +51,11 @@ class OrbError:
     lpips: float | None
 
 
-def orb_error(found: Any, truth: Any, mask: Any, *, scaled: bool) -> OrbError:
+def orb_error(picture: Any, truth: Any, mask: Any, *, scaled: bool) -> OrbError:
     """Compare a picture with a photograph.
 
     Args:
-        found: (H, W, 3) linear radiance, not negative.
+        picture: (H, W, 3) linear radiance, not negative.
         truth: the same; what is negative counts as 0.
         mask: (H, W) bool, the object's pixels, not eroded.
         scaled: whether a scale per channel is fitted: for relighting, not for new views.
@@ -64,7 +64,7 @@ def orb_error(found: Any, truth: Any, mask: Any, *, scaled: bool) -> OrbError:
         ShapeError: the shapes differ, or nothing is left of the mask.
         OptionError: NaN or infinite values on the object.
     """
-    a, b, inside = _prepared(found, truth, mask)
+    a, b, inside = _prepared(picture, truth, mask)
     scale = channel_scale(a[inside], b[inside]) if scaled else np.ones(3)
     white = np.clip(b, 0, 1).mean()
     gain = srgb(np.clip(b, 0, 1)).mean() / white if white > 1e-8 else 1.0
@@ -79,44 +79,44 @@ def orb_error(found: Any, truth: Any, mask: Any, *, scaled: bool) -> OrbError:
     )
 
 
-def orb_albedo_error(found: Any, truth: Any, mask: Any) -> OrbError:
+def orb_albedo_error(picture: Any, truth: Any, mask: Any) -> OrbError:
     """Compare a picture of the base colour with that of the data set.
 
     Channels are scaled as for relighting; PSNR-L and SSIM are of linear values.
 
     Args:
-        found: (H, W, 3) linear.
+        picture: (H, W, 3) linear.
         truth: the same.
         mask: (H, W) bool, as for ``orb_error``.
 
     Raises:
         ShapeError, OptionError: as ``orb_error``.
     """
-    a, b, inside = _prepared(found, truth, mask)
+    a, b, inside = _prepared(picture, truth, mask)
     a, b = np.clip(channel_scale(a[inside], b[inside]) * a, 0, 1), np.clip(b, 0, 1)
     return OrbError(
         psnr_hdr=None, psnr_ldr=_psnr(a, b, inside), ssim=_ssim(a, b), lpips=lpips(srgb(a), srgb(b))
     )
 
 
-def channel_scale(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def channel_scale(picture: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Return the (3,) factors of a picture's channels that bring it closest to a photograph.
 
     Args:
-        found: (N, 3) radiance of the object's pixels.
+        picture: (N, 3) radiance of the object's pixels.
         truth: the same.
     """
-    energy = (found**2).sum(axis=0)
+    energy = (picture**2).sum(axis=0)
     black = energy <= DARK
-    found, energy = np.where(black, 1.0, found), np.where(black, len(found), energy)
-    return (found * truth).sum(axis=0) / energy
+    picture, energy = np.where(black, 1.0, picture), np.where(black, len(picture), energy)
+    return (picture * truth).sum(axis=0) / energy
 
 
-def _prepared(found: Any, truth: Any, mask: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _prepared(picture: Any, truth: Any, mask: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return both pictures, black outside the eroded mask, and that mask."""
     # Beyond the picture's border there may be more of the object: it erodes nothing.
     inside = binary_erosion(np.array(mask, bool), np.ones((ERODED, ERODED)), border_value=1)
-    a, b = pictures(found, truth, inside)
+    a, b = pictures(picture, truth, inside)
     a, b = (np.where(inside[..., None], np.maximum(x, 0), 0) for x in (a, b))
     return a, b, inside
 
@@ -130,14 +130,14 @@ def _ssim(a: np.ndarray, b: np.ndarray) -> float:
     return float(ssim_map(a, b, radius=1, border="mirror").mean())
 
 
-def lpips(found: np.ndarray, truth: np.ndarray) -> float | None:
+def lpips(picture: np.ndarray, truth: np.ndarray) -> float | None:
     """Return the LPIPS distance (Zhang et al., CVPR 2018) by VGG-16, 0 for equal pictures.
 
     None without the package, which ``pip install lpips`` installs with PyTorch, or without the
     weights of VGG-16, which it downloads when it is first used.
 
     Args:
-        found: (H, W, 3) in [0, 1], tone-mapped.
+        picture: (H, W, 3) in [0, 1], tone-mapped.
         truth: the same.
     """
     network = _network()
@@ -147,8 +147,8 @@ def lpips(found: np.ndarray, truth: np.ndarray) -> float | None:
 
     with torch.no_grad():
         a, b = (
-            torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)[None], np.float32))
-            for picture in (found, truth)
+            torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32))
+            for image in (picture, truth)
         )
         return float(network(a, b, normalize=True).item())
 

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.importers.source import OPENGL
-from svu_mi.capture.importers.source_files import inside
+from svu_mi.capture.importers.source_files import safe_path
 from svu_mi.capture.importers.stanford_orb import ALBEDO, ENVIRONMENTS, MESH, SUFFIXES, TRUTH
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.core.io.exr import write_exr
@@ -85,7 +85,7 @@ def write_orb(root: str | Path, mesh: MeshArrays, captures: Sequence[OrbCapture]
     if mesh.normals is None or mesh.uvs is None:
         raise MeshError("write_orb(): the mesh needs normals and UVs, as the scans have them.")
     for capture in captures:
-        inside(Path(root), capture.name, "write_orb()")
+        safe_path(Path(root), capture.name, "write_orb()")
         others = [other for other in captures if other is not capture]
         for kind in SUFFIXES:
             _write_photographs(Path(root) / kind, capture, others)

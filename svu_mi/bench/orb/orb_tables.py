@@ -66,8 +66,8 @@ def orb_lines(record: Record) -> list[str]:
     labels = dict.fromkeys(label for capture in captures for label, _ in _rows(capture))
     lines = []
     for label in labels:
-        found = [dict(_rows(capture))[label] for capture in captures]
-        figures = (f"{HEADS[name]} {_mean(found, 'light', name)}" for name in FIGURES)
+        rows = [dict(_rows(capture))[label] for capture in captures]
+        figures = (f"{HEADS[name]} {_mean(rows, 'light', name)}" for name in FIGURES)
         lines.append(f"{label}: {', '.join(figures)}")
     return lines
 
@@ -127,9 +127,9 @@ def _means(captures: list[Record], task: str) -> str:
     names = _figures(task)
     lines = []
     for label in labels:
-        found = [dict(_rows(capture))[label] for capture in captures]
-        times = [row["seconds"] for row in found if "seconds" in row]
-        lines.append([label, *(_mean(found, task, name) for name in names),
+        rows = [dict(_rows(capture))[label] for capture in captures]
+        times = [row["seconds"] for row in rows if "seconds" in row]
+        lines.append([label, *(_mean(rows, task, name) for name in names),
                       seconds(float(np.mean(times))) if times else ""])  # fmt: skip
     return table(("recovery", *(HEADS[name] for name in names), "time"), lines)
 
@@ -152,14 +152,14 @@ def _by_capture(captures: list[Record]) -> str:
     lines = []
     for capture in captures:
         rows = dict(_rows(capture))
-        cells = [
+        cases = [
             f"{rows[label]['light']['mean']['psnr_hdr']:.2f}, "
             f"{rows[label]['light']['mean']['psnr_ldr']:.2f}"
             for label in labels
         ]
         seen = f"{capture['seen'] / capture['texels']:.0%}"
         lines.append([capture["name"], capture["photographs"], seen,
-                      number(capture["entropy"], 3), *cells])  # fmt: skip
+                      number(capture["entropy"], 3), *cases])  # fmt: skip
     heads = ("capture", "photographs", "texels seen", "mean entropy", *labels)
     return table(heads, lines)
 
@@ -188,7 +188,7 @@ def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
         OutputError: the file cannot be written.
     """
     figure = page(7.2, 2.6 * len(shown))
-    for axes, (title, target, picture, found, scaled) in zip(
+    for axes, (title, target, picture, figures, scaled) in zip(
         figure.subplots(len(shown), 3, squeeze=False), shown, strict=True
     ):
         photograph, made = _comparable(target, picture, scaled=scaled)
@@ -196,7 +196,7 @@ def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
         axes[0].imshow(photograph)
         axes[1].imshow(made)
         axes[2].imshow(difference, cmap="magma", vmin=0, vmax=LARGEST)
-        first = found["single"][0]
+        first = figures["single"][0]
         axes[0].set_title(f"{first['capture']}, {first['photograph']}", fontsize=9, color=INK)
         axes[1].set_title(f"{label}, {title}", fontsize=9, color=INK)
         axes[2].set_title(f"difference; PSNR-L {first['psnr_ldr']:.1f} dB", fontsize=9, color=FAINT)

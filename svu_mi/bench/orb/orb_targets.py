@@ -13,7 +13,7 @@ from svu_mi.bench.orb.orb_metrics import OrbError, orb_albedo_error, orb_error
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import decoded, read_planes
 from svu_mi.capture.importers.envmap import read_environment_map
-from svu_mi.capture.importers.resampling import resampled, squared
+from svu_mi.capture.importers.resampling import average_area, square_pixel_frame
 from svu_mi.capture.importers.stanford_orb import OrbView
 from svu_mi.errors import CaptureError
 from svu_mi.recovery.path.textured_scene import PathScene
@@ -55,18 +55,18 @@ class Target:
         if frame.mask is None or view.light is None:
             missing = "mask" if frame.mask is None else "environment map"
             raise CaptureError(f"{frame.image}: there is no {missing}, which its test needs.")
-        reduced, scale = squared(frame, max(1.0, max(frame.size) / film))
+        reduced, scale = square_pixel_frame(frame, max(1.0, max(frame.size) / film))
         color, mask = _linear(frame.image), np.stack(read_planes(frame.mask)[0][:1], axis=-1)
         if mask.shape[:2] != color.shape[:2]:
             raise CaptureError(f"{frame.mask}: the mask is not as large as its photograph.")
         valid = np.isfinite(color).all(axis=-1, keepdims=True)
         color = np.where(valid, color, 0)
-        albedo = None if view.albedo is None else resampled(_encoded(view.albedo), scale)
+        albedo = None if view.albedo is None else average_area(_encoded(view.albedo), scale)
         return cls(
             view=view,
             sensor=reduced.sensor(),
-            photograph=resampled(color, scale),
-            mask=resampled(mask * valid, scale)[..., 0] > IN_MASK,
+            photograph=average_area(color, scale),
+            mask=average_area(mask * valid, scale)[..., 0] > IN_MASK,
             albedo=None if albedo is None else decoded(albedo),
         )
 

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from svu_mi.bench.cases import Cell
-from svu_mi.bench.experiment import Bench, Experiment, Record, Subject
+from svu_mi.bench.cases import Case
+from svu_mi.bench.experiment import BenchRun, Experiment, Record, Subject
 from svu_mi.bench.guidance import few_lights
 from svu_mi.bench.paper.figure9 import Figure9, draw_figure9, figure9_tables
 from svu_mi.bench.paper.table2 import Table2, table2_tables
 from svu_mi.bench.paper.table3 import Table3, table3_tables
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.core.validation import require_known
 
-PARTS: dict[str, tuple[Callable[[Bench, Cell], Subject], Callable[[list[Record]], list[str]]]] = {
+PARTS: dict[
+    str, tuple[Callable[[BenchRun, Case], Subject], Callable[[list[Record]], list[str]]]
+] = {
     "table3": (Table3, table3_tables),
     "table2": (Table2, table2_tables),
     "figure9": (Figure9, figure9_tables),
@@ -25,29 +27,29 @@ PARTS: dict[str, tuple[Callable[[Bench, Cell], Subject], Callable[[list[Record]]
 LIGHTS = {"table2": ("window", "studio", "overcast"), "figure9": ("window", "studio")}
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
-    require_known(asked.rows, PARTS, "part of the paper")
-    return Experiment("paper", _subjects(bench, asked), whole=True)
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    require_known(selection.rows, PARTS, "part of the paper")
+    return Experiment("paper", _subjects(bench, selection), whole=True)
 
 
-def _subjects(bench: Bench, asked: Asked) -> Iterator[Subject]:
+def _subjects(bench: BenchRun, selection: Selection) -> Iterator[Subject]:
     for part, (subject, _) in PARTS.items():
-        if asked.rows and part not in asked.rows:
+        if selection.rows and part not in selection.rows:
             continue
-        cells = list(asked.cells)
-        if part in LIGHTS and asked.data is None:
-            cells = [cell for cell in cells if cell.light in LIGHTS[part]]
+        cases = list(selection.cases)
+        if part in LIGHTS and selection.data is None:
+            cases = [case for case in cases if case.light in LIGHTS[part]]
         elif part in LIGHTS:
-            cells = few_lights(cells, len(LIGHTS[part]))
-        yield from (subject(bench, cell) for cell in cells)
+            cases = few_lights(cases, len(LIGHTS[part]))
+        yield from (subject(bench, case) for case in cases)
 
 
 def _tables(record: Record) -> list[str]:
-    found = []
+    sections = []
     for part, (_, tables) in PARTS.items():
-        cells = [cell for cell in record["cells"] if cell["part"] == part]
-        found += tables(cells) if cells else []
-    return found
+        cases = [case for case in record["cells"] if case["part"] == part]
+        sections += tables(cases) if cases else []
+    return sections
 
 
 STUDY = Study(

@@ -11,9 +11,9 @@ is added:
 After each view, the first two know its photograph, and estimate anew. After three, six and ten,
 textures are recovered as in the paper (SH model) and by ours. PSNR, the mean over parameters as in
 Table 2, and entropy are over the texels that any of the views sees; where nobody has looked yet,
-entropy is 1. Tables have the mean over cells, how many views each strategy needs for +1 dB (of the
+entropy is 1. Tables have the mean over cases, how many views each strategy needs for +1 dB (of the
 mean curve: added ones, interpolated), and a test of what best views gain over farthest ones in
-every cell, as a mean over the added views: Wilcoxon's signed ranks, two-sided.
+every case, as a mean over the added views: Wilcoxon's signed ranks, two-sided.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ import numpy as np
 import scipy
 
 from svu_mi.bench.captures import Truth, chosen_views
-from svu_mi.bench.experiment import OnCell, Record
-from svu_mi.bench.guidance import Strategy
+from svu_mi.bench.experiment import CaseSubject, Record
+from svu_mi.bench.guidance import StrategyRow
 from svu_mi.bench.guidance.guidance_tables import views_needed
 from svu_mi.bench.markdown import COLORS, INK, MARKS, page, table, tidy
 from svu_mi.capture.capture import Capture
@@ -55,17 +55,17 @@ WAYS = {"paper": "recovered by the SH model (paper)", "default": "recovered by o
 
 
 @dataclass(frozen=True)
-class Figure9(OnCell):
+class Figure9(CaseSubject):
     """A case all of whose views are photographed, and strategies that choose among them."""
 
-    rows = tuple(Strategy(name) for name in STRATEGIES)
+    rows = tuple(StrategyRow(name) for name in STRATEGIES)
 
     @property
     def name(self) -> str:
-        return f"figure9/{self.cell.name}"
+        return f"figure9/{self.case.name}"
 
-    def settings(self, row: Strategy | None) -> Any:
-        return str(self.cell.scene), self.cell.defines, self.bench.quick, row and row.label
+    def settings(self, row: StrategyRow | None) -> Any:
+        return str(self.case.scene), self.case.defines, self.bench.quick, row and row.label
 
     def head(self) -> Record:
         return {"part": "figure9", "cell": self.title}
@@ -76,7 +76,7 @@ class Figure9(OnCell):
         views, film, spp = VIEWS, FILM, SPP
         if self.bench.quick:
             views, film, spp = QUICK_VIEWS, QUICK_FILM, QUICK_SPP
-        return self.bench.capture(self.cell, "figure9", views=views, film=film, spp=spp)
+        return self.bench.capture(self.case, "figure9", views=views, film=film, spp=spp)
 
     @cached_property
     def layout(self) -> Texels:
@@ -103,7 +103,7 @@ class Figure9(OnCell):
         """What ``judge`` says of the start."""
         return self.judge(self.start)
 
-    def measure(self, row: Strategy) -> Record:
+    def measure(self, row: StrategyRow) -> Record:
         """Return ``views`` of a strategy, the ``points`` of its curve, ``seconds_per_view``."""
         views, seconds = self.order(row.label)
         points = [self.first, *(self.judge(views[: START + added]) for added in ADDED)]
@@ -125,13 +125,13 @@ class Figure9(OnCell):
         """Return average PSNR (dB) and mean entropy by way of recovery."""
         ours = self._estimate(views)
         paper = estimate(ours, method="spectrum", preset="paper")
-        found: Record = {"psnr": {}, "entropy": {}}
+        scores: Record = {"psnr": {}, "entropy": {}}
         for name, known in (("paper", paper), ("default", ours)):
             entropy = np.array(known.entropy, np.float64)[self.visible]
-            found["entropy"][name] = float(entropy.mean())
+            scores["entropy"][name] = float(entropy.mean())
             textures = recover(ours, method="sh", preset=name).textures
-            found["psnr"][name] = self.truth.psnr(textures, self.visible)["average"]
-        return found
+            scores["psnr"][name] = self.truth.psnr(textures, self.visible)["average"]
+        return scores
 
     def _estimate(self, views: Sequence[int], strategy: str = OURS) -> Estimate:
         taken = chosen_views(self.capture, views)
@@ -148,42 +148,42 @@ class Figure9(OnCell):
 # --- tables ---------------------------------------------------------------------------------
 
 
-def curves(cells: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
-    """Return (cells, 1 + marks) PSNR (dB) or entropy, at the start and after each mark."""
-    points = [cell["rows"][strategy]["points"] for cell in cells]
-    return np.array([[point[what][way] for point in of_cell] for of_cell in points])
+def curves(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
+    """Return (cases, 1 + marks) PSNR (dB) or entropy, at the start and after each mark."""
+    points = [case["rows"][strategy]["points"] for case in cases]
+    return np.array([[point[what][way] for point in of_case] for of_case in points])
 
 
-def gains(cells: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
-    """Return (cells, 1 + marks) curves above their start."""
-    found = curves(cells, strategy, what, way)
-    return found - found[:, :1]
+def gains(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
+    """Return (cases, 1 + marks) curves above their start."""
+    values = curves(cases, strategy, what, way)
+    return values - values[:, :1]
 
 
-def mean_gain(cells: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
-    """Return (cells,) means of a curve above its start, over the added views."""
+def mean_gain(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
+    """Return (cases,) means of a curve above its start, over the added views."""
     places = np.array([0, *ADDED], float)
-    return np.trapezoid(gains(cells, strategy, what, way), places, axis=1) / places[-1]
+    return np.trapezoid(gains(cases, strategy, what, way), places, axis=1) / places[-1]
 
 
-def figure9_tables(cells: list[Record]) -> list[str]:
+def figure9_tables(cases: list[Record]) -> list[str]:
     """Return curves, views needed and tests."""
-    found = ["## Figure 9: views to add"]
+    sections = ["## Figure 9: views to add"]
     for way, title in WAYS.items():
-        start = curves(cells, FARTHEST, "psnr", way)[:, 0].mean()
-        found += [f"{len(cells)} cells, {title}; the start has {start:.2f} dB.",
-                  _curve_table(cells, way)]  # fmt: skip
-    return [*found, _entropy_table(cells), _paired_table(cells), _cell_table(cells)]
+        start = curves(cases, FARTHEST, "psnr", way)[:, 0].mean()
+        sections += [f"{len(cases)} cells, {title}; the start has {start:.2f} dB.",
+                  _curve_table(cases, way)]  # fmt: skip
+    return [*sections, _entropy_table(cases), _paired_table(cases), _case_table(cases)]
 
 
-def _curve_table(cells: Sequence[Record], way: str) -> str:
+def _curve_table(cases: Sequence[Record], way: str) -> str:
     """Mean gains of PSNR by strategy, and the views needed for a gain."""
-    mean = {s: gains(cells, s, "psnr", way).mean(axis=0) for s in STRATEGIES}
+    mean = {s: gains(cases, s, "psnr", way).mean(axis=0) for s in STRATEGIES}
     last = float(mean[FARTHEST][-1])
     rows = [
         [s, *(f"{value:+.2f}" for value in mean[s][1:]), _needed(mean[s], 1.0),
          _needed(mean[s], last - 1e-9),
-         f"{np.mean([cell['rows'][s]['seconds_per_view'] for cell in cells]):.1f}"]
+         f"{np.mean([case['rows'][s]['seconds_per_view'] for case in cases]):.1f}"]
         for s in STRATEGIES
     ]  # fmt: skip
     return table(
@@ -197,23 +197,23 @@ def _needed(mean: np.ndarray, step: float) -> str:
     return f"> {ADDED[-1]}" if np.isnan(views) else f"{views:.1f}"
 
 
-def _entropy_table(cells: Sequence[Record]) -> str:
+def _entropy_table(cases: Sequence[Record]) -> str:
     rows = [
         [f"{title}: {s}",
-         *(f"{value:.3f}" for value in curves(cells, s, "entropy", way).mean(axis=0))]
+         *(f"{value:.3f}" for value in curves(cases, s, "entropy", way).mean(axis=0))]
         for way, title in (("paper", "of spectra (paper)"), ("default", "ours"))
         for s in STRATEGIES
     ]  # fmt: skip
     return table(("mean entropy", *(str(START + added) for added in (0, *ADDED))), rows)
 
 
-def _paired_table(cells: Sequence[Record]) -> str:
-    """What a strategy gains over farthest-point sampling in every cell, and p of none."""
+def _paired_table(cases: Sequence[Record]) -> str:
+    """What a strategy gains over farthest-point sampling in every case, and p of none."""
     rows = []
     for what, unit, sign in (("psnr", " dB", 1), ("entropy", "", -1)):
         for way, title in WAYS.items():
             for strategy in (PAPER, OURS):
-                over = mean_gain(cells, strategy, what, way) - mean_gain(cells, FARTHEST, what, way)
+                over = mean_gain(cases, strategy, what, way) - mean_gain(cases, FARTHEST, what, way)
                 p = "-"
                 if len(over) > 5 and over.any():
                     p = f"{scipy.stats.wilcoxon(over).pvalue:.3f}"
@@ -223,42 +223,42 @@ def _paired_table(cells: Sequence[Record]) -> str:
     return table(("over farthest", "mean over added views", "better in", "p"), rows)
 
 
-def _cell_table(cells: Sequence[Record]) -> str:
-    """The gain of every cell with all photographs, as recovered in the paper and by ours."""
+def _case_table(cases: Sequence[Record]) -> str:
+    """The gain of every case with all photographs, as recovered in the paper and by ours."""
     both = [(way, s) for way in WAYS for s in STRATEGIES]
     rows = [
-        [cell["cell"], *(f"{gains([cell], s, 'psnr', way)[0, -1]:+.2f}" for way, s in both)]
-        for cell in cells
+        [case["cell"], *(f"{gains([case], s, 'psnr', way)[0, -1]:+.2f}" for way, s in both)]
+        for case in cases
     ]
     heads = (f"gain (dB) with {START + ADDED[-1]}", *(f"{s}, {way}" for way, s in both))
     return table(heads, rows)
 
 
-def draw_figure9(found: Record) -> Figure | None:
+def draw_figure9(records: Record) -> Figure | None:
     """Draw mean curves, from the records of all benchmarks; their standard error as a band."""
-    cells = [cell for cell in found["paper"]["cells"] if cell["part"] == "figure9"]
-    if not cells:
+    cases = [case for case in records["paper"]["cells"] if case["part"] == "figure9"]
+    if not cases:
         return None
     figure = page(13, 3.2)
     panels = [("psnr", way, f"gain (dB), {title}") for way, title in WAYS.items()]
     panels += [("entropy", "paper", "entropy of spectra"), ("entropy", "default", "entropy")]
     for axes, (what, way, title) in zip(figure.subplots(1, 4), panels, strict=True):
-        _draw(axes, cells, what, way)
-        axes.set_title(f"mean of {len(cells)} cells: {title}", fontsize=9, color=INK)
+        _draw(axes, cases, what, way)
+        axes.set_title(f"mean of {len(cases)} cells: {title}", fontsize=9, color=INK)
         tidy(axes)
     figure.axes[0].legend(frameon=False, fontsize=8)
     return figure
 
 
-def _draw(axes: Axes, cells: Sequence[Record], what: str, way: str) -> None:
+def _draw(axes: Axes, cases: Sequence[Record], what: str, way: str) -> None:
     photographs = START + np.array([0, *ADDED])
     for strategy, color, mark in zip(STRATEGIES, COLORS, MARKS, strict=False):
-        above = gains(cells, strategy, what, way)
-        shown = above if what == "psnr" else curves(cells, strategy, what, way)
+        above = gains(cases, strategy, what, way)
+        shown = above if what == "psnr" else curves(cases, strategy, what, way)
         mean = shown.mean(axis=0)
         axes.plot(photographs, mean, f"{mark}-", color=color, ms=4, lw=1.2, label=strategy)
-        if len(cells) > 1:
-            error = above.std(axis=0, ddof=1) / np.sqrt(len(cells))
+        if len(cases) > 1:
+            error = above.std(axis=0, ddof=1) / np.sqrt(len(cases))
             band = {"color": color, "alpha": 0.12, "lw": 0}
             axes.fill_between(photographs, mean - error, mean + error, **band)
     axes.set_xticks(photographs)

@@ -22,9 +22,9 @@ import drjit as dr
 import numpy as np
 
 from svu_mi.bench.captures import Truth, uneven_views
-from svu_mi.bench.experiment import OnCell, Record
+from svu_mi.bench.experiment import CaseSubject, Record
 from svu_mi.bench.markdown import Column, columns, digits, table
-from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, Row
+from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, RecoveryMethod
 from svu_mi.capture.capture import Capture
 from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels
@@ -37,20 +37,20 @@ ROWS = tuple(row for row in (*PAPER, *OURS) if row is not PATH_SHARING)
 
 
 @dataclass(frozen=True)
-class Table2(OnCell):
+class Table2(CaseSubject):
     """A case whose textures are recovered from photographs mostly from one side."""
 
     @property
     def name(self) -> str:
-        return f"table2/{self.cell.name}"
+        return f"table2/{self.case.name}"
 
     @property
-    def rows(self) -> Sequence[Row]:
+    def rows(self) -> Sequence[RecoveryMethod]:
         """All ways of recovery; with quick sizes, those that trace no paths."""
         return [row for row in ROWS if not (row.traced and self.bench.quick)]
 
-    def settings(self, row: Row | None) -> Any:
-        return str(self.cell.scene), self.cell.defines, self.bench.quick, row and asdict(row)
+    def settings(self, row: RecoveryMethod | None) -> Any:
+        return str(self.case.scene), self.case.defines, self.bench.quick, row and asdict(row)
 
     def head(self) -> Record:
         return {"part": "table2", "cell": self.title}
@@ -59,7 +59,7 @@ class Table2(OnCell):
     def capture(self) -> Capture:
         """Photographs mostly from one side."""
         film, spp = (QUICK_FILM, QUICK_SPP) if self.bench.quick else (FILM, SPP)
-        every = self.bench.capture(self.cell, "table2", views=DENSE, film=film, spp=spp)
+        every = self.bench.capture(self.case, "table2", views=DENSE, film=film, spp=spp)
         return uneven_views(every, FRONT, BACK)
 
     @cached_property
@@ -83,7 +83,7 @@ class Table2(OnCell):
             "seen": np.array(ours.coverage) > 0,
         }
 
-    def measure(self, row: Row) -> Record:
+    def measure(self, row: RecoveryMethod) -> Record:
         """Recover textures in one way, and compare them with the true ones."""
         seen = self.entropy["seen"]
         dr.sync_thread()
@@ -117,21 +117,21 @@ SHOWN = (
 )  # fmt: skip
 
 
-def _mean(found: list[Record], name: str) -> float:
-    return float(np.mean([one["psnr"][name] for one in found]))
+def _mean(rows: list[Record], name: str) -> float:
+    return float(np.mean([one["psnr"][name] for one in rows]))
 
 
-def table2_tables(cells: list[Record]) -> list[str]:
+def table2_tables(cases: list[Record]) -> list[str]:
     """Return Table 2, and the errors of Fig. 8."""
-    lines = [(label, [cell["rows"][label] for cell in cells]) for label in cells[0]["rows"]]
+    lines = [(label, [case["rows"][label] for case in cases]) for label in cases[0]["rows"]]
     errors = [
         [f"{label}, most {kind}",
-         *(f"{value:.3f}" for value in np.mean([one[kind] for one in found], axis=0))]
-        for label, found in lines for kind in ("certain", "uncertain")
+         *(f"{value:.3f}" for value in np.mean([one[kind] for one in rows], axis=0))]
+        for label, rows in lines for kind in ("certain", "uncertain")
     ]  # fmt: skip
     return [
         "## Table 2: textures, photographs mostly from one side",
-        f"PSNR (dB), means over {len(cells)} cells: {', '.join(cell['cell'] for cell in cells)}.",
+        f"PSNR (dB), means over {len(cases)} cells: {', '.join(case['cell'] for case in cases)}.",
         columns(SHOWN, lines),
         "Mean absolute error of the most and the least certain texels, by the paper's entropy "
         "(Fig. 8).",

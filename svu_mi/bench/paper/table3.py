@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
-from svu_mi.bench.experiment import OnCell, Record
+from svu_mi.bench.experiment import CaseSubject, Record
 from svu_mi.bench.markdown import Column, columns, digits
 from svu_mi.evaluation.correlation import pearson
 from svu_mi.pipeline import estimate
@@ -35,7 +35,7 @@ LOSES = 0.97  # part of the irradiance that reaches an open texel at least
 
 
 @dataclass(frozen=True)
-class Way:
+class EntropyRow:
     """A map whose correlation with a reference is a row of the table.
 
     Attributes:
@@ -52,20 +52,22 @@ class Way:
     open: bool = False
 
 
-def _ways() -> tuple[Way, ...]:
-    def paper(label: str, *, open: bool = False, **switches: Any) -> Way:
+def _entropy_rows() -> tuple[EntropyRow, ...]:
+    def paper(label: str, *, open: bool = False, **switches: Any) -> EntropyRow:
         which = "mean" if switches.get("errors") == "mean" else "sum"
-        return Way(label, "angular", preset("paper", method="angular", **switches), which, open)
+        return EntropyRow(
+            label, "angular", preset("paper", method="angular", **switches), which, open
+        )
 
-    def ours(label: str, *, open: bool = False, **switches: Any) -> Way:
+    def ours(label: str, *, open: bool = False, **switches: Any) -> EntropyRow:
         chosen = preset("fixed", method="angular", errors="sum", sigma=SUM, **switches)
-        return Way(label, "angular", chosen, "sum", open)
+        return EntropyRow(label, "angular", chosen, "sum", open)
 
     relative = preset("paper", noise="relative", sigma=0.02)
     return (
         paper("SH model (paper)", open=True),
-        Way("spectrum (paper)", "spectrum", preset("paper"), "sum", True),
-        Way("spectrum (paper), relative noise", "spectrum", relative, "sum"),
+        EntropyRow("spectrum (paper)", "spectrum", preset("paper"), "sum", True),
+        EntropyRow("spectrum (paper), relative noise", "spectrum", relative, "sum"),
         paper("SH model, mean over views", errors="mean", sigma=MEAN),
         paper("SH model, band-limit undone", fit=Fit(undo_prefilter=True)),
         paper("SH model, degree 5", fit=Fit(degree=5)),
@@ -76,24 +78,24 @@ def _ways() -> tuple[Way, ...]:
         ours("GGX lobes, light known everywhere", cells=0),
         ours("cells of the light, nothing occluded", occluded=False),
         ours("fixed, sum over views", open=True),
-        Way("fixed", "angular", preset("fixed", method="angular"), "mean"),
-        Way("spectrum (ours)", "spectrum", preset("default"), "mean"),
+        EntropyRow("fixed", "angular", preset("fixed", method="angular"), "mean"),
+        EntropyRow("spectrum (ours)", "spectrum", preset("default"), "mean"),
     )
 
 
 @dataclass(frozen=True)
-class Table3(OnCell):
+class Table3(CaseSubject):
     """A case whose entropies are compared with path-traced ones."""
 
     @property
     def name(self) -> str:
-        return f"table3/{self.cell.name}"
+        return f"table3/{self.case.name}"
 
     @property
-    def rows(self) -> Sequence[Way]:
-        return _ways()
+    def rows(self) -> Sequence[EntropyRow]:
+        return _entropy_rows()
 
-    def settings(self, row: Way | None) -> Any:
+    def settings(self, row: EntropyRow | None) -> Any:
         return super().settings(None), self.bench.quick, row and asdict(row)
 
     @cached_property
@@ -117,15 +119,17 @@ class Table3(OnCell):
     @cached_property
     def entropies(self) -> dict[str, list[np.ndarray]]:
         """Of errors summed and averaged over views: entropies of the reference and its halves."""
-        found, result = self.reference, {}
-        views = found.coverage[:, None, None, None]
+        reference, result = self.reference, {}
+        views = reference.coverage[:, None, None, None]
         for name, factor in (("sum", views), ("mean", (SUM / MEAN) ** 2)):
             result[name] = [
                 np.array(
-                    tabulated_posterior(table * factor, found.posterior.grid, self.seen).entropy(),
+                    tabulated_posterior(
+                        table * factor, reference.posterior.grid, self.seen
+                    ).entropy(),
                     np.float64,
                 )[self.seen]
-                for table in found.tables
+                for table in reference.tables
             ]  # fmt: skip
         return result
 
@@ -151,10 +155,10 @@ class Table3(OnCell):
         return {"part": "table3", "cell": self.title, "simple": simple,
                 "open texels, part": float(self.open.mean())}  # fmt: skip
 
-    def measure(self, row: Way) -> Record:
+    def measure(self, row: EntropyRow) -> Record:
         """Return the correlation of a map with the reference, of all texels and of open ones."""
-        found = estimate(self.observed, method=row.method, preset=row.preset)
-        own = np.array(found.entropy, np.float64)[self.reference.subset][self.seen]
+        estimated = estimate(self.observed, method=row.method, preset=row.preset)
+        own = np.array(estimated.entropy, np.float64)[self.reference.subset][self.seen]
         truth = self.entropies[row.reference][0]
         record = {"rho": correlation(own, truth)}
         if row.open:
@@ -168,18 +172,18 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
     return pearson(a, b) if varied else float("nan")
 
 
-def table3_tables(cells: list[Record]) -> list[str]:
-    """Return means over the cells, and the lowest of each row."""
+def table3_tables(cases: list[Record]) -> list[str]:
+    """Return means over the cases, and the lowest of each row."""
     lines = []
-    for label, first in cells[0]["rows"].items():
-        lines.append((label, [cell["rows"][label]["rho"] for cell in cells]))
+    for label, first in cases[0]["rows"].items():
+        lines.append((label, [case["rows"][label]["rho"] for case in cases]))
         if "open" in first:
-            values = [cell["rows"][label]["open"] for cell in cells]
+            values = [case["rows"][label]["open"] for case in cases]
             lines.append((f"{label}, open texels", values))
-    lines += [(name, [cell["simple"][name] for cell in cells]) for name in cells[0]["simple"]]
+    lines += [(name, [case["simple"][name] for case in cases]) for name in cases[0]["simple"]]
     shown = (
         Column("row", lambda line: line[0]),
-        Column(f"mean of {len(cells)} cells", lambda line: np.mean(line[1]), digits(3)),
+        Column(f"mean of {len(cases)} cells", lambda line: np.mean(line[1]), digits(3)),
         Column("lowest", lambda line: np.min(line[1]), digits(3)),
     )
     return ["## Table 3: entropy against path tracing", columns(shown, lines)]

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.experiment import Bench, Experiment, Record
+from svu_mi.bench.experiment import BenchRun, Experiment, Record
 from svu_mi.bench.markdown import Bar
-from svu_mi.bench.real.predictors import MEANS, POSTERIOR, WAYS, Score, Way
+from svu_mi.bench.real.predictors import MEANS, POSTERIOR, PREDICTORS, Predictor, Score
 from svu_mi.bench.real.real_tables import draw_real, real_tables
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.calibration.exposure import equalized, estimate_gains
 from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import FoundGains
@@ -49,10 +49,10 @@ class LeftOut:
         every: of the photographs that are used, each so many-th is left out, the first of all.
     """
 
-    bench: Bench
+    bench: BenchRun
     source: Path
     every: int
-    rows = WAYS
+    rows = PREDICTORS
 
     @property
     def name(self) -> str:
@@ -64,7 +64,7 @@ class LeftOut:
         """For people."""
         return self.name
 
-    def settings(self, row: Way | None) -> Any:
+    def settings(self, row: Predictor | None) -> Any:
         """Return what figures depend on beside the code."""
         return self._key, self.every, self._size, row and row.label
 
@@ -112,7 +112,7 @@ class LeftOut:
 
     @cached_property
     def lit(self) -> tuple[Capture, FoundGains]:
-        """The rest without gains, under the capture's light or one that is found; and gains."""
+        """The rest without gains, under the capture's light or the estimated one; and gains."""
         options = QUICK_SEARCH if self.bench.quick else LightOptions(gains=True)
         progress = self.bench.progress
         if self.rest.environment is not None:
@@ -175,7 +175,7 @@ class LeftOut:
         return np.asarray(to_world(self.capture.sensors[self.used[view]])[:3, 3])
 
     def head(self) -> Record:
-        """Estimate; return what was found of the photographs and of the object."""
+        """Estimate; return a summary of the photographs and of the metallic texels."""
         start = perf_counter()
         names = [self.capture.names[view] for view in self.used]
         gains = self.lit[1]
@@ -198,7 +198,7 @@ class LeftOut:
             "open": _part((low < 0.5) & (high > 0.5)), "reaches 1": _part(high > 0.9),
         }  # fmt: skip
 
-    def measure(self, row: Way) -> Record:
+    def measure(self, row: Predictor) -> Record:
         """Predict the photographs that were left out, in one way."""
         start, predict, samples = perf_counter(), row.of(self), self.samples
         score = Score.start(len(self.texels))
@@ -222,17 +222,17 @@ MARGIN = 0.05  # of R^2 over texel means
 HOLDS = (0.80, 0.97)  # part of the 90 % intervals that may hold
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
-    assert asked.capture is not None
-    return Experiment("real", [LeftOut(bench, asked.capture, asked.every)], whole=True)
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    assert selection.capture is not None
+    return Experiment("real", [LeftOut(bench, selection.capture, selection.every)], whole=True)
 
 
 def find_bars(record: Record) -> list[Bar]:
     """Return what predictions have to reach."""
     if not record["cells"]:
         return []
-    (cell,) = record["cells"]
-    ours, means = (cell["rows"][way.label] for way in (POSTERIOR, MEANS))
+    (case,) = record["cells"]
+    ours, means = (case["rows"][way.label] for way in (POSTERIOR, MEANS))
     if not ours["holds"]:
         return []
     holds = ours["holds"]["0.9"]

@@ -69,7 +69,7 @@ class Score:
         return Score(np.random.default_rng(0).random(texels) < 0.5)
 
     def add(
-        self, texels: np.ndarray, radiance: np.ndarray, cosine: np.ndarray, found: Shown
+        self, texels: np.ndarray, radiance: np.ndarray, cosine: np.ndarray, expected: Shown
     ) -> None:
         """Compare a photograph with what it should show.
 
@@ -77,9 +77,9 @@ class Score:
             texels: (m,) that it shows.
             radiance: (m, 3).
             cosine: (m,) between normal and view.
-            found: of these texels.
+            expected: of these texels.
         """
-        first, mean = self.first[texels], found.radiance.mean(axis=0, dtype=np.float64)
+        first, mean = self.first[texels], expected.radiance.mean(axis=0, dtype=np.float64)
         if min(first.sum(), (~first).sum()) < FEWEST:
             return
         gain = gain_of(mean[first], radiance[first])
@@ -89,9 +89,9 @@ class Score:
         self.predicted.append(mean[~first])
         self.shown.append(even)
         self.facing.append(cosine[~first] > FACING)
-        if found.sd is not None:
-            off = even - found.radiance[:, ~first]
-            self.place.append(scipy.special.ndtr(off / found.sd[:, ~first, None]).mean(axis=0))
+        if expected.sd is not None:
+            off = even - expected.radiance[:, ~first]
+            self.place.append(scipy.special.ndtr(off / expected.sd[:, ~first, None]).mean(axis=0))
 
     def record(self) -> Record:
         """Return R^2 of all samples, of those that face the camera and of others, and of each
@@ -151,7 +151,7 @@ Predict = Callable[[int], Shown]  # what a view should show of the texels
 
 
 @dataclass(frozen=True)
-class Way:
+class Predictor:
     """A way to predict.
 
     Attributes:
@@ -165,10 +165,10 @@ class Way:
 
 def _posterior(subject: LeftOut) -> Predict:
     """Draws from the posterior, each with the noise that photographs around it had."""
-    texels, found, samples = subject.texels, subject.estimate.posterior, subject.samples
-    assert isinstance(found.kernel, CalibratedKernel)
+    texels, posterior, samples = subject.texels, subject.estimate.posterior, subject.samples
+    assert isinstance(posterior.kernel, CalibratedKernel)
     prediction = Prediction.of(subject.estimate, texels, DRAWS)
-    noise, kept = found.kernel.noise_of(texels), subject.kept
+    noise, kept = posterior.kernel.noise_of(texels), subject.kept
     squares = _sums(subject, np.square(samples.radiance.mean(axis=1)))
     # On edges the noise is larger: as much as in the photographs that are known.
     contrast = _sums(subject, samples.contrast * kept) / np.maximum(squares, 1e-300)
@@ -224,7 +224,7 @@ def _sums(subject: LeftOut, values: np.ndarray) -> np.ndarray:
     return subject.samples.sum(np.where(kept, values, 0).astype(np.float64))
 
 
-POSTERIOR = Way("posterior", _posterior)
-MEANS = Way("texel means", _means)
-DIFFUSE = Way("diffuse only", _diffuse)
-WAYS = (POSTERIOR, MEANS, DIFFUSE)
+POSTERIOR = Predictor("posterior", _posterior)
+MEANS = Predictor("texel means", _means)
+DIFFUSE = Predictor("diffuse only", _diffuse)
+PREDICTORS = (POSTERIOR, MEANS, DIFFUSE)

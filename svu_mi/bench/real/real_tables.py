@@ -44,53 +44,53 @@ def real_tables(record: Record) -> list[str]:
         record: of ``svu bench real``.
     """
     parts = []
-    for cell in record["cells"]:
-        parts += [_about(cell), columns(PREDICTED, list(cell["rows"].items())), _made_of(cell)]
+    for case in record["cells"]:
+        parts += [_about(case), columns(PREDICTED, list(case["rows"].items())), _made_of(case)]
     return parts
 
 
-def _about(cell: Record) -> str:
-    odd, (low, high) = cell["odd"], cell["gains"]
+def _about(case: Record) -> str:
+    odd, (low, high) = case["odd"], case["gains"]
     fit = f"{len(odd)} of them do not fit the others: {', '.join(odd)}" if odd else "all fit"
     return (
-        f"{cell['cell']}: {cell['left_out']} of {cell['photographs']} photographs are left out and "
-        f"predicted from the others ({fit}; gains {low:.2f} to {high:.2f}), at {cell['texels']} "
-        f"texels that are seen well enough. Estimated in {seconds(cell['seconds'])}. Gains of a "
+        f"{case['cell']}: {case['left_out']} of {case['photographs']} photographs are left out and "
+        f"predicted from the others ({fit}; gains {low:.2f} to {high:.2f}), at {case['texels']} "
+        f"texels that are seen well enough. Estimated in {seconds(case['seconds'])}. Gains of a "
         "photograph that was left out are from half of its texels, scores from the other half; "
         "pixels that are clipped are not scored, nor photographs that show few texels."
     )
 
 
-def _made_of(cell: Record) -> str:
-    found = cell["metallic"]
+def _made_of(case: Record) -> str:
+    shares = case["metallic"]
     return (
-        f"Of {found['seen']} texels seen by ten photographs or more, {found['metallic']:.1%} are "
-        f"metallic, {found['open']:.1%} are open, {found['dielectric']:.1%} are not metallic (90 % "
-        f"intervals above, across and below .5); {found['reaches 1']:.1%} of the intervals reach "
-        "beyond .9."
+        f"Of {shares['seen']} texels seen by ten photographs or more, {shares['metallic']:.1%} are "
+        f"metallic, {shares['open']:.1%} are open, {shares['dielectric']:.1%} are not metallic "
+        f"(90 % intervals above, across and below .5); {shares['reaches 1']:.1%} of the intervals "
+        "reach beyond .9."
     )
 
 
-def draw_real(found: dict[str, Record]) -> Figure | None:
+def draw_real(records: dict[str, Record]) -> Figure | None:
     """Draw R^2 of every photograph in every way, and how intervals hold.
 
     Args:
-        found: records of all benchmarks.
+        records: records of all benchmarks.
     """
-    if "real" not in found or not found["real"]["cells"]:
+    if "real" not in records or not records["real"]["cells"]:
         return None
-    (cell,) = found["real"]["cells"]
+    (case,) = records["real"]["cells"]
     figure = page(11, 4.6)
     views, held = figure.subplots(1, 2, width_ratios=(2, 1))
-    for (label, row), color, mark in zip(cell["rows"].items(), COLORS, MARKS, strict=False):
+    for (label, row), color, mark in zip(case["rows"].items(), COLORS, MARKS, strict=False):
         views.plot(row["views"], mark, color=color, label=f"{label} ({row['r2']:.3f})", ms=5)
         if row["holds"]:
             parts = [row["holds"][str(level)] for level in LEVELS]
             held.plot(LEVELS, parts, mark + "-", color=color, label=label)
-    views.set_ylim(max(min(-0.1, *(min(row["views"], default=0) for row in cell["rows"].values())),
+    views.set_ylim(max(min(-0.1, *(min(row["views"], default=0) for row in case["rows"].values())),
                        -1), 1)  # fmt: skip
     views.set(xlabel="photograph that was left out", ylabel="R² of its radiance",
-              title=f"{cell['cell']}: photographs predicted from the others")  # fmt: skip
+              title=f"{case['cell']}: photographs predicted from the others")  # fmt: skip
     held.plot([0, 1], [0, 1], color=FAINT, lw=1, label="as they should")
     held.set(xlabel="probability of an interval", ylabel="part of intervals that hold",
              xlim=(0.4, 1), ylim=(0.4, 1), title="Intervals of pixels")  # fmt: skip

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.captures import Truth, some_views
-from svu_mi.bench.cases import Cell, chosen_cells
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
+from svu_mi.bench.cases import Case, chosen_cases
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.problem_sizes import RecoverySizes
-from svu_mi.bench.recovery.methods import Row, choose_rows
+from svu_mi.bench.recovery.methods import RecoveryMethod, choose_rows
 from svu_mi.bench.recovery.recovery_tables import draw_recovery, find_bars, recovery_tables
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.bench.timing import Timed, warm
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.rendering import object_mask
@@ -34,39 +34,39 @@ BRIEF = 4  # steps after which all kernels are compiled
 
 
 @dataclass(frozen=True)
-class Recovered(OnCell):
-    """A cell, loaded only when a row is missing.
+class Recovered(CaseSubject):
+    """A case, loaded only when a row is missing.
 
     Attributes:
-        cell: object and the light of the photographs, which are from everywhere.
+        case: object and the light of the photographs, which are from everywhere.
         relit_as: returns the same object under a light not used for recovery.
         rows: ways of recovery.
     """
 
-    relit_as: Callable[[], Cell]
-    rows: Sequence[Row]
+    relit_as: Callable[[], Case]
+    rows: Sequence[RecoveryMethod]
 
     @property
     def sizes(self) -> RecoverySizes:
         """How large everything is, beside the photographs."""
         return self.bench.sizes.recovery
 
-    def settings(self, row: Row | None) -> Any:
-        cells = [(str(one.scene), one.defines) for one in (self.cell, self.other)]
+    def settings(self, row: RecoveryMethod | None) -> Any:
+        cases = [(str(one.scene), one.defines) for one in (self.case, self.other)]
         size = self.bench.sizes
         photographs = (size.views, size.film, size.spp, size.texels, size.seed)
-        return cells, photographs, asdict(self.sizes), row and asdict(row)
+        return cases, photographs, asdict(self.sizes), row and asdict(row)
 
     def head(self) -> Record:
         """Return what holds for all rows: names, counts, and what the true textures themselves
         reach at this resolution under the other light."""
         return {
-            "object": self.cell.object, "light": self.cell.light, "relit": self.other.light,
+            "object": self.case.object, "light": self.case.light, "relit": self.other.light,
             "views": self.capture.count, **self.judge.figures(),
             "truth_relit": self.relit.judge(lay_out(self.layout, self.judge.truth.values)),
         }  # fmt: skip
 
-    def measure(self, row: Row) -> Record:
+    def measure(self, row: RecoveryMethod) -> Record:
         """Recover, judge and relight; return the figures."""
         timed = run_warm(row, self.capture, self.layout, self.sizes)
         textures = timed.result.textures
@@ -74,20 +74,20 @@ class Recovered(OnCell):
         return {**figures(timed), **self.judge.judge(textures), "relit": relit}
 
     @cached_property
-    def other(self) -> Cell:
+    def other(self) -> Case:
         """The same object under another light."""
         return self.relit_as()
 
     @cached_property
     def capture(self) -> Capture:
         """The photographs."""
-        whole = self.bench.capture(self.cell)
+        whole = self.bench.capture(self.case)
         return some_views(whole, min(self.sizes.even_views, whole.count))
 
     @cached_property
-    def judge(self) -> Judge:
+    def judge(self) -> TextureScorer:
         """What textures are held against."""
-        return Judge.of(self.capture, self.layout, self.sizes.poor)
+        return TextureScorer.of(self.capture, self.layout, self.sizes.poor)
 
     @cached_property
     def relit(self) -> Relit:
@@ -96,28 +96,28 @@ class Recovered(OnCell):
         return Relit.of(self.capture, self.other, sizes.relit_views, sizes.relit_spp)
 
 
-def under_another_light(cell: Cell, data: Path | None, workspace: Path) -> Cell:
-    """Return the same object under the light after the cell's, in the order of all lights.
+def under_another_light(case: Case, data: Path | None, workspace: Path) -> Case:
+    """Return the same object under the light after the case's, in the order of all lights.
 
     Args:
-        cell: object and light.
-        data: folder the cell comes from, None for the scenes of svu_mi.
+        case: object and light.
+        data: folder the case comes from, None for the scenes of svu_mi.
         workspace: for objects that have to be converted.
 
     Raises:
         OptionError: there is one light only.
     """
-    around = chosen_cells(data, workspace, [cell.object])
+    around = chosen_cases(data, workspace, [case.object])
     lights = [one.light for one in around]
     if len(lights) < 2:
         raise OptionError(
-            f"{cell.title}: there is no second light to relight the object with; add another "
+            f"{case.title}: there is no second light to relight the object with; add another "
             "image to envmaps/."
         )
-    return around[(lights.index(cell.light) + 1) % len(lights)]
+    return around[(lights.index(case.light) + 1) % len(lights)]
 
 
-def run_warm(row: Row, capture: Capture, grid: Texels, sizes: RecoverySizes) -> Timed:
+def run_warm(row: RecoveryMethod, capture: Capture, grid: Texels, sizes: RecoverySizes) -> Timed:
     """Recover textures with compiled kernels.
 
     Kernels are compiled by a brief run that does not count. A row that takes longer than
@@ -142,8 +142,8 @@ def figures(timed: Timed) -> Record:
 
 
 @dataclass(frozen=True)
-class Judge:
-    """What is known of a cell before anything is recovered.
+class TextureScorer:
+    """What is known of a case before anything is recovered.
 
     Attributes:
         truth: of T texels.
@@ -158,21 +158,21 @@ class Judge:
     poor: int
 
     @classmethod
-    def of(cls, capture: Capture, grid: Texels, poor: int) -> Judge:
+    def of(cls, capture: Capture, grid: Texels, poor: int) -> TextureScorer:
         """Look the truth up, and estimate the entropy.
 
         Raises:
             SceneError: the scene does not know the true parameters.
             CaptureError: no texel is seen.
         """
-        truth, found = Truth.of(capture, grid), estimate(capture, grid)
-        coverage = np.array(found.coverage)
+        truth, estimated = Truth.of(capture, grid), estimate(capture, grid)
+        coverage = np.array(estimated.coverage)
         if not (coverage > 0).any():
             raise CaptureError("No texel is seen in any photograph; there is nothing to compare.")
         return cls(
             truth=truth,
             coverage=coverage,
-            entropy=np.array(found.entropy, np.float64),
+            entropy=np.array(estimated.entropy, np.float64),
             poor=poor,
         )
 
@@ -219,12 +219,12 @@ class Relit:
     seed: int
 
     @classmethod
-    def of(cls, capture: Capture, cell: Cell, count: int, spp: int, seed: int = 0) -> Relit:
+    def of(cls, capture: Capture, case: Case, count: int, spp: int, seed: int = 0) -> Relit:
         """Render the true pictures.
 
         Args:
             capture: sensors of the pictures are some of its own.
-            cell: the same object under another light.
+            case: the same object under another light.
             count: number of pictures.
             spp: samples per pixel.
             seed: of the first; pictures of other textures use the same, so that most of the
@@ -233,12 +233,12 @@ class Relit:
         Raises:
             SceneError: the other scene cannot be loaded.
         """
-        scene = load_scene(cell.scene, cell.defines)
-        shape = find_shape(scene, capture.shape.id(), str(cell.scene))
+        scene = load_scene(case.scene, case.defines)
+        shape = find_shape(scene, capture.shape.id(), str(case.scene))
         other = replace(some_views(capture, count), scene=scene, shape=shape, mesh=shape)
         masks = [object_mask(scene, shape, sensor) >= 1 for sensor in other.sensors]
-        found = cls(other, (), masks, spp, seed)
-        return replace(found, truth=found.pictures(None))
+        relit = cls(other, (), masks, spp, seed)
+        return replace(relit, truth=relit.pictures(None))
 
     def pictures(self, textures: Textures | None) -> list[np.ndarray]:
         """Render the object with these textures instead of its own; None for its own."""
@@ -246,22 +246,24 @@ class Relit:
 
     def judge(self, textures: Textures) -> dict[str, float]:
         """Return psnr_hdr, psnr_ldr and ssim, means over the pictures (``image_error``)."""
-        found = [
+        errors = [
             asdict(image_error(picture, true, mask))
             for picture, true, mask in zip(
                 self.pictures(textures), self.truth, self.masks, strict=True
             )
             if mask.any()
         ]
-        return {name: float(np.mean([one[name] for one in found])) for name in found[0]}
+        return {name: float(np.mean([one[name] for one in errors])) for name in errors[0]}
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     sizes = bench.sizes.recovery
-    rows = choose_rows(asked.rows or sizes.rows)
+    rows = choose_rows(selection.rows or sizes.rows)
     subjects = (
-        Recovered(bench, cell, partial(under_another_light, cell, asked.data, bench.folder), rows)
-        for cell in asked.cells[: sizes.even_cells]
+        Recovered(
+            bench, case, partial(under_another_light, case, selection.data, bench.folder), rows
+        )
+        for case in selection.cases[: sizes.even_cells]
     )
     return Experiment("recovery", subjects)
 

@@ -13,11 +13,11 @@ from svu_mi.recovery.path.pixel_loss import path_objective
 from svu_mi.recovery.recover import Method, Recovery, recover
 from svu_mi.recovery.recovery_options import PATH_PRESETS, SH_PRESETS, PathOptions, ShOptions
 
-DEPTH = 2  # light straight from the environment, as in the photographs (bench.cells.DIRECT)
+DEPTH = 2  # light straight from the environment, as in the photographs (bench.cases.DIRECT)
 
 
 @dataclass(frozen=True)
-class Row:
+class RecoveryMethod:
     """One way of recovery.
 
     Attributes:
@@ -88,19 +88,21 @@ class Row:
         )
 
 
-PATH = Row("path", "path")
-PATH_SHARING = Row("path + sharing", "path", sharing=True)
-SH = Row("SH (ours)", "sh")
-SH_SHARING = Row("SH + sharing", "sh", sharing=True)
-SH_PATH = Row("SH + path", "sh+path", path="polish")  # one epoch
+PATH = RecoveryMethod("path", "path")
+PATH_SHARING = RecoveryMethod("path + sharing", "path", sharing=True)
+SH = RecoveryMethod("SH (ours)", "sh")
+SH_SHARING = RecoveryMethod("SH + sharing", "sh", sharing=True)
+SH_PATH = RecoveryMethod("SH + path", "sh+path", path="polish")  # one epoch
 
 # As printed: those of the paper's Table 2, and of its Table 1.
-SH_PAPER = Row("SH (paper)", "sh", sh="paper")
-SH_PAPER_SHARING = Row("SH (paper) + sharing", "sh", sh="paper", sharing=True)
-SPECTRUM = Row("spectrum (paper)", "sh", sh="spectrum")
-SH_PAPER_PATH = Row("SH (paper) + path (paper)", "sh+path", sh="paper", path="paper_polish")
-PATH_PAPER = Row("path (paper)", "path", path="paper")
-PATH_PAPER_SHARING = Row("path (paper) + sharing", "path", path="paper", sharing=True)
+SH_PAPER = RecoveryMethod("SH (paper)", "sh", sh="paper")
+SH_PAPER_SHARING = RecoveryMethod("SH (paper) + sharing", "sh", sh="paper", sharing=True)
+SPECTRUM = RecoveryMethod("spectrum (paper)", "sh", sh="spectrum")
+SH_PAPER_PATH = RecoveryMethod(
+    "SH (paper) + path (paper)", "sh+path", sh="paper", path="paper_polish"
+)
+PATH_PAPER = RecoveryMethod("path (paper)", "path", path="paper")
+PATH_PAPER_SHARING = RecoveryMethod("path (paper) + sharing", "path", path="paper", sharing=True)
 
 OURS = (SH, SH_SHARING, SH_PATH, PATH, PATH_SHARING)
 PAPER = (SH_PAPER, SH_PAPER_SHARING, SPECTRUM, SH_PAPER_PATH, PATH_PAPER, PATH_PAPER_SHARING)
@@ -108,7 +110,7 @@ ROWS = OURS + PAPER
 USUAL = (*OURS, SH_PAPER, SH_PAPER_SHARING, SPECTRUM)  # unless others are asked for: they take long
 
 
-def find_row(label: str) -> Row:
+def find_row(label: str) -> RecoveryMethod:
     """Return a row by its label.
 
     Raises:
@@ -119,7 +121,7 @@ def find_row(label: str) -> Row:
     return rows[label]
 
 
-def choose_rows(labels: Sequence[str]) -> tuple[Row, ...]:
+def choose_rows(labels: Sequence[str]) -> tuple[RecoveryMethod, ...]:
     """Return the rows of these labels, cheap ones first; the usual ones if there are no labels.
 
     Raises:

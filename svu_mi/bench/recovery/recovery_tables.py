@@ -24,7 +24,7 @@ from svu_mi.bench.markdown import (
     tidy,
     time_axis,
 )
-from svu_mi.bench.recovery.methods import PATH, ROWS, SH, SH_PAPER, SH_PATH, Row
+from svu_mi.bench.recovery.methods import PATH, ROWS, SH, SH_PAPER, SH_PATH, RecoveryMethod
 from svu_mi.parameters import NAMES
 
 if TYPE_CHECKING:
@@ -32,35 +32,38 @@ if TYPE_CHECKING:
 
 
 def paired(
-    cells: Sequence[Record], row: Row, base: Row, value: Callable[[Record], Any]
+    cases: Sequence[Record],
+    row: RecoveryMethod,
+    base: RecoveryMethod,
+    value: Callable[[Record], Any],
 ) -> list[tuple[Any, Any]]:
-    """Return (value of a row, value of another) for every cell that has both."""
+    """Return (value of a row, value of another) for every case that has both."""
     return [
-        (value(cell["rows"][row.label]), value(cell["rows"][base.label]))
-        for cell in cells
-        if row.label in cell["rows"] and base.label in cell["rows"]
+        (value(case["rows"][row.label]), value(case["rows"][base.label]))
+        for case in cases
+        if row.label in case["rows"] and base.label in case["rows"]
     ]
 
 
-def gain(cells: Sequence[Record], row: Row, base: Row) -> list[float]:
-    """Return how many dB a row's average texture PSNR is above another's, per cell."""
-    return [a - b for a, b in paired(cells, row, base, lambda found: found["psnr"]["average"])]
+def gain(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> list[float]:
+    """Return how many dB a row's average texture PSNR is above another's, per case."""
+    return [a - b for a, b in paired(cases, row, base, lambda figures: figures["psnr"]["average"])]
 
 
-def mean_gain(cells: Sequence[Record], row: Row, base: Row) -> float:
+def mean_gain(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> float:
     """Return the mean of ``gain``; NaN without any."""
-    found = gain(cells, row, base)
-    return float(np.mean(found)) if found else float("nan")
+    differences = gain(cases, row, base)
+    return float(np.mean(differences)) if differences else float("nan")
 
 
-def time_ratio(cells: Sequence[Record], row: Row, base: Row) -> float:
-    """Return the time of a row as a part of another's, the median over cells; NaN without any."""
-    found = [a / b for a, b in paired(cells, row, base, lambda found: found["seconds"])]
-    return float(np.median(found)) if found else float("nan")
+def time_ratio(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> float:
+    """Return the time of a row as a part of another's, the median over cases; NaN without any."""
+    ratios = [a / b for a, b in paired(cases, row, base, lambda figures: figures["seconds"])]
+    return float(np.median(ratios)) if ratios else float("nan")
 
 
 @dataclass(frozen=True)
-class Claim:
+class MethodComparison:
     """What one way of recovery has to reach in comparison with another.
 
     Attributes:
@@ -72,34 +75,34 @@ class Claim:
         least: whether the figure has to reach the bar, rather than stay below it.
     """
 
-    row: Row
-    base: Row
+    row: RecoveryMethod
+    base: RecoveryMethod
     what: str
-    value: Callable[[Sequence[Record], Row, Row], float]
+    value: Callable[[Sequence[Record], RecoveryMethod, RecoveryMethod], float]
     limit: float
     unit: str = ""
     least: bool = False
 
-    def bar(self, cells: Sequence[Record]) -> Bar:
-        """Return the bar; its value is NaN if no cell has both rows."""
+    def bar(self, cases: Sequence[Record]) -> Bar:
+        """Return the bar; its value is NaN if no case has both rows."""
         what = f"{self.row.label} over {self.base.label}, {self.what}"
-        value = self.value(cells, self.row, self.base)
+        value = self.value(cases, self.row, self.base)
         return Bar(what, value, self.limit, self.unit, self.least)
 
 
-def gains(row: Row, base: Row, limit: float) -> Claim:
-    """Return the claim that a row gains so many dB at least, in the mean over cells."""
+def gains(row: RecoveryMethod, base: RecoveryMethod, limit: float) -> MethodComparison:
+    """Return the claim that a row gains so many dB at least, in the mean over cases."""
     words = "average texture PSNR, mean over cells"
-    return Claim(row, base, words, mean_gain, limit, "dB", True)
+    return MethodComparison(row, base, words, mean_gain, limit, "dB", True)
 
 
-CLAIMS = (
+COMPARISONS = (
     gains(SH, PATH, -0.5),
-    Claim(SH, PATH, "time, part", time_ratio, 1 / 15),
+    MethodComparison(SH, PATH, "time, part", time_ratio, 1 / 15),
     gains(SH, SH_PAPER, 0.0),
-    Claim(SH, SH_PAPER, "time, part", time_ratio, 1.0),
+    MethodComparison(SH, SH_PAPER, "time, part", time_ratio, 1.0),
     gains(SH_PATH, PATH, 0.0),
-    Claim(SH_PATH, PATH, "time, part", time_ratio, 1 / 3),
+    MethodComparison(SH_PATH, PATH, "time, part", time_ratio, 1 / 3),
 )
 
 
@@ -109,7 +112,7 @@ def find_bars(record: Record) -> list[Bar]:
     Args:
         record: of ``svu bench recovery``.
     """
-    bars = [claim.bar(record["cells"]) for claim in CLAIMS]
+    bars = [claim.bar(record["cells"]) for claim in COMPARISONS]
     return [bar for bar in bars if not np.isnan(bar.value)]
 
 
@@ -124,8 +127,8 @@ def _mean_at(*path: str) -> Callable[[Line], float | None]:
 
     def mean(line: Line) -> float | None:
         values: list[Any] = [reduce(_entry, path, record) for record in line[1]]
-        found = [value for value in values if value is not None]
-        return float(np.mean(found)) if found else None
+        known = [value for value in values if value is not None]
+        return float(np.mean(known)) if known else None
 
     return mean
 
@@ -154,55 +157,55 @@ def recovery_tables(record: Record) -> list[str]:
     Args:
         record: of ``svu bench recovery``.
     """
-    cells = record["cells"]
-    if not cells:
+    cases = record["cells"]
+    if not cases:
         return []
-    rows = [row for row in ROWS if any(row.label in cell["rows"] for cell in cells)]
+    rows = [row for row in ROWS if any(row.label in case["rows"] for case in cases)]
     return [
         "PSNR of textures over the texels that a photograph shows, in dB; relit: pictures under "
         "another light with recovered and with true textures, pixels of the object only, PSNR of "
         "radiance and of tone-mapped values. Times are warm, by the clock. Direct light.",
-        f"{len(cells)} cells (object / light): {', '.join(map(title_of, cells))}; "
-        f"{cells[0]['views']} photographs.",
-        columns(MEANS, _lines(cells, rows)),
-        _by_cell(cells, rows),
+        f"{len(cases)} cells (object / light): {', '.join(map(title_of, cases))}; "
+        f"{cases[0]['views']} photographs.",
+        columns(MEANS, _lines(cases, rows)),
+        _by_case(cases, rows),
     ]
 
 
-def title_of(cell: Record) -> str:
-    """Return ``object / light`` of a cell."""
-    return f"{cell['object']} / {cell['light']}"
+def title_of(case: Record) -> str:
+    """Return ``object / light`` of a case."""
+    return f"{case['object']} / {case['light']}"
 
 
-def _lines(cells: list[Record], rows: list[Row]) -> list[Line]:
-    """Means over cells; a row that not all cells have says how many it is the mean of."""
+def _lines(cases: list[Record], rows: list[RecoveryMethod]) -> list[Line]:
+    """Means over cases; a row that not all cases have says how many it is the mean of."""
     lines: list[Line] = []
     for row in rows:
-        found = [cell["rows"][row.label] for cell in cells if row.label in cell["rows"]]
-        label = row.label if len(found) == len(cells) else f"{row.label} ({len(found)} cells)"
-        lines.append((label, found))
-    ceiling = [{"relit": cell["truth_relit"]} for cell in cells]
+        measured = [case["rows"][row.label] for case in cases if row.label in case["rows"]]
+        label = row.label if len(measured) == len(cases) else f"{row.label} ({len(measured)} cells)"
+        lines.append((label, measured))
+    ceiling = [{"relit": case["truth_relit"]} for case in cases]
     return [*lines, ("true textures at this resolution", ceiling)]
 
 
-def _by_cell(cells: list[Record], rows: list[Row]) -> str:
-    """Average PSNR and time of every cell and row."""
+def _by_case(cases: list[Record], rows: list[RecoveryMethod]) -> str:
+    """Average PSNR and time of every case and row."""
     lines = []
-    for cell in cells:
-        found = [cell["rows"].get(row.label) for row in rows]
-        lines.append([title_of(cell), *("" if one is None else f"{one['psnr']['average']:.2f}, "
-                              f"{seconds(one['seconds'])}" for one in found)])  # fmt: skip
+    for case in cases:
+        measured = [case["rows"].get(row.label) for row in rows]
+        lines.append([title_of(case), *("" if one is None else f"{one['psnr']['average']:.2f}, "
+                              f"{seconds(one['seconds'])}" for one in measured)])  # fmt: skip
     return table(("cell", *(row.label for row in rows)), lines)
 
 
-def draw_recovery(found: Record) -> Figure:
-    """Draw run time against average texture PSNR, every cell small, their mean large, from the
+def draw_recovery(records: Record) -> Figure:
+    """Draw run time against average texture PSNR, every case small, their mean large, from the
     records of all benchmarks."""
-    cells, figure = found["recovery"]["cells"], page(6.5, 4.8)
+    cases, figure = records["recovery"]["cells"], page(6.5, 4.8)
     axes = figure.add_subplot()
     times: list[float] = []
     for number, row in enumerate(ROWS):
-        having = [cell["rows"][row.label] for cell in cells if row.label in cell["rows"]]
+        having = [case["rows"][row.label] for case in cases if row.label in case["rows"]]
         if not having:
             continue
         color, mark = COLORS[number % len(COLORS)], MARKS[number % len(MARKS)]
@@ -214,7 +217,7 @@ def draw_recovery(found: Record) -> Figure:
         times += took
     time_axis(axes, times)
     axes.set(xlabel="run time, kernels compiled", ylabel="average texture PSNR (dB)")
-    axes.set_title(f"{len(cells)} cells (small) and their mean", fontsize=10, color=INK)
+    axes.set_title(f"{len(cases)} cells (small) and their mean", fontsize=10, color=INK)
     axes.legend(frameon=False, fontsize=8)
     tidy(axes)
     return figure

@@ -14,9 +14,9 @@ import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.captures import some_views
-from svu_mi.bench.cases import Cell
+from svu_mi.bench.cases import Case
 from svu_mi.bench.compared_estimators import VARIANTS, Variant
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
 from svu_mi.bench.markdown import Bar
 from svu_mi.bench.speed.speed_tables import scaling, speed_tables
 from svu_mi.bench.speed.timed_kernels import (
@@ -26,7 +26,7 @@ from svu_mi.bench.speed.timed_kernels import (
     kernels_of,
     measure_gather,
 )
-from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.study import Selection, Study
 from svu_mi.bench.timing import WARM_UP, in_new_process, once, spread, warm
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.loading import load_capture
@@ -41,7 +41,7 @@ from svu_mi.posterior.observations import observe
 
 DEGREES = (2, 3, 4, 5, 6, 8)
 NODES = (4, 6, 8, 12, 16, 24, 32)
-MAX_CELLS = 5000  # of a grid in the scaling curve
+MAX_BINS = 5000  # of a grid in the scaling curve
 VIEWS = (10, 20, 40, 60)
 SAMPLES = (2, 4, 8, 16, 32, 64, 128)
 WARM_BAR_S, COLD_BAR_S, MEMORY_BAR = 3.0, 25.0, 1.1  # from files to entropy.exr
@@ -49,8 +49,8 @@ PLAIN_PSI, LINEAR_PSI = 512, 32  # of the path-traced posterior that is timed
 
 
 @dataclass(frozen=True)
-class Timing(OnCell):
-    """The cell that run times are measured on.
+class Timing(CaseSubject):
+    """The case that run times are measured on.
 
     Attributes:
         variants: are timed; ``default`` and ``fixed`` of each method are scaled.
@@ -83,7 +83,7 @@ class Timing(OnCell):
     @cached_property
     def timed(self) -> tuple[Capture, Texels]:
         """The capture and the texels that run times are measured on."""
-        return timed_setting(self.bench, self.cell)
+        return timed_setting(self.bench, self.case)
 
     def curves(self, curve: Callable[[Timing, Variant], list[Record]]) -> Record:
         """Return a curve of every variant that is scaled, by its label."""
@@ -105,13 +105,13 @@ class Timing(OnCell):
         return values[:: self.bench.sizes.stride]
 
 
-def timed_setting(bench: Bench, cell: Cell) -> tuple[Capture, Texels]:
+def timed_setting(bench: BenchRun, case: Case) -> tuple[Capture, Texels]:
     """Return the capture and the texels that run times are measured on."""
-    capture = bench.capture(cell, _timed_name(bench), film=bench.sizes.speed_film)
+    capture = bench.capture(case, _timed_name(bench), film=bench.sizes.speed_film)
     return capture, texels(capture.mesh, bench.sizes.speed_texels)
 
 
-def _timed_name(bench: Bench) -> str:
+def _timed_name(bench: BenchRun) -> str:
     size = bench.sizes.speed_film
     return "capture" if size == bench.sizes.film else f"capture_{size}"
 
@@ -136,7 +136,7 @@ def estimate_once(folder: str, resolution: int, label: str) -> Record:
 def time_estimators(timing: Timing) -> Record:
     """Return, by label, seconds per stage, warm (median of several) and cold (one fresh process),
     and those in kernels."""
-    bench, found = timing.bench, {}
+    bench, records = timing.bench, {}
     capture, layout = timing.timed
     folder = bench.folder / "cells" / timing.name / _timed_name(bench)
     for variant in timing.variants:
@@ -147,12 +147,12 @@ def time_estimators(timing: Timing) -> Record:
                 estimate_once, folder=str(folder), resolution=bench.sizes.speed_texels,
                 label=variant.label,
             )  # fmt: skip
-        found[variant.label] = {
+        records[variant.label] = {
             "warm": timed.timings, "warm_seconds": timed.seconds, "repeats": timed.runs,
             "cold": cold,
             "kernels": kernels_of(partial(variant.estimate, capture, layout)),
         }  # fmt: skip
-    return found
+    return records
 
 
 def by_degree(timing: Timing, variant: Variant) -> list[Record]:
@@ -171,7 +171,7 @@ def by_grid(timing: Timing, variant: Variant) -> list[Record]:
     """Time and agreement by number of nodes per axis of the posterior's grid."""
     run = partial(variant.estimate, timing.capture, timing.layout)
     shape: Any = run().posterior.grid
-    sizes = [n for n in timing.points(NODES) if n ** len(shape.axes) <= MAX_CELLS]
+    sizes = [n for n in timing.points(NODES) if n ** len(shape.axes) <= MAX_BINS]
     grids = {n: replace(shape, **dict.fromkeys(shape.axes, n)) for n in sizes}
     return [timing.point(n, partial(run, grid=grid)) for n, grid in grids.items()]
 
@@ -191,8 +191,8 @@ def by_samples(timing: Timing) -> Record:
     """Time of the reference by samples per ray, and agreement with its largest number."""
     most = timing.bench.sizes.reference_spp
     counts = [spp for spp in timing.points(SAMPLES) if spp < most] + [most]
-    found = list(_references(timing, counts))
-    best = np.array(found[-1].entropy)
+    references = list(_references(timing, counts))
+    best = np.array(references[-1].entropy)
     return {"reference": [
         {
             "value": spp,
@@ -200,7 +200,7 @@ def by_samples(timing: Timing) -> Record:
             # The largest agrees with itself; what noise it has is seen in its two halves.
             "pearson": pearson(reference.entropy, best) if spp < most else None,
         }
-        for spp, reference in zip(counts, found, strict=True)
+        for spp, reference in zip(counts, references, strict=True)
     ]}  # fmt: skip
 
 
@@ -254,17 +254,17 @@ def time_whole_way(timing: Timing) -> Record:
         returns in a new process without compiled kernels, beside ``formula_mib``, the memory that
         ``svu entropy`` announces.
     """
-    bench, found = timing.bench, {}
+    bench, records = timing.bench, {}
     capture, layout = timing.timed
     assert capture.source is not None
     for method, model in (("angular", "default"), ("spectrum", "spectrum")):
-        asked: dict[str, Any] = {"source": str(capture.source), "method": method,
+        arguments: dict[str, Any] = {"source": str(capture.source), "method": method,
                                  "resolution": bench.sizes.speed_texels}  # fmt: skip
-        runs = [go_all_the_way(**asked) for _ in range(WARM_UP + bench.sizes.repeats)][WARM_UP:]
-        cold = in_new_process(go_all_the_way, **asked)
+        runs = [go_all_the_way(**arguments) for _ in range(WARM_UP + bench.sizes.repeats)][WARM_UP:]
+        cold = in_new_process(go_all_the_way, **arguments)
         pixels = sum(image.shape[0] * image.shape[1] for image in capture.images)
         need = Need("entropy", Sizes([(pixels, 1)]), (layout.count, 1), model)
-        found[method] = {
+        records[method] = {
             "warm": {
                 "stages": {stage: spread([run["stages"][stage] for run in runs])
                            for stage in runs[0]["stages"]},
@@ -272,7 +272,7 @@ def time_whole_way(timing: Timing) -> Record:
             },
             "cold": {**cold, "formula_mib": need.bytes / 2**20},
         }  # fmt: skip
-    return found
+    return records
 
 
 def go_all_the_way(source: str, resolution: int, method: Any) -> Record:
@@ -286,9 +286,9 @@ def go_all_the_way(source: str, resolution: int, method: Any) -> Record:
             capture = load_capture(source)
         with progress.stage("Laying out texels"):
             layout = texels(capture.mesh, resolution)
-        found = estimate(capture, layout, method, progress=progress)
+        estimated = estimate(capture, layout, method, progress=progress)
         with progress.stage("Writing entropy.exr"):
-            write_maps(found, target)
+            write_maps(estimated, target)
         taken = time.perf_counter() - start
     compiled = sum(progress.kernels.values())
     return {"stages": dict(progress.timings), "seconds": taken, "kernels": compiled}
@@ -297,14 +297,14 @@ def go_all_the_way(source: str, resolution: int, method: Any) -> Record:
 def find_bars(record: Record) -> list[Bar]:
     """Return the bars of run times."""
     bars = []
-    for cell in record["cells"]:
-        bars.append(Bar("gather over bare ray_test", cell["rows"]["gather"]["ratio"], RATIO_BAR,
+    for case in record["cells"]:
+        bars.append(Bar("gather over bare ray_test", case["rows"]["gather"]["ratio"], RATIO_BAR,
                         least=True))  # fmt: skip
-        for method, found in cell["rows"]["whole_way"].items():
-            name, cold = f"files to entropy.exr, {method}", found["cold"]
+        for method, figures in case["rows"]["whole_way"].items():
+            name, cold = f"files to entropy.exr, {method}", figures["cold"]
             memory = (cold["peak_mib"] or 0.0) / cold["formula_mib"]
             bars += [
-                Bar(f"{name}, warm", found["warm"]["seconds"]["median"], WARM_BAR_S, "s"),
+                Bar(f"{name}, warm", figures["warm"]["seconds"]["median"], WARM_BAR_S, "s"),
                 Bar(f"{name}, cold, with imports", cold["process_seconds"], COLD_BAR_S, "s"),
                 Bar(f"{name}: resident memory over the formula", memory, MEMORY_BAR),
             ]
@@ -323,8 +323,8 @@ PARTS = (
 )
 
 
-def _experiment(bench: Bench, asked: Asked) -> Experiment:
-    return Experiment("speed", [Timing(bench, asked.cells[0], asked.variants)], whole=True)
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    return Experiment("speed", [Timing(bench, selection.cases[0], selection.variants)], whole=True)
 
 
 STUDY = Study(title="Run times", experiment=_experiment, tables=speed_tables, bars=find_bars,

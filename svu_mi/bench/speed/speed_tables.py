@@ -1,4 +1,4 @@
-"""What the speed benchmark found, as Markdown tables and as a picture."""
+"""Tables and plots of the speed benchmark."""
 
 from __future__ import annotations
 
@@ -64,39 +64,39 @@ def speed_tables(record: Record) -> list[str]:
     """
     if not record["cells"]:
         return []
-    (cell,) = record["cells"]
+    (case,) = record["cells"]
     points = [(what, label, point) for what in SCALED
-              for label, curve in cell["rows"][what].items() for point in curve]  # fmt: skip
+              for label, curve in case["rows"][what].items() for point in curve]  # fmt: skip
     return [
-        *_stages(cell),
-        f"## Run time against agreement: {cell['cell']}",
+        *_stages(case),
+        f"## Run time against agreement: {case['cell']}",
         "Pearson correlation with the reference posterior of the same photographs; for the "
         "reference itself, with its largest number of samples.",
         columns(CURVES, points),
-        *_brute(cell["rows"]["brute"]),
-        *_kernels(cell),
-        *_gather(cell["rows"]["gather"]),
-        *_whole_way(cell),
+        *_brute(case["rows"]["brute"]),
+        *_kernels(case),
+        *_gather(case["rows"]["gather"]),
+        *_whole_way(case),
     ]
 
 
-def _stages(cell: Record) -> list[str]:
-    variants = cell["rows"]["estimators"]
-    stages = dict.fromkeys(stage for found in variants.values() for stage in found["warm"])
+def _stages(case: Record) -> list[str]:
+    variants = case["rows"]["estimators"]
+    stages = dict.fromkeys(stage for figures in variants.values() for stage in figures["warm"])
     rows: list[list[object]] = [
-        [stage, *(seconds(value) for found in variants.values() for value in
-                  (found["warm"].get(stage), found["cold"]["timings"].get(stage)))]
+        [stage, *(seconds(value) for figures in variants.values() for value in
+                  (figures["warm"].get(stage), figures["cold"]["timings"].get(stage)))]
         for stage in stages
     ]  # fmt: skip
     total, kernels = ["all"], ["kernels compiled"]
-    for found in variants.values():
-        total += [seconds(found["warm_seconds"]), seconds(found["cold"]["seconds"])]
-        kernels += ["0", str(found["cold"]["kernels"])]
+    for figures in variants.values():
+        total += [seconds(figures["warm_seconds"]), seconds(figures["cold"]["seconds"])]
+        kernels += ["0", str(figures["cold"]["kernels"])]
     heads = [f"{label}, {how}" for label in variants for how in ("warm", "cold")]
     repeats = next(iter(variants.values()))["repeats"]
     return [
-        f"## Run time: {cell['cell']}, {cell['texels']} texels of {cell['resolution']} x "
-        f"{cell['resolution']}, {cell['views']} photographs of {cell['film']} x {cell['film']}",
+        f"## Run time: {case['cell']}, {case['texels']} texels of {case['resolution']} x "
+        f"{case['resolution']}, {case['views']} photographs of {case['film']} x {case['film']}",
         f"Warm: median of {repeats}. Cold: one new process with an empty kernel cache.",
         table(("stage", *heads), [*rows, total, kernels]),
     ]
@@ -113,42 +113,44 @@ def _brute(brute: Record) -> list[str]:
     ]
 
 
-def _kernels(cell: Record) -> list[str]:
+def _kernels(case: Record) -> list[str]:
     lines = [
-        (label, stage, found, cell["texels"])
-        for label, variant in cell["rows"]["estimators"].items()
-        for stage, found in variant["kernels"].items() if found["operations"]
+        (label, stage, figures, case["texels"])
+        for label, variant in case["rows"]["estimators"].items()
+        for stage, figures in variant["kernels"].items() if figures["operations"]
     ]  # fmt: skip
     return ["## Kernels", "Seconds in kernels, warm, those of an inner stage not counted.",
             columns(KERNELS, lines)]  # fmt: skip
 
 
-def _gather(found: Record) -> list[str]:
+def _gather(gather: Record) -> list[str]:
     return [
-        f"## Gather: {found['texels']:,} texels, {found['views']} views, "
-        f"{found['triangles']:,} triangles",
-        f"The {found['rays']:,} visibility rays that are left after all cheaper tests, traced by "
-        f"the survey and by themselves; it reaches {found['ratio']:.0%} of the faster of both.",
-        columns(GATHER, list(found["ways"].items())),
+        f"## Gather: {gather['texels']:,} texels, {gather['views']} views, "
+        f"{gather['triangles']:,} triangles",
+        f"The {gather['rays']:,} visibility rays that are left after all cheaper tests, traced by "
+        f"the survey and by themselves; it reaches {gather['ratio']:.0%} of the faster of both.",
+        columns(GATHER, list(gather["ways"].items())),
     ]
 
 
-def _whole_way(cell: Record) -> list[str]:
-    methods = cell["rows"]["whole_way"]
-    stages = dict.fromkeys(stage for found in methods.values() for stage in found["warm"]["stages"])
+def _whole_way(case: Record) -> list[str]:
+    methods = case["rows"]["whole_way"]
+    stages = dict.fromkeys(
+        stage for figures in methods.values() for stage in figures["warm"]["stages"]
+    )
     rows = [
-        [stage, *(seconds(value) for found in methods.values() for value in (
-            found["warm"]["stages"].get(stage, {}).get("median"),
-            found["cold"]["stages"].get(stage)))]
+        [stage, *(seconds(value) for figures in methods.values() for value in (
+            figures["warm"]["stages"].get(stage, {}).get("median"),
+            figures["cold"]["stages"].get(stage)))]
         for stage in stages
     ]  # fmt: skip
-    rows.append(["all", *(seconds(value) for found in methods.values() for value in (
-        found["warm"]["seconds"]["median"], found["cold"]["seconds"]))])  # fmt: skip
+    rows.append(["all", *(seconds(value) for figures in methods.values() for value in (
+        figures["warm"]["seconds"]["median"], figures["cold"]["seconds"]))])  # fmt: skip
     for name, key, show in (("with start and imports", "process_seconds", seconds),
                             ("resident memory (MiB)", "peak_mib", _whole),
                             ("announced (MiB)", "formula_mib", _whole)):  # fmt: skip
-        rows.append([name, *(text for found in methods.values()
-                             for text in ("", show(found["cold"][key])))])  # fmt: skip
+        rows.append([name, *(text for figures in methods.values()
+                             for text in ("", show(figures["cold"][key])))])  # fmt: skip
     heads = [f"{name}, {how}" for name in methods for how in ("warm", "cold")]
     return ["## From files to entropy.exr", table(("stage", *heads), rows)]
 
@@ -157,13 +159,13 @@ def _whole(value: float | None) -> str:
     return number(value, 0)
 
 
-def scaling(found: Record) -> Figure:
+def scaling(records: Record) -> Figure:
     """Draw four ways to spend time, each with the agreement that it buys."""
-    (cell,) = found["speed"]["cells"]
+    (case,) = records["speed"]["cells"]
     figure = page(11, 7)
     for place, (what, title) in enumerate(SCALED.items(), 1):
         axes = figure.add_subplot(2, 2, place)
-        for index, (label, curve) in enumerate(cell["rows"][what].items()):
+        for index, (label, curve) in enumerate(case["rows"][what].items()):
             points = [row for row in curve if row["pearson"] is not None]
             if not points:
                 continue
@@ -179,7 +181,7 @@ def scaling(found: Record) -> Figure:
         if axes.get_legend_handles_labels()[1]:
             axes.legend(frameon=False, fontsize=8, loc="best")
         tidy(axes)
-    figure.suptitle(cell["cell"], fontsize=10, color=INK)
+    figure.suptitle(case["cell"], fontsize=10, color=INK)
     return figure
 
 

@@ -23,7 +23,7 @@ from svu_mi.bench.timing import MILLISECOND, measure_in_turns
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.geometry.packed_views import Views, pack_views
 from svu_mi.geometry.sample_view import TexelLanes, sample_view
@@ -68,10 +68,10 @@ class KernelProgress(Progress):
         dr.kernel_history_clear()
         if self._running:
             empty = {"seconds": 0.0, "launched": 0, "operations": 0}
-            found = self.launches.setdefault(self._running[-1], empty)
-            found["seconds"] += MILLISECOND * sum(kernel["execution_time"] for kernel in history)
-            found["launched"] += len(history)
-            found["operations"] += sum(
+            totals = self.launches.setdefault(self._running[-1], empty)
+            totals["seconds"] += MILLISECOND * sum(kernel["execution_time"] for kernel in history)
+            totals["launched"] += len(history)
+            totals["operations"] += sum(
                 kernel["operation_count"]
                 for kernel in history if kernel["type"] == dr.KernelType.JIT
             )  # fmt: skip
@@ -131,10 +131,10 @@ def fine_capture(views: int, film: int) -> Capture:
     """
     points, faces, uvs = meshes.vase()
     while len(faces) < MIN_TRIANGLES:
-        points, faces, found = trimesh.remesh.subdivide(
+        points, faces, attributes = trimesh.remesh.subdivide(
             points, faces, vertex_attributes={"uv": uvs}
         )
-        uvs = found["uv"]
+        uvs = attributes["uv"]
     mesh = capture_mesh.make("vase", capture_mesh.MeshArrays(points, faces, None, uvs))
     scene = mi.load_dict(
         {"type": "scene", "light": {"type": "constant"}, "vase": mesh}, optimize=False
@@ -171,13 +171,13 @@ class Rays:
 
 
 class _Recorder:
-    """Stands for a scene in which nothing is in the way, and remembers what it was asked."""
+    """Scene without occluders that records the rays it is tested with."""
 
     def __init__(self) -> None:
-        self.asked: list[tuple[Any, Any]] = []
+        self.rays: list[tuple[Any, Any]] = []
 
     def ray_test(self, ray: Any, active: Any = True, **_: Any) -> Any:
-        self.asked.append((ray, mi.Bool(active)))
+        self.rays.append((ray, mi.Bool(active)))
         return mi.Bool(False)
 
 
@@ -189,7 +189,7 @@ def record_rays(views: Views, surface: TexelLanes) -> Rays:
         # In a symbolic branch there would be no values to record.
         with dr.scoped_set_flag(dr.JitFlag.SymbolicConditionals, False):
             sample_view(replace(views, scene=recorder), surface, dr.opaque(mi.UInt32, view))
-        (ray, active), = recorder.asked  # fmt: skip
+        (ray, active), = recorder.rays  # fmt: skip
         kept = np.flatnonzero(np.broadcast_to(np.array(active), surface.count))
         slot = np.full(surface.count, NO_RAY, np.uint32)
         slot[kept] = first + np.arange(len(kept))
@@ -199,10 +199,10 @@ def record_rays(views: Views, surface: TexelLanes) -> Rays:
         parts.append(np.stack([np.array(field)[kept] for field in fields]))
     columns = np.concatenate(parts, axis=1)
     return Rays(
-        origin=owned(mi.Point3f, columns[:3]),
-        direction=owned(mi.Vector3f, columns[3:6]),
-        reach=owned(mi.Float, columns[6]),
-        slot=owned(mi.UInt32, np.concatenate(slots)),
+        origin=to_drjit(mi.Point3f, columns[:3]),
+        direction=to_drjit(mi.Vector3f, columns[3:6]),
+        reach=to_drjit(mi.Float, columns[6]),
+        slot=to_drjit(mi.UInt32, np.concatenate(slots)),
     )
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.axis_fixes import (
     FIXES,
-    Fix,
+    AxisFix,
     Kind,
-    corrected_mesh,
-    corrected_poses,
-    turn_of,
+    correct_mesh,
+    correct_poses,
+    fix_rotation,
 )
 from svu_mi.capture.importers.source import OPENCV, OPENGL
 from svu_mi.capture.mesh import arrays, make
@@ -25,7 +25,7 @@ from svu_mi.capture.replace_material import is_same, scene_of
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.light.environment import read_environment
-from svu_mi.light.prefiltered import resolved
+from svu_mi.light.prefiltered import rasterized
 
 CONVENTION = np.eye(4)  # of the cameras' axes in the file, see ``formats.source``
 CAMERA_AXES = (CONVENTION, OPENGL, OPENCV)  # that a file may have had before it was imported
@@ -39,7 +39,7 @@ class Hypothesis:
     ``camera_axes`` (4, 4) are those of ``apply_fixes``.
     """
 
-    fixes: tuple[Fix, ...] = ()
+    fixes: tuple[AxisFix, ...] = ()
     camera_axes: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     @property
@@ -51,13 +51,13 @@ class Hypothesis:
         """Return poses (V, 4, 4) relative to the uncorrected mesh, so that one scene serves all."""
         for fix in self.fixes:
             if fix.kind == "camera":
-                poses = corrected_poses(poses, fix, self.camera_axes)
+                poses = correct_poses(poses, fix, self.camera_axes)
             elif fix.matrix is not None:
                 poses = affine(fix.matrix.T) @ poses
         return poses
 
 
-def _known(kind: Kind) -> list[Fix]:
+def _known(kind: Kind) -> list[AxisFix]:
     return [fix for fix in FIXES.values() if fix.kind == kind]
 
 
@@ -87,7 +87,7 @@ def light_hypotheses() -> tuple[Hypothesis, ...]:
     queue = [Hypothesis()]
     found = {}
     for known in queue:  # grows while it is walked through: shortest first
-        key = turn_of(known.fixes, "light").astype(int).tobytes()  # axes go to axes
+        key = fix_rotation(known.fixes, "light").astype(int).tobytes()  # axes go to axes
         if key not in found:
             found[key] = known
             queue += [Hypothesis((*known.fixes, fix)) for fix in _known("light")]
@@ -95,7 +95,7 @@ def light_hypotheses() -> tuple[Hypothesis, ...]:
 
 
 def apply_fixes(
-    capture: Capture, fixes: Sequence[Fix], camera_axes: np.ndarray = CONVENTION
+    capture: Capture, fixes: Sequence[AxisFix], camera_axes: np.ndarray = CONVENTION
 ) -> Capture:
     """Return a copy of a capture with corrections applied in order.
 
@@ -107,10 +107,10 @@ def apply_fixes(
     return capture
 
 
-def _applied(capture: Capture, fix: Fix, camera_axes: np.ndarray) -> Capture:
+def _applied(capture: Capture, fix: AxisFix, camera_axes: np.ndarray) -> Capture:
     if fix.kind == "camera":
         poses = np.array([to_world(sensor) for sensor in capture.sensors]).reshape(-1, 4, 4)
-        poses = corrected_poses(poses, fix, camera_axes)
+        poses = correct_poses(poses, fix, camera_axes)
         return replace(capture, sensors=tuple(
             make_sensor({**describe(sensor), "to_world": pose.tolist()}, sensor.id())
             for sensor, pose in zip(capture.sensors, poses, strict=True)
@@ -120,20 +120,20 @@ def _applied(capture: Capture, fix: Fix, camera_axes: np.ndarray) -> Capture:
     return _shaped(capture, fix)
 
 
-def _shaped(capture: Capture, fix: Fix) -> Capture:
+def _shaped(capture: Capture, fix: AxisFix) -> Capture:
     """Correct the mesh of the object."""
-    shape = make(capture.shape.id(), corrected_mesh(arrays(capture.shape), fix))
+    shape = make(capture.shape.id(), correct_mesh(arrays(capture.shape), fix))
     shape.set_bsdf(capture.shape.bsdf())
     mesh = shape
     if capture.mesh is not capture.shape:
-        mesh = make(capture.mesh.id(), corrected_mesh(arrays(capture.mesh), fix))
+        mesh = make(capture.mesh.id(), correct_mesh(arrays(capture.mesh), fix))
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
     return replace(
         capture, shape=shape, mesh=mesh, scene=scene_of([shape, *capture.scene.emitters(), *others])
     )
 
 
-def _lit(capture: Capture, fix: Fix) -> Capture:
+def _lit(capture: Capture, fix: AxisFix) -> Capture:
     """Turn the light; a constant one stays, a sky becomes a map."""
     emitter = find_environment(capture.scene, str(capture.source or "scene"))
     if emitter.class_name() == "ConstantBackgroundEmitter":
@@ -144,7 +144,7 @@ def _lit(capture: Capture, fix: Fix) -> Capture:
         bitmap = params["data"].numpy()[:, 1:-1]  # Mitsuba 3.9 keeps a halo column on each side
         scale = float(np.array(params["scale"]).ravel()[0])
     else:
-        bitmap, scale = resolved(read_environment(emitter)), 1.0
+        bitmap, scale = rasterized(read_environment(emitter)), 1.0
     light = mi.load_dict({
         "type": "envmap",
         "id": emitter.id(),
@@ -153,4 +153,4 @@ def _lit(capture: Capture, fix: Fix) -> Capture:
         "to_world": mi.ScalarTransform4f(turned),
     })  # fmt: skip
     scene = scene_of([*capture.scene.shapes(), light])
-    return replace(capture, scene=scene, doubt=None, found_light=None)
+    return replace(capture, scene=scene, light_uncertainty=None, found_light=None)

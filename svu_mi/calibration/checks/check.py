@@ -30,7 +30,7 @@ from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.calibration.light.light_summary import gain_sentences
 from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.importers.axis_fixes import fixes_named, turn_of
+from svu_mi.capture.importers.axis_fixes import find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
 from svu_mi.capture.load_warnings import MOST, has_front_outside, ignored, part_from_behind
 from svu_mi.capture.mesh import arrays
@@ -84,7 +84,7 @@ def check(
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
         if names:
-            corrected = check_views(apply_fixes(small, fixes_named(names), axes))
+            corrected = check_views(apply_fixes(small, find_fixes(names), axes))
     return Check(views=views, corrected=corrected, findings=findings, camera_axes=axes)
 
 
@@ -109,7 +109,7 @@ def find_mistakes(
     behind = part_from_behind(capture.scene, mesh, eyes)
     if behind < MOST or has_front_outside(mesh):  # with the cameras inside
         return _find_mistakes(capture, progress)
-    turned = apply_fixes(capture, fixes_named([decisions.INSIDE_OUT]))
+    turned = apply_fixes(capture, find_fixes([decisions.INSIDE_OUT]))
     (poses, light, flip), axes = _find_mistakes(turned, progress)
     if poses.verdict == "unclear" and not poses.fixes:  # cameras may as well be within the mesh
         return _find_mistakes(capture, progress)
@@ -145,7 +145,7 @@ def _find_mistakes(capture: Capture, progress: Progress) -> tuple[Findings, np.n
         light = decisions.judge_even(facing(points, seen, cosines))
     else:
         with progress.stage("Trying lights") as stage:
-            sky = Sky.of(emitter, turn_of(chosen.hypothesis.fixes, "mesh"))
+            sky = Sky.of(emitter, fix_rotation(chosen.hypothesis.fixes, "mesh"))
             light = decisions.judge_light(
                 score_light(sky, points, seen, cosines, texture, stage.update)
             )

@@ -32,7 +32,7 @@ from svu_mi.calibration.checks.surface_samples import (
     Sky,
     Texture,
 )
-from svu_mi.capture.importers.axis_fixes import turn_of
+from svu_mi.capture.importers.axis_fixes import fix_rotation
 from svu_mi.light.environment import basis_at
 
 NEIGHBORS = 8
@@ -93,7 +93,7 @@ def score_light(
     hypotheses = light_hypotheses()
     scores = []
     for index, hypothesis in enumerate(hypotheses):
-        turn = turn_of(hypothesis.fixes, "light")
+        turn = fix_rotation(hypothesis.fixes, "light")
         irradiance = cosines[known] @ sky.arriving(turn)
         explained = highlights(sky.reflected(mirror, turn))
         scores.append(LightScore(hypothesis, *shading(irradiance), explained))

@@ -40,10 +40,10 @@ from svu_mi.calibration.checks.surface_samples import (
     scatter_points,
 )
 from svu_mi.calibration.checks.thumbnails import Frames
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import SvuWarning
-from svu_mi.light.light_tree import Cells, light_cells
-from svu_mi.light.light_visibility import is_open
+from svu_mi.light.light_tree import LightCells, build_light_tree
+from svu_mi.light.light_visibility import is_unoccluded
 from svu_mi.reflection.principled import F0
 
 if TYPE_CHECKING:
@@ -89,10 +89,10 @@ class Arriving(NamedTuple):
 
     @staticmethod
     def of(
-        scene: Any, points: Points, environment: Environment, cells: Cells | None = None
+        scene: Any, points: Points, environment: Environment, cells: LightCells | None = None
     ) -> Arriving:
         """Sum the cells of the light; occlusion is traced in a few even directions."""
-        cells = cells or light_cells(environment, COARSE, CELLS).fine
+        cells = cells or build_light_tree(environment, COARSE, CELLS).fine
         flux, toward = read_cells(cells)
         cosines = open_cosines(scene, points, DIRECTIONS)
         whole = np.maximum(points.normal @ DIRECTIONS.T, 0)
@@ -172,7 +172,7 @@ def too_bright(estimate: Estimate) -> str | None:
         return None
     points = scatter_points(seen.capture.shape)
     sightings = look(points, Frames(seen.capture, seen.views, np.zeros((0, 4, 4))))
-    light = seen.lighting.environment, seen.cells(CELLS).fine
+    light = seen.lighting.environment, seen.light_tree(CELLS).fine
     arriving = Arriving.of(seen.capture.scene, points, *light)
     found = excess(sightings, points, arriving, 1.0)
     return found and found.sentence(found=seen.capture.found_light is not None)
@@ -229,11 +229,11 @@ def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, asked: np.ndarray)
     if not asked.any():
         return np.zeros(asked.shape, bool)
     view, point = np.nonzero(asked)
-    surface = points.surface(owned(mi.UInt32, point.astype(np.uint32)))
-    direction = owned(mi.Vector3f, mirror[view, point].T.astype(np.float32))
+    surface = points.surface(to_drjit(mi.UInt32, point.astype(np.uint32)))
+    direction = to_drjit(mi.Vector3f, mirror[view, point].T.astype(np.float32))
     above = dr.dot(surface.geometric_normal, direction) > 0
     free = np.zeros(asked.shape, bool)
-    free[view, point] = is_open(scene, surface, direction, above, coherent=False).numpy()
+    free[view, point] = is_unoccluded(scene, surface, direction, above, coherent=False).numpy()
     return free
 
 

@@ -15,13 +15,13 @@ from svu_mi.calibration.checks.thumbnails import Frames, tone
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
 from svu_mi.capture.scene import find_environment
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, sample_view
-from svu_mi.light.band_limited import band_limit, look_up
+from svu_mi.light.band_limited import band_limited_lighting, look_up
 from svu_mi.light.environment import basis_at, read_environment
-from svu_mi.light.light_tree import Cells, light_cells
-from svu_mi.light.light_visibility import is_open
-from svu_mi.light.prefiltered import Levels, filter_light
+from svu_mi.light.light_tree import LightCells, build_light_tree
+from svu_mi.light.light_visibility import is_unoccluded
+from svu_mi.light.prefiltered import FilteredLight, filter_light
 from svu_mi.reflection.lobes import zonal_profile
 
 COUNT = 2000
@@ -63,7 +63,7 @@ class Points:
         """Return the points of a UInt32 array of indices as lanes of a kernel."""
 
         def of(kind: Any, values: np.ndarray) -> Any:
-            return dr.gather(kind, owned(mi.Float, values.astype(np.float32).ravel()), index)
+            return dr.gather(kind, to_drjit(mi.Float, values.astype(np.float32).ravel()), index)
 
         return TexelLanes(
             position=of(mi.Point3f, self.position), normal=of(mi.Normal3f, self.normal),
@@ -144,11 +144,11 @@ def open_cosines(scene: Any, points: Points, directions: np.ndarray) -> np.ndarr
     shape = len(points.position), len(directions)
     point, cell = _pairs(shape)
     surface = points.surface(point)
-    toward = owned(mi.Float, directions.astype(np.float32).ravel())
+    toward = to_drjit(mi.Float, directions.astype(np.float32).ravel())
     direction = dr.gather(mi.Vector3f, toward, cell)
     cosine = dr.dot(surface.normal, direction)
     above = (cosine > 0) & (dr.dot(surface.geometric_normal, direction) > 0)
-    free = is_open(scene, surface, direction, above, coherent=False)
+    free = is_unoccluded(scene, surface, direction, above, coherent=False)
     return dr.select(free, cosine, 0).numpy().reshape(shape)
 
 
@@ -205,7 +205,7 @@ def read_texture(capture: Capture, points: Points) -> Texture | None:
 def base_color(shape: Any, uv: np.ndarray) -> np.ndarray:
     """Return the diffuse reflectance (N, 3) of a shape's material at texture coordinates."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(uv))
-    si.uv = owned(mi.Point2f, uv.T.astype(np.float32))
+    si.uv = to_drjit(mi.Point2f, uv.T.astype(np.float32))
     si.wi = mi.Vector3f(0, 0, 1)
     color = shape.bsdf().eval_diffuse_reflectance(si)
     return np.stack(
@@ -247,18 +247,20 @@ class Sky:
 
     flux: np.ndarray
     toward: np.ndarray
-    lobes: Levels
+    lobes: FilteredLight
     to_local: np.ndarray
 
     @staticmethod
     def of(emitter: Any, mesh_turn: np.ndarray) -> Sky:
         """Filter an emitter; corrections turn the mesh by ``mesh_turn`` (3, 3) before it is lit."""
         environment = read_environment(emitter)
-        flux, toward = read_cells(light_cells(environment, COARSE, CELLS).fine)
+        flux, toward = read_cells(build_light_tree(environment, COARSE, CELLS).fine)
         return Sky(
             flux=flux,
             toward=toward @ environment.to_local.T,
-            lobes=filter_light(band_limit(environment, 1), WIDTHS, partial(zonal_profile, "ggx")),
+            lobes=filter_light(
+                band_limited_lighting(environment, 1), WIDTHS, partial(zonal_profile, "ggx")
+            ),
             to_local=environment.to_local @ mesh_turn,
         )
 
@@ -270,7 +272,7 @@ class Sky:
 
     def reflected(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         """Return the light (L, S, 3) under lobes around directions (S, 3) of the mesh's frame."""
-        local = owned(mi.Vector3f, self._local(directions, matrix).T)
+        local = to_drjit(mi.Vector3f, self._local(directions, matrix).T)
         found = [look_up(texture, local) for texture in self.lobes.textures]
         return np.array([[channel.numpy() for channel in one] for one in found]).swapaxes(1, 2)
 
@@ -278,7 +280,7 @@ class Sky:
         return directions @ (matrix.T @ self.to_local).T
 
 
-def read_cells(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+def read_cells(cells: LightCells) -> tuple[np.ndarray, np.ndarray]:
     """Return the flux (M, 3) and the direction (M, 3), in world space, of M cells of the light."""
     flux, toward = (a.numpy().reshape(-1, 4)[:, :3] for a in (cells.flux, cells.toward))
     return flux, toward

@@ -13,10 +13,10 @@ import scipy
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import RAY_FLOATS, film_ray
-from svu_mi.capture.importers.resampling import squared
+from svu_mi.capture.importers.resampling import square_pixel_frame
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
-from svu_mi.core.arrays import evenly_spaced, owned
+from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views, pack_views
 
@@ -67,7 +67,7 @@ class Frames:
         rays[:, POSE] = poses[:, :3].reshape(-1, 12)
         cameras[:, ROWS], cameras[:, POSITION] = projections.reshape(-1, 12), poses[:, :3, 3]
         kind = type(self.views.cameras)
-        packed = {"cameras": owned(kind, cameras.ravel()), "rays": owned(kind, rays.ravel())}
+        packed = {"cameras": to_drjit(kind, cameras.ravel()), "rays": to_drjit(kind, rays.ravel())}
         return replace(self, views=replace(self.views, **packed), poses=poses)
 
 
@@ -93,7 +93,7 @@ def reduced(capture: Capture, side: int) -> Capture:
     for index in used:
         sensor, image, mask = sensors[index], images[index], masks[index]
         block = min(-(-max(image.shape) // side), *image.shape[:2])
-        frame, _ = squared(frame_of(sensor, Path(capture.names[index])), block)
+        frame, _ = square_pixel_frame(frame_of(sensor, Path(capture.names[index])), block)
         sensors[index] = frame.sensor((sensor.near_clip(), sensor.far_clip()))
         images[index] = _usable_mean(image, block)
         if mask is not None and block > 1:
@@ -139,9 +139,9 @@ def silhouettes(frames: Frames) -> list[np.ndarray]:
     row, column = np.concatenate([np.indices(s).reshape(2, -1) for s in shapes], axis=1) + 0.5
     ray = film_ray(
         frames.views.rays,
-        owned(mi.UInt32, np.repeat(np.arange(len(shapes), dtype=np.uint32), counts)),
-        owned(mi.Float, column.astype(np.float32)),
-        owned(mi.Float, row.astype(np.float32)),
+        to_drjit(mi.UInt32, np.repeat(np.arange(len(shapes), dtype=np.uint32), counts)),
+        to_drjit(mi.Float, column.astype(np.float32)),
+        to_drjit(mi.Float, row.astype(np.float32)),
     )
     hit = frames.capture.scene.ray_intersect_preliminary(ray, coherent=True)
     # Opaque: as a literal, every scene would get a kernel of its own.

@@ -18,7 +18,7 @@ from svu_mi.errors import CaptureError
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.empirical_bayes import shared
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.reflection.principled import slope
+from svu_mi.reflection.principled import mixture_derivative
 
 STEP = 0.04  # of roughness, for finite differences
 LARGEST = 2.0  # change of log radiance in a step
@@ -198,9 +198,9 @@ def _slopes_and_samples(
     values = [x[owner, None] for x in materials.mixed.T]
     slopes = [
         (ends[1] - ends[0]) / (high - low)[owner, None],
-        *(_total(slope(values, k).at(color), found.at(1)) for k in range(len(values))),
+        *(_total(mixture_derivative(values, k).at(color), found.at(1)) for k in range(len(values))),
     ]
-    of_color = _total(how.scaled, found.at(1))[..., None] * np.eye(3)
+    of_color = _total(how.slope, found.at(1))[..., None] * np.eye(3)
     samples = _total(how.at(color), found.at(1))
     return np.concatenate([np.stack(slopes, axis=-1), of_color], axis=-1), samples
 

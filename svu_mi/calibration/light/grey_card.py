@@ -107,7 +107,7 @@ def _scaled(
     total = np.ones(3)
     for _ in range(MOST_ROUNDS):
         lit = found.scaled(total)
-        capture = replace(with_light(observed.capture, lit), doubt=None)
+        capture = replace(with_light(observed.capture, lit), light_uncertainty=None)
         # Rays to the cameras are the same ones; those to the light's cells are not.
         seen = Observed(
             capture=capture, views=observed.views, texels=observed.texels,

@@ -24,7 +24,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import evenly, pixel_rays, table_of
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import film_size
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import CaptureError
 from svu_mi.light.light_tree import nearest_cells
 
@@ -125,7 +125,7 @@ class Looks:
         pixels = [_grid(capture, k) for k in used]
         view = np.repeat(np.arange(len(used)), [len(rows) for rows, _ in pixels])
         rows, columns = (np.concatenate(part) for part in zip(*pixels, strict=True))
-        numbers = (owned(mi.UInt32, part) for part in (view, rows, columns))
+        numbers = (to_drjit(mi.UInt32, part) for part in (view, rows, columns))
         rays = pixel_rays(
             table_of([capture.sensors[k] for k in used]), tuple(numbers), 1, evenly(1)
         )

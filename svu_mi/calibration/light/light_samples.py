@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.scene import to_world
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.sample_view import TexelLanes, sample_visible
 from svu_mi.posterior.observations import Observed
@@ -82,7 +82,7 @@ class Samples:
         chosen = np.flatnonzero(kept & enough[self.owner])
         samples = replace(
             self,
-            surface=self.surface.at(owned(mi.UInt32, np.flatnonzero(enough).astype(np.uint32))),
+            surface=self.surface.at(to_drjit(mi.UInt32, np.flatnonzero(enough).astype(np.uint32))),
             owner=(np.cumsum(enough) - 1)[self.owner[chosen]],
             **{name: getattr(self, name)[chosen] for name in OF_SAMPLES},
         )
@@ -121,7 +121,7 @@ class Samples:
         # Texels are in a coherent order: equal steps are spread over the surface.
         count = min(count, len(enough))
         chosen = enough[((np.arange(count) + 0.5) * len(enough) / count).astype(np.int64)]
-        texel = owned(mi.UInt32, chosen.astype(np.uint32))
+        texel = to_drjit(mi.UInt32, chosen.astype(np.uint32))
         lanes = dr.arange(mi.UInt32, count * views.number)
         number = dr.opaque(mi.UInt32, views.number)
         own, view = lanes // number, lanes % number

@@ -16,9 +16,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.calibration.light.light_samples import GRAZING, Samples
-from svu_mi.core.arrays import fibonacci, owned
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import fold
-from svu_mi.light.light_visibility import is_open
+from svu_mi.light.light_visibility import is_unoccluded
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
 from svu_mi.posterior.posterior import Posterior
@@ -101,11 +101,11 @@ class Transport:
         found = Transport(
             samples, number, moves,
             lanes=(
-                owned(mi.UInt32, samples.owner), owned(mi.UInt32, samples.view),
-                owned(mi.Vector3f, samples.direction.T), owned(mi.Float, samples.cosine),
+                to_drjit(mi.UInt32, samples.owner), to_drjit(mi.UInt32, samples.view),
+                to_drjit(mi.Vector3f, samples.direction.T), to_drjit(mi.Float, samples.cosine),
             ),
-            cells=owned(mi.Float, fibonacci(number).astype(np.float32).ravel()),
-            frames=owned(mi.Float, turned.astype(np.float32).ravel()),
+            cells=to_drjit(mi.Float, fibonacci(number).astype(np.float32).ravel()),
+            frames=to_drjit(mi.Float, turned.astype(np.float32).ravel()),
             free=mi.Bool(), count=dr.opaque(mi.UInt32, number),
         )  # fmt: skip
         return replace(found, free=found._traced())
@@ -120,7 +120,7 @@ class Transport:
         texel, view = (dr.gather(mi.UInt32, x, owner) for x in (texel, view))
         near, toward = self.samples.surface.at(texel), self._toward(cell, view)
         up = (dr.dot(near.normal, toward) > 0) & (dr.dot(near.geometric_normal, toward) > 0)
-        free = is_open(self.samples.scene, near, toward, up, coherent=not self.moves)
+        free = is_unoccluded(self.samples.scene, near, toward, up, coherent=not self.moves)
         dr.eval(free)
         return free
 
@@ -164,9 +164,9 @@ class Transport:
     def columns(self, light: np.ndarray, roughness: np.ndarray) -> Columns:
         """Return the columns at roughnesses (K,), or (n, K), under light (N, 3)."""
         levels = np.broadcast_to(roughness, (self.samples.texels, np.shape(roughness)[-1]))
-        of_texel = [owned(mi.Float, alpha_from_roughness(level)) for level in levels.T]
+        of_texel = [to_drjit(mi.Float, alpha_from_roughness(level)) for level in levels.T]
         widths = [dr.gather(mi.Float, alpha, self.lanes[0]) for alpha in of_texel]
-        flux = owned(mi.Float, light.astype(np.float32).ravel())
+        flux = to_drjit(mi.Float, light.astype(np.float32).ravel())
         lane = dr.arange(mi.UInt32, self.samples.count)
         size = 6 + 3 * PARTS * len(widths)
         sums = dr.alloc_local(mi.Float, size)
@@ -200,7 +200,7 @@ class Transport:
         texel = dr.gather(mi.UInt32, self.lanes[0], lane)
 
         def of_texel(values: np.ndarray) -> Any:
-            return dr.gather(mi.Float, owned(mi.Float, values.astype(np.float32)), texel)
+            return dr.gather(mi.Float, to_drjit(mi.Float, values.astype(np.float32)), texel)
 
         r, how = of_texel(materials.roughness), mixture(*map(of_texel, materials.mixed.T))
         (a, b), fresnel, (lobe,) = self._reflected(lane, cell, [alpha_from_roughness(r)])

@@ -19,7 +19,7 @@ from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.calibration.light.light_folder import RECORD, load_light, photographs_of, save_light
 from svu_mi.calibration.light.light_options import LightOptions
 from svu_mi.calibration.light.light_summary import gain_sentences, sentences
-from svu_mi.capture.capture import Capture, Doubt
+from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.import_options import Light
@@ -55,15 +55,16 @@ def with_light(capture: Capture, light: LightEstimate) -> Capture:
             "The light turns with the camera (a turntable, or a lamp on the camera), and nothing "
             "goes on from such a light yet; photograph an object that stands still."
         )
-    doubt = Doubt(light.widening, tuple(float(sd) for sd in light.scale_sd))
+    uncertainty = LightUncertainty(light.widening, tuple(float(sd) for sd in light.scale_sd))
     scene = _under(capture, light.radiance)
-    return replace(capture, scene=scene, doubt=doubt, found_light=light)
+    return replace(capture, scene=scene, light_uncertainty=uncertainty, found_light=light)
 
 
 def with_map(capture: Capture, path: str | Path) -> tuple[Capture, list[str]]:
     """Return the capture under a lat-long map in the frame of Mitsuba's ``envmap``, and remarks."""
     pixels, _, notes = read_environment_map(Light(path=Path(path)))
-    return replace(capture, scene=_under(capture, pixels), doubt=None, found_light=None), notes
+    scene = _under(capture, pixels)
+    return replace(capture, scene=scene, light_uncertainty=None, found_light=None), notes
 
 
 def _under(capture: Capture, radiance: np.ndarray) -> Any:

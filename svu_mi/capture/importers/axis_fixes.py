@@ -21,7 +21,7 @@ Kind = Literal["camera", "mesh", "light", "texture", "winding"]
 
 
 @dataclass(frozen=True)
-class Fix:
+class AxisFix:
     """One correction.
 
     Attributes:
@@ -41,53 +41,54 @@ class Fix:
     matrix: np.ndarray | None = None
 
 
-def turned(axis: Literal["x", "y", "z"], degrees: float) -> np.ndarray:
+def rotation(axis: Literal["x", "y", "z"], degrees: float) -> np.ndarray:
     """Return the (3, 3) rotation about an axis; exact at multiples of 90 degrees."""
     matrix = scipy.spatial.transform.Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
     return matrix.round() if degrees % 90 == 0 else matrix
 
 
 FIXES = {fix.name: fix for fix in (
-    Fix("camera-x180", "camera",
-        "OpenCV camera axes were read as OpenGL's, or the other way round", turned("x", 180)),
-    Fix("camera-y180", "camera",
-        "OpenGL camera axes were read as Mitsuba's, or the other way round", turned("y", 180)),
-    Fix("camera-z180", "camera",
+    AxisFix("camera-x180", "camera",
+        "OpenCV camera axes were read as OpenGL's, or the other way round", rotation("x", 180)),
+    AxisFix("camera-y180", "camera",
+        "OpenGL camera axes were read as Mitsuba's, or the other way round", rotation("y", 180)),
+    AxisFix("camera-z180", "camera",
         "OpenCV camera axes were read as Mitsuba's, or the photographs are upside down",
-        turned("z", 180)),
-    Fix("camera-inverse", "camera", "the poses are world-to-camera, not camera-to-world"),
-    Fix("mesh-x90", "mesh", "the mesh has +Y up, the poses have +Z up", turned("x", 90)),
-    Fix("mesh-x270", "mesh", "the mesh has +Z up, the poses have +Y up", turned("x", 270)),
-    Fix("mesh-x180", "mesh", "the mesh is upside down relative to the poses", turned("x", 180)),
-    Fix("mesh-mirror", "mesh",
+        rotation("z", 180)),
+    AxisFix("camera-inverse", "camera", "the poses are world-to-camera, not camera-to-world"),
+    AxisFix("mesh-x90", "mesh", "the mesh has +Y up, the poses have +Z up", rotation("x", 90)),
+    AxisFix("mesh-x270", "mesh", "the mesh has +Z up, the poses have +Y up", rotation("x", 270)),
+    AxisFix("mesh-x180", "mesh",
+        "the mesh is upside down relative to the poses", rotation("x", 180)),
+    AxisFix("mesh-mirror", "mesh",
         "the mesh comes from a left-handed program", np.diag([-1.0, 1.0, 1.0])),
-    Fix("light-turn-90", "light",
-        "the centre of the environment map is elsewhere", turned("y", 90)),
-    Fix("light-turn-180", "light",
-        "the centre and the seam of the environment map are exchanged", turned("y", 180)),
-    Fix("light-turn-270", "light",
-        "the centre of the environment map is elsewhere", turned("y", 270)),
-    Fix("light-mirror", "light",
+    AxisFix("light-turn-90", "light",
+        "the centre of the environment map is elsewhere", rotation("y", 90)),
+    AxisFix("light-turn-180", "light",
+        "the centre and the seam of the environment map are exchanged", rotation("y", 180)),
+    AxisFix("light-turn-270", "light",
+        "the centre of the environment map is elsewhere", rotation("y", 270)),
+    AxisFix("light-mirror", "light",
         "the environment map was saved as seen from outside: left and right are exchanged",
         np.diag([-1.0, 1.0, 1.0])),
-    Fix("light-flip", "light", "the environment map is upside down", turned("z", 180)),
-    Fix("light-x90", "light",
-        "the environment map has another axis up than the world", turned("x", 90)),
-    Fix("light-x270", "light",
-        "the environment map has another axis up than the world", turned("x", 270)),
-    Fix("texture-flip-v", "texture", "V of the texture coordinates is flipped"),
-    Fix("mesh-inside-out", "winding", "the faces of the mesh are wound the wrong way"),
+    AxisFix("light-flip", "light", "the environment map is upside down", rotation("z", 180)),
+    AxisFix("light-x90", "light",
+        "the environment map has another axis up than the world", rotation("x", 90)),
+    AxisFix("light-x270", "light",
+        "the environment map has another axis up than the world", rotation("x", 270)),
+    AxisFix("texture-flip-v", "texture", "V of the texture coordinates is flipped"),
+    AxisFix("mesh-inside-out", "winding", "the faces of the mesh are wound the wrong way"),
 )}  # fmt: skip
 
 
-def fixes_named(names: Sequence[str]) -> tuple[Fix, ...]:
+def find_fixes(names: Sequence[str]) -> tuple[AxisFix, ...]:
     """Return corrections by name."""
     require_known(names, FIXES, "fix")
     return tuple(FIXES[name] for name in names)
 
 
-def turn_of(fixes: Sequence[Fix], kind: Literal["mesh", "light"]) -> np.ndarray:
-    """Return the (3, 3) product of the corrections of mesh or light, see ``Fix.matrix``."""
+def fix_rotation(fixes: Sequence[AxisFix], kind: Literal["mesh", "light"]) -> np.ndarray:
+    """Return the (3, 3) product of the corrections of mesh or light, see ``AxisFix.matrix``."""
     turn = np.eye(3)
     for fix in fixes:
         if fix.kind == kind and fix.matrix is not None:
@@ -95,14 +96,14 @@ def turn_of(fixes: Sequence[Fix], kind: Literal["mesh", "light"]) -> np.ndarray:
     return turn
 
 
-def corrected_poses(poses: np.ndarray, fix: Fix, camera_axes: np.ndarray) -> np.ndarray:
+def correct_poses(poses: np.ndarray, fix: AxisFix, camera_axes: np.ndarray) -> np.ndarray:
     """Correct camera-to-world matrices (V, 4, 4); see ``apply_fixes`` for ``camera_axes``."""
     if fix.matrix is None:
         return np.linalg.inv(poses @ np.linalg.inv(camera_axes)) @ camera_axes
     return poses @ affine(fix.matrix)
 
 
-def corrected_mesh(mesh: MeshArrays, fix: Fix) -> MeshArrays:
+def correct_mesh(mesh: MeshArrays, fix: AxisFix) -> MeshArrays:
     """Return a mesh turned, mirrored, inside out, or with V flipped."""
     if fix.kind == "winding":
         normals = None if mesh.normals is None else -mesh.normals

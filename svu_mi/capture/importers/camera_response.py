@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi.capture.image_io import Transfer, decoded
-from svu_mi.capture.importers.source_files import lines_of
+from svu_mi.capture.importers.source_files import read_lines
 from svu_mi.capture.photographs import SATURATED
 from svu_mi.capture.quantization import CURVE, Rounding
 from svu_mi.errors import CaptureError, excerpt
@@ -21,7 +21,7 @@ FIX = f"write one line {COLUMNS} for each sample of the curve"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Response:
+class CameraResponse:
     """A measured response, linear between samples.
 
     Attributes:
@@ -38,41 +38,41 @@ class Response:
         return f"{self.name} says"
 
 
-def linear(encoded: np.ndarray, transfer: Transfer | Response, channel: int) -> np.ndarray:
+def linearize(encoded: np.ndarray, transfer: Transfer | CameraResponse, channel: int) -> np.ndarray:
     """Return linear values (float32) of one channel's encoded ones in [0, 1], of any shape."""
-    if isinstance(transfer, Response):
+    if isinstance(transfer, CameraResponse):
         values = transfer.values[:, channel]
         return np.interp(encoded, transfer.codes, values).astype(np.float32)
     return decoded(encoded, transfer)
 
 
-def saturation(transfer: Transfer | Response, bits: int) -> float:
+def saturation_radiance(transfer: Transfer | CameraResponse, bits: int) -> float:
     """Return the least linear value of a clipped channel of 8 or 16 bits, over all channels."""
     most = np.array(SATURATED[bits], np.float32)
-    return min(float(linear(most, transfer, channel)) for channel in range(3))
+    return min(float(linearize(most, transfer, channel)) for channel in range(3))
 
 
-def steps(transfer: Transfer | Response, bits: int) -> tuple[float, float]:
+def quantization_steps(transfer: Transfer | CameraResponse, bits: int) -> tuple[float, float]:
     """Return the largest first step and slope over channels of 8 or 16 bits (``Rounding``).
 
     Codes with equal values are one step; clipped ones are none.
     """
     last = 2**bits - 1
-    if not isinstance(transfer, Response):
-        steps = Rounding.of(bits, transfer)
-        return float(steps.first[0]), float(steps.slope[0])
+    if not isinstance(transfer, CameraResponse):
+        rounding = Rounding.of(bits, transfer)
+        return float(rounding.first[0]), float(rounding.slope[0])
     codes = np.arange(int(SATURATED[bits] * last) + 1) / last
     first, slope = SMALLEST, SMALLEST
     for channel in range(3):
-        values = np.unique(linear(codes, transfer, channel).astype(np.float64))
+        values = np.unique(linearize(codes, transfer, channel).astype(np.float64))
         if len(values) > 1:
-            found, middle = np.diff(values), (values[1:] + values[:-1]) / 2
-            first = max(first, float(found[0]))
-            slope = max(slope, float(np.quantile(found / middle**CURVE, TYPICAL)))
+            differences, middle = np.diff(values), (values[1:] + values[:-1]) / 2
+            first = max(first, float(differences[0]))
+            slope = max(slope, float(np.quantile(differences / middle**CURVE, TYPICAL)))
     return first, slope
 
 
-def read_response(path: Path) -> Response:
+def read_response(path: Path) -> CameraResponse:
     """Read a measured response.
 
     The text file has one line ``ENCODED LINEAR``, or ``ENCODED R G B``, for each sample, with
@@ -80,7 +80,7 @@ def read_response(path: Path) -> Response:
     from 0 to 1, to 255 or to 65535. Linear ones are in any unit, also per channel.
     """
     rows: list[list[float]] = []
-    for number, text in lines_of(path, "a camera's response", FIX):
+    for number, text in read_lines(path, "a camera's response", FIX):
         row = _numbers(text, f"{path}: line {number}")
         _require_order(row, rows, f"{path}: line {number}")
         rows.append(row)
@@ -109,7 +109,7 @@ def read_response(path: Path) -> Response:
             f"{path}: a channel has no light up to {min(SATURATED.values()):.0%} of the largest "
             "code; give samples between black and white."
         )
-    return Response(name=path.name, codes=codes, values=values / values[-1])
+    return CameraResponse(name=path.name, codes=codes, values=values / values[-1])
 
 
 def _numbers(text: str, label: str) -> list[float]:

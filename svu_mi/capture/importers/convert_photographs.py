@@ -13,13 +13,13 @@ from PIL import Image
 from svu_mi.capture.crop import LARGE
 from svu_mi.capture.image_io import Picture, open_picture
 from svu_mi.capture.importers.camera_response import (
-    Response,
-    linear,
+    CameraResponse,
+    linearize,
+    quantization_steps,
     read_response,
-    saturation,
-    steps,
+    saturation_radiance,
 )
-from svu_mi.capture.importers.resampling import resampled, unbent
+from svu_mi.capture.importers.resampling import average_area, undistort_planes
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.match_photographs import masks_of
 from svu_mi.capture.photographs import (
@@ -47,7 +47,7 @@ PART = 1e-6  # of a new pixel that an unusable one may cover, which is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
-class Converted:
+class ConvertedPhotograph:
     """Properties of a converted photograph.
 
     Attributes:
@@ -87,7 +87,7 @@ def with_response(frames: Sequence[Frame], response: str | Path | None) -> Seque
     return [replace(frame, transfer=transfer) for frame in frames]
 
 
-def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
+def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> ConvertedPhotograph:
     """Write a photograph as EXR: R, G, B linear, and A = 1 on the object if there is a mask.
 
     A large JPEG that needs no change is copied, with its mask as a PNG next to it: an EXR would be
@@ -100,7 +100,7 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         scale: of width and height, as ``squared`` returns it.
     """
     picture = open_picture(frame.image)
-    if _serves(picture, frame, scale):
+    if _can_be_copied(picture, frame, scale):
         return _copied(picture, frame, path)
     planes, bits = picture.planes(), picture.bits
     mask = _mask(frame, planes, bits > 0)
@@ -112,8 +112,8 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         if bits:
             over[CLIPPED_LAYER + "RGB"[channel]] = plane > SATURATED[bits]
             clipped |= plane > SATURATED[bits]
-            planes[channel] = linear(plane, frame.transfer, channel)
-            black |= planes[channel] <= linear(BLACK, frame.transfer, channel)
+            planes[channel] = linearize(plane, frame.transfer, channel)
+            black |= planes[channel] <= linearize(BLACK, frame.transfer, channel)
     for plane in planes:
         plane[invalid] = 0
     layers = {**dict(zip("RGB", planes, strict=True)), "bad": invalid}
@@ -124,17 +124,17 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         clipped &= mask
     del planes, over
     channels = _resampled(layers, frame, scale)
-    header = _mark(channels, bits, frame)
+    header = _mark_unusable(channels, bits, frame)
     if bits:
-        first, last = steps(frame.transfer, bits)
+        first, last = quantization_steps(frame.transfer, bits)
         header |= {FIRST_STEP: first, LAST_STEP: last}
     # Eight bits lose nothing in half floats, unless a curve puts some close together.
-    half = bits == 8 and not isinstance(frame.transfer, Response)
+    half = bits == 8 and not isinstance(frame.transfer, CameraResponse)
     write_exr(path, channels, header, half=half)
     return _converted(picture, mask, clipped, black, int(invalid.sum()))
 
 
-def _serves(picture: Picture, frame: Frame, scale: tuple[float, float]) -> bool:
+def _can_be_copied(picture: Picture, frame: Frame, scale: tuple[float, float]) -> bool:
     """Return whether a photograph can be copied."""
     width, height = picture.size
     jpeg = picture.path.suffix.lower() in JPEG and picture.bits == 8
@@ -142,7 +142,7 @@ def _serves(picture: Picture, frame: Frame, scale: tuple[float, float]) -> bool:
     return jpeg and plain and width * height >= LARGE
 
 
-def _copied(picture: Picture, frame: Frame, path: Path) -> Converted:
+def _copied(picture: Picture, frame: Frame, path: Path) -> ConvertedPhotograph:
     """Copy a JPEG to ``path`` with its own suffix, and write its mask."""
     codes, mask = picture.stored()[:3], None
     most = SATURATED[8] * 255
@@ -159,9 +159,9 @@ def _copied(picture: Picture, frame: Frame, path: Path) -> Converted:
 
 def _converted(
     picture: Picture, mask: np.ndarray | None, clipped: np.ndarray, black: np.ndarray, invalid: int
-) -> Converted:
+) -> ConvertedPhotograph:
     """Return the properties of a photograph with masks (H, W) of clipped and black pixels."""
-    return Converted(
+    return ConvertedPhotograph(
         bits=picture.bits, foreign=picture.header.foreign, turned=picture.is_turned(),
         saturated=int(clipped.sum()),
         crushed=0.0 if mask is None else float(black[mask].sum() / max(1, mask.sum())),
@@ -170,20 +170,20 @@ def _converted(
     )  # fmt: skip
 
 
-def _mark(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str, float]:
+def _mark_unusable(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str, float]:
     """Mark unusable pixels and clipped channels in place; return header entries about them."""
     touched = channels.pop("bad") > PART
     over = {name: channels.pop(CLIPPED_LAYER + name, None) for name in "RGB"}
-    found = {name: part for name, part in over.items() if part is not None}
-    for part in found.values():
+    parts = {name: part for name, part in over.items() if part is not None}
+    for part in parts.values():
         touched |= (part > PART) & (part < 1 - PART)
     for name in "RGB":
-        if name in found:
-            channels[name][found[name] >= 1 - PART] = CLIPPED
+        if name in parts:
+            channels[name][parts[name] >= 1 - PART] = CLIPPED
         channels[name][touched] = UNUSABLE
-    if not found:
+    if not parts:
         return {}
-    return {SATURATION: saturation(frame.transfer, bits)}
+    return {SATURATION: saturation_radiance(frame.transfer, bits)}
 
 
 def _is_inverted(mask: np.ndarray) -> bool:
@@ -196,59 +196,59 @@ def _resampled(
 ) -> dict[str, np.ndarray]:
     """Straighten and shrink layers, freeing each one: photographs may be huge."""
     names = list(layers)
-    straight = unbent([np.asarray(layers.pop(name), np.float32) for name in names], frame)
+    straight = undistort_planes([np.asarray(layers.pop(name), np.float32) for name in names], frame)
     return {
-        name: resampled(plane[..., None], scale)[..., 0]
+        name: average_area(plane[..., None], scale)[..., 0]
         for name, plane in zip(names, straight, strict=True)
     }
 
 
 def _mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray | None:
     """Return (H, W) bool from the alpha channel, the mask's file, or both; None without any."""
-    found = None
+    opaque = None
     if len(planes) > 3 and planes[3].min() < 1:
-        found = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
+        opaque = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
     if frame.mask is None:
-        return found
+        return opaque
     inside = read_mask(frame.mask, planes[0].shape)
-    return inside if found is None else inside & found
+    return inside if opaque is None else inside & opaque
 
 
-def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
+def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograph]) -> list[str]:
     """Return sentences about problems of V photographs."""
-    count, low = len(found), {c.bits for c in found if c.bits}
+    count, low = len(views), {c.bits for c in views if c.bits}
 
     def those(chosen: Sequence[bool], words: str, least: float = 0) -> list[str]:
         names = [f.image.name for f, is_chosen in zip(frames, chosen, strict=True) if is_chosen]
         first = f"{len(names)} of {count} photographs, {names[0]} first," if names else ""
         return [f"{first} {words}"] if len(names) > least else []
 
-    clipped, invalid = (sum(getattr(c, name) for c in found) for name in ("saturated", "invalid"))
-    dark = [c.crushed for c in found if c.crushed > CRUSHED]
+    clipped, invalid = (sum(getattr(c, name) for c in views) for name in ("saturated", "invalid"))
+    dark = [c.crushed for c in views if c.crushed > CRUSHED]
     kinds = " and ".join(map(str, sorted(low)))
     return [
-        *those([c.bits > 0 for c in found],
+        *those([c.bits > 0 for c in views],
               f"are not HDR: of {kinds} bits, decoded as {frames[0].transfer}, {clipped} clipped "
               "pixels count as at least so bright. Clipped highlights hide gloss: use HDR."),
-        *those([c.crushed > CRUSHED for c in found],
+        *those([c.crushed > CRUSHED for c in views],
               f"have crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
               "have a channel of 0): all that is darker looks the same; expose longer or use HDR."),
-        *those([c.turned for c in found],
+        *those([c.turned for c in views],
               "are stored rotated; their EXIF orientation is ignored, because poses must be of the "
               "pixels as stored. If svu check shows them rotated, save their pixels upright and "
               "import again."),
         *those([f.lens is not None for f in frames],
               "are straightened, since their lenses are distorted; the focal length is kept, and "
               "borders are cut where nothing was seen."),
-        *those([c.foreign for c in found],
+        *those([c.foreign for c in views],
               "have chromaticities other than those of Rec. 709; their values are used as they "
               "are: convert them if colours matter."),
-        *those([c.invalid > 0 for c in found],
+        *those([c.invalid > 0 for c in views],
               f"have {invalid} pixels that are NaN, infinite or negative; left out."),
-        *those([c.empty for c in found], "have an empty mask: nothing of them is used."),
-        *those([c.inverted for c in found],
+        *those([c.empty for c in views], "have an empty mask: nothing of them is used."),
+        *those([c.inverted for c in views],
               "have a mask with their border in it; if the object is black there, invert the "
               "masks: white is the object.", least=count / 2),
-        *those([not c.masked for c in found],
+        *those([not c.masked for c in views],
               "have no mask: anything in front of the object is taken for it."),
     ]  # fmt: skip

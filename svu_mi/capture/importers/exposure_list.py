@@ -13,31 +13,31 @@ from statistics import median
 from PIL import Image
 
 from svu_mi.capture.importers.source import Frame
-from svu_mi.capture.importers.source_files import lines_of
+from svu_mi.capture.importers.source_files import read_lines
 from svu_mi.errors import CaptureError
 
 EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
 
 
-def exposed(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame]:
+def with_gains(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame]:
     """Return frames with the gains of a list, of ``exif``, or (None) those that they have."""
     if gains is None:
         return frames
-    return with_exif_exposures(frames) if gains == "exif" else with_exposures(frames, Path(gains))
+    return with_exif_gains(frames) if gains == "exif" else with_listed_gains(frames, Path(gains))
 
 
-def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
+def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
     """Return frames with the gains of a text file, which has one line per photograph.
 
     A line is ``NAME GAIN``, such as ``IMG_0012.jpg 0.25`` or ``left/IMG_0012.jpg 0.25``; empty
     lines and comments (``#``) are ignored.
     """
     gains = {}
-    for number, text in lines_of(path, "a list of exposures", "write lines NAME GAIN"):
+    for number, text in read_lines(path, "a list of exposures", "write lines NAME GAIN"):
         words = text.rsplit(maxsplit=1)
         gains[words[0].strip()] = _gain(words, f"{path}: line {number}")
     counts = Counter(frame.image.name for frame in frames)
-    exposed = []
+    changed = []
     for frame in frames:
         key = next((name for name in _names(frame.image) if name in gains), None)
         if key is None:
@@ -49,11 +49,11 @@ def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
                 f"{path}: {counts[key]} photographs are called {key}; name them with their "
                 f"folder, as {frame.image.parent.name}/{key}."
             )
-        exposed.append(replace(frame, exposure=gains[key]))
-    return exposed
+        changed.append(replace(frame, exposure=gains[key]))
+    return changed
 
 
-def with_exif_exposures(frames: Sequence[Frame]) -> list[Frame]:
+def with_exif_gains(frames: Sequence[Frame]) -> list[Frame]:
     """Return frames with gains of time * ISO / aperture^2, relative to the median photograph.
 
     A missing aperture (a lens without contacts) is taken to be the same in all.

@@ -23,7 +23,7 @@ import scipy
 
 from svu_mi.capture.image_io import open_picture
 from svu_mi.capture.importers.source import LARGEST, OPENCV, RIGID, Frame, Source
-from svu_mi.capture.importers.source_files import folder_of, photographs_of_poses, pictures
+from svu_mi.capture.importers.source_files import find_folder, find_photographs, list_pictures
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.npz import read_foreign_arrays
 from svu_mi.errors import CaptureError, OptionError
@@ -53,21 +53,21 @@ def read(path: Path, options: ReadOptions) -> Source:
 
     Masks belong to photographs by their order, too; both are next to the file by default.
     """
-    found = (path / name for name in FILES if (path / name).is_file())
-    file = next(found, path / FILES[0]) if path.is_dir() else path
+    files = (path / name for name in FILES if (path / name).is_file())
+    file = next(files, path / FILES[0]) if path.is_dir() else path
     worlds, sphere = _matrices(file)
     if sphere is None and options.normalized:
         raise OptionError(f"{file}: has no {SCALE}_0; leave --normalized out.")
     root = file.parent
-    files = photographs_of_poses(root, options.images, IMAGES, file, len(worlds))
-    shapes = _masks(folder_of("masks", options.masks, (root / name for name in MASKS)), files)
+    images = find_photographs(root, options.images, IMAGES, file, len(worlds))
+    shapes = _masks(find_folder("masks", options.masks, (root / name for name in MASKS)), images)
     turn = sphere if sphere is not None and options.normalized else np.eye(4)
     return Source(
         format="idr",
         root=root,
         frames=[
             _frame(world @ turn, image, mask, f"{file}: {WORLD}_{index}")
-            for index, (world, image, mask) in enumerate(zip(worlds, files, shapes, strict=True))
+            for index, (world, image, mask) in enumerate(zip(worlds, images, shapes, strict=True))
         ],
         camera_axes=OPENCV,
         notes=_notes(file, sphere, options.normalized),
@@ -120,7 +120,7 @@ def _matrix(arrays: Mapping[str, np.ndarray], name: str, file: Path) -> np.ndarr
 
 
 def _frame(matrix: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame:
-    K, to_world = decomposed(matrix[:3], label)
+    K, to_world = decompose_projection(matrix[:3], label)
     return Frame(
         label=label,
         image=image,
@@ -132,7 +132,7 @@ def _frame(matrix: np.ndarray, image: Path, mask: Path | None, label: str) -> Fr
     )
 
 
-def decomposed(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
+def decompose_projection(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
     """Decompose a projection (3, 4), world to pixel times the depth, up to a positive factor.
 
     Returns:
@@ -167,13 +167,13 @@ def _masks(folder: Path | None, files: Sequence[Path]) -> Sequence[Path | None]:
     """Return the masks of photographs by their order: in DTU their numbers differ."""
     if folder is None:
         return [None] * len(files)
-    found = pictures(folder)
-    if len(found) != len(files):
+    masks = list_pictures(folder)
+    if len(masks) != len(files):
         raise CaptureError(
-            f"{folder}: has {len(found)} masks for {len(files)} photographs; add the others, or "
+            f"{folder}: has {len(masks)} masks for {len(files)} photographs; add the others, or "
             "give another folder with --masks."
         )
-    return found
+    return masks
 
 
 def _notes(file: Path, sphere: np.ndarray | None, normalized: bool) -> list[str]:

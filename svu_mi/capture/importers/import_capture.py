@@ -19,21 +19,26 @@ from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.image_io import open_picture
 from svu_mi.capture.importers.axis_fixes import (
     FIXES,
-    Fix,
-    corrected_mesh,
-    corrected_poses,
-    fixes_named,
-    turn_of,
+    AxisFix,
+    correct_mesh,
+    correct_poses,
+    find_fixes,
+    fix_rotation,
 )
-from svu_mi.capture.importers.convert_photographs import Converted, about, convert, with_response
+from svu_mi.capture.importers.convert_photographs import (
+    ConvertedPhotograph,
+    convert_photograph,
+    photograph_notes,
+    with_response,
+)
 from svu_mi.capture.importers.envmap import write_environment
-from svu_mi.capture.importers.exposure_list import exposed
+from svu_mi.capture.importers.exposure_list import with_gains
 from svu_mi.capture.importers.import_options import ImportOptions, Light
-from svu_mi.capture.importers.mesh_files import Geometry, read_geometry
+from svu_mi.capture.importers.mesh_files import TexturedMesh, read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
-from svu_mi.capture.importers.resampling import fitted, squared
+from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.source import Frame, Source
-from svu_mi.capture.importers.source_files import name_in
+from svu_mi.capture.importers.source_files import relative_name
 from svu_mi.capture.load_warnings import MOST, has_front_outside, part_from_behind
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.replace_material import scene_of
@@ -75,7 +80,7 @@ def import_capture(
         progress: called with (photographs done, total).
 
     Returns:
-        Sentences about what was found, decided and changed.
+        Sentences about decisions and changes.
 
     Raises:
         CaptureError: a photograph, a mask or the environment is missing or damaged.
@@ -92,7 +97,7 @@ class ImportPlan:
 
     source: Source
     options: ImportOptions
-    fixes: Sequence[Fix]
+    fixes: Sequence[AxisFix]
     frames: Sequence[Frame]
     mesh: str
     light: Light | None
@@ -113,15 +118,16 @@ class ImportPlan:
         source, options, frames, light = self.source, self.options, self.frames, self.light
         with writing(folder, "import", capture_folder.FILE) as draft:
             geometry = _geometry(self.mesh, frames, options, self.fixes)
-            squares, found = _write_photographs(frames, draft.folder, options.shrink, progress)
-            notes = [*source.notes, *self.notes, *geometry.notes, *about(frames, found)]
+            squares, converted = _write_photographs(frames, draft.folder, options.shrink, progress)
+            notes = [*source.notes, *self.notes, *geometry.notes]
+            notes += photograph_notes(frames, converted)
             if light is not None:
-                light = replace(light, to_world=light.to_world @ turn_of(self.fixes, "light"))
+                light = replace(light, to_world=light.to_world @ fix_rotation(self.fixes, "light"))
             sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame in squares]
             notes += _write_scene(draft.folder, geometry, light, sensors)
             imported = {
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
-                "photographs": [name_in(source.root, frame.image) for frame in squares],
+                "photographs": [relative_name(source.root, frame.image) for frame in squares],
                 "notes": notes, **({"options": list(words)} if words else {}),
             }  # fmt: skip
             description = Description(
@@ -137,8 +143,8 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
     require_variant()
     up = {("y", "z"): ["mesh-x90"], ("z", "y"): ["mesh-x270"]}
     between = up.get((options.mesh_up or "", options.world_up or ""), [])
-    fixes = fixes_named([*between, *options.fixes])
-    there, left_out = _there(source, options)
+    fixes = find_fixes([*between, *options.fixes])
+    there, left_out = _existing_frames(source, options)
     frames = _frames(there, source, options, fixes)
     return ImportPlan(source, options, fixes, frames, *_mesh_and_light(source, options), left_out)
 
@@ -162,7 +168,7 @@ def _at_a_time(frames: Sequence[Frame]) -> int:
     return max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
 
 
-def _there(source: Source, options: ImportOptions) -> tuple[list[Frame], list[str]]:
+def _existing_frames(source: Source, options: ImportOptions) -> tuple[list[Frame], list[str]]:
     """Return the requested frames that have a photograph, and a note about others."""
     asked = source.frames[:: options.every]
     require_views(len(asked), f"{source.root}: photographs", CaptureError)
@@ -172,7 +178,7 @@ def _there(source: Source, options: ImportOptions) -> tuple[list[Frame], list[st
         return there, []
     lack = (
         f"{source.root}: {len(absent)} of {len(asked)} photographs are missing, first "
-        f"{name_in(source.root, absent[0].image)}"
+        f"{relative_name(source.root, absent[0].image)}"
     )
     if not there:
         raise CaptureError(f"{lack}; put them where the poses name them.")
@@ -182,38 +188,38 @@ def _there(source: Source, options: ImportOptions) -> tuple[list[Frame], list[st
 
 
 def _frames(
-    there: Sequence[Frame], source: Source, options: ImportOptions, fixes: Sequence[Fix]
+    there: Sequence[Frame], source: Source, options: ImportOptions, fixes: Sequence[AxisFix]
 ) -> list[Frame]:
     """Return frames of the size of their photographs, with corrected cameras."""
     if not there:
         raise CaptureError(f"{source.root}: has no photographs.")
     frames = []
-    for frame in with_response(exposed(there, options.exposures), options.response):
+    for frame in with_response(with_gains(there, options.exposures), options.response):
         poses = frame.to_world[None]
         for fix in fixes:
             if fix.kind == "camera":
-                poses = corrected_poses(poses, fix, source.camera_axes)
+                poses = correct_poses(poses, fix, source.camera_axes)
         picture = open_picture(frame.image)
         if picture.header.cropped:
             raise CaptureError(
                 f"{frame.image}: its data window differs from its display window, so its pixels "
                 "are not the camera's; save it again without crop or overscan."
             )
-        frames.append(fitted(replace(frame, to_world=poses[0]), picture.size))
+        frames.append(with_size(replace(frame, to_world=poses[0]), picture.size))
     return frames
 
 
 def _geometry(
-    label: str, frames: Sequence[Frame], options: ImportOptions, fixes: Sequence[Fix]
-) -> Geometry:
+    label: str, frames: Sequence[Frame], options: ImportOptions, fixes: Sequence[AxisFix]
+) -> TexturedMesh:
     """Read the mesh, correct and scale it, and lay out missing UVs."""
-    geometry = read_geometry(label, geometry_only=options.geometry_only)
+    geometry = read_textured_mesh(label, geometry_only=options.geometry_only)
     mesh = geometry.mesh
     for fix in fixes:
         if fix.kind in ("mesh", "texture", "winding"):
-            mesh = corrected_mesh(mesh, fix)
+            mesh = correct_mesh(mesh, fix)
     mesh = replace(mesh, positions=mesh.positions * options.mesh_scale)
-    mesh, notes = _facing(mesh, frames, fixes, label)
+    mesh, notes = _facing_cameras(mesh, frames, fixes, label)
     if mesh.uvs is None:
         mesh = capture_mesh.arrays(unwrap(capture_mesh.make(OBJECT, mesh), label))
         notes.append(f"{label}: has no UVs; they are laid out by xatlas and kept in {MESH}.")
@@ -228,8 +234,8 @@ def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
     return reach * 1e-2, reach * 1e2
 
 
-def _facing(
-    mesh: MeshArrays, frames: Sequence[Frame], fixes: Sequence[Fix], label: str
+def _facing_cameras(
+    mesh: MeshArrays, frames: Sequence[Frame], fixes: Sequence[AxisFix], label: str
 ) -> tuple[MeshArrays, list[str]]:
     """Turn an open surface that is seen from behind, unless a correction exists; with a note."""
     scene = scene_of([capture_mesh.make(OBJECT, mesh)])
@@ -245,7 +251,7 @@ def _facing(
             "(--mesh-scale)."
         )
     else:
-        mesh = corrected_mesh(mesh, FIXES["mesh-inside-out"])
+        mesh = correct_mesh(mesh, FIXES["mesh-inside-out"])
     return mesh, [
         f"{label}: {behind:.0%} of what the photographs show of it is its back, where nothing can "
         f"be found; {what}"
@@ -255,28 +261,28 @@ def _facing(
 def _write_photographs(
     frames: Sequence[Frame], folder: Path, shrink: float,
     progress: Callable[[int, int], None] | None,
-) -> tuple[Sequence[Frame], list[Converted]]:  # fmt: skip
+) -> tuple[Sequence[Frame], list[ConvertedPhotograph]]:  # fmt: skip
     """Write ``view_0000.exr``, ...; return the frames with square pixels, and remarks on them."""
-    squares, scales = zip(*(squared(frame, shrink) for frame in frames), strict=True)
+    squares, scales = zip(*(square_pixel_frame(frame, shrink) for frame in frames), strict=True)
     views = [folder / f"view_{index:04d}.exr" for index in range(len(frames))]
     contexts = [copy_context() for _ in frames]  # threads know nothing of the run's marks
-    found: list[Converted] = []
+    converted: list[ConvertedPhotograph] = []
     with ThreadPoolExecutor(_at_a_time(frames)) as threads:
-        work = contexts, [convert] * len(frames), frames, views, scales
-        for converted in threads.map(Context.run, *work):
-            found.append(converted)
+        work = contexts, [convert_photograph] * len(frames), frames, views, scales
+        for photograph in threads.map(Context.run, *work):
+            converted.append(photograph)
             if progress is not None:
-                progress(len(found), len(frames))
-    if all(converted.empty for converted in found):
+                progress(len(converted), len(frames))
+    if all(photograph.empty for photograph in converted):
         raise CaptureError(
             f"{frames[0].mask or frames[0].image}: this mask and all others are empty; "
             "in a mask, white is the object."
         )
-    return squares, found
+    return squares, converted
 
 
 def _write_scene(
-    folder: Path, geometry: Geometry, light: Light | None, sensors: Sequence[Any]
+    folder: Path, geometry: TexturedMesh, light: Light | None, sensors: Sequence[Any]
 ) -> list[str]:
     """Write the scene and what it refers to; return sentences about the light."""
     capture_mesh.write_ply(folder / MESH, OBJECT, geometry.mesh)

@@ -38,7 +38,7 @@ class Lens:
         """The numbers by name, see ``COEFFICIENTS``."""
         return asdict(self)
 
-    def bent(self, points: np.ndarray) -> np.ndarray:
+    def distort(self, points: np.ndarray) -> np.ndarray:
         """Return where points are seen: (..., 2) float64 of (..., 2), both as in the model."""
         x, y = np.moveaxis(points, -1, 0)
         p1, p2 = self.p1, self.p2
@@ -48,8 +48,8 @@ class Lens:
             y * factor + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
         ], axis=-1)  # fmt: skip
 
-    def straightened(self, seen: np.ndarray) -> np.ndarray:
-        """Return the inverse of ``bent`` by Newton's method, for points (..., 2).
+    def undistort(self, seen: np.ndarray) -> np.ndarray:
+        """Return the inverse of ``distort`` by Newton's method, for points (..., 2).
 
         A point is NaN where it does not converge: the lens shows nothing there. Where the lens
         folds over, the result may be any of several points (see ``is_one_to_one``).
@@ -58,14 +58,14 @@ class Lens:
         near = EXACT * (1 + np.abs(points))
         with np.errstate(all="ignore"):  # what is lost becomes NaN
             for _ in range(STEPS):
-                off = self.bent(points) - seen
+                off = self.distort(points) - seen
                 if (np.abs(off) < near).all():
                     break
-                xx, xy, yy = self._slopes(points)
+                xx, xy, yy = self._jacobian(points)
                 ox, oy = np.moveaxis(off, -1, 0)
                 step = np.stack([yy * ox - xy * oy, xx * oy - xy * ox], axis=-1)
                 points -= step / (xx * yy - xy * xy)[..., None]
-            arrived = (np.abs(self.bent(points) - seen) < near).all(axis=-1)
+            arrived = (np.abs(self.distort(points) - seen) < near).all(axis=-1)
         points[~arrived] = np.nan
         return points
 
@@ -75,7 +75,7 @@ class Lens:
         The outline need not contain the principal point; NaN makes it False.
         """
         with np.errstate(all="ignore"):
-            xx, xy, yy = self._slopes(FRACTIONS[:, None, None] * outline)
+            xx, xy, yy = self._jacobian(FRACTIONS[:, None, None] * outline)
             return bool((xx * yy - xy * xy > 0).all())
 
     def _radial(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -85,7 +85,7 @@ class Lens:
         factor = 1 + square * (k1 + square * (k2 + square * (k3 + square * k4)))
         return square, factor, k1 + square * (2 * k2 + square * (3 * k3 + square * 4 * k4))
 
-    def _slopes(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _jacobian(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return dx'/dx, dx'/dy, which dy'/dx equals, and dy'/dy."""
         x, y = np.moveaxis(points, -1, 0)
         p1, p2 = self.p1, self.p2

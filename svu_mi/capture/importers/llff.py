@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svu_mi.capture.importers.source import DOWN_RIGHT_BACK, LARGEST, Frame, Source
-from svu_mi.capture.importers.source_files import folder_of, mask_of, photographs_of_poses
+from svu_mi.capture.importers.source_files import find_folder, find_mask, find_photographs
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.npz import read_foreign_array
 from svu_mi.errors import CaptureError
@@ -45,10 +45,10 @@ def read(path: Path, options: ReadOptions) -> Source:
     file = path / FILE if path.is_dir() else path
     rows = _rows(file)
     root = file.parent
-    files = photographs_of_poses(root, options.images, IMAGES, file, len(rows))
-    folder = folder_of("masks", options.masks, (root / name for name in MASKS))
-    found = [None if folder is None else mask_of(folder, Path(file.name)) for file in files]
-    if folder is not None and not any(found):
+    files = find_photographs(root, options.images, IMAGES, file, len(rows))
+    folder = find_folder("masks", options.masks, (root / name for name in MASKS))
+    masks = [None if folder is None else find_mask(folder, Path(file.name)) for file in files]
+    if folder is not None and not any(masks):
         raise CaptureError(
             f"{folder}: has no mask of {files[0].name} or any other photograph; call masks as "
             "their photographs, or give their folder with --masks."
@@ -58,7 +58,7 @@ def read(path: Path, options: ReadOptions) -> Source:
         root=root,
         frames=[
             _frame(row, image, mask, f"{file}: pose {index}")
-            for index, (row, image, mask) in enumerate(zip(rows, files, found, strict=True))
+            for index, (row, image, mask) in enumerate(zip(rows, files, masks, strict=True))
         ],
         camera_axes=DOWN_RIGHT_BACK,
         notes=[
@@ -80,9 +80,9 @@ def _rows(file: Path) -> np.ndarray:
         ) from error
     if rows.ndim != 2 or rows.shape[1] != COLUMNS or not len(rows):
         sides = " x ".join(map(str, rows.shape))
-        found = f"a table of {sides} numbers" if rows.ndim else "a number"
+        content = f"a table of {sides} numbers" if rows.ndim else "a number"
         raise CaptureError(
-            f"{file}: holds {found}; poses of LLFF have {COLUMNS} numbers for each photograph: "
+            f"{file}: holds {content}; poses of LLFF have {COLUMNS} numbers for each photograph: "
             "export them again."
         )
     return rows

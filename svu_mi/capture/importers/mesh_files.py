@@ -19,14 +19,14 @@ from svu_mi.capture.importers.mesh_materials import (
     GLTF,
     Textures,
     check_gltf,
-    ignored_gltf,
-    ignored_of,
+    ignored_in_gltf,
+    ignored_in_obj,
     is_textured,
     load_pictures,
     textures_of,
 )
-from svu_mi.capture.importers.repair_normals import repaired
-from svu_mi.capture.importers.source_files import inside
+from svu_mi.capture.importers.repair_normals import repair_normals
+from svu_mi.capture.importers.source_files import safe_path
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 
@@ -44,7 +44,7 @@ LEFT_OUT = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Geometry:
+class TexturedMesh:
     """A mesh and its material.
 
     Attributes:
@@ -58,7 +58,7 @@ class Geometry:
     notes: Sequence[str] = ()
 
 
-def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
+def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> TexturedMesh:
     """Read a mesh.
 
     Args:
@@ -67,7 +67,7 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
         geometry_only: ignore UVs, textures and the number of materials.
     """
     path = Path(path)
-    files = _Inside(path.parent)
+    files = _FolderResolver(path.parent)
     parts = _parts(path, files, geometry_only)
     painted = {part.paint: part for part in parts if part.paint is not None}
     several = len(painted) > 1
@@ -87,21 +87,21 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
             uvs = flipped_v(uvs)
         tile = np.floor((uvs.min(axis=0) + uvs.max(axis=0)) / 2)
         mesh = replace(mesh, uvs=uvs - tile)
-    mesh, notes = repaired(mesh, str(path))
+    mesh, notes = repair_normals(mesh, str(path))
     if files.missing:
         notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which does not exist.")
     if not geometry_only:
-        notes += _about_ignored(path, parts)
+        notes += _ignored_notes(path, parts)
     if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
         notes.append(f"{path}: its textures are left out, and its UVs are laid out again.")
-    return Geometry(mesh=mesh, textures=textures, notes=notes)
+    return TexturedMesh(mesh=mesh, textures=textures, notes=notes)
 
 
-def _about_ignored(path: Path, parts: Sequence[_Part]) -> list[str]:
-    names = [name for part in parts for name in ignored_of(part.visual)]
+def _ignored_notes(path: Path, parts: Sequence[_Part]) -> list[str]:
+    names = [name for part in parts for name in ignored_in_obj(part.visual)]
     if path.suffix.lower() in GLTF:
-        with _damage_of(path):
-            names = ignored_gltf(path)
+        with _parser_errors(path):
+            names = ignored_in_gltf(path)
     listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
     return [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
 
@@ -184,11 +184,11 @@ def _own_normals(part: Any) -> np.ndarray | None:
     raw = part.metadata.get("_ply_raw", {}).get("vertex", {})
     if not {"nx", "ny", "nz"} <= set(raw.get("properties", ())):
         return None
-    found = np.stack([np.asarray(raw["data"][name], float).ravel() for name in ("nx", "ny", "nz")])
-    return found.T if found.shape[1] == len(part.vertices) else None
+    own = np.stack([np.asarray(raw["data"][name], float).ravel() for name in ("nx", "ny", "nz")])
+    return own.T if own.shape[1] == len(part.vertices) else None
 
 
-def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:
+def _parts(path: Path, files: _FolderResolver, geometry_only: bool) -> list[_Part]:
     """Return the triangle meshes of a file."""
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: not a supported mesh format ({', '.join(SUFFIXES)}).")
@@ -197,7 +197,7 @@ def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:
     held = path.stat().st_size
     if held > MAX_BYTES:
         raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
-    with _damage_of(path):
+    with _parser_errors(path):
         if path.suffix.lower() in GLTF:
             held = check_gltf(path, geometry_only=geometry_only)
         scene = trimesh.load_scene(path, resolver=files, process=False)
@@ -214,7 +214,7 @@ def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:
 
 
 @contextlib.contextmanager
-def _damage_of(path: Path) -> Iterator[None]:
+def _parser_errors(path: Path) -> Iterator[None]:
     """Turn parser errors into a MeshError of a file, without trimesh's log."""
     spoken, trimesh.util.log.disabled = trimesh.util.log.disabled, True
     try:
@@ -230,7 +230,7 @@ def _damage_of(path: Path) -> Iterator[None]:
         trimesh.util.log.disabled = spoken
 
 
-class _Inside(trimesh.resolvers.Resolver):
+class _FolderResolver(trimesh.resolvers.Resolver):
     """Resolver of trimesh for files in the folder of a mesh.
 
     trimesh continues without a material that it cannot read, so errors are collected in ``refused``
@@ -245,9 +245,9 @@ class _Inside(trimesh.resolvers.Resolver):
     def get(self, name: str) -> bytes:
         """Return the bytes of a file, whose name glTF writes with %20 for a space."""
         try:
-            path = inside(self.root, str(name).strip(), str(self.root))
+            path = safe_path(self.root, str(name).strip(), str(self.root))
             if not path.is_file():
-                path = inside(self.root, unquote(str(name).strip()), str(self.root))
+                path = safe_path(self.root, unquote(str(name).strip()), str(self.root))
             if not path.is_file():  # a folder, a pipe or a device neither
                 self.missing.append(path.name)
                 raise FileNotFoundError(f"no file {path.name}")
@@ -263,7 +263,7 @@ class _Inside(trimesh.resolvers.Resolver):
         """Return the names of the files in the folder."""
         return [file.name for file in self.root.iterdir()]
 
-    def namespaced(self, namespace: str) -> _Inside:
+    def namespaced(self, namespace: str) -> _FolderResolver:
         """Refuse: no supported format needs a folder."""
         raise OSError(f"{self.root}: {namespace} is not searched.")
 

@@ -19,7 +19,7 @@ from PIL import Image
 from trimesh.visual.material import empty_material
 
 from svu_mi.capture.image_io import decoded, quantized, srgb
-from svu_mi.capture.importers.source_files import inside
+from svu_mi.capture.importers.source_files import safe_path
 from svu_mi.core.io.files import replacing
 from svu_mi.errors import MeshError, excerpt
 
@@ -39,7 +39,7 @@ COMPRESSION = (
     "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression",
 )  # fmt: skip
 TRANSFORM = "KHR_texture_transform"
-HARMLESS = {"offset": [0, 0], "scale": [1, 1], "rotation": 0}  # of such a transform
+IDENTITY = {"offset": [0, 0], "scale": [1, 1], "rotation": 0}  # of such a transform
 FLOAT = 5126
 FREE = 2**20  # numbers that any file may ask for; more must be in it, not repeated
 ATTRIBUTES = ("POSITION", "NORMAL", "TEXCOORD_0")
@@ -78,7 +78,7 @@ def is_textured(visual: Any) -> bool:
     return any(getattr(material, name, None) is not None for name in names)
 
 
-def ignored_of(visual: Any) -> list[str]:
+def ignored_in_obj(visual: Any) -> list[str]:
     """Return ignored parts of an OBJ's material, such as ``a bump map``."""
     said = getattr(getattr(visual, "material", None), "kwargs", None) or {}
     return [name for key, name in IGNORED.items() if key in said]
@@ -136,7 +136,7 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
     for name in COMPRESSION:
         if name in record.get("extensionsRequired", ()):
             raise MeshError(f"{path}: is compressed ({name}); export it without compression.")
-    held = _held(path, record)
+    held = _file_bytes(path, record)
     _refuse_bombs(path, record, held)
     attributes = ATTRIBUTES[:2] if geometry_only else ATTRIBUTES
     accessors = record.get("accessors", ())
@@ -149,7 +149,7 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
                     f"{path}: its {name} is quantised or sparse; export it with plain floats, or "
                     "convert it with gltf-transform dequantize."
                 )
-    if not geometry_only and any(map(_moves, _within(record.get("materials", ())))):
+    if not geometry_only and any(map(_has_transform, _nested_objects(record.get("materials", ())))):
         raise MeshError(
             f"{path}: its textures are moved or scaled by {TRANSFORM}; apply that to the UVs, or "
             "import only the geometry with --geometry-only."
@@ -157,7 +157,7 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
     return held
 
 
-def ignored_gltf(path: Path) -> list[str]:
+def ignored_in_gltf(path: Path) -> list[str]:
     """Return ignored parts of the materials of a checked file, such as ``a normal map``."""
     record = _header(path)
     materials = record.get("materials", [])
@@ -186,11 +186,12 @@ def _header(path: Path) -> dict[str, Any]:
         return dict(json.loads(stream.read(length)))
 
 
-def _held(path: Path, record: Mapping[str, Any]) -> int:
+def _file_bytes(path: Path, record: Mapping[str, Any]) -> int:
     """Return the bytes of the file and its buffers."""
     names = [buffer.get("uri", "data:") for buffer in record.get("buffers", ())]
-    files = [inside(path.parent, unquote(n), str(path)) for n in names if not n.startswith("data:")]
-    return sum(file.stat().st_size for file in {path, *files} if file.is_file())
+    names = [unquote(name) for name in names if not name.startswith("data:")]
+    files = {path, *(safe_path(path.parent, name, str(path)) for name in names)}
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def _refuse_bombs(path: Path, record: Mapping[str, Any], held: int) -> None:
@@ -200,15 +201,15 @@ def _refuse_bombs(path: Path, record: Mapping[str, Any], held: int) -> None:
         raise MeshError(f"{path}: an accessor reads past the end of the file; export it again.")
 
 
-def _within(value: Any) -> Iterator[Mapping[str, Any]]:
+def _nested_objects(value: Any) -> Iterator[Mapping[str, Any]]:
     """Return all objects inside a JSON value."""
     if isinstance(value, Mapping):
         yield value
     for item in value.values() if isinstance(value, Mapping) else value:
         if isinstance(item, Mapping | list):
-            yield from _within(item)
+            yield from _nested_objects(item)
 
 
-def _moves(record: Mapping[str, Any]) -> bool:
+def _has_transform(record: Mapping[str, Any]) -> bool:
     given = record.get(TRANSFORM)
-    return given is not None and any(given.get(key, same) != same for key, same in HARMLESS.items())
+    return given is not None and any(given.get(key, same) != same for key, same in IDENTITY.items())

@@ -17,7 +17,7 @@ import numpy as np
 from svu_mi.capture.image_io import SUFFIXES, open_picture
 from svu_mi.capture.importers.lens_distortion import COEFFICIENTS, Lens
 from svu_mi.capture.importers.source import OPENGL, Frame, Source
-from svu_mi.capture.importers.source_files import inside, name_in
+from svu_mi.capture.importers.source_files import relative_name, safe_path
 from svu_mi.core.io.files import read_json, write_json
 from svu_mi.errors import CaptureError, OptionError, excerpt
 
@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 FILE = "transforms.json"
 SPLITS = ("train", "test", "val")  # parts that a folder usually has
-UNKNOWN = ("k5", "k6")  # coefficients that the lens model lacks
-BENT = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")  # parts of models' names
+# Coefficients that the lens model lacks, and parts of names of models that are no pinholes.
+UNSUPPORTED = ("k5", "k6")
+NOT_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")
 
 
 def recognises(path: Path, split: str) -> bool:
@@ -113,8 +114,8 @@ def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:
 
 def _record(frame: Frame, root: Path) -> dict[str, Any]:
     return {
-        "file_path": name_in(root, frame.image),
-        **({} if frame.mask is None else {"mask_path": name_in(root, frame.mask)}),
+        "file_path": relative_name(root, frame.image),
+        **({} if frame.mask is None else {"mask_path": relative_name(root, frame.mask)}),
         **({} if frame.exposure == 1 else {"exposure": frame.exposure}),
         "fl_x": frame.focal[0], "fl_y": frame.focal[1],
         "cx": frame.center[0], "cy": frame.center[1],
@@ -151,7 +152,7 @@ def parse_frame(
             return Frame(
                 label=label,
                 image=image,
-                mask=None if masked is None else inside(root, masked, label),
+                mask=None if masked is None else safe_path(root, masked, label),
                 to_world=before @ matrix @ OPENGL,
                 focal=(fl_x, _focal(known, "y", height, fl_x)),  # camera_angle_y of instant-ngp
                 center=(float(known.get("cx", width / 2)), float(known.get("cy", height / 2))),
@@ -169,7 +170,7 @@ def parse_frame(
 def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
     """Return the lens, None without distortion; refuse cameras that are not pinholes."""
     model = str(known.get("camera_model", "")).upper()
-    if any(name in model for name in BENT) or known.get("is_fisheye"):
+    if any(name in model for name in NOT_PINHOLE) or known.get("is_fisheye"):
         raise CaptureError(
             f"{label}: {model.lower()[:40] or 'a fisheye'} is not a pinhole camera; undistort the "
             "photographs first."
@@ -183,7 +184,7 @@ def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
                 f"{', '.join(COEFFICIENTS)}, got {len(listed)}; give each by its own name."
             )
         numbers = [float(number) for number in listed]
-    if not np.isfinite(numbers).all() or any(known.get(key) for key in UNKNOWN):
+    if not np.isfinite(numbers).all() or any(known.get(key) for key in UNSUPPORTED):
         raise CaptureError(
             f"{label}: a lens must be finite numbers {', '.join(COEFFICIENTS)}, others and NaN are "
             "not supported; undistort the photographs first."
@@ -215,12 +216,12 @@ def _usual_size(
         return None
     label = f"{path}: frame "
     images = [_image(path.parent, name, f"{label}{index}") for index, name in named.items()]
-    found = next((image for image in images if image.is_file()), None)
-    if found is not None:
-        return open_picture(found).size
+    first = next((image for image in images if image.is_file()), None)
+    if first is not None:
+        return open_picture(first).size
     raise CaptureError(
         f"{path}: {len(named)} of {len(frames)} photographs are missing, first "
-        f"{name_in(path.parent, images[0])}; put them where the poses name them."
+        f"{relative_name(path.parent, images[0])}; put them where the poses name them."
     )
 
 
@@ -237,9 +238,9 @@ def _image(root: Path, given: Any, label: str) -> Path:
     """Return the photograph of a frame, which need not name one."""
     if given is None:
         return root / "none"
-    path = inside(root, given, label)
+    path = safe_path(root, given, label)
     if path.suffix.lower() in SUFFIXES:
         return path
     suffixes = (*SUFFIXES, *map(str.upper, SUFFIXES))
-    found = (path.with_name(path.name + suffix) for suffix in suffixes)
-    return next((file for file in found if file.is_file()), path)
+    files = (path.with_name(path.name + suffix) for suffix in suffixes)
+    return next((file for file in files if file.is_file()), path)

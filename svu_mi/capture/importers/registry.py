@@ -80,7 +80,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         raise CaptureError(f"{path}: no such file or folder; give a capture to import.")
     recognised = kind == AUTO
     if recognised:
-        kind = next((name for name in FORMATS if _is_of(name, path, options.split)), AUTO)
+        kind = next((name for name in FORMATS if _recognises(name, path, options.split)), AUTO)
     if kind == AUTO:
         raise CaptureError(
             f"{path}: not a known kind of capture; expected transforms.json, a COLMAP model, "
@@ -96,12 +96,12 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     others = [
         f"{path}: is read as {kind}, but has poses of {name}, too; --format {name} reads these."
         for name in (TABLES if recognised and kind not in TABLES else ())
-        if _is_of(name, path, options.split)
+        if _recognises(name, path, options.split)
     ]
     return replace(source, notes=[*source.notes, *others]) if others else source
 
 
-def _is_of(name: str, path: Path, split: str) -> bool:
+def _recognises(name: str, path: Path, split: str) -> bool:
     return bool(_reader(name).recognises(path, split))
 
 

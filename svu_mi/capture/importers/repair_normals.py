@@ -18,7 +18,7 @@ PLANE = 5  # degrees between triangles that lie in a plane
 AGREE = 0.6  # mean cosine between vertex normals and faces; sound files have .9, swapped axes .3
 
 
-def repaired(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
+def repair_normals(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
     """Turn a closed surface that is inside out; replace normals that are missing or contradict it.
 
     Computed normals are smooth, except at edges, where vertices get one on each side. A scan with
@@ -44,9 +44,9 @@ def repaired(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
         twice_area = np.linalg.norm(cross, axis=1).sum()
         if cosines >= AGREE * max(twice_area, 1e-300):  # NaN fails, too
             smooth = np.array(welded.vertex_normals)[inverse]
-            return replace(mesh, normals=_unit(mesh.normals, smooth)), notes
+            return replace(mesh, normals=_unit_normals(mesh.normals, smooth)), notes
         notes.append(f"{label}: its normals contradict its triangles; they are computed again.")
-    shaded, is_noisy = _shaded(mesh, welded)
+    shaded, is_noisy = _with_computed_normals(mesh, welded)
     if is_noisy:
         notes.append(
             f"{label}: normals are computed; the surface is too noisy to tell edges from noise, so "
@@ -59,7 +59,7 @@ def repaired(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
     return shaded, notes
 
 
-def _shaded(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[MeshArrays, bool]:
+def _with_computed_normals(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[MeshArrays, bool]:
     """Compute angle-weighted normals; also return whether the surface is noisy.
 
     Corners at a vertex share a normal if they are connected over edges that are no creases. A
@@ -69,7 +69,7 @@ def _shaded(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[MeshArrays, bool
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     normal = cross / np.maximum(length, 1e-300)
     count = mesh.faces.size
-    pairs, are_two = _across_edges(welded.faces)
+    pairs, are_two = _corners_at_edges(welded.faces)
     first, second = pairs[:, :, 0] // 3
     cosine = np.einsum("ei,ei->e", normal[first], normal[second])
     flat = (length[first] * length[second])[:, 0] == 0  # a triangle without area creases nothing
@@ -89,7 +89,7 @@ def _shaded(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[MeshArrays, bool
     shaded = MeshArrays(
         positions=mesh.positions[vertex],
         faces=faces.reshape(mesh.faces.shape),
-        normals=_unit(total[fan[corner]], np.zeros(3)),
+        normals=_unit_normals(total[fan[corner]], np.zeros(3)),
         uvs=None if mesh.uvs is None else mesh.uvs[vertex],
     )
     return shaded, is_noisy
@@ -110,7 +110,7 @@ def _without_empty(fan: np.ndarray, is_real: np.ndarray, vertex: np.ndarray) -> 
     return np.where(is_real | (real[vertex] < 0), fan, real[vertex])
 
 
-def _across_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _corners_at_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return corners (2, E, 2) at both ends of each edge, of one triangle and another.
 
     Also return (E,) whether the edge has only these two. Triangle f has the corners 3 f to 3 f + 2.
@@ -127,7 +127,7 @@ def _across_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([corners[:-1][same], corners[1:][same]]), ~others[same]
 
 
-def _unit(normals: np.ndarray, instead: np.ndarray) -> np.ndarray:
+def _unit_normals(normals: np.ndarray, instead: np.ndarray) -> np.ndarray:
     """Return unit normals; those of no length are taken from elsewhere, or point up."""
     for other in (instead, np.array([0.0, 0.0, 1.0])):
         length = np.linalg.norm(normals, axis=1, keepdims=True)

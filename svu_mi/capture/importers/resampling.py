@@ -25,7 +25,7 @@ EDGE = 257  # points of each edge of a photograph, between which lenses are smoo
 WIDEST = 2.0  # sides of a straightened photograph, in parts of those it had; as COLMAP's
 
 
-def fitted(frame: Frame, size: tuple[int, int]) -> Frame:
+def with_size(frame: Frame, size: tuple[int, int]) -> Frame:
     """Return the frame for a photograph that was resized to (width, height) after calibration."""
     if size == frame.size:
         return frame
@@ -46,8 +46,8 @@ def fitted(frame: Frame, size: tuple[int, int]) -> Frame:
     return replace(_scaled(frame, (made_width / width, made_height / height)), size=size)
 
 
-def straightened(frame: Frame) -> Frame:
-    """Return the pinhole camera for ``unbent``; a frame without a lens as it is.
+def undistorted_frame(frame: Frame) -> Frame:
+    """Return the pinhole camera for ``undistort_planes``; a frame without a lens as it is.
 
     As in COLMAP, the focal length is kept, so that the centre does not change, and the photograph
     becomes the largest one without empty borders, at most twice as wide and high.
@@ -58,7 +58,7 @@ def straightened(frame: Frame) -> Frame:
     along, first, last = np.linspace(0, 1, EDGE), np.zeros(EDGE), np.ones(EDGE)
     sides = (first, along), (last, along), (along, first), (along, last)
     seen = np.stack([np.stack(side, axis=-1) for side in sides]) * size
-    edges = frame.lens.straightened((seen - center) / focal)
+    edges = frame.lens.undistort((seen - center) / focal)
     if not frame.lens.is_one_to_one(edges.reshape(-1, 2)):
         numbers = ", ".join(f"{key} {value:g}" for key, value in frame.lens.record.items() if value)
         raise CaptureError(
@@ -80,36 +80,36 @@ def straightened(frame: Frame) -> Frame:
     return replace(frame, lens=None, size=(width, height), center=(float(x), float(y)))
 
 
-def unbent(planes: Sequence[np.ndarray], frame: Frame) -> Sequence[np.ndarray]:
+def undistort_planes(planes: Sequence[np.ndarray], frame: Frame) -> Sequence[np.ndarray]:
     """Undistort planes (H, W) of a photograph bilinearly; they are returned without a lens.
 
-    They are float32 and finite, and get the size of ``straightened(frame)``.
+    They are float32 and finite, and get the size of ``undistorted_frame(frame)``.
     """
     if frame.lens is None:
         return planes
-    made = straightened(frame)
+    made = undistorted_frame(frame)
     (width, height), (fx, fy), (cx, cy) = made.size, made.focal, made.center
-    found = [np.empty((height, width), np.float32) for _ in planes]
+    pinhole = [np.empty((height, width), np.float32) for _ in planes]
     x = (np.arange(width) + 0.5 - cx) / fx
     for first in range(0, height, STRIP):
         y = (np.arange(first, min(first + STRIP, height)) + 0.5 - cy) / fy
         points = np.stack(np.broadcast_arrays(x, y[:, None]), axis=-1)
-        pixels = frame.lens.bent(points) * frame.focal + frame.center - 0.5
+        pixels = frame.lens.distort(points) * frame.focal + frame.center - 0.5
         place = np.ascontiguousarray(pixels[..., ::-1].transpose(2, 0, 1))
-        for plane, whole in zip(planes, found, strict=True):
+        for plane, whole in zip(planes, pinhole, strict=True):
             strip = whole[first : first + STRIP]
             scipy.ndimage.map_coordinates(plane, place, strip, order=1, mode="nearest")
-    return found
+    return pinhole
 
 
-def squared(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, float]]:
+def square_pixel_frame(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, float]]:
     """Return the frame with straight lines and square pixels, and the scale of width and height.
 
     Args:
         frame: as calibrated.
         shrink: factor by which pixels become larger, at least 1.
     """
-    frame = straightened(frame)
+    frame = undistorted_frame(frame)
     if not (np.isfinite(shrink) and shrink >= 1):
         raise OptionError(f"The factor to shrink photographs by must be at least 1, got {shrink}.")
     fx, fy = frame.focal
@@ -124,29 +124,29 @@ def squared(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, floa
     return made, scale
 
 
-def resampled(image: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
+def average_area(image: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
     """Average an image (H, W, C) over the area of its new pixels.
 
     ``scale``: of width and height, at most 1; both 1 returns the image itself. The new size is that
-    of ``squared``.
+    of ``square_pixel_frame``.
     """
     for axis, factor in ((1, scale[0]), (0, scale[1])):
         if factor != 1:
-            image = _averaged(image, factor, axis)
+            image = _average_axis(image, factor, axis)
     return image
 
 
-def _averaged(image: np.ndarray, factor: float, axis: int) -> np.ndarray:
+def _average_axis(image: np.ndarray, factor: float, axis: int) -> np.ndarray:
     """Average along one axis in strips, to save memory in double precision."""
     lines = np.moveaxis(image, axis, 0)
     count = int(len(lines) * factor + WHOLE)
     made = np.empty((count, *lines.shape[1:]), np.float32)
     for k in range(0, lines.shape[1], STRIP):
-        made[:, k : k + STRIP] = _integrated(lines[:, k : k + STRIP], count, factor)
+        made[:, k : k + STRIP] = _integral_averages(lines[:, k : k + STRIP], count, factor)
     return np.ascontiguousarray(np.moveaxis(made, 0, axis))
 
 
-def _integrated(lines: np.ndarray, count: int, factor: float) -> np.ndarray:
+def _integral_averages(lines: np.ndarray, count: int, factor: float) -> np.ndarray:
     """Return averages as differences of the integral of a piecewise constant function."""
     lines = np.asarray(lines, np.float64)
     integral = np.concatenate([np.zeros_like(lines[:1]), np.cumsum(lines, axis=0)])

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.image_io import Transfer
-from svu_mi.capture.importers.camera_response import Response
+from svu_mi.capture.importers.camera_response import CameraResponse
 from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES as ENVIRONMENT_AXES
 from svu_mi.capture.importers.import_options import Light as Light
 from svu_mi.capture.importers.lens_distortion import Lens
@@ -68,7 +68,7 @@ class Frame:
     center: tuple[float, float]
     size: tuple[int, int]
     exposure: float = 1.0
-    transfer: Transfer | Response = "srgb"
+    transfer: Transfer | CameraResponse = "srgb"
     lens: Lens | None = None
 
     def __post_init__(self) -> None:
@@ -183,7 +183,7 @@ class Source:
         mesh: file of the object, if the format has one; its axes are those of the poses.
         light: the environment, if the format has one.
         camera_axes: matrix that turned the tool's camera axes into Mitsuba's (``OPENGL``, ...).
-        notes: sentences about what was found and decided while reading.
+        notes: sentences about decisions while reading.
     """
 
     format: str

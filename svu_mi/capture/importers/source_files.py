@@ -18,7 +18,7 @@ SHOWN = 60  # characters of a name in a message
 LARGEST_TEXT = 2**24  # bytes
 
 
-def inside(root: Path, name: Any, label: str) -> Path:
+def safe_path(root: Path, name: Any, label: str) -> Path:
     r"""Return the path of a file that is named relative to a folder; it need not exist.
 
     ``\`` separates folders, too, as on Windows. Links are followed when the file is opened: they
@@ -38,7 +38,7 @@ def inside(root: Path, name: Any, label: str) -> Path:
     return root.joinpath(*parts)
 
 
-def name_in(root: Path, file: Path) -> str:
+def relative_name(root: Path, file: Path) -> str:
     """Return the name of a file relative to a folder; its name alone if it lies elsewhere."""
     return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
 
@@ -53,32 +53,32 @@ def _is_usable(parts: tuple[str, ...]) -> bool:
     return fits and CONTROL.search("".join(parts)) is None
 
 
-def folder_of(kind: str, asked: Path | None, places: Iterable[Path]) -> Path | None:
+def find_folder(kind: str, asked: Path | None, places: Iterable[Path]) -> Path | None:
     """Return the folder of ``images`` or ``masks``: the one asked for, or the first of several."""
     if asked is None:
         return next((place for place in places if place.is_dir()), None)
     if not asked.is_dir():
-        raise no_folder(kind, asked)
+        raise missing_folder(kind, asked)
     return asked
 
 
-def no_folder(kind: str, folder: Path) -> CaptureError:
+def missing_folder(kind: str, folder: Path) -> CaptureError:
     """Return the error that the folder of ``images`` or ``masks`` is missing."""
     what = "photographs" if kind == "images" else kind
     return CaptureError(f"{folder}: no such folder; give that of the {what} with --{kind}.")
 
 
-def photographs_of_poses(
+def find_photographs(
     root: Path, asked: Path | None, names: Sequence[str], poses: Path, count: int
 ) -> list[Path]:
     """Return the photographs of poses that do not name them, in the order of their names.
 
     They are in the folder ``asked``, or in one of ``names`` next to the poses.
     """
-    folder = folder_of("images", asked, (root / name for name in names))
+    folder = find_folder("images", asked, (root / name for name in names))
     if folder is None:
-        raise no_folder("images", root / names[0])
-    files = pictures(folder)
+        raise missing_folder("images", root / names[0])
+    files = list_pictures(folder)
     if len(files) != count:
         raise CaptureError(
             f"{folder}: has {len(files)} photographs, but {poses} has {count} poses; give the "
@@ -87,7 +87,7 @@ def photographs_of_poses(
     return files
 
 
-def pictures(folder: Path) -> list[Path]:
+def list_pictures(folder: Path) -> list[Path]:
     """Return the pictures in a folder in the order of their names, without hidden files."""
     try:
         files = sorted(folder.iterdir())
@@ -99,7 +99,7 @@ def pictures(folder: Path) -> list[Path]:
     return [file for file in known if not file.name.startswith(".") and file.is_file()]
 
 
-def mask_of(folder: Path, name: Path) -> Path | None:
+def find_mask(folder: Path, name: Path) -> Path | None:
     """Return the mask of a photograph in a folder: ``a.jpg.png``, ``a.jpg``, or ``a`` with any
     suffix; ``name`` is relative to the folder of the photographs."""
     stems = [folder / name.with_suffix(suffix) for suffix in SUFFIXES]
@@ -107,7 +107,7 @@ def mask_of(folder: Path, name: Path) -> Path | None:
     return next((file for file in names if file.is_file()), None)
 
 
-def lines_of(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:
+def read_lines(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:
     """Yield number and text of each line that is not empty, without comments (``#``).
 
     A file that is missing, larger than 16 MiB, or no text is refused (CaptureError) as no ``what``,

@@ -28,7 +28,7 @@ import numpy as np
 from svu_mi.capture.image_io import open_picture
 from svu_mi.capture.importers.nerf import parse_frame, read_poses
 from svu_mi.capture.importers.source import OPENGL, Frame, Light, Source
-from svu_mi.capture.importers.source_files import inside
+from svu_mi.capture.importers.source_files import safe_path
 from svu_mi.errors import CaptureError, OptionError
 
 if TYPE_CHECKING:
@@ -138,13 +138,13 @@ def _file(split: Split) -> str:
 def _view(path: Path, record: dict[str, Any], given: Any, label: str) -> OrbView:
     root, kind = path.parent.parent, path.parent.name
     known = given if isinstance(given, dict) else {}
-    capture = inside(path.parent, known.get("scene_name", path.name), label)
+    capture = safe_path(path.parent, known.get("scene_name", path.name), label)
     if capture.parent != path.parent:
         raise CaptureError(f"{label}: scene_name must be the name of a capture.")
     name = known.get("file_path")
     if not isinstance(name, str):
         raise CaptureError(f"{label}: file_path must be text.")
-    image = inside(capture, name + SUFFIXES[kind], label)
+    image = safe_path(capture, name + SUFFIXES[kind], label)
     mask = image.parent.with_name(f"{image.parent.name}_mask") / f"{image.stem}.png"
     width, height = open_picture(image).size
     files = {"file_path": image.relative_to(root).as_posix(), "w": width, "h": height}

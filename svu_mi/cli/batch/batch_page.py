@@ -16,7 +16,7 @@ from svu_mi.cli.batch.capture_list import INDEX, TABLE
 from svu_mi.cli.batch.runner import Outcome
 from svu_mi.cli.batch.steps import STEPS
 from svu_mi.core.io.files import write_text
-from svu_mi.output.html import Picture, drawing, write_page
+from svu_mi.output.html import PageImage, embedded_png, write_page
 
 SIDE = 160  # pixels of a thumbnail
 COLUMNS = ("capture", "seen", "entropy", "known", "seconds", "peak_gb", "problem")
@@ -50,7 +50,7 @@ def _row(outcome: Outcome) -> dict[str, Any]:
     return {"links": links, "picture": picture, "outcome": outcome}
 
 
-def thumbnail(folder: Path) -> Picture | None:
+def thumbnail(folder: Path) -> PageImage | None:
     """Return the overview of a capture's results, small; None if there is none."""
     path = folder / "entropy" / "overview.png"
     try:
@@ -60,10 +60,10 @@ def thumbnail(folder: Path) -> Picture | None:
 
 
 @cache
-def _drawn(path: Path, _time: int) -> Picture:
+def _drawn(path: Path, _time: int) -> PageImage:
     """Draw a picture of some time, once: the page is written anew after every capture."""
     from PIL import Image
 
     with Image.open(path) as image:
         image.draft("RGB", (4 * SIDE, 4 * SIDE))
-        return drawing(np.asarray(image.convert("RGB"), np.float32) / 255, 2 * SIDE)
+        return embedded_png(np.asarray(image.convert("RGB"), np.float32) / 255, 2 * SIDE)

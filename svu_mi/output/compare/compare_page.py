@@ -14,8 +14,8 @@ from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style
 from svu_mi.output.compare.differences import AROUND, CERTAIN, Comparison, largest
-from svu_mi.output.estimate_arrays import words
-from svu_mi.output.html import Picture, drawing, write_page
+from svu_mi.output.estimate_arrays import label_of
+from svu_mi.output.html import PageImage, embedded_png, write_page
 from svu_mi.output.run_record import environment_record, write_manifest
 from svu_mi.output.surface_maps import ENDS, ENTROPY
 
@@ -73,7 +73,7 @@ def _pictures(found: Comparison, name: str) -> dict[str, Any]:
         certain = np.where(np.abs(one.deviations) <= CERTAIN, 0, one.deviations)
         sure = _picture(found, certain, (-3 * CERTAIN, 3 * CERTAIN), SIGNED)
     return {
-        "name": words(name), "colormap": None if name == "base_color" else colormap,
+        "name": label_of(name), "colormap": None if name == "base_color" else colormap,
         "ends": ENDS.get(name, ENTROPY.ends), "limit": limit, "sure": sure,
         "sides": [_picture(found, values, (0, 1), colormap) for values in one.both],
         "difference": _picture(found, size, (-limit, limit), SIGNED), "figures": one.figures,
@@ -82,7 +82,7 @@ def _pictures(found: Comparison, name: str) -> dict[str, Any]:
 
 def _picture(
     found: Comparison, image: np.ndarray, limits: tuple[float, float], colormap: str
-) -> Picture:
+) -> PageImage:
     """Draw a map (H, W, C), grey where not both have a value, transparent outside the charts."""
     known, values = np.isfinite(image).all(axis=2, keepdims=True), np.nan_to_num(image)
     if values.shape[2] == 3:
@@ -90,4 +90,4 @@ def _picture(
     else:
         colors = style.colors(values[..., 0], limits, colormap)
     colors = np.where(known, colors, style.UNSEEN)
-    return drawing(np.dstack([colors, found.area > 0]), SIDE)
+    return embedded_png(np.dstack([colors, found.area > 0]), SIDE)

@@ -31,8 +31,8 @@ from svu_mi.core.validation import require_texels
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.geometry.texels import size_of, texels
-from svu_mi.output.estimate_arrays import words
-from svu_mi.output.interval_summary import median, part, plain_percent
+from svu_mi.output.estimate_arrays import label_of
+from svu_mi.output.interval_summary import area_share, plain_percent, weighted_median
 from svu_mi.output.maps import COVERAGE, ENTROPY, read_deviations, read_map
 from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import MESH, find_textures, read_texture
@@ -145,7 +145,7 @@ class Comparison:
             if share is None:
                 share, how = one.figures["beyond"] or 0.0, f"by more than {self.tolerance:g}"
             by_mean = "" if by is None else f" (by {by:+.3f})"
-            told.append(f"{words(name)} differs {how} on {plain_percent(share)}{by_mean}")
+            told.append(f"{label_of(name)} differs {how} on {plain_percent(share)}{by_mean}")
         if self.entropy is not None:
             told.append(f"the entropy differs by {self.entropy.figures['mean']:+.3f} in the mean")
         return f"Of the surface that both show, {', '.join(told)}."
@@ -335,7 +335,7 @@ def _compared(first: Side, second: Side, size: tuple[int, int], tolerance: float
     shared = [name for name in dict.fromkeys((*NAMES, *first.maps))
               if name in first.maps and name in second.maps]  # fmt: skip
     if not shared:
-        has = [" and ".join(map(words, side.maps)) for side in (first, second)]
+        has = [" and ".join(map(label_of, side.maps)) for side in (first, second)]
         raise CaptureError(
             f"{first.name} has {has[0]}, and {second.name} {has[1]}: nothing to compare; give the "
             "capture itself, or a result of svu recover."
@@ -372,7 +372,7 @@ def _compared(first: Side, second: Side, size: tuple[int, int], tolerance: float
               if mesh is not None and not side.key]  # fmt: skip
     return Comparison(
         sides=sides, area=area, seen=seen, maps=maps, tolerance=tolerance,
-        seen_part=part(area, seen), notes=tuple(notes),
+        seen_part=area_share(area, seen), notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -396,10 +396,11 @@ def difference(
     size, mean = np.abs(found).max(axis=1), found.mean(axis=1)
     sure = None if deviations is None else np.abs(deviations[compared, 0]) > CERTAIN
     return Difference(both=both, values=values, deviations=deviations, figures={
-        "mean": float(np.average(mean, weights=weights)), "median": median(size, weights),
+        "mean": float(np.average(mean, weights=weights)), "median": weighted_median(size, weights),
         "rms": float(np.sqrt(np.average((found**2).mean(axis=1), weights=weights))),
-        "psnr": psnr(first[compared], second[compared]), "beyond": part(weights, size > tolerance),
-        "certain": None if sure is None else part(weights, sure),
+        "psnr": psnr(first[compared], second[compared]), 
+        "beyond": area_share(weights, size > tolerance),
+        "certain": None if sure is None else area_share(weights, sure),
         "certain_mean": None if sure is None or not sure.any() else
         float(np.average(mean[sure], weights=weights[sure])),
     })  # fmt: skip

@@ -14,7 +14,7 @@ from svu_mi.capture.replace_material import is_two_sided
 from svu_mi.core.identifiers import plain_name
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.output.maps import padded
-from svu_mi.output.object_views import Axis, nearest_axis, upright
+from svu_mi.output.object_views import Axis, nearest_axis, up_direction
 from svu_mi.recovery.svbrdf_textures import Textures
 
 TEXTURES, RECORD = "textures", "asset.json"  # in an exported folder
@@ -71,8 +71,8 @@ class Asset:
     @property
     def maps(self) -> dict[str, np.ndarray]:
         """Maps that there are, by name: entropy, coverage, ``roughness_sd`` and so on."""
-        found = {"entropy": self.entropy, "coverage": self.coverage}
-        there = {name: image for name, image in found.items() if image is not None}
+        maps = {"entropy": self.entropy, "coverage": self.coverage}
+        there = {name: image for name, image in maps.items() if image is not None}
         return there | {name + SD: image for name, image in self.deviations.items()}
 
     @classmethod
@@ -92,7 +92,7 @@ class Asset:
             if field is None
             else {name: padded(field, worst(field.sd(name)), fill=0) for name in field.names},
             two_sided=is_two_sided(capture.shape.bsdf()),
-            up=nearest_axis(upright(capture)),
+            up=nearest_axis(up_direction(capture)),
             source=capture.source,
             capture=capture_key(capture),
         )
@@ -127,13 +127,13 @@ def _check_mesh(name: str, mesh: MeshArrays) -> None:
             raise MeshError(f"'{name}' has {words} that are NaN or infinite; repair the mesh.")
 
 
-def bad_values(image: np.ndarray, most: float) -> int:
+def count_invalid(image: np.ndarray, most: float) -> int:
     """Count values that are NaN, infinite, or outside [0, most]."""
     return int((~((image >= 0) & (image <= most) & np.isfinite(image))).sum())  # NaN fails all
 
 
 def _check_values(name: str, image: np.ndarray, most: float) -> None:
-    bad = bad_values(image, most)
+    bad = count_invalid(image, most)
     if bad:
         raise OptionError(
             f"Asset: {bad} values of {name} are NaN or outside [0, {most:g}]; clip them."

@@ -43,7 +43,7 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
     for name, tensor in asset.textures.items():
         pixels = np.array(tensor)
         images[name] = (pixels, LINEAR) if CHANNELS[name] == 1 else (srgb(pixels), SRGB)
-    images["orm"] = (packed(asset), PACKED)
+    images["orm"] = (orm_image(asset), PACKED)
     for name, image in asset.maps.items():
         if name == "coverage":
             most = max(float(image.max()), 1.0)
@@ -58,7 +58,7 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
     return written
 
 
-def packed(asset: Asset) -> np.ndarray:
+def orm_image(asset: Asset) -> np.ndarray:
     """Return occlusion, roughness and metallic (H, W, 3), as glTF 2.0 prescribes (Sec. 3.9.2).
 
     Occlusion is not known, so it is 1.

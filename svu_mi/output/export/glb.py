@@ -18,7 +18,7 @@ from svu_mi.capture.image_io import decoded, quantized, srgb
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.core.io.files import replacing
 from svu_mi.output.export.asset import Asset, Written
-from svu_mi.output.export.asset_images import packed
+from svu_mi.output.export.asset_images import orm_image
 from svu_mi.output.object_views import Axis
 from svu_mi.output.style import COLORMAP
 
@@ -40,7 +40,7 @@ def write_asset_glb(
     material = PBRMaterial(
         name=asset.name,
         baseColorTexture=Image.fromarray(quantized(srgb(base_color))),
-        metallicRoughnessTexture=Image.fromarray(quantized(packed(asset))),
+        metallicRoughnessTexture=Image.fromarray(quantized(orm_image(asset))),
         baseColorFactor=[255, 255, 255, 255],
         metallicFactor=1.0,
         roughnessFactor=1.0,

@@ -24,9 +24,9 @@ from svu_mi.core.io.provenance import (
 )
 from svu_mi.core.memory import Size
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
-from svu_mi.output.export.asset import Asset, bad_values
+from svu_mi.output.export.asset import Asset, count_invalid
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
-from svu_mi.output.object_views import nearest_axis, up_of
+from svu_mi.output.object_views import nearest_axis, up_of_poses
 from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import FILES, MESH, SCENE, read_textures
 
@@ -76,11 +76,11 @@ class AssetPlan:
             name=shape.get("id") or "object",
             mesh=_mesh(folder / MESH, smooth),
             textures=read_textures(folder),
-            entropy=_map(maps / ENTROPY, 1),
-            coverage=_map(maps / COVERAGE, np.inf),
+            entropy=_read_map(maps / ENTROPY, 1),
+            coverage=_read_map(maps / COVERAGE, np.inf),
             deviations=_deviations(folder / UNCERTAINTY, textured),
             two_sided=shape.find("bsdf[@type='twosided']") is not None,
-            up=nearest_axis(up_of(_poses(scene))),
+            up=nearest_axis(up_of_poses(_poses(scene))),
             source=str(folder),
             capture=marks_of(textured)[1],
         )
@@ -152,12 +152,10 @@ def _mesh(path: Path, smooth: bool) -> MeshArrays:
     pin_own_plugins()
     read_ply(path)  # so that no face names a missing vertex
     try:
-        found: Any = mi.load_dict(
-            {"type": "ply", "filename": str(path), "face_normals": not smooth}
-        )
+        mesh: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": not smooth})
     except RuntimeError as error:
         raise MeshError(f"{path}: cannot be read: {last_sentence(str(error))}") from error
-    return arrays(found)
+    return arrays(mesh)
 
 
 def _deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
@@ -165,13 +163,13 @@ def _deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
     the file, or where it is of another run than the textures."""
     if not path.is_file() or marks_of(path)[0] != marks_of(textured)[0]:
         return {}
-    found = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
-    for name, image in found.items():
+    deviations = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
+    for name, image in deviations.items():
         _require_values(path, image, 1, f" of {name}")
-    return found
+    return deviations
 
 
-def _map(path: Path, most: float) -> np.ndarray | None:
+def _read_map(path: Path, most: float) -> np.ndarray | None:
     """Return an (H, W) map, None if there is no such file."""
     image = read_map(path)
     if image is not None:
@@ -180,7 +178,7 @@ def _map(path: Path, most: float) -> np.ndarray | None:
 
 
 def _require_values(path: Path, image: np.ndarray, most: float, what: str = "") -> None:
-    if bad := bad_values(image, most):
+    if bad := count_invalid(image, most):
         raise CaptureError(
             f"{path}: {bad} values{what} are NaN or outside [0, {most:g}]; compute it again."
         )

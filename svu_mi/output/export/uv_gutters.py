@@ -92,5 +92,5 @@ def at_vertices(mesh: MeshArrays, image: np.ndarray) -> np.ndarray:
     )
     # A face may be too small for a texel: what is under the vertex itself must do.
     column, row = np.clip(mesh.uvs * (width, height), 0, (width - 1, height - 1)).astype(int).T
-    found = np.where(weight > 0, total / np.where(weight > 0, weight, 1), image[row, column])
-    return found.astype(np.float32)
+    means = np.where(weight > 0, total / np.where(weight > 0, weight, 1), image[row, column])
+    return means.astype(np.float32)

@@ -108,10 +108,10 @@ def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
     if "png" in formats:
         files += write_png_images(asset, folder, bits=options.bits)
     if "glb" in formats:
-        found = {name: at_vertices(asset.mesh, image) for name, image in asset.maps.items()}
-        files.append(glb.write_asset_glb(asset, folder, found, up=up))
-        if "entropy" in found:
-            files.append(glb.write_entropy_glb(asset, folder, found["entropy"], up=up))
+        vertex_maps = {name: at_vertices(asset.mesh, image) for name, image in asset.maps.items()}
+        files.append(glb.write_asset_glb(asset, folder, vertex_maps, up=up))
+        if "entropy" in vertex_maps:
+            files.append(glb.write_entropy_glb(asset, folder, vertex_maps["entropy"], up=up))
     if "xml" in formats:
         files += asset_scenes.write_mitsuba(asset, folder, up=up)
     if "materialx" in formats:

@@ -17,10 +17,16 @@ from svu_mi.capture.capture import Capture
 from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import Result, is_seen, known, open_axes, words
+from svu_mi.output.estimate_arrays import (
+    EstimateArrays,
+    is_seen,
+    known_values,
+    label_of,
+    open_axes,
+)
 from svu_mi.output.html import NARROW_SPACE, grouped, page_of, percent
-from svu_mi.output.interval_summary import Intervals, Knowledge, picture_intervals
-from svu_mi.output.object_views import upright
+from svu_mi.output.interval_summary import Intervals, IntervalSummary, picture_intervals
+from svu_mi.output.object_views import up_direction
 from svu_mi.output.report import report_pictures, report_plots, summary_text
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.rerender import WORST
@@ -43,7 +49,7 @@ def write_report(
     title: str | None = None,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Knowledge:
+) -> IntervalSummary:
     """Write what the photographs say as one HTML page, with all pictures inside.
 
     It opens without a network, in any browser. Of many photographs some are shown and rendered,
@@ -67,17 +73,17 @@ def write_report(
         OutputError: the file cannot be written.
     """
     report = progress or Stage().update
-    result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
+    result, table = EstimateArrays.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     intervals = picture_intervals(estimate, report_pictures.MAP_SIDE)
     shown = _pictures(capture, estimate, textures, table, intervals, report)
-    knowledge = Knowledge.of(estimate, intervals)
+    knowledge = IntervalSummary.of(estimate, intervals)
     today = datetime.date.today()
     page = page_of(
         TEMPLATE,
-        title=title or _name(capture), date=f"{today.day} {today:%B %Y}",
+        title=title or _capture_name(capture), date=f"{today.day} {today:%B %Y}",
         summary=_summary(capture, estimate, result, intervals, knowledge, table),
-        histogram=report_plots.histogram(result),
-        marginals=list(report_plots.marginals(estimate, result)),
+        histogram=report_plots.entropy_histogram(result),
+        marginals=list(report_plots.marginal_plots(estimate, result)),
         given=[(name, _plain(value)) for name, value in (settings or {}).items()],
         **shown, **_settings(capture, estimate), **_environment(estimate.timings),
     )  # fmt: skip
@@ -92,19 +98,19 @@ def _pictures(
 ) -> dict[str, Any]:  # fmt: skip
     """Return what the page shows of photographs, maps, textures and errors."""
     thumbnails, left_out = report_pictures.thumbnails(capture, estimate)
-    frames = list(report_pictures.turning(table, estimate))
+    frames = list(report_pictures.turntable_pictures(table, estimate))
     report(1, 5)
-    maps, recovered = report_pictures.maps(table, estimate, intervals), []
+    maps, recovered = report_pictures.map_pictures(table, estimate, intervals), []
     report(2, 5)
     if textures is not None:
         field = field_of(textures, estimate, capture.mesh)
         recovered = report_pictures.texture_maps(table, estimate, textures, field)
     report(3, 5)
     turned = [frame[0] for frame in frames]
-    result = Result.of(estimate)
-    examples = list(report_plots.examples(table, estimate, result, intervals.level, turned))
+    result = EstimateArrays.of(estimate)
+    examples = list(report_plots.example_texels(table, estimate, result, intervals.level, turned))
     report(4, 5)
-    warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
+    warnings = [_without_folder(capture.source, sentence) for sentence in capture.warnings]
     return {
         "count": capture.count, "used": sum(capture.used), "thumbnails": thumbnails,
         "left_out": left_out, "light": _light(capture), "frames": frames, "maps": maps,
@@ -112,19 +118,19 @@ def _pictures(
         "errors": _errors(capture, estimate, textures), "error_end": WORST,
         "error_colormap": style.DIFFERENCE_COLORMAP, "colors": style.SETTLED_COLORS,
         "unseen": style.UNSEEN, "color": estimate.posterior.groups == 3,
-        "skipped": summary_text.skipped(estimate), "warnings": warnings[:WARNINGS],
+        "skipped": summary_text.skipped_sentences(estimate), "warnings": warnings[:WARNINGS],
         "more_warnings": warnings[WARNINGS:],
     }  # fmt: skip
 
 
 def _light(capture: Capture) -> dict[str, Any] | None:
     """What there is to say of light that was found in the photographs."""
-    found = capture.found_light
-    if found is None:
+    light = capture.found_light
+    if light is None:
         return None
     return {
-        "maps": report_pictures.light_maps(found),
-        "sentences": list(sentences(found, upright(capture))),
+        "maps": report_pictures.light_maps(light),
+        "sentences": list(sentences(light, up_direction(capture))),
     }
 
 
@@ -133,13 +139,13 @@ def _errors(
 ) -> dict[str, Any] | None:
     grey = textures is None and estimate.posterior.groups == 1
     if textures is None and is_seen(estimate).any():
-        textures = report_pictures.most_probable(estimate)
-    return None if textures is None else report_pictures.errors(capture, textures, grey)
+        textures = report_pictures.most_probable_textures(estimate)
+    return None if textures is None else report_pictures.rerender_errors(capture, textures, grey)
 
 
 def _summary(
-    capture: Capture, estimate: Estimate, result: Result, intervals: Intervals,
-    knowledge: Knowledge, table: Turntable,
+    capture: Capture, estimate: Estimate, result: EstimateArrays, intervals: Intervals,
+    knowledge: IntervalSummary, table: Turntable,
 ) -> dict[str, Any]:  # fmt: skip
     """Numbers for the head of the page, and words for them."""
     seen = result.entropy[result.seen]
@@ -148,7 +154,7 @@ def _summary(
     return {
         "seen": knowledge.seen_part,
         "settled": [
-            (words(name), summary_text.Parts.of(estimate, intervals.half_width(name)),
+            (label_of(name), summary_text.WidthShares.of(estimate, intervals.half_width(name)),
              f"±{knowledge.median_half_width[name]:.2f}")
             for name in knowledge.known_part
         ],
@@ -156,9 +162,9 @@ def _summary(
         "tolerance": f"±{knowledge.tolerance:g}", "roughly": f"±{summary_text.ROUGHLY:g}",
         "level": f"{100 * knowledge.level:g}{NARROW_SPACE}%",
         "cell": f"{max(knowledge.cell_width.values(), default=0):.2f}",
-        "coarse": [words(name) for name in knowledge.cell_width],
+        "coarse": [label_of(name) for name in knowledge.cell_width],
         "texture": f"{width} × {height}",
-        "direction": summary_text.facing(estimate, ~result.seen, table.up),
+        "direction": summary_text.facing_direction(estimate, ~result.seen, table.up),
         "numbers": [
             ("Photographs used", grouped(sum(capture.used)), f"of {grouped(capture.count)}"),
             ("Points of the surface", grouped(len(result.seen)),
@@ -169,7 +175,7 @@ def _summary(
              f"of the points seen: {style.ENTROPY_ENDS}"),
         ],
         "cells": grouped(int(np.prod(estimate.posterior.grid.shape))),
-        "parameters": [words(name) for name in open_axes(estimate)],
+        "parameters": [label_of(name) for name in open_axes(estimate)],
     }  # fmt: skip
 
 
@@ -183,8 +189,8 @@ def _settings(capture: Capture, estimate: Estimate) -> dict[str, Any]:
             ("Method", estimate.method),
             ("Preset", preset.pop("name")),
             ("Cells of the grid",
-             " × ".join(f"{len(v)} {words(n)}" for n, v in open_axes(estimate).items())),
-            *((f"Known {words(n)}", f"{value:g}") for n, value in known(estimate).items()),
+             " × ".join(f"{len(v)} {label_of(n)}" for n, v in open_axes(estimate).items())),
+            *((f"Known {label_of(n)}", f"{x:g}") for n, x in known_values(estimate).items()),
             ("Texture", f"{width} × {height}"),
             ("Photographs", f"{', '.join(sizes[:4])}{', …' if len(sizes) > 4 else ''} pixels"),
         ],
@@ -223,10 +229,10 @@ def _plain(value: Any) -> str:
     return "–" if value is None else str(value)
 
 
-def _within(folder: Path | None, sentence: str) -> str:
+def _without_folder(folder: Path | None, sentence: str) -> str:
     """Leave a folder out of the names of its files, which is the sender's own affair."""
     return sentence if folder is None else sentence.replace(f"{folder}{os.sep}", "")
 
 
-def _name(capture: Capture) -> str:
+def _capture_name(capture: Capture) -> str:
     return capture.source.resolve().name if capture.source else str(capture.shape.id())

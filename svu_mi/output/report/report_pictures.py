@@ -17,18 +17,18 @@ from svu_mi.output.estimate_arrays import is_seen, open_axes
 from svu_mi.output.html import (
     NARROW_SPACE,
     THUMBNAIL,
-    Picture,
-    drawing,
+    PageImage,
+    embedded_jpeg,
+    embedded_png,
     grouped,
     percent,
-    photograph,
 )
 from svu_mi.output.interval_summary import Intervals
 from svu_mi.output.light_page import deviation_colors, known_colors, light_colors
 from svu_mi.output.panels import map_colors
 from svu_mi.output.report.report_plots import Plot
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.output.rerender import Comparison
+from svu_mi.output.rerender import RenderComparison
 from svu_mi.output.surface_maps import SurfaceMap
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.estimate import Estimate
@@ -48,7 +48,7 @@ SAMPLES = 36  # per pixel: with fewer, their noise would be most of the error
 SHOWN_SIDE, SHOWN_SAMPLES = 224, 16  # of renders that are shown, and no errors taken of
 CHART_WIDTH = 900  # of the chart
 
-MapPictures = tuple[SurfaceMap, Picture, Picture]  # a map, on the object and as a texture
+MapPictures = tuple[SurfaceMap, PageImage, PageImage]  # a map, on the object and as a texture
 
 
 def thumbnails(
@@ -61,21 +61,21 @@ def thumbnails(
     used = [view for view in range(capture.count) if capture.used[view]]
     left_out = [view for view in range(capture.count) if not capture.used[view]]
     seen = dict(zip(used, np.asarray(estimate.seen_per_view), strict=False))
-    chosen = spread(used, SHOWN)
-    first = spread(chosen, FIRST)
+    chosen = subsample(used, SHOWN)
+    first = subsample(chosen, FIRST)
 
     def thumbnail(view: int, notes: str, first: bool) -> dict[str, Any]:
-        return {"picture": photograph(_small(capture, view)), "name": capture.names[view],
+        return {"picture": embedded_jpeg(_small(capture, view)), "name": capture.names[view],
                 "notes": notes, "first": first}  # fmt: skip
 
     def notes(view: int) -> str:
         part = seen.get(view, 0) / max(estimate.texels.count, 1)
-        found = [f"shows {percent(part)} of the points"]
+        facts = [f"shows {percent(part)} of the points"]
         if capture.unusable[view]:
-            found.append(f"{grouped(capture.unusable[view])} unusable pixels")
+            facts.append(f"{grouped(capture.unusable[view])} unusable pixels")
         if capture.exposures[view] != 1:
-            found.append(f"exposure × {capture.exposures[view]:.3g}")
-        return ", ".join(found)
+            facts.append(f"exposure × {capture.exposures[view]:.3g}")
+        return ", ".join(facts)
 
     return [thumbnail(view, notes(view), view in first) for view in chosen], [
         thumbnail(view, _why_left_out(capture.images[view]), True)
@@ -83,7 +83,7 @@ def thumbnails(
     ]
 
 
-def spread(views_: Sequence[int], most: int) -> list[int]:
+def subsample(views_: Sequence[int], most: int) -> list[int]:
     """Return at most so many of some views, evenly through their order, the first and the last."""
     return [views_[k] for k in evenly_spaced(len(views_), most)]
 
@@ -110,16 +110,18 @@ def _why_left_out(image: np.ndarray) -> str:
     return "entirely black" if usable.max() <= 0 else "left out: on request, or unlike the others"
 
 
-def turning(table: Turntable, estimate: Estimate) -> Iterator[tuple[Picture, str, str]]:
+def turntable_pictures(
+    table: Turntable, estimate: Estimate
+) -> Iterator[tuple[PageImage, str, str]]:
     """Yield the entropy on the object, from all around: pictures, descriptions, captions."""
     colors = map_colors(estimate)
     for number in range(len(table.sensors)):
         angle = f"{360 * number / len(table.sensors):.0f}°"
         words = f"Entropy on the object, turned by {angle}"
-        yield drawing(table.frame(colors, number)), words, angle
+        yield embedded_png(table.frame(colors, number)), words, angle
 
 
-def maps(table: Turntable, estimate: Estimate, intervals: Intervals) -> list[MapPictures]:
+def map_pictures(table: Turntable, estimate: Estimate, intervals: Intervals) -> list[MapPictures]:
     """Return maps of entropy and coverage, and of each open parameter, if any texel is seen."""
     shown = surface_maps.entropy_maps(estimate)
     for name in open_axes(estimate) if is_seen(estimate).any() else ():
@@ -142,16 +144,16 @@ def texture_maps(
     return _pictures(table, shown, inside)
 
 
-def light_maps(found: LightEstimate) -> list[tuple[str, str, Picture]]:
+def light_maps(light: LightEstimate) -> list[tuple[str, str, PageImage]]:
     """Return names, sentences and pictures of light that was found."""
     maps = (
-        ("Radiance", "Lat-long map: the top is +Y, the centre +Z.", light_colors(found.radiance)),
+        ("Radiance", "Lat-long map: the top is +Y, the centre +Z.", light_colors(light.radiance)),
         ("Standard deviation", "Of the logarithm of radiance: black is certain, and what is "
-         "yellow may be several times brighter or darker.", deviation_colors(found)),
+         "yellow may be several times brighter or darker.", deviation_colors(light)),
         ("What the photographs tell", "Yellow: nearly all; blue: what was assumed before, as no "
-         "glossy part of the object mirrors that direction.", known_colors(found)),
+         "glossy part of the object mirrors that direction.", known_colors(light)),
     )  # fmt: skip
-    return [(name, sentence, drawing(colors)) for name, sentence, colors in maps]
+    return [(name, sentence, embedded_png(colors)) for name, sentence, colors in maps]
 
 
 def _chequers(estimate: Estimate) -> np.ndarray:
@@ -170,36 +172,36 @@ def _pictures(
     drawn = []
     for one in shown:
         colors = one.colors(**options)
-        texture = drawing(np.dstack([colors, inside.astype(np.float32)]), MAP_SIDE)
-        drawn.append((one, drawing(table.frame(colors, 0)), texture))
+        texture = embedded_png(np.dstack([colors, inside.astype(np.float32)]), MAP_SIDE)
+        drawn.append((one, embedded_png(table.frame(colors, 0)), texture))
     return drawn
 
 
-def errors(capture: Capture, textures: Textures, grey: bool) -> dict[str, Any] | None:
+def rerender_errors(capture: Capture, textures: Textures, grey: bool) -> dict[str, Any] | None:
     """Render views in some textures and compare them with the photographs; ``grey``: brightness.
 
     Mean differences of views that are spread evenly over their order, as sentences have them, and
     pictures of the best, a typical and the worst; None if no photograph shows the object.
     """
     used = [view for view in range(capture.count) if capture.used[view]]
-    compared = _compare(capture, textures, spread(used, COMPARED), grey, (ERROR_SIDE, SAMPLES))
-    found = {c.view: e for c in compared if (e := c.mean_difference) is not None}
-    if not found:
+    compared = _compare(capture, textures, subsample(used, COMPARED), grey, (ERROR_SIDE, SAMPLES))
+    errors = {c.view: e for c in compared if (e := c.mean_difference) is not None}
+    if not errors:
         return None
-    values = np.array(list(found.values()))
-    rows = [(capture.names[view], _percent(error)) for view, error in found.items()]
-    order = np.array(list(found))[np.argsort(values, kind="stable")].tolist()
+    values = np.array(list(errors.values()))
+    rows = [(capture.names[view], _percent(error)) for view, error in errors.items()]
+    order = np.array(list(errors))[np.argsort(values, kind="stable")].tolist()
     extremes = list(dict.fromkeys([order[0], order[len(order) // 2], order[-1]]))
     size = SHOWN_SIDE, SHOWN_SAMPLES
     return {
         "rows": rows, "mean": _percent(values.mean()), "chart": _chart(values, rows),
         "views": len(used),
-        "shown": [(capture.names[c.view], _compared(c), _percent(found[c.view]))
+        "shown": [(capture.names[c.view], _comparison_pictures(c), _percent(errors[c.view]))
                   for c in _compare(capture, textures, extremes, grey, size)],
     }  # fmt: skip
 
 
-def most_probable(estimate: Any) -> Textures | None:
+def most_probable_textures(estimate: Any) -> Textures | None:
     """Return the most probable materials as textures, if they are Mitsuba's ``principled``."""
     best = {name: np.array(values) for name, values in estimate.posterior.map().items()}
     if set(best) != set(NAMES):
@@ -221,10 +223,10 @@ def _chart(values: np.ndarray, rows: list[tuple[str, str]]) -> Plot:
 
 def _compare(
     capture: Capture, textures: Textures, chosen: list[int], grey: bool, size: tuple[int, int]
-) -> list[Comparison]:
+) -> list[RenderComparison]:
     """Compare views in pictures of some size: pixels of their longer side, and samples of each."""
     side, spp = size
-    compared = rerender.compare(capture, textures, chosen, spp, side, relit=False)
+    compared = rerender.compare_renders(capture, textures, chosen, spp, side, relit=False)
 
     def brightness(image: np.ndarray) -> np.ndarray:
         return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)
@@ -235,15 +237,15 @@ def _compare(
     ]
 
 
-def _compared(comparison: Comparison) -> list[Picture]:
+def _comparison_pictures(comparison: RenderComparison) -> list[PageImage]:
     window = object_views.object_window(comparison.inside)
     usable = np.isfinite(comparison.difference)
     image, render, difference, inside, usable = (
         object_views.crop(i, window) for i in (*comparison.pictures, comparison.inside, usable)
     )
     return [
-        photograph(image), drawing(np.dstack([render, inside])),
-        drawing(np.dstack([difference, usable])),
+        embedded_jpeg(image), embedded_png(np.dstack([render, inside])),
+        embedded_png(np.dstack([difference, usable])),
     ]  # fmt: skip
 
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from svu_mi.output.estimate_arrays import (
-    Result,
+    EstimateArrays,
+    column_and_row,
+    label_of,
     mean_marginals,
     open_axes,
-    place_of,
     prior_marginal,
-    words,
 )
-from svu_mi.output.html import Picture, grouped
+from svu_mi.output.html import PageImage, grouped
 from svu_mi.output.interval_summary import Intervals
 from svu_mi.output.panels import bar_edges
 from svu_mi.output.report.turntable import Turntable
@@ -92,7 +92,7 @@ class Plot:
             )
 
 
-def histogram(result: Result) -> Plot | None:
+def entropy_histogram(result: EstimateArrays) -> Plot | None:
     """Return how often which entropy occurs, None if nothing is seen."""
     values = result.entropy[result.seen]
     if len(values) == 0:
@@ -109,17 +109,21 @@ def histogram(result: Result) -> Plot | None:
     )  # fmt: skip
 
 
-def marginals(estimate: Any, result: Result) -> Iterator[tuple[str, Plot]]:
+def marginal_plots(estimate: Any, result: EstimateArrays) -> Iterator[tuple[str, Plot]]:
     """Yield the mean marginal of each open parameter, over all texels seen, if there are any."""
     if not result.seen.any():
         return
     of_all, of_lowest = mean_marginals(estimate, result)
     for name in open_axes(estimate):
-        yield words(name), _marginal(estimate.posterior, name, of_all[name], of_lowest[name])
+        yield label_of(name), _marginal(estimate.posterior, name, of_all[name], of_lowest[name])
 
 
-def examples(
-    table: Turntable, estimate: Any, result: Result, level: float, frames: list[Picture]
+def example_texels(
+    table: Turntable,
+    estimate: Any,
+    result: EstimateArrays,
+    level: float,
+    frames: list[PageImage],
 ) -> Iterator[dict[str, Any]]:
     """Yield texels of low, median and high entropy, if any is seen, with their marginals.
 
@@ -135,12 +139,12 @@ def examples(
         intervals = Intervals(estimate.posterior, level, np.array([texel]))
         marginals = estimate.posterior.marginals([texel])
         count = int(result.coverage[texel])
-        column, row = place_of(estimate, texel)
+        column, row = column_and_row(estimate, texel)
         yield {
             "name": name, "picture": frames[number] if place else None, "x": 100 * x, "y": 100 * y,
             "sentence": f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
             f"photograph{'s' if count != 1 else ''}; column {column}, row {row} of the texture.",
-            "plots": [(words(n), _marginal(estimate.posterior, n, _table(marginals[n])),
+            "plots": [(label_of(n), _marginal(estimate.posterior, n, _table(marginals[n])),
                        _interval_words(intervals, n)) for n in open_axes(estimate)],
         }  # fmt: skip
 
@@ -173,7 +177,7 @@ def _marginal(
     top = next((t for t in TOPS if t >= highest), TOPS[-1])
     bars = () if several else p[:, 0]
     return Plot(
-        words=f"Probability of {words(name)}: most at {nodes[p.mean(axis=1).argmax()]:.2f}.",
+        words=f"Probability of {label_of(name)}: most at {nodes[p.mean(axis=1).argmax()]:.2f}.",
         edges=bar_edges(nodes), heights=bars, lines=lines,
         labels=[f"{v:.2f}: {100 * q:.1f} %" for v, q in zip(nodes, bars, strict=False)],
         top=top, y_ticks=[(t, f"{100 * t:.0f} %") for t in (0, top / 2, top)],

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from svu_mi.output.estimate_arrays import areas, is_seen, known, words
+from svu_mi.output.estimate_arrays import is_seen, known_values, label_of, texel_areas
 from svu_mi.output.html import grouped
-from svu_mi.output.interval_summary import TOLERANCE, part, within
+from svu_mi.output.interval_summary import TOLERANCE, area_share, is_within
 
 ROUGHLY = 0.15  # half-width of an interval up to which a parameter counts as roughly known
 STEEP = 0.5  # mean sine of elevation from which a part of the surface faces up, or down
@@ -31,7 +31,7 @@ SKIPPED = {
 }  # fmt: skip
 
 
-class Parts(NamedTuple):
+class WidthShares(NamedTuple):
     """Parts of the surface seen, by area, 1 in all: half-width of the interval of a parameter."""
 
     settled: float  # 0.05 and less
@@ -39,17 +39,21 @@ class Parts(NamedTuple):
     wide: float
 
     @classmethod
-    def of(cls, estimate: Any, half_width: np.ndarray) -> Parts:
+    def of(cls, estimate: Any, half_width: np.ndarray) -> WidthShares:
         """Return the parts by half-widths of intervals (T,); some texel must be seen."""
         seen = is_seen(estimate)
-        area = areas(estimate)[seen]
-        settled, roughly = (within(half_width[seen], x) for x in (TOLERANCE, ROUGHLY))
-        return cls(part(area, settled), part(area, roughly & ~settled), part(area, ~roughly))
+        area = texel_areas(estimate)[seen]
+        settled, roughly = (is_within(half_width[seen], x) for x in (TOLERANCE, ROUGHLY))
+        return cls(
+            area_share(area, settled),
+            area_share(area, roughly & ~settled),
+            area_share(area, ~roughly),
+        )
 
 
-def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
+def facing_direction(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
     """Return ``upwards`` or ``downwards`` if some texels (T,) bool mostly face there, else None."""
-    area = areas(estimate)[chosen]
+    area = texel_areas(estimate)[chosen]
     heights = np.array(estimate.texels.normal, np.float64).T[chosen] @ up
     if not area.sum() > 0:
         return None
@@ -57,11 +61,13 @@ def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
     return "upwards" if mean > STEEP else "downwards" if mean < -STEEP else None
 
 
-def skipped(estimate: Any) -> list[str]:
+def skipped_sentences(estimate: Any) -> list[str]:
     """Return a sentence for each kind of work that was skipped."""
     about = {
         "unseen": f"{estimate.posterior.prior_entropy:.3g}",
-        "known": ", ".join(f"{words(n)} = {value:g}" for n, value in known(estimate).items()),
+        "known": ", ".join(
+            f"{label_of(n)} = {value:g}" for n, value in known_values(estimate).items()
+        ),
     }
     return [
         SKIPPED.get(name, f"{name}: {{n}}.").format(n=grouped(number), **about)

@@ -13,11 +13,11 @@ from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere, film_size, make_sensor, projected
 from svu_mi.capture.tonemap import Look, alone
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import object_views
-from svu_mi.output.object_views import front_and_right, upright
+from svu_mi.output.object_views import front_and_right, up_direction
 
 ELEVATION = 20.0  # degrees
 FOV, ROOM = 30.0, 1.02  # degrees; distance, relative to where the bounding sphere just fits
@@ -45,7 +45,7 @@ class Turntable:
         """Place sensors around the ``mesh`` of a capture, with films of ``side`` pixels."""
         center, radius = bounding_sphere(capture.mesh)
         distance = ROOM * radius / np.sin(np.radians(FOV) / 2)
-        up = upright(capture)
+        up = up_direction(capture)
         front, right = front_and_right(capture, center, up)
         high = np.radians(ELEVATION)
         sensors = []
@@ -101,7 +101,7 @@ class Turntable:
 
     def _free(self, points: np.ndarray, offset: np.ndarray) -> np.ndarray:
         # Owned: NumPy's memory may begin anywhere, and where it does is part of a kernel.
-        ray = mi.Ray3f(owned(mi.Point3f, points.T), owned(mi.Vector3f, offset.T))
+        ray = mi.Ray3f(to_drjit(mi.Point3f, points.T), to_drjit(mi.Vector3f, offset.T))
         ray.maxt = mi.Float(1.0)
         return ~np.array(self.scene.ray_test(ray))
 

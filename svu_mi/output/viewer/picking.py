@@ -11,12 +11,12 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import alone
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import open_axes, place_of, words
+from svu_mi.output.estimate_arrays import column_and_row, label_of, open_axes
 from svu_mi.output.interval_summary import Intervals
 from svu_mi.output.panels import draw_marginal
 from svu_mi.output.style import MARK, new_figure
@@ -73,7 +73,7 @@ class Picker:
         """
         # Arrays, not numbers: these would be compiled into a new kernel for every ray.
         start, towards = (np.array(v, np.float32)[:, None] for v in (origin, direction))
-        ray = mi.Ray3f(owned(mi.Point3f, start), dr.normalize(owned(mi.Vector3f, towards)))
+        ray = mi.Ray3f(to_drjit(mi.Point3f, start), dr.normalize(to_drjit(mi.Vector3f, towards)))
         hit = self._scene.ray_intersect(ray)
         valid, uv = np.array(hit.is_valid()), np.array(hit.uv, np.float64)
         if not valid.all():
@@ -91,7 +91,7 @@ class Picker:
         texels = self._estimate.texels
         if not 0 <= texel < texels.count:
             raise OptionError(f"The texel must be 0 to {texels.count - 1}, got {texel}.")
-        column, row = place_of(self._estimate, texel)
+        column, row = column_and_row(self._estimate, texel)
         seen_by = self._seen_by(texel)
         return Pick(
             texel=texel, column=column, row=row,
@@ -102,13 +102,13 @@ class Picker:
         )  # fmt: skip
 
     def _known(self, texel: int) -> dict[str, tuple[np.ndarray, ...]]:
-        posterior, found = self._estimate.posterior, {}
+        posterior, summaries = self._estimate.posterior, {}
         best = posterior.map([texel])
         for name in posterior.axes:
             low, high = self._intervals.ends(name)
             values = np.array(best[name])[0], np.array(posterior.mean(name))[texel]
-            found[name] = (*map(np.atleast_1d, values), low[texel], high[texel])
-        return found
+            summaries[name] = (*map(np.atleast_1d, values), low[texel], high[texel])
+        return summaries
 
     def _seen_by(self, texel: int) -> tuple[int, ...]:
         observed = self._estimate.observed
@@ -118,7 +118,7 @@ class Picker:
             )
         used = np.flatnonzero(self._capture.used)
         view = dr.arange(mi.UInt32, len(used))
-        seen = observed.visibility.bits.test(view, owned(mi.UInt32, np.full(len(used), texel)))
+        seen = observed.visibility.bits.test(view, to_drjit(mi.UInt32, np.full(len(used), texel)))
         return tuple(used[np.array(seen)].tolist())
 
 
@@ -129,7 +129,7 @@ def nearest_texel(texels: Texels) -> np.ndarray:
     return dilate(numbers, texels.inside(), float(np.hypot(width, height)))
 
 
-def says(capture: Capture, pick: Pick) -> str:
+def texel_markdown(capture: Capture, pick: Pick) -> str:
     """Return the posterior of a texel as Markdown."""
     lines = [f"**Texel {pick.column}, {pick.row}** (column, row), number {pick.texel}", ""]
     lines += [f"* entropy **{pick.entropy:.3f}**", f"* {_seen_by(capture, pick)}"]
@@ -144,7 +144,7 @@ def _table(pick: Pick) -> list[str]:
     for name, values in pick.known.items():
         channels = (" R", " G", " B") if len(values[0]) == 3 else ("",)
         for channel, best, mean, low, high in zip(channels, *values, strict=True):
-            label = f"{words(name)}{channel}".replace(" ", NO_BREAK)
+            label = f"{label_of(name)}{channel}".replace(" ", NO_BREAK)
             lines.append(f"| {label} | **{mean:.2f}** | {low:.2f}{DASH}{high:.2f} | {best:.2f} |")
     return lines
 
@@ -185,7 +185,7 @@ def draw_scale(scale: Scale | None) -> np.ndarray:
     if scale is None:
         return np.full((1, 1, 3), 255, np.uint8)
     figure = new_figure(WIDTH, 0.55, DPI, layout="constrained")
-    drawn = style.scale((0, scale.high), scale.colormap)
+    drawn = style.scalar_mappable((0, scale.high), scale.colormap)
     style.color_bar(figure.add_subplot(), drawn, scale.label, None)
     return _pixels(figure)
 

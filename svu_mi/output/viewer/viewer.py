@@ -20,12 +20,12 @@ from svu_mi.core.identifiers import obj_name
 from svu_mi.output.estimate_arrays import is_seen
 from svu_mi.output.html import percent
 from svu_mi.output.interval_summary import Intervals
-from svu_mi.output.object_views import DIRECTION, Axis, front_and_right, upright
+from svu_mi.output.object_views import DIRECTION, Axis, front_and_right, up_direction
 from svu_mi.output.style import MARK
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer.access_control import require_viser, serve, stop
-from svu_mi.output.viewer.picking import Pick, Picker, draw_pick, draw_scale, says
-from svu_mi.output.viewer.viser_mesh import GAIN, Frustum, frustum, material_colors, model
+from svu_mi.output.viewer.picking import Pick, Picker, draw_pick, draw_scale, texel_markdown
+from svu_mi.output.viewer.viser_mesh import GAIN, Frustum, frustum, material_colors, textured_mesh
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import field_of
@@ -77,7 +77,7 @@ class Viewer:
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._shown: dict[str, Any] = {}
         self._center, self._radius = bounding_sphere(capture.mesh)
-        self._up = upright(capture) if up is None else np.array(DIRECTION[up])
+        self._up = up_direction(capture) if up is None else np.array(DIRECTION[up])
         front, right = front_and_right(capture, self._center, self._up)
         self._home = np.array(HOME) @ [front, right, self._up]
         self._prepare()
@@ -125,7 +125,7 @@ class Viewer:
         if name not in self._shown:
             self._status.content = f"Computing *{name}* ..."
             # Charts reach over all that is outside, so that no seam shows.
-            mesh = model(self._capture.mesh, self._maps[name].colors(np.inf))
+            mesh = textured_mesh(self._capture.mesh, self._maps[name].colors(np.inf))
             self._shown[name] = self._server.scene.add_mesh_trimesh(f"/object/{name}", mesh)
             self._status.content = self._heading()
         for other, handle in self._shown.items():
@@ -158,16 +158,16 @@ class Viewer:
 
     def pick(self, origin: Any, direction: Any) -> None:
         """Show what is known of the texel that a ray hits; nothing changes if it hits none."""
-        found = self._picker.pick(origin, direction)
-        if found is None:
+        pick = self._picker.pick(origin, direction)
+        if pick is None:
             return
-        self.picked = found
-        self._text.content = says(self._capture, found)
-        self._plot.image = draw_pick(self._estimate, found, self._recovered)
+        self.picked = pick
+        self._text.content = texel_markdown(self._capture, pick)
+        self._plot.image = draw_pick(self._estimate, pick, self._recovered)
         self._plot.visible = True
         red = material_colors(np.array(MARK))
         self._server.scene.add_icosphere(
-            "/texel", 0.012 * self._radius, color=tuple(red.tolist()), position=found.position,
+            "/texel", 0.012 * self._radius, color=tuple(red.tolist()), position=pick.position,
             cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
         self._update_frusta()

@@ -35,7 +35,7 @@ FROM_ACES = np.array([
 B, C, D, E, F = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
 
 
-def model(mesh: Any, colors: np.ndarray) -> Any:
+def textured_mesh(mesh: Any, colors: np.ndarray) -> Any:
     """Return an ``mi.Mesh`` with UVs as a ``trimesh.Trimesh``.
 
     ``colors`` (H, W, 3) are those that it appears in under white light of strength ``GAIN``.

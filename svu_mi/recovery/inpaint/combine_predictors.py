@@ -7,95 +7,98 @@ from collections.abc import Container, Iterator
 import numpy as np
 import scipy
 
-from svu_mi.recovery.inpaint.fill_result import SUREST, Weights
-from svu_mi.recovery.inpaint.symmetry_predictors import LIKENESSES, NEAR, Examples
-from svu_mi.recovery.inpaint.texel_hierarchy import Ground, Pieces
+from svu_mi.recovery.inpaint.fill_result import LEAST_SD, Weights
+from svu_mi.recovery.inpaint.symmetry_predictors import NEAR_PREDICTOR, PREDICTORS, KnownTexels
+from svu_mi.recovery.inpaint.texel_hierarchy import Pieces, TexelGraph
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-FARTHER = {"from the border": 1e-5, "cautiously from the border": 1e-2}
-"""By title, how much the mean of all that is known counts at a texel of a hole, as a precision in
-units of the variance of that: the more, the less far from the border anything spreads."""
-AGAIN = 2  # times that links go by what has spread: edges go on into a hole
-NEAREST = 8  # known texels that a hole is filled by to begin with
+MEAN_WEIGHTS = {"from the border": 1e-5, "cautiously from the border": 1e-2}
+"""By title, the weight of the mean of all known texels in a hole, as a precision in units of their
+variance: the larger, the less far values spread from the border."""
+EDGE_ROUNDS = 2  # rounds with links by the last result: edges continue into a hole
+START_NEIGHBORS = 8  # known texels whose mean a texel of a hole starts from
 
 
-def spreads(ground: Ground, titles: Container[str] = FARTHER) -> Iterator[tuple[str, np.ndarray]]:
-    """Let values spread from what is known: first over links as strong as those between equals,
-    then over links that are weak across edges of what has spread [Vogel and Oman 1996]. Pieces of
-    which nothing is known are as the mean of all. Of many texels groups come first, and what
-    has spread over these says where edges are.
+def tv_predictions(
+    graph: TexelGraph, titles: Container[str] = MEAN_WEIGHTS
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield total-variation inpaintings (N, T) by title, by lagged diffusivity.
+
+    Links have equal strengths at first, and are weak across edges of the last result afterwards
+    [Vogel and Oman 1996]. Pieces without known texels get the mean of all. Of many texels,
+    groups are filled first, and their result is the start.
     """
-    known, values, weights = ground.known, ground.values, ground.weights
+    known, values, weights = graph.known, graph.values, graph.weights
     mean = np.average(values[:, known], axis=1, weights=weights[:, known])[:, None]
-    wide = np.maximum(values[:, known].std(axis=1), SUREST)[:, None]
-    border = np.bincount(ground.pieces.piece, known)[ground.pieces.piece] > 0
-    for title, found, edges in _starts(ground, titles, border, mean):
-        trust = np.where(known, weights, FARTHER[title] * ground.size / wide**2)
+    spread = np.maximum(values[:, known].std(axis=1), LEAST_SD)[:, None]
+    border = np.bincount(graph.pieces.piece, known)[graph.pieces.piece] > 0
+    for title, filled, edges in _initial_values(graph, titles, border, mean):
+        trust = np.where(known, weights, MEAN_WEIGHTS[title] * graph.size / spread**2)
         right = trust * np.where(known, values, mean)
-        for hidden in [None] if edges else [~known, *[None] * AGAIN]:
-            smoother = ground.smoother.with_precision(trust, found, hidden)
-            found = np.where(known, values, smoother.fill(right, found, border))
-        yield title, np.clip(found, 0, 1)
+        for hidden in [None] if edges else [~known, *[None] * EDGE_ROUNDS]:
+            smoother = graph.smoother.with_precision(trust, filled, hidden)
+            filled = np.where(known, values, smoother.fill(right, filled, border))
+        yield title, np.clip(filled, 0, 1)
 
 
-def _starts(
-    ground: Ground, titles: Container[str], border: np.ndarray, mean: np.ndarray
+def _initial_values(
+    graph: TexelGraph, titles: Container[str], border: np.ndarray, mean: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray, bool]]:
-    """Yield titles, values (N, T) to begin with, and whether these know where edges are."""
-    if ground.many:
-        groups, owner = ground.halved
-        for title, found in spreads(groups, titles):
-            yield title, np.where(ground.known, ground.values, found[:, owner]), True
+    """Yield titles, start values (N, T), and whether these have edges within holes."""
+    if graph.is_large:
+        groups, owner = graph.halved
+        for title, coarse in tv_predictions(groups, titles):
+            yield title, np.where(graph.known, graph.values, coarse[:, owner]), True
         return
-    start = np.where(border, _nearest(ground.pieces, ground.values, ground.known), mean)
-    for title in FARTHER:
+    start = np.where(border, _nearest_means(graph.pieces, graph.values, graph.known), mean)
+    for title in MEAN_WEIGHTS:
         if title in titles:
             yield title, start, False
 
 
-def _nearest(pieces: Pieces, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return values of which those that are not known are as what is near, (N, T)."""
-    places, found = pieces.apart(pieces.point), values.copy()
+def _nearest_means(pieces: Pieces, values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Fill values (N, T) by weighted means of the nearest known texels."""
+    places, filled = pieces.separated(pieces.point), values.copy()
     tree = scipy.spatial.cKDTree(places[known])
-    count = min(NEAREST, int(known.sum()))
+    count = min(START_NEIGHBORS, int(known.sum()))
     away, which = tree.query(places[~known], [*range(1, count + 1)], workers=-1)
     weights = 1 / np.maximum(away, 1e-9) ** 2
     weights /= weights.sum(axis=1, keepdims=True)
-    for row, some in zip(found, values[:, known], strict=True):
-        row[~known] = (some[which] * weights).sum(axis=1)
-    return found
+    for row, of_known in zip(filled, values[:, known], strict=True):
+        row[~known] = (of_known[which] * weights).sum(axis=1)
+    return filled
 
 
-TITLES = (*FARTHER, *(one.title for one in LIKENESSES))
+TITLES = (*MEAN_WEIGHTS, *(predictor.title for predictor in PREDICTORS))
 
 
-def mixed(ground: Ground, weights: Weights) -> np.ndarray:
+def weighted_mean(graph: TexelGraph, weights: Weights) -> np.ndarray:
     """Return weighted means of the predictions of unknown texels, (N, T), 0 elsewhere."""
-    titles = {title for used in weights.values() for title, weight in used.items() if weight > 0}
-    wanted, mean = np.flatnonzero(~ground.known), np.zeros_like(ground.values)
-    for title, guess in guesses(ground, wanted, titles):
+    titles = {title for each in weights.values() for title, weight in each.items() if weight > 0}
+    unknown, mean = np.flatnonzero(~graph.known), np.zeros_like(graph.values)
+    for title, predicted in predictions(graph, unknown, titles):
         for name, each in weights.items():
             rows = TextureField.rows(name)
-            mean[rows, wanted] += each.get(title, 0.0) * guess[rows]
+            mean[rows, unknown] += each.get(title, 0.0) * predicted[rows]
     return mean
 
 
-def guesses(
-    ground: Ground, wanted: np.ndarray, titles: Container[str] = TITLES
+def predictions(
+    graph: TexelGraph, wanted: np.ndarray, titles: Container[str] = TITLES
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield titles, and what each says (N, w) of wanted texels."""
-    for title, values in spreads(ground, titles):
+    """Yield the title and the values (N, w) of each predictor at ``wanted`` texels."""
+    for title, values in tv_predictions(graph, titles):
         yield title, values[:, wanted]
-    likenesses = [one for one in LIKENESSES if one.title in titles]
-    if not likenesses:
+    predictors = [predictor for predictor in PREDICTORS if predictor.title in titles]
+    if not predictors:
         return
-    texels = np.flatnonzero(ground.known)
-    some = Examples(texels, ground.values[:, texels], ground.weights[:, texels])
-    instead, near = NEAR.guess(ground.pieces, some, wanted)
-    instead = np.where(near, instead, some.mean)  # where nothing else is alike
-    for likeness in likenesses:
-        if likeness is NEAR:
-            yield likeness.title, instead
+    texels = np.flatnonzero(graph.known)
+    examples = KnownTexels(texels, graph.values[:, texels], graph.weights[:, texels])
+    fallback, near = NEAR_PREDICTOR.predict(graph.pieces, examples, wanted)
+    fallback = np.where(near, fallback, examples.mean)  # where the predictor has no match
+    for predictor in predictors:
+        if predictor is NEAR_PREDICTOR:
+            yield predictor.title, fallback
             continue
-        values, alike = likeness.guess(ground.pieces, some, wanted)
-        yield likeness.title, np.where(alike, values, instead)
+        values, alike = predictor.predict(graph.pieces, examples, wanted)
+        yield predictor.title, np.where(alike, values, fallback)

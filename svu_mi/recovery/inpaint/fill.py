@@ -15,26 +15,31 @@ import numpy as np
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.inpaint.combine_predictors import mixed
-from svu_mi.recovery.inpaint.cross_validation import Judged, Trial, distances, hidden_parts
-from svu_mi.recovery.inpaint.fill_result import Filled, Filling, Weights
-from svu_mi.recovery.inpaint.texel_hierarchy import Ground
+from svu_mi.recovery.inpaint.combine_predictors import weighted_mean
+from svu_mi.recovery.inpaint.cross_validation import (
+    HoldoutErrors,
+    PredictorErrors,
+    distances_to_known,
+    holdout_masks,
+)
+from svu_mi.recovery.inpaint.fill_result import Filled, Fusion, Weights
+from svu_mi.recovery.inpaint.texel_hierarchy import TexelGraph
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-DECIDES = "base_color"  # what photographs tell best, and so how far anything is alike
+DECIDES = "base_color"  # best determined by photographs, so its share limits the others
 
 
 def fill(
     field: TextureField, seen: np.ndarray, above: float = inf, *, progress: Progress | None = None
 ) -> Filled:
-    """Fill texels that nobody saw, or that are less sure than asked.
+    """Fill unseen texels and, with ``above``, uncertain ones.
 
     Args:
-        field: recovered textures, and how sure they are.
+        field: recovered textures and their standard deviations.
         seen: (T,) bool, texels that a photograph shows.
-        above: standard deviation of any parameter from which on one that was seen is filled, too;
-            what is known of it counts as much as it is sure.
-        progress: shows what is going on.
+        above: standard deviation of any parameter above which a seen texel is filled, too, by the
+            precision-weighted mean of its value and the prediction.
+        progress: displays the progress.
 
     Raises:
         CaptureError: nothing is seen, or nothing surely enough, or too little to guess from.
@@ -53,18 +58,18 @@ def fill(
     if seen.any() and seen.all():
         return Filled(field, ~seen, {name: {} for name in NAMES}, {name: 0.0 for name in NAMES})
     with (progress or Progress()).stage("Looking for likeness") as stage:
-        ground = Ground.of(field, seen)
-        parts = hidden_parts(ground.small) if seen.any() else []
-        if not parts:
-            raise _too_few(shown, above)
-        judged = _judged(field, ground, parts, stage)
-        most = judged[DECIDES].share if DECIDES in judged else 1.0
-        weights = {n: judged[n].weights(most) if n in judged else {} for n in NAMES}
-        return _filled(Filling(field, shown), ground, judged, weights)
+        graph = TexelGraph.of(field, seen)
+        masks = holdout_masks(graph.coarsest) if seen.any() else []
+        if not masks:
+            raise _too_few_error(shown, above)
+        errors = _predictor_errors(field, graph, masks, stage)
+        max_share = errors[DECIDES].share if DECIDES in errors else 1.0
+        weights = {n: errors[n].weights(max_share) if n in errors else {} for n in NAMES}
+        return _fused(Fusion(field, shown), graph, errors, weights)
 
 
-def _too_few(shown: np.ndarray, above: float) -> CaptureError:
-    """Return what is wrong where nothing can be hidden."""
+def _too_few_error(shown: np.ndarray, above: float) -> CaptureError:
+    """Return the error where no part can be held out."""
     if above == inf or shown.sum() < 2:
         return CaptureError(
             f"{shown.sum()} of {len(shown)} texels are seen: too few to fill the others by; add "
@@ -76,43 +81,42 @@ def _too_few(shown: np.ndarray, above: float) -> CaptureError:
     )
 
 
-def _judged(
-    field: TextureField, ground: Ground, parts: Sequence[np.ndarray], stage: Stage
-) -> dict[str, Judged]:
-    """Return how far off guesses are of every parameter that was recovered."""
-    far, trials = distances(ground, np.flatnonzero(~ground.known)), []
-    for done, hidden in enumerate(parts):
-        stage.update(done, len(parts) + 1)
-        trials.append(Trial.of(ground.small, hidden, far))
-    stage.update(len(parts), len(parts) + 1)
-    return {name: Judged.of(trials, field.rows(name)) for name in field.names}
+def _predictor_errors(
+    field: TextureField, graph: TexelGraph, masks: Sequence[np.ndarray], stage: Stage
+) -> dict[str, PredictorErrors]:
+    """Return the errors of all predictors of every recovered parameter."""
+    distances, trials = distances_to_known(graph, np.flatnonzero(~graph.known)), []
+    for done, hidden in enumerate(masks):
+        stage.update(done, len(masks) + 1)
+        trials.append(HoldoutErrors.of(graph.coarsest, hidden, distances))
+    stage.update(len(masks), len(masks) + 1)
+    return {name: PredictorErrors.of(trials, field.rows(name)) for name in field.names}
 
 
-def _filled(
-    filling: Filling, ground: Ground, judged: Mapping[str, Judged], weights: Weights
+def _fused(
+    fusion: Fusion, graph: TexelGraph, judged: Mapping[str, PredictorErrors], weights: Weights
 ) -> Filled:
-    """Fill what is not known by weighted means of all guesses."""
-    guess, unlike = mixed(ground, weights), variance(filling.field, ground.known)
+    """Fuse unknown texels with the weighted means of all predictors."""
+    predicted, spread = weighted_mean(graph, weights), variance_of(fusion.field, graph.known)
     errors = {name: 0.0 for name in NAMES}
     for name, each in judged.items():
         rows, squares = TextureField.rows(name), each.squares(weights[name])
         errors[name] = float(np.sqrt(squares.mean()))
-        off = np.sqrt(np.maximum(squares.max(axis=0)[:, None], unlike[rows]))
-        filling.put(name, ~ground.known, guess[rows], off)
-    return Filled(filling.done(~ground.known), ~ground.known, weights, errors)
+        sd = np.sqrt(np.maximum(squares.max(axis=0)[:, None], spread[rows]))
+        fusion.fuse(name, ~graph.known, predicted[rows], sd)
+    return Filled(fusion.fused_field(~graph.known), ~graph.known, weights, errors)
 
 
-def variance(field: TextureField, known: np.ndarray) -> np.ndarray:
-    """Return how unlike each other known texels (T,) are, (N, 1): nothing says that what nobody saw
-    is any more like what it is filled with."""
+def variance_of(field: TextureField, known: np.ndarray) -> np.ndarray:
+    """Return the variance (N, 1) of known texels (T,), a bound on the error at unseen ones."""
     return np.asarray(field.values[:, known].var(axis=1, keepdims=True))
 
 
-def by_likeness(ground: Ground, weights: Weights) -> np.ndarray:
-    """Return all values, those that are not known filled as others have been."""
-    values, found = ground.values.copy(), mixed(ground, weights)
-    for name, used in weights.items():
-        if used:
+def filled_values(graph: TexelGraph, weights: Weights) -> np.ndarray:
+    """Return all values (N, T), with unknown texels predicted by given weights."""
+    values, predicted = graph.values.copy(), weighted_mean(graph, weights)
+    for name, of_parameter in weights.items():
+        if of_parameter:
             rows = TextureField.rows(name)
-            values[rows] = np.where(ground.known, values[rows], found[rows])
+            values[rows] = np.where(graph.known, values[rows], predicted[rows])
     return values

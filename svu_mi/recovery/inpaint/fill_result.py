@@ -1,4 +1,4 @@
-"""Filled textures, and the fusion of guesses with what is known by their precisions."""
+"""Filled textures, and their precision-weighted fusion with predictions."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty import clipped_normal
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-Source = Literal["photographs", "renders"]
+ImageSource = Literal["photographs", "renders"]
 Weights = Mapping[str, Mapping[str, float]]
-"""How much each guess counts, by parameter and by title: they sum to one."""
-NAMED = 3  # guesses that count most, which are named
+"""Weight of each predictor, by parameter and title; of a parameter they sum to one."""
+TOP_PREDICTORS = 3  # predictors with the largest weights, which are named
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a model has made of pictures of one kind.
+    """Result of a diffusion model on pictures of one kind.
 
     Attributes:
         source: of the pictures: ``photographs`` of texels that they do not determine, or
@@ -31,7 +31,7 @@ class Answer:
         likeness: the same of filling by likeness, at the same texels.
     """
 
-    source: Source
+    source: ImageSource
     pictures: tuple[str, ...]
     reached: np.ndarray
     errors: dict[str, float]
@@ -39,8 +39,8 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Invented:
-    """What a model was asked.
+class ModelReport:
+    """Contribution of a diffusion model.
 
     Attributes:
         model: for people.
@@ -74,16 +74,16 @@ class Filled:
     filled: np.ndarray
     weights: Weights
     errors: dict[str, float]
-    invented: Invented | None = None
+    invented: ModelReport | None = None
 
     @property
     def likeness(self) -> dict[str, str]:
-        """By parameter, what counts most: ``turned about y 41 %, ...``."""
-        found = {}
+        """Largest weights by parameter: ``turned about y 41 %, ...``."""
+        summaries = {}
         for name, weights in self.weights.items():
-            most = sorted(weights.items(), key=lambda one: -one[1])[:NAMED]
-            found[name] = ", ".join(f"{title} {100 * weight:.0f} %" for title, weight in most)
-        return found
+            top = sorted(weights.items(), key=lambda item: -item[1])[:TOP_PREDICTORS]
+            summaries[name] = ", ".join(f"{title} {100 * weight:.0f} %" for title, weight in top)
+        return summaries
 
     @property
     def textures(self) -> Textures:
@@ -91,42 +91,42 @@ class Filled:
         return self.field.textures
 
 
-SUREST = 0.02  # standard deviation that no guess is surer than
+LEAST_SD = 0.02  # least standard deviation of a prediction
 
 
-class Filling:
-    """Values of texels, and how sure they are at most.
+class Fusion:
+    """Precision-weighted fusion of texels with predictions.
 
     Attributes:
         field: the textures as they were.
-        shown: (T,) bool, texels that a photograph shows: of all others, nothing is known.
-        values: (N, T), as they are by now.
+        shown: (T,) bool, texels that a photograph shows; others have no values of their own.
+        values: (N, T), current.
         least: (N, T) standard deviations, never less than before.
     """
 
     def __init__(
         self, field: TextureField, shown: np.ndarray, start: TextureField | None = None
     ) -> None:
-        """Begin with the field itself, or with what was filled of it otherwise."""
+        """Start from the field itself, or from a filled one."""
         start = field if start is None else start
         self.field, self.shown = field, shown
         self.values, self.least = start.values.copy(), start.width.copy()
 
-    def put(self, name: str, at: np.ndarray, guess: np.ndarray, off: np.ndarray) -> None:
-        """Give texels the mean of what is known of them and a guess, weighted by precisions."""
+    def fuse(self, name: str, at: np.ndarray, predicted: np.ndarray, sd: np.ndarray) -> None:
+        """Fuse texels ``at`` (T,) with predictions, weighted by precisions."""
         rows = self.field.rows(name)
-        off = np.maximum(off, SUREST)
-        own = np.where(self.shown, 1 / np.maximum(self.field.sds[rows], SUREST) ** 2, 0)
-        both = own * self.field.values[rows] + guess / off**2
-        values = np.where(at, both / (own + 1 / off**2), self.values[rows])
-        # Of texels that a photograph shows, nothing more is known than was.
-        least = clipped_normal.width_of(values, np.broadcast_to(off, values.shape))
+        sd = np.maximum(sd, LEAST_SD)
+        precision = np.where(self.shown, 1 / np.maximum(self.field.sds[rows], LEAST_SD) ** 2, 0)
+        total = precision * self.field.values[rows] + predicted / sd**2
+        values = np.where(at, total / (precision + 1 / sd**2), self.values[rows])
+        # Texels that a photograph shows do not get more certain.
+        least = clipped_normal.width_of(values, np.broadcast_to(sd, values.shape))
         least = np.maximum(least, self.field.width[rows])
         self.least[rows] = np.where(at & ~self.shown, least, self.least[rows])
         self.values[rows] = values
 
-    def done(self, filled: np.ndarray) -> TextureField:
-        """Return the field of which some texels, (T,) bool, were filled."""
+    def fused_field(self, filled: np.ndarray) -> TextureField:
+        """Return the field with ``filled`` texels, (T,) bool."""
         field = self.field
         laid = field.laid(self.values)
         textures = field.textures.but(**{name: laid[name] for name in field.names})

@@ -1,9 +1,8 @@
-"""Texels that others are like: of the same piece, as high, around an axis, in a mirror.
+"""Predictors of unknown texels: the same piece, height, radius, mirror image or repetition.
 
 Objects are turned, cast in two halves, put together from pieces of one material each, and painted
-in bands and patterns that repeat around them. Each ``Likeness`` says which of the texels that are
-known tell what another one is; how well they do is found out by hiding parts that were seen
-(``cross_validation``).
+in bands and patterns that repeat around them. Each ``SymmetryPredictor`` averages the known texels
+that match another one; ``cross_validation`` measures its errors.
 """
 
 from __future__ import annotations
@@ -16,47 +15,47 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from svu_mi.recovery.inpaint.texel_hierarchy import APART, Pieces
+from svu_mi.recovery.inpaint.texel_hierarchy import PIECE_DISTANCE, Pieces
 
 Kind = Literal[
     "all", "piece", "near", "level", "turned", "turned piece", "mirrored", "repeated"
 ]  # fmt: skip
 Axis = tuple[float, float, float]
 X, Y, Z = AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-CHUNK = 2**15  # texels that are guessed at a time
-FEWEST = 12  # texels of a piece by which others of it are guessed
+CHUNK = 2**15  # texels predicted at a time
+FEWEST = 12  # known texels of a piece, to predict others of it
 BEND = 0.3  # distance that normals at right angles count as, along the surface
 TURN = 0.1  # the same, around an axis
 
 
 @dataclass(frozen=True)
-class Rule:
-    """How texels are found that another one is like.
+class KnnSettings:
+    """k-nearest-neighbour settings of a predictor.
 
     Attributes:
-        nearest: how many are averaged.
-        close: part of the way to the farthest of them by which nearer ones count more.
-        farthest: distance, in parts of the object's extent, from which on nothing is alike.
-        inside: whether they are of the same piece.
+        nearest: number of neighbours.
+        bandwidth: of the Gaussian weights, relative to the distance of the farthest.
+        farthest: largest distance of a match, in parts of the object's extent.
+        inside: whether neighbours are of the same piece.
     """
 
     nearest: int
-    close: float
+    bandwidth: float
     farthest: float = np.inf
     inside: bool = False
 
 
-RULES: dict[Kind, Rule] = {
-    "near": Rule(12, 0.25, inside=True),
-    "level": Rule(60, 0.5),
-    "turned": Rule(32, 0.5),
-    "turned piece": Rule(32, 0.5, inside=True),
-    "mirrored": Rule(12, 0.25, farthest=0.04),
-    "repeated": Rule(4, 0.25, farthest=0.015),
+KNN_SETTINGS: dict[Kind, KnnSettings] = {
+    "near": KnnSettings(12, 0.25, inside=True),
+    "level": KnnSettings(60, 0.5),
+    "turned": KnnSettings(32, 0.5),
+    "turned piece": KnnSettings(32, 0.5, inside=True),
+    "mirrored": KnnSettings(12, 0.25, farthest=0.04),
+    "repeated": KnnSettings(4, 0.25, farthest=0.015),
 }
 
 
-WORDS: dict[Kind, str] = {
+TITLE_FORMATS: dict[Kind, str] = {
     "all": "mean of all", "piece": "mean of its piece", "near": "near", "level": "level along {}",
     "turned": "turned about {}", "turned piece": "turned as a piece about {}",
     "mirrored": "mirrored about {}", "repeated": "repeated {1} times about {0}",
@@ -64,13 +63,13 @@ WORDS: dict[Kind, str] = {
 
 
 @dataclass(frozen=True)
-class Examples:
-    """Texels that others are guessed by.
+class KnownTexels:
+    """Known texels, from which others are predicted.
 
     Attributes:
-        texels: (k,) their numbers.
+        texels: (k,) their indices.
         values: (N, k).
-        weights: (N, k), how much they count.
+        weights: (N, k), precisions.
     """
 
     texels: np.ndarray
@@ -84,8 +83,8 @@ class Examples:
 
 
 @dataclass(frozen=True)
-class Likeness:
-    """One way to say which texels are alike.
+class SymmetryPredictor:
+    """Predictor by one kind of symmetry.
 
     Attributes:
         kind: ``all``, and ``piece``: of the same connected piece of the surface, means;
@@ -104,46 +103,46 @@ class Likeness:
 
     @property
     def title(self) -> str:
-        """For people: ``turned about y``, ``repeated 6 times about y``."""
-        return WORDS[self.kind].format("xyz"[int(np.argmax(self.axis))], self.count)
+        """Title to print: ``turned about y``, ``repeated 6 times about y``."""
+        return TITLE_FORMATS[self.kind].format("xyz"[int(np.argmax(self.axis))], self.count)
 
-    def guess(
-        self, pieces: Pieces, known: Examples, wanted: np.ndarray
+    def predict(
+        self, pieces: Pieces, examples: KnownTexels, wanted: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return values of texels by those that are like them, (N, w), and where there are any."""
+        """Return values (N, w) of texels from those that match, and where any does."""
         if self.kind == "piece":
-            return _means_of_pieces(pieces.piece, known, wanted)
-        places, alike = self._places(pieces), np.ones(len(wanted), bool)
-        # All as high: no tree tells them apart.
-        if self.kind == "all" or not np.ptp(places[known.texels], axis=0).any():
-            return np.repeat(known.mean, len(wanted), axis=1), alike
-        found, rule = np.empty((len(known.values), len(wanted))), RULES[self.kind]
-        tree = scipy.spatial.cKDTree(places[known.texels])
+            return _piece_means(pieces.piece, examples, wanted)
+        features, has_match = self._features(pieces), np.ones(len(wanted), bool)
+        # All features are equal.
+        if self.kind == "all" or not np.ptp(features[examples.texels], axis=0).any():
+            return np.repeat(examples.mean, len(wanted), axis=1), has_match
+        values, settings = np.empty((len(examples.values), len(wanted))), KNN_SETTINGS[self.kind]
+        tree = scipy.spatial.cKDTree(features[examples.texels])
         for first in range(0, len(wanted), CHUNK):
             span = slice(first, first + CHUNK)
-            copies = self._copies(pieces, places, wanted[span])
-            found[:, span], alike[span] = _weighted(rule, tree, known, copies)
-        if rule.inside:
-            alike &= _sizes(pieces.piece, known.texels)[pieces.piece[wanted]] >= FEWEST
-        return found, alike
+            queries = self._queries(pieces, features, wanted[span])
+            values[:, span], has_match[span] = _knn_means(settings, tree, examples, queries)
+        if settings.inside:
+            has_match &= _piece_sizes(pieces.piece, examples.texels)[pieces.piece[wanted]] >= FEWEST
+        return values, has_match
 
-    def _places(self, pieces: Pieces) -> np.ndarray:
-        """Return where every texel is, (T, d), as this likeness looks at it."""
+    def _features(self, pieces: Pieces) -> np.ndarray:
+        """Return the features (T, d) in which neighbours are searched."""
         axis, points = np.asarray(self.axis), pieces.point
         if self.kind == "near":
-            return pieces.apart(np.concatenate([points, BEND * pieces.normal], axis=1))
+            return pieces.separated(np.concatenate([points, BEND * pieces.normal], axis=1))
         if self.kind == "level":
             return (points @ axis)[:, None]
         if self.kind == "turned":
-            return _around(points, axis, TURN * pieces.normal)
+            return _radial(points, axis, TURN * pieces.normal)
         if self.kind == "turned piece":
-            return pieces.apart(_around(points - pieces.middle, axis))
+            return pieces.separated(_radial(points - pieces.middle, axis))
         return points
 
-    def _copies(
-        self, pieces: Pieces, places: np.ndarray, wanted: np.ndarray
+    def _queries(
+        self, pieces: Pieces, features: np.ndarray, wanted: np.ndarray
     ) -> Iterator[np.ndarray]:
-        """Yield where the likes of texels are looked for."""
+        """Yield query points of texels."""
         axis, points = np.asarray(self.axis), pieces.point[wanted]
         if self.kind == "mirrored":
             yield points - 2 * (points @ axis)[:, None] * axis
@@ -153,28 +152,32 @@ class Likeness:
                 turn = scipy.spatial.transform.Rotation.from_rotvec(angle * axis)
                 yield turn.apply(points)
         else:
-            yield places[wanted]
+            yield features[wanted]
 
 
-def _weighted(
-    rule: Rule, tree: scipy.spatial.cKDTree, known: Examples, copies: Iterable[np.ndarray]
+def _knn_means(
+    rule: KnnSettings,
+    tree: scipy.spatial.cKDTree,
+    known: KnownTexels,
+    queries: Iterable[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted means of what is nearest to copies of points, and where any is."""
+    """Return weighted means of the neighbours of query points, and where there are any."""
     count, parts = min(rule.nearest, len(known.texels)), []
-    for points in copies:
-        distance, found = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
+    for points in queries:
+        distance, index = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
         there = distance[:, 0] < rule.farthest
-        mine = distance < (APART / 2 if rule.inside else np.inf)
-        reach = np.where(mine, distance, 0).max(axis=1, keepdims=True)
-        scale = np.maximum(rule.close * reach, 1e-9)
-        near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None] * mine
-        how = known.weights[:, found] * near
-        parts.append(((how * known.values[:, found]).sum(axis=2), how.sum(axis=2), there))
-    total, weight, alike = (sum(part) for part in zip(*parts, strict=True))
-    return total / np.maximum(weight, 1e-30), alike > 0
+        usable = distance < (PIECE_DISTANCE / 2 if rule.inside else np.inf)
+        reach = np.where(usable, distance, 0).max(axis=1, keepdims=True)
+        scale = np.maximum(rule.bandwidth * reach, 1e-9)
+        near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None] * usable
+        weighted = known.weights[:, index] * near
+        sums = (weighted * known.values[:, index]).sum(axis=2), weighted.sum(axis=2)
+        parts.append((*sums, there))
+    total, weight, matches = (sum(part) for part in zip(*parts, strict=True))
+    return total / np.maximum(weight, 1e-30), matches > 0
 
 
-def _around(points: np.ndarray, axis: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:
+def _radial(points: np.ndarray, axis: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:
     """Return height and radius of points, and the same two of normals, in columns."""
     along = points @ axis
     across = points - along[:, None] * axis
@@ -185,27 +188,27 @@ def _around(points: np.ndarray, axis: np.ndarray, normal: np.ndarray | None = No
     return np.stack(columns, axis=1)
 
 
-def _sizes(piece: np.ndarray, texels: np.ndarray) -> np.ndarray:
-    """Return how many of some texels are of each piece."""
+def _piece_sizes(piece: np.ndarray, texels: np.ndarray) -> np.ndarray:
+    """Return the number of texels of each piece."""
     return np.bincount(piece[texels], minlength=int(piece.max()) + 1)
 
 
-def _means_of_pieces(
-    piece: np.ndarray, known: Examples, wanted: np.ndarray
+def _piece_means(
+    piece: np.ndarray, examples: KnownTexels, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    size, owner = _sizes(piece, known.texels), piece[known.texels]
+    size, owner = _piece_sizes(piece, examples.texels), piece[examples.texels]
     means = []
-    for values, weights in zip(known.values, known.weights, strict=True):
+    for values, weights in zip(examples.values, examples.weights, strict=True):
         total = np.bincount(owner, weights * values, len(size))
         means.append(total / np.maximum(np.bincount(owner, weights, len(size)), 1e-30))
     return np.array(means)[:, piece[wanted]], size[piece[wanted]] >= FEWEST
 
 
-NEAR = Likeness("near")
-STEPS = (2, 3, 4, 6)  # of patterns: others are hardly ever painted, and cost as much to look for
-LIKENESSES = (
-    Likeness("all"), Likeness("piece"), NEAR,
-    *(Likeness(kind, axis) for kind in ("level", "turned", "turned piece", "mirrored")
+NEAR_PREDICTOR = SymmetryPredictor("near")
+REPETITIONS = (2, 3, 4, 6)  # of patterns: others are rare, and cost as much to search
+PREDICTORS = (
+    SymmetryPredictor("all"), SymmetryPredictor("piece"), NEAR_PREDICTOR,
+    *(SymmetryPredictor(kind, axis) for kind in ("level", "turned", "turned piece", "mirrored")
       for axis in AXES),
-    *(Likeness("repeated", axis, count) for axis in AXES for count in STEPS),
+    *(SymmetryPredictor("repeated", axis, count) for axis in AXES for count in REPETITIONS),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Texels as filling sees them: places, connected pieces, known values, and coarser groups."""
+"""Texels to fill: positions, connected pieces, known values, and coarser groups."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 from svu_mi.capture.mesh import unit_vectors
 from svu_mi.geometry.neighbors import connected, means, squares_of, sums
 from svu_mi.geometry.texels import Texels
-from svu_mi.recovery.inpaint.fill_result import SUREST
+from svu_mi.recovery.inpaint.fill_result import LEAST_SD
 from svu_mi.recovery.uncertainty.gmrf import FEWER, Smoother
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-APART = 1e3  # distance between pieces that are not to be mixed up, in extents of the object
+PIECE_DISTANCE = 1e3  # added distance between pieces, in extents of the object
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class Pieces:
 
     @staticmethod
     def of(texels: Texels, around: Sequence[Any]) -> Pieces:
-        """Take texels and their neighbours (``Neighbors.around``)."""
+        """Collect texels and their neighbours (``Neighbors.around``)."""
         position, normal = (np.array(x, np.float64).T for x in (texels.position, texels.normal))
-        return Pieces(centred(position), normal, connected(around))
+        return Pieces(normalized_points(position), normal, connected(around))
 
     @cached_property
     def middle(self) -> np.ndarray:
@@ -54,32 +54,32 @@ class Pieces:
         size = np.bincount(owner)[:, None]
         return Pieces(point / size, unit_vectors(normal), self.piece[first])
 
-    def apart(self, places: np.ndarray) -> np.ndarray:
-        """Return places (T, d) with another column, by which pieces are far from each other."""
-        return np.concatenate([places, APART * self.piece[:, None]], axis=1)
+    def separated(self, places: np.ndarray) -> np.ndarray:
+        """Return features (T, d + 1) with another column that separates pieces."""
+        return np.concatenate([places, PIECE_DISTANCE * self.piece[:, None]], axis=1)
 
 
-def centred(points: np.ndarray) -> np.ndarray:
+def normalized_points(points: np.ndarray) -> np.ndarray:
     """Return points (T, 3) about the middle of their bounding box, in units of its diagonal."""
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float(np.linalg.norm(high - low)) or 1.0
     return np.asarray((points - (low + high) / 2) / extent)
 
 
-ENOUGH = 2**16  # texels that guesses are tried on: of more, groups of neighbours
+MOST_TEXELS = 2**16  # texels for cross-validation: of more, groups of neighbours
 
 
 @dataclass(frozen=True)
-class Ground:
-    """T texels, or groups of them, some of which are known.
+class TexelGraph:
+    """T texels, or groups of them, some of which have known values.
 
     Attributes:
         values: (N, T), of groups their mean.
         weights: (N, T), precisions of these, where they are known.
         single: (N, T), the values of one texel of each group: errors are those of texels, whose
             values differ by more than those of means.
-        known: (T,) bool; of others, no values are looked at.
-        size: (T,), of how many texels each is.
+        known: (T,) bool; values of others are ignored.
+        size: (T,), number of texels of each.
         square: (T, 2) int64, row and column in the map.
         pieces: where they lie.
         smoother: the links between them.
@@ -95,18 +95,18 @@ class Ground:
     smoother: Smoother
 
     @staticmethod
-    def of(field: TextureField, known: np.ndarray) -> Ground:
-        """Take the texels of a field, of which some, (T,) bool, are known."""
-        weights = 1 / np.maximum(field.deviation, SUREST) ** 2
+    def of(field: TextureField, known: np.ndarray) -> TexelGraph:
+        """Collect the texels of a field, with those ``known``, (T,) bool."""
+        weights = 1 / np.maximum(field.deviation, LEAST_SD) ** 2
         square = squares_of(field.texels)
         pieces = Pieces.of(field.texels, field.smoother.around)
-        return Ground(
+        return TexelGraph(
             field.values, weights, field.values, known, np.ones(len(known)), square, pieces,
             field.smoother,
         )  # fmt: skip
 
-    def without(self, hidden: np.ndarray) -> Ground:
-        """Return the same with some texels, (T,) bool, that are not known."""
+    def with_hidden(self, hidden: np.ndarray) -> TexelGraph:
+        """Return a copy in which ``hidden`` texels, (T,) bool, are unknown."""
         return replace(self, known=self.known & ~hidden)
 
     @property
@@ -115,20 +115,18 @@ class Ground:
         return len(self.known)
 
     @property
-    def many(self) -> bool:
-        """Whether there are more texels than it takes, and groups of them are fewer; they are not
-        where known ones lie here and there."""
-        return self.count > ENOUGH and self.halved[0].count < FEWER * self.count
+    def is_large(self) -> bool:
+        """Whether there are too many texels and fewer groups (not if known ones are scattered)."""
+        return self.count > MOST_TEXELS and self.halved[0].count < FEWER * self.count
 
     @property
-    def small(self) -> Ground:
-        """The same of groups, of groups of groups, and so on, until these are not too many."""
-        return self.halved[0].small if self.many else self
+    def coarsest(self) -> TexelGraph:
+        """Coarser groups, repeatedly, until there are not too many."""
+        return self.halved[0].coarsest if self.is_large else self
 
     @cached_property
-    def halved(self) -> tuple[Ground, np.ndarray]:
-        """Groups of neighbours in squares of 2 x 2, of which all are known or none; and the group
-        of every texel, (T,) int64."""
+    def halved(self) -> tuple[TexelGraph, np.ndarray]:
+        """Groups of 2 x 2 neighbours, all known or none, and the group (T,) of each texel."""
         square, own = self.square // 2, np.arange(self.count)
         alike = np.concatenate([square, self.known[:, None]], axis=1)
         columns = [np.array(column, np.int64) for column in self.smoother.around]
@@ -138,7 +136,7 @@ class Ground:
         first = np.unique(owner, return_index=True)[1]
         values, weights = means(self.values, self.weights, owner)
         smoother = self.smoother.halved(owner, weights, values)
-        coarse = Ground(
+        coarse = TexelGraph(
             values, weights, self.single[:, first], self.known[first],
             np.bincount(owner, self.size), square[first], self.pieces.grouped(owner), smoother,
         )  # fmt: skip

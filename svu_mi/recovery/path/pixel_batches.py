@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import pixel_rays
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.packed_views import Views, pack_views
 
@@ -99,7 +99,7 @@ class PixelBatches:
         place = np.searchsorted(self._first[sorted_views], index, side="right") - 1
         view = sorted_views[place]
         row, column = np.divmod(index - self._first[view], self._width[view])
-        lanes = [owned(mi.UInt32, x.astype(np.uint32)) for x in (index, view, row, column)]
+        lanes = [to_drjit(mi.UInt32, x.astype(np.uint32)) for x in (index, view, row, column)]
         return Batch(lanes[0], (lanes[1], lanes[2], lanes[3]))
 
     def _shuffled(self, epoch: int) -> np.ndarray:

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.validation import require, require_types
 from svu_mi.errors import OptionError
 from svu_mi.geometry.texels import Texels
@@ -80,8 +80,8 @@ class GlobalSharing(Regularizer):
         chosen = self._choose()
         weights = _weights(divergences(posterior, chosen, self.divergence), self.tau)
         object.__setattr__(self, "seeds", chosen)
-        object.__setattr__(self, "weights", owned(mi.Float, weights.ravel()))
-        object.__setattr__(self, "_seeds", owned(mi.UInt32, chosen.astype(np.uint32)))
+        object.__setattr__(self, "weights", to_drjit(mi.Float, weights.ravel()))
+        object.__setattr__(self, "_seeds", to_drjit(mi.UInt32, chosen.astype(np.uint32)))
 
     @classmethod
     def printed(

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.validation import require
 from svu_mi.geometry.neighbors import Neighbors, lanes_of, over_neighbors
 from svu_mi.geometry.texels import Texels
@@ -57,7 +57,7 @@ class TotalVariation(Regularizer):
     def __post_init__(self) -> None:
         require(self, 0 <= self.epsilon < np.inf, "epsilon", "at least 0")
         around, pairs = _table(self.texels, self._neighbors(self.mesh))
-        columns = tuple(owned(mi.UInt32, column) for column in around)
+        columns = tuple(to_drjit(mi.UInt32, column) for column in around)
         object.__setattr__(self, "_around", {1: columns})
         object.__setattr__(self, "_scale", dr.opaque(mi.Float, 1 / max(pairs, 1)))
 

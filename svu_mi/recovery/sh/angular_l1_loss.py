@@ -16,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.frequency.fit_samples import MirroredLight
 from svu_mi.frequency.sh_lobes import Convolved
@@ -30,9 +30,9 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.recovery.regularizers.known_gradient import sign
 from svu_mi.recovery.sh.quadratic_error import carry, look_up
-from svu_mi.reflection.lobes import reflected_at_view
-from svu_mi.reflection.mix_columns import Parts, diffuse_shading, dot, parts_of, radiance
-from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture, slope
+from svu_mi.reflection.lobes import view_albedo
+from svu_mi.reflection.mix_columns import Parts, combine_parts, diffuse_shading, dot, mixed_radiance
+from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture, mixture_derivative
 from svu_mi.statistics.gather_statistics import GRAZING, Values, mixed_of
 
 
@@ -100,7 +100,7 @@ class AngularObjective:
             roughness = mi.Float(values["roughness"][0])
             dr.enable_grad(roughness)
             parts = self._shade(seen, lobes, roughness)
-            modelled = radiance(parts, base_color, mixed)
+            modelled = mixed_radiance(parts, base_color, mixed)
             dr.forward_from(roughness)
             rise = [dr.grad(value) for value in modelled]
         parts, modelled = dr.detach(parts), dr.detach(modelled)
@@ -111,10 +111,10 @@ class AngularObjective:
         added = {name: [mi.Float(0)] for name in MIXED} | {
             "base_color": [], "roughness": [sum(s * x for s, x in zip(side, rise, strict=True))],
         }  # fmt: skip
-        how, turns = mixture(*mixed), [slope(mixed, k) for k in range(len(mixed))]
+        how, turns = mixture(*mixed), [mixture_derivative(mixed, k) for k in range(len(mixed))]
         for k, color in enumerate(base_color):
             x = columns(*parts[k % len(parts)])
-            added["base_color"].append(side[k] * dot(how.scaled, x))
+            added["base_color"].append(side[k] * dot(how.slope, x))
             for name, turn in zip(MIXED, turns, strict=True):
                 added[name][0] += side[k] * dot(turn.at(color), x)
         return loss, added
@@ -130,8 +130,8 @@ class AngularObjective:
             diffuse_shading(self.switches.diffuse, each, seen.direction, cosine)
             for each in self.moments
         ]
-        reflected = reflected_at_view(self.switches.fresnel, cosine, alpha)
-        return parts_of(diffuse, roughness, reflected, light)
+        reflected = view_albedo(self.switches.fresnel, cosine, alpha)
+        return combine_parts(diffuse, roughness, reflected, light)
 
 
 def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObjective:
@@ -145,7 +145,7 @@ def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObj
             f"The angular loss needs the SH model, which fits light to every texel, but "
             f"preset {switches.name!r} has no fit; use preset('paper', method='angular')."
         )
-    selection = owned(mi.UInt32, seen.astype(np.uint32))
+    selection = to_drjit(mi.UInt32, seen.astype(np.uint32))
     surface = TexelLanes.of(texels, selection)
     diffuse = moment_map(observed.lighting.environment, channels)
     samples = 3.0 * int(observed.coverage.sum(dtype=np.int64))

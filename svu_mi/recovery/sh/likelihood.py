@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.neighbors import Neighbors, over_neighbors
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import CHANNELS, NAMES
@@ -148,7 +148,7 @@ def values_of(table: Table, chosen: np.ndarray | None = None) -> Values:
     """Return the values of texels, all by default, as Floats."""
     texels = slice(None) if chosen is None else chosen
     return {
-        name: [owned(mi.Float, row.astype(np.float32)) for row in rows[:, texels]]
+        name: [to_drjit(mi.Float, row.astype(np.float32)) for row in rows[:, texels]]
         for name, rows in table.items()
     }
 
@@ -193,7 +193,7 @@ class Smoothing:
         shown[seen] = 1 / max(len(seen), 1)
         weights = {name: shown * nats for name, nats in nats_of_squares(sds).items()}
         target, weight = (
-            [owned(mi.Float, of[name][k].astype(np.float32)) for name, k in keys]
+            [to_drjit(mi.Float, of[name][k].astype(np.float32)) for name, k in keys]
             for of in (means, weights)
         )
         strength = dr.opaque(mi.Float, variation[0] / max(dr.width(around.pairs[0]), 1))
@@ -204,7 +204,7 @@ class Smoothing:
         found = {}
         for name, k in self.keys:
             values = textures.at(self.texels, name).reshape(self.texels.count, -1)[:, k]
-            found[_key(name, k)] = mi.TensorXf(owned(mi.Float, values.astype(np.float32)))
+            found[_key(name, k)] = mi.TensorXf(to_drjit(mi.Float, values.astype(np.float32)))
         return found
 
     def options(self, options: DescentOptions) -> DescentOptions:

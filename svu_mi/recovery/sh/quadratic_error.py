@@ -16,7 +16,7 @@ import mitsuba as mi
 from svu_mi.parameters import CHANNELS, MIXED
 from svu_mi.recovery.regularizers.known_gradient import known
 from svu_mi.reflection.mix_columns import dot
-from svu_mi.reflection.principled import mixture, slope
+from svu_mi.reflection.principled import mixture, mixture_derivative
 from svu_mi.statistics.cholesky_factors import Factors, catmull_rom, combined
 from svu_mi.statistics.gather_statistics import Values, flat, mixed_of
 
@@ -33,7 +33,7 @@ def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
     """
     near = _interpolate(factors, values["roughness"][0])
     mixed, colors, error = mixed_of(values), values["base_color"], mi.Float(0)
-    how, turns = mixture(*mixed), [slope(mixed, k) for k in range(len(mixed))]
+    how, turns = mixture(*mixed), [mixture_derivative(mixed, k) for k in range(len(mixed))]
     by = {name: [mi.Float(0) for _ in of_name] for name, of_name in values.items()}
     for channel, c in enumerate(colors):
         # One channel stands for all where photographs and light are grey.
@@ -41,7 +41,7 @@ def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
         x = how.at(c)
         rest = combined(U, x)
         error += dot(rest, rest)
-        by["base_color"][channel] = 2 * dot(rest, combined(U, how.scaled))
+        by["base_color"][channel] = 2 * dot(rest, combined(U, how.slope))
         by["roughness"][0] += 2 * dot(rest, combined(change, x))
         for name, turn in zip(MIXED, turns, strict=True):
             by[name][0] += 2 * dot(rest, combined(U, turn.at(c)))
@@ -59,14 +59,14 @@ def information(factors: Factors, values: Values) -> list[list[Any]]:
     """
     near = _interpolate(factors, values["roughness"][0])
     mixed, colors = mixed_of(values), values["base_color"]
-    how, turns = mixture(*mixed), [slope(mixed, k) for k in range(len(mixed))]
+    how, turns = mixture(*mixed), [mixture_derivative(mixed, k) for k in range(len(mixed))]
     places = {key: place for place, key in enumerate(
         (name, k) for name, of_name in values.items() for k in range(len(of_name)))}  # fmt: skip
     found = [[dr.zeros(mi.Float, factors.count) for _ in places] for _ in places]
     for channel, c in enumerate(colors):
         U, change = near[channel % factors.channels]
         by = {
-            ("base_color", channel): combined(U, how.scaled),
+            ("base_color", channel): combined(U, how.slope),
             ("roughness", 0): combined(change, how.at(c)),
             **{(name, 0): combined(U, turn.at(c)) for name, turn in zip(MIXED, turns, strict=True)},
         }

@@ -22,7 +22,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.frequency.spectra import Coefficients, fit_coefficients
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import Preset
@@ -122,7 +122,7 @@ def spectral_objective(observed: Observed, switches: Preset, domain: Domain) -> 
     visibility, lighting, texels = observed.visibility, observed.lighting, observed.texels
     light = 1 if lighting.environment.grey else 3
     seen = observed.coverage > 0
-    texel = owned(mi.UInt32, np.flatnonzero(seen).astype(np.uint32))
+    texel = to_drjit(mi.UInt32, np.flatnonzero(seen).astype(np.uint32))
     fitted = fit_coefficients(observed, switches, light_channels=light)
     power, mean_power = _powers(fitted, texel)
     unit = visibility.scale if domain == "coefficients" else mean_power
@@ -130,7 +130,7 @@ def spectral_objective(observed: Observed, switches: Preset, domain: Domain) -> 
     if domain == "spectrum":
         fitted = replace(fitted, values=mi.Float())
     undone = lighting.prefilter**2 if switches.undo_prefilter else 0.0
-    lanes = owned(mi.UInt32, observed.lane[seen].astype(np.uint32))
+    lanes = to_drjit(mi.UInt32, observed.lane[seen].astype(np.uint32))
     return SpectralObjective(
         domain=domain,
         coefficients=fitted,
@@ -163,4 +163,4 @@ def _albedo_table(switches: Preset) -> Any:
     if switches.albedo:
         alpha = alpha_from_roughness(np.linspace(0, 1, ALBEDO_LEVELS))
         values = mean_albedo(alpha)
-    return owned(mi.Float, values)
+    return to_drjit(mi.Float, values)

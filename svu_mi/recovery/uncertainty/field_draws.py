@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior
@@ -28,7 +28,7 @@ def waves(number: int, place: Any, random: np.random.Generator) -> list[Any]:
     """Draw fields of mean 0 and variance 1: Floats (T,) at places in units of their length."""
     frequencies = random.standard_normal((3, number * WAVES)).astype(np.float32)
     phases = random.uniform(0, 2 * np.pi, number * WAVES).astype(np.float32)
-    w, shift, found = owned(mi.Vector3f, frequencies), owned(mi.Float, phases), []
+    w, shift, found = to_drjit(mi.Vector3f, frequencies), to_drjit(mi.Float, phases), []
     for field in range(number):
         first = dr.opaque(mi.UInt32, field * WAVES)
 

@@ -21,8 +21,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import owned
-from svu_mi.core.local_memory import QUAD, fours, padded
+from svu_mi.core.arrays import to_drjit
+from svu_mi.core.local_memory import QUAD, padded_to_quads, quad_count
 from svu_mi.geometry.neighbors import grouped, lanes_of, means, over_neighbors, owners_of, sums
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
@@ -71,7 +71,7 @@ class Smoother:
         """Link neighbours that are alike."""
         own, start = _vector(precision, 1), _vector(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
-        lanes = lanes_of(around, fours(len(values)))
+        lanes = lanes_of(around, quad_count(len(values)))
         return Smoother(len(values), tuple(around), lanes, *links, own, start, own)._completed()
 
     def with_precision(
@@ -80,7 +80,7 @@ class Smoother:
     ) -> Smoother:  # fmt: skip
         """Return links of the same strength with another D."""
         start = self.start if values is None else _vector(values)
-        hidden = None if blind is None else owned(mi.Bool, blind)
+        hidden = None if blind is None else to_drjit(mi.Bool, blind)
         return replace(self, own=_vector(precision, 1), start=start, blind=hidden)._completed()
 
     def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> Smoother:
@@ -90,7 +90,7 @@ class Smoother:
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
         dr.eval(strength, epsilon)
         links = replace(
-            self, around=around, lanes=lanes_of(around, fours(self.fields)),
+            self, around=around, lanes=lanes_of(around, quad_count(self.fields)),
             strength=strength, epsilon=epsilon, blind=None,
         )  # fmt: skip
         return links.with_precision(precision, values)
@@ -133,7 +133,7 @@ class Smoother:
         """Draw from a normal distribution of covariance K, (N, T) float64: every link pulls at both
         of its ends with a force of its own."""
         seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
-        groups, count = fours(self.fields), dr.opaque(mi.UInt32, dr.width(self.around[0]))
+        groups, count = quad_count(self.fields), dr.opaque(mi.UInt32, dr.width(self.around[0]))
         lane = dr.arange(mi.UInt32, dr.width(self.lanes[0]))
         texel, total = lane // groups, mi.Vector4f(0)
         for column in self.lanes:
@@ -174,7 +174,7 @@ class Smoother:
         """Return the weights of the links from all lanes to others, UInt32: Vector4f."""
         apart = self._read(self.start) - dr.gather(mi.Vector4f, self.start, other)
         if self.blind is not None:
-            groups, own = fours(self.fields), dr.arange(mi.UInt32, dr.width(other))
+            groups, own = quad_count(self.fields), dr.arange(mi.UInt32, dr.width(other))
             hidden = [dr.gather(mi.Bool, self.blind, lane // groups) for lane in (own, other)]
             apart = dr.select(hidden[0] | hidden[1], 0, apart)
         return self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
@@ -204,22 +204,22 @@ class Smoother:
 
     def _table(self, vector: Any) -> np.ndarray:
         """Return a vector as (N, T) float64."""
-        rows = vector.numpy().reshape(-1, padded(self.fields))
+        rows = vector.numpy().reshape(-1, padded_to_quads(self.fields))
         return np.array(rows.T[: self.fields], np.float64, order="C")
 
 
 def _vector(table: np.ndarray, beyond: float = 0) -> Any:
     """Return values (N, T) as a vector, padded by others."""
-    padding = padded(len(table)) - len(table)
+    padding = padded_to_quads(len(table)) - len(table)
     rows = np.pad(table.astype(np.float32), ((0, padding), (0, 0)), constant_values=beyond)
-    return owned(mi.Float, rows.T.ravel())
+    return to_drjit(mi.Float, rows.T.ravel())
 
 
-def _written(fours: Any) -> Any:
+def _written(quads: Any) -> Any:
     """Return groups of four as a vector, evaluated."""
-    vector = dr.empty(mi.Float, QUAD * dr.width(fours))
-    lane = dr.arange(mi.UInt32, dr.width(fours))
-    dr.scatter(vector, fours, lane, mode=dr.ReduceMode.NoConflicts)
+    vector = dr.empty(mi.Float, QUAD * dr.width(quads))
+    lane = dr.arange(mi.UInt32, dr.width(quads))
+    dr.scatter(vector, quads, lane, mode=dr.ReduceMode.NoConflicts)
     dr.eval(vector)
     return vector
 

@@ -15,8 +15,13 @@ from support.helpers import ball, fails, run
 import svu_mi as svu
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.image_io import open_picture, srgb
-from svu_mi.capture.importers.camera_response import LARGEST, linear, read_response
-from svu_mi.capture.importers.convert_photographs import CRUSHED, about, convert, with_response
+from svu_mi.capture.importers.camera_response import LARGEST, linearize, read_response
+from svu_mi.capture.importers.convert_photographs import (
+    CRUSHED,
+    convert_photograph,
+    photograph_notes,
+    with_response,
+)
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import OPENGL, Frame
 from svu_mi.capture.mesh import write_ply
@@ -69,7 +74,7 @@ def random(bits, seed=SEED) -> np.ndarray:
 
 def converted(frame, path):
     """Return what was found, channels (H, W, 3) as written, and what clipped ones are at least."""
-    found = convert(frame, path, (1, 1))
+    found = convert_photograph(frame, path, (1, 1))
     layers = read_exr(path)
     header = open_picture(path).header.attributes
     return found, np.stack([layers[name] for name in "RGB"], axis=-1), header.get(SATURATION)
@@ -91,7 +96,7 @@ def test_codes_become_what_was_measured(bits, largest, tmp_path):
     np.testing.assert_array_equal(image[over], CLIPPED)
     assert least == pytest.approx(gamma(SATURATED[bits]), abs=1e-5)
     assert found.saturated == 2 and found.invalid == 0
-    (note, *_) = about([frame], [found])
+    (note, *_) = photograph_notes([frame], [found])
     assert f"are not HDR: of {bits} bits, decoded as curve.txt says, 2 clipped pixels" in note
 
 
@@ -186,7 +191,7 @@ def test_files_that_are_no_text_are_a_sentence(tmp_path):
 def test_numbers_that_single_precision_cannot_hold_decode_to_numbers(tmp_path):
     path = tmp_path / "curve.txt"
     path.write_text("0 0\n1e-40 1e-300\n1e-30 1e307\n1 1.7e308\n")
-    found = linear(np.linspace(0, 1, 256, dtype=np.float32), read_response(path), 0)
+    found = linearize(np.linspace(0, 1, 256, dtype=np.float32), read_response(path), 0)
     assert np.isfinite(found).all() and found[-1] == 1 and (np.diff(found) >= 0).all()
 
 
@@ -207,8 +212,8 @@ def dark(folder, part, mask=True, **fields) -> Frame:
 
 
 def blacks(frames, folder) -> list[str]:
-    found = [convert(frame, folder / "out.exr", (1, 1)) for frame in frames]
-    return [note for note in about(frames, found) if "blacks" in note]
+    found = [convert_photograph(frame, folder / "out.exr", (1, 1)) for frame in frames]
+    return [note for note in photograph_notes(frames, found) if "blacks" in note]
 
 
 def test_crushed_blacks_are_said_and_stay_what_they_are(tmp_path):

@@ -16,7 +16,7 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture import scene_xml
 from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
-from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.registry import read_source
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, Light, Source, frame_of
 from svu_mi.capture.scene import to_world
@@ -104,7 +104,7 @@ def entropy_of(capture: svu.Capture) -> np.ndarray:
 def in_z_up_world(source: Source, folder: Path) -> Source:
     """The same capture in a world whose +Z is up, with Blender's environment and a GLB."""
     frames = [replace(frame, to_world=affine(Z_UP) @ frame.to_world) for frame in source.frames]
-    given = read_geometry(source.mesh).mesh
+    given = read_textured_mesh(source.mesh).mesh
     # glTF has +Y up whatever the world: the importer is told.
     write_glb(folder / "mesh.glb", given, np.full((4, 4, 3), 128, np.uint8))
     light = replace(source.light, to_world=ENVIRONMENT_AXES["blender"])

@@ -18,10 +18,14 @@ from oracle import lens as oracle
 from PIL import Image
 
 from svu_mi.capture.image_io import srgb
-from svu_mi.capture.importers.convert_photographs import convert
+from svu_mi.capture.importers.convert_photographs import convert_photograph
 from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.capture.importers.nerf import read_transforms, write_transforms
-from svu_mi.capture.importers.resampling import squared, straightened, unbent
+from svu_mi.capture.importers.resampling import (
+    square_pixel_frame,
+    undistort_planes,
+    undistorted_frame,
+)
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.photographs import UNUSABLE
 from svu_mi.core.io.exr import read_exr, write_exr
@@ -78,17 +82,17 @@ def test_pixels_are_those_of_colmaps_camera():
     )
     for name, (pixels, back) in zip(known, json.loads(done.stdout), strict=True):
         lens = Lens(**LENSES[name])
-        np.testing.assert_allclose(lens.bent(points()) * FOCAL + CENTER, pixels, atol=PIXEL)
-        found = lens.straightened((np.array(pixels) - CENTER) / FOCAL)
+        np.testing.assert_allclose(lens.distort(points()) * FOCAL + CENTER, pixels, atol=PIXEL)
+        found = lens.undistort((np.array(pixels) - CENTER) / FOCAL)
         np.testing.assert_allclose(found * FOCAL, np.array(back) * FOCAL, atol=PIXEL)
 
 
 @pytest.mark.parametrize("name", LENSES)
 def test_the_model_is_that_of_the_books_and_its_inverse(name):
     lens = Lens(**LENSES[name])
-    wanted = oracle.bent(*points().T, lens.record).T
-    np.testing.assert_allclose(lens.bent(points()), wanted, atol=1e-14)
-    np.testing.assert_allclose(lens.straightened(wanted), points(), atol=1e-11)
+    wanted = oracle.distort(*points().T, lens.record).T
+    np.testing.assert_allclose(lens.distort(points()), wanted, atol=1e-14)
+    np.testing.assert_allclose(lens.undistort(wanted), points(), atol=1e-11)
     np.testing.assert_allclose(oracle.straight(*wanted.T, lens.record).T, points(), atol=1e-11)
 
 
@@ -111,8 +115,8 @@ def chequers_of(frame: Frame, field: float = 24.0) -> np.ndarray:
 def test_chequers_become_straight_again(name):
     """Between four pixels 2 max |f''| / 8 is lost at most, and more where the lens shrinks."""
     lens = Lens(**LENSES[name])
-    (found,) = unbent([photograph(lens)], frame_of(lens))
-    straight = straightened(frame_of(lens))
+    (found,) = undistort_planes([photograph(lens)], frame_of(lens))
+    straight = undistorted_frame(frame_of(lens))
     assert found.shape == straight.size[::-1] and found.dtype == np.float32
     off = np.abs(found - chequers_of(straight))
     bound = 2 * 0.5 * (np.pi / 24) ** 2 / 8
@@ -124,11 +128,11 @@ def test_chequers_become_straight_again(name):
 @pytest.mark.parametrize("name", LENSES)
 def test_the_straight_photograph_is_the_largest_without_empty_borders(name):
     lens = Lens(**LENSES[name])
-    made = straightened(frame_of(lens))
+    made = undistorted_frame(frame_of(lens))
     assert made.lens is None and made.focal == FOCAL
     corners = np.array([(x, y) for x in (0, made.size[0]) for y in (0, made.size[1])], float)
     edges = np.linspace(corners[:-1], corners[1:], 50).reshape(-1, 2)  # around, and a diagonal
-    seen = lens.bent((edges - made.center) / made.focal) * FOCAL + CENTER
+    seen = lens.distort((edges - made.center) / made.focal) * FOCAL + CENTER
     assert seen.min() > -0.01 and (seen < np.array([WIDTH, HEIGHT]) + 0.01).all()
     for wider in ((1.5, 0), (0, 1.5)):  # some border would be empty
         low, high = -np.array(wider), np.array(made.size) + wider
@@ -139,14 +143,14 @@ def test_the_straight_photograph_is_the_largest_without_empty_borders(name):
             np.stack([np.linspace(low[0], high[0], 99), np.full(99, y)], axis=-1)
             for y in (low[1], high[1])
         ])  # fmt: skip
-        seen = lens.bent((edges - made.center) / made.focal) * FOCAL + CENTER
+        seen = lens.distort((edges - made.center) / made.focal) * FOCAL + CENTER
         assert (seen < 0).any() or (seen > [WIDTH, HEIGHT]).any()
 
 
 def test_a_straight_photograph_is_at_most_twice_as_wide():
     """A lens that shrinks its borders by more than two; beyond, nothing but blur would be added."""
     center, focal = (WIDTH / 2, HEIGHT / 2), (WIDTH / 2 / 0.46,) * 2
-    made = straightened(frame_of(Lens(**{"k1": -1, "k2": 0.46}), focal=focal, center=center))
+    made = undistorted_frame(frame_of(Lens(**{"k1": -1, "k2": 0.46}), focal=focal, center=center))
     assert made.size[0] == 2 * WIDTH and HEIGHT < made.size[1] < 2 * HEIGHT
     assert made.center[0] == pytest.approx(WIDTH)
 
@@ -155,7 +159,7 @@ def test_a_straight_photograph_is_at_most_twice_as_wide():
                                      {"k4": 1e300}, {"k3": -1e30}])  # fmt: skip
 def test_a_lens_that_folds_over_is_refused(numbers):
     with pytest.raises(CaptureError, match=r"t.json: frame 0: the lens \(.*\) folds over inside"):
-        straightened(frame_of(Lens(**numbers)))
+        undistorted_frame(frame_of(Lens(**numbers)))
 
 
 def test_numbers_of_an_action_camera_that_hold_in_the_middle_only():
@@ -168,10 +172,10 @@ def test_numbers_of_an_action_camera_that_hold_in_the_middle_only():
         "by the camera's own program."
     )
     with pytest.raises(CaptureError, match=sentence):
-        straightened(frame_of(lens, focal=focal))
+        undistorted_frame(frame_of(lens, focal=focal))
     size = (WIDTH // 2, HEIGHT // 2)
     cropped = replace(frame_of(lens, focal=focal), size=size, center=(size[0] / 2, size[1] / 2))
-    assert straightened(cropped).size >= size
+    assert undistorted_frame(cropped).size >= size
 
 
 def test_photographs_of_floats_and_of_bytes_are_straightened_in_linear_light(tmp_path):
@@ -179,19 +183,19 @@ def test_photographs_of_floats_and_of_bytes_are_straightened_in_linear_light(tmp
     ramp = np.broadcast_to(np.linspace(0, 8, WIDTH, dtype=np.float32), (HEIGHT, WIDTH)).copy()
     write_exr(tmp_path / "a.exr", {"RGB": np.stack([ramp] * 3, axis=-1)})
     frame = frame_of(lens, tmp_path / "a.exr")
-    convert(frame, tmp_path / "view.exr", squared(frame)[1])
+    convert_photograph(frame, tmp_path / "view.exr", square_pixel_frame(frame)[1])
     found = read_exr(tmp_path / "view.exr")["R"]
-    wide, scale = squared(frame)
+    wide, scale = square_pixel_frame(frame)
     x = (np.arange(wide.size[0]) + 0.5) / scale[0]  # of the straight photograph, before squaring
     y = (np.arange(wide.size[1]) + 0.5) / scale[1]
-    straight = straightened(frame)
+    straight = undistorted_frame(frame)
     u, v = (np.stack(np.meshgrid(x, y), axis=-1) - straight.center).T
-    bent = lens.bent(np.stack([u.T / FOCAL[0], v.T / FOCAL[1]], axis=-1))[..., 0] * FOCAL[0]
+    bent = lens.distort(np.stack([u.T / FOCAL[0], v.T / FOCAL[1]], axis=-1))[..., 0] * FOCAL[0]
     wanted = (bent + CENTER[0] - 0.5) / (WIDTH - 1) * 8
     np.testing.assert_allclose(found[3:-3, 3:-3], wanted[3:-3, 3:-3], atol=0.02)
     pixels = (srgb(ramp / 10) * 255 + 0.5).astype(np.uint8)
     Image.fromarray(np.stack([pixels] * 3, axis=-1)).save(tmp_path / "a.png")
-    convert(frame_of(lens, tmp_path / "a.png"), tmp_path / "view.exr", scale)
+    convert_photograph(frame_of(lens, tmp_path / "a.png"), tmp_path / "view.exr", scale)
     eight = read_exr(tmp_path / "view.exr")["R"]
     np.testing.assert_allclose(eight[3:-3, 3:-3], found[3:-3, 3:-3] / 10, atol=0.005)
 
@@ -205,12 +209,12 @@ def test_masks_and_pixels_that_cannot_be_used_go_along(tmp_path):
     mask[30:90, 50:130] = 255
     Image.fromarray(mask).save(tmp_path / "mask.png")
     frame = frame_of(lens, tmp_path / "a.exr", focal=(150.0, 150.0), mask=tmp_path / "mask.png")
-    found = convert(frame, tmp_path / "view.exr", squared(frame)[1])
+    found = convert_photograph(frame, tmp_path / "view.exr", square_pixel_frame(frame)[1])
     made = read_exr(tmp_path / "view.exr")
     assert found.invalid == 1 and found.masked
     rows, columns = np.nonzero(made["R"] == UNUSABLE)
-    place = straightened(frame)
-    seen = lens.straightened((np.array([60.5, 40.5]) - CENTER) / frame.focal)
+    place = undistorted_frame(frame)
+    seen = lens.undistort((np.array([60.5, 40.5]) - CENTER) / frame.focal)
     wanted = seen * place.focal + place.center - 0.5
     assert 1 <= len(rows) <= 9
     np.testing.assert_allclose([columns.mean(), rows.mean()], wanted, atol=1)

@@ -16,10 +16,10 @@ from support.helpers import projected
 
 from svu_mi.capture.image_io import open_picture
 from svu_mi.capture.importers import idr
-from svu_mi.capture.importers.idr import decomposed
+from svu_mi.capture.importers.idr import decompose_projection
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.registry import ReadOptions, read_source
-from svu_mi.capture.importers.resampling import fitted
+from svu_mi.capture.importers.resampling import with_size
 from svu_mi.capture.importers.source import Source
 from svu_mi.errors import CaptureError, OptionError, SvuError
 
@@ -172,7 +172,7 @@ def test_smaller_copies_of_llffs_photographs_are_chosen(tmp_path):
     assert {f.image.parent.name for f in read_source(folder).frames} == {"images"}
     small = read_source(folder, ReadOptions(images=folder / "images_4"))
     for frame, camera in zip(small.frames, CENTERED, strict=True):
-        frame = fitted(frame, open_picture(frame.image).size)
+        frame = with_size(frame, open_picture(frame.image).size)
         assert (frame.size, frame.focal, frame.center) == ((10, 6), (12.5, 12.5), (5.0, 3.0))
         wanted = camera.pixels(POINTS) / 4
         np.testing.assert_allclose(projected(frame, POINTS), wanted, atol=2e-3)
@@ -223,7 +223,7 @@ def test_packed_and_single_precision_cameras_are_read(tmp_path):
 def test_a_projection_is_taken_apart_whatever_its_factor():
     camera = SHIFTED[0]
     for factor in (1e-3, 1.0, 700.0):
-        K, pose = decomposed(factor * camera.world_mat[:3], "P")
+        K, pose = decompose_projection(factor * camera.world_mat[:3], "P")
         assert K[2, 2] == 1 and K[1, 0] == K[2, 0] == K[2, 1] == 0
         np.testing.assert_allclose([K[0, 0], K[1, 1]], camera.focal, rtol=1e-12)
         assert np.linalg.det(pose[:3, :3]) == pytest.approx(1, abs=1e-12)

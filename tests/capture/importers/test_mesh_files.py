@@ -22,13 +22,13 @@ from trimesh.visual.material import PBRMaterial, SimpleMaterial
 import svu_mi as svu
 from svu_mi.capture.image_io import open_picture, read_planes
 from svu_mi.capture.importers.axis_fixes import FIXES
-from svu_mi.capture.importers.convert_photographs import convert
+from svu_mi.capture.importers.convert_photographs import convert_photograph
 from svu_mi.capture.importers.envmap import write_environment
 from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
-from svu_mi.capture.importers.mesh_files import read_geometry
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.registry import FORMATS, ReadOptions, read_source
-from svu_mi.capture.importers.repair_normals import repaired
-from svu_mi.capture.importers.resampling import fitted, resampled, squared
+from svu_mi.capture.importers.repair_normals import repair_normals
+from svu_mi.capture.importers.resampling import average_area, square_pixel_frame, with_size
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENGL, Frame, Light, Source
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.photographs import CLIPPED, SATURATION, UNUSABLE
@@ -53,7 +53,7 @@ def quad(material: object | None = None, picture: np.ndarray = PICTURE) -> trime
 
 def upper_color(path) -> float:
     """The colour of the half with y > 0, looked up as Mitsuba does: row 0 is v = 0."""
-    geometry = read_geometry(path)
+    geometry = read_textured_mesh(path)
     top = geometry.mesh.positions[:, 1] > 0
     v = 0.75 * geometry.mesh.uvs[top, 1].mean() + 0.25 * geometry.mesh.uvs[~top, 1].mean()
     picture = geometry.textures["base_color"]
@@ -71,11 +71,11 @@ def test_ply_keeps_mitsubas_uvs_and_stl_has_none(tmp_path):
     mesh = quad()
     mesh.visual = trimesh.visual.TextureVisuals(mesh.visual.uv)
     mesh.export(tmp_path / "quad.ply", vertex_normal=True)
-    geometry = read_geometry(tmp_path / "quad.ply")
+    geometry = read_textured_mesh(tmp_path / "quad.ply")
     np.testing.assert_allclose(geometry.mesh.uvs, mesh.visual.uv, atol=1e-6)
     assert not geometry.textures and not geometry.notes
     mesh.export(tmp_path / "quad.stl")
-    geometry = read_geometry(tmp_path / "quad.stl")
+    geometry = read_textured_mesh(tmp_path / "quad.stl")
     assert geometry.mesh.uvs is None and len(geometry.mesh.faces) == 2
     np.testing.assert_allclose(geometry.mesh.normals, [[0, 0, 1]] * len(geometry.mesh.normals))
 
@@ -88,7 +88,7 @@ def test_parts_are_placed_and_mirrored_ones_face_outwards(tmp_path):
     mirrored[0, 3] = 5
     scene.add_geometry(ball, transform=mirrored)
     scene.export(tmp_path / "two.glb")
-    mesh = read_geometry(tmp_path / "two.glb").mesh
+    mesh = read_textured_mesh(tmp_path / "two.glb").mesh
     np.testing.assert_allclose(mesh.positions.min(axis=0), [-2, -2, -2], atol=1e-5)
     np.testing.assert_allclose(mesh.positions.max(axis=0), [6, 2, 2], atol=1e-5)
     whole = trimesh.Trimesh(mesh.positions, mesh.faces)
@@ -100,25 +100,25 @@ def test_parts_are_placed_and_mirrored_ones_face_outwards(tmp_path):
 def test_several_materials_are_refused_unless_geometry_will_do(tmp_path):
     trimesh.Scene([quad(picture=PICTURE + k) for k in (0, 1)]).export(tmp_path / "two.glb")
     with pytest.raises(MeshError, match="two.glb: has 2 materials.*--geometry-only"):
-        read_geometry(tmp_path / "two.glb")
-    geometry = read_geometry(tmp_path / "two.glb", geometry_only=True)
+        read_textured_mesh(tmp_path / "two.glb")
+    geometry = read_textured_mesh(tmp_path / "two.glb", geometry_only=True)
     assert geometry.mesh.uvs is None and "textures are left out" in geometry.notes[0]
     plain = [quad(PBRMaterial(baseColorFactor=color)) for color in ([9, 0, 0, 255], [0, 0, 9, 255])]
     trimesh.Scene(plain).export(tmp_path / "plain.glb")  # without pictures they do not matter
-    geometry = read_geometry(tmp_path / "plain.glb")
+    geometry = read_textured_mesh(tmp_path / "plain.glb")
     assert geometry.mesh.uvs is not None and not geometry.textures
 
 
 def test_normals_with_swapped_axes_are_computed_anew(tmp_path):
     ball = trimesh.creation.icosphere(subdivisions=3)
     good = MeshArrays(np.array(ball.vertices), np.array(ball.faces), np.array(ball.vertices), None)
-    kept, notes = repaired(good, "ball")
+    kept, notes = repair_normals(good, "ball")
     assert not notes
     np.testing.assert_allclose(kept.normals, good.normals, atol=1e-12)
-    swapped, notes = repaired(replace(good, normals=good.normals[:, [0, 2, 1]]), "ball")
+    swapped, notes = repair_normals(replace(good, normals=good.normals[:, [0, 2, 1]]), "ball")
     assert "contradict" in notes[0]
     assert np.einsum("ij,ij->i", swapped.normals, good.normals).min() > 0.99
-    turned, notes = repaired(replace(good, faces=good.faces[:, ::-1]), "ball")
+    turned, notes = repair_normals(replace(good, faces=good.faces[:, ::-1]), "ball")
     assert "inside out" in notes[0] and np.array_equal(turned.faces, good.faces)
 
 
@@ -126,7 +126,7 @@ def test_missing_normals_are_smooth_across_uv_seams(tmp_path):
     ball = trimesh.creation.uv_sphere(count=(24, 24))
     doubled = np.array(ball.triangles).reshape(-1, 3)  # every corner a vertex of its own
     faces = np.arange(len(doubled)).reshape(-1, 3)
-    mesh, _ = repaired(MeshArrays(doubled, faces, None, None), "ball")
+    mesh, _ = repair_normals(MeshArrays(doubled, faces, None, None), "ball")
     assert np.einsum("ij,ij->i", mesh.normals, doubled).min() > 0.99
 
 
@@ -160,14 +160,14 @@ GLTF = {
 @pytest.mark.parametrize("change", GLTF)
 def test_gltf_that_would_be_read_as_something_else(tmp_path, change):
     quad().export(tmp_path / "mesh.gltf")
-    read_geometry(tmp_path / "mesh.gltf")
+    read_textured_mesh(tmp_path / "mesh.gltf")
     record = json.loads((tmp_path / "mesh.gltf").read_text())
     change(record)
     (tmp_path / "mesh.gltf").write_text(json.dumps(record))
     with pytest.raises(MeshError, match=GLTF[change]):
-        read_geometry(tmp_path / "mesh.gltf")
+        read_textured_mesh(tmp_path / "mesh.gltf")
     if change in (quantised, moved):
-        read_geometry(tmp_path / "mesh.gltf", geometry_only=True)
+        read_textured_mesh(tmp_path / "mesh.gltf", geometry_only=True)
 
 
 def test_gltf_with_its_numbers_in_a_folder(tmp_path):
@@ -178,13 +178,13 @@ def test_gltf_with_its_numbers_in_a_folder(tmp_path):
         (tmp_path / buffer["uri"]).rename(tmp_path / "data" / f"my {buffer['uri']}")
         buffer["uri"] = f"data/my%20{buffer['uri']}"
     (tmp_path / "mesh.gltf").write_text(json.dumps(record))
-    assert len(read_geometry(tmp_path / "mesh.gltf").mesh.faces) == 320
+    assert len(read_textured_mesh(tmp_path / "mesh.gltf").mesh.faces) == 320
 
 
 def test_vertices_of_no_triangle_are_left_out(tmp_path):
     points = np.vstack([[1e6, 0, 0], quad().vertices])
     trimesh.Trimesh(points, quad().faces + 1, process=False).export(tmp_path / "mesh.ply")
-    mesh = read_geometry(tmp_path / "mesh.ply").mesh
+    mesh = read_textured_mesh(tmp_path / "mesh.ply").mesh
     assert np.array_equal(mesh.positions, points[1:])
     assert np.array_equal(mesh.faces, quad().faces)
 
@@ -198,7 +198,7 @@ def test_ply_with_a_texture_has_v_upwards(tmp_path):
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "paint.png")
     text = text.replace("element vertex", "comment TextureFile paint.png\nelement vertex")
     (tmp_path / "mesh.ply").write_text(text)
-    geometry = read_geometry(tmp_path / "mesh.ply")
+    geometry = read_textured_mesh(tmp_path / "mesh.ply")
     assert set(geometry.textures) == {"base_color"}
     np.testing.assert_allclose(geometry.mesh.uvs, [0, 1] + uvs * [1, -1])
 
@@ -225,7 +225,7 @@ def test_eight_bits_are_decoded_and_clipped_channels_marked(tmp_path):
     pixels = np.full((4, 6, 3), 128, np.uint8)
     pixels[1, 2] = (255, 10, 10)
     photo = tmp_path / "photo.png"
-    found = convert(photograph(photo, pixels), tmp_path / "view.exr", (1, 1))
+    found = convert_photograph(photograph(photo, pixels), tmp_path / "view.exr", (1, 1))
     image = read_exr(tmp_path / "view.exr")
     assert found.bits == 8 and found.saturated == 1 and not found.masked and "A" not in image
     assert image["R"][0, 0] == pytest.approx(0.2158605, rel=1e-3)  # half floats
@@ -233,7 +233,9 @@ def test_eight_bits_are_decoded_and_clipped_channels_marked(tmp_path):
     assert image["G"][1, 2] == pytest.approx((10 / 255) / 12.92, rel=1e-3)
     header = open_picture(tmp_path / "view.exr").header.attributes
     assert header[SATURATION] == pytest.approx(((0.98 + 0.055) / 1.055) ** 2.4, rel=1e-5)
-    convert(photograph(photo, pixels, transfer="gamma 2.2"), tmp_path / "view.exr", (1, 1))
+    convert_photograph(
+        photograph(photo, pixels, transfer="gamma 2.2"), tmp_path / "view.exr", (1, 1)
+    )
     assert read_exr(tmp_path / "view.exr")["R"][0, 0] == pytest.approx((128 / 255) ** 2.2, rel=1e-3)
     header = open_picture(tmp_path / "view.exr").header.attributes
     assert header[SATURATION] == pytest.approx(0.98**2.2, rel=1e-5)
@@ -242,7 +244,7 @@ def test_eight_bits_are_decoded_and_clipped_channels_marked(tmp_path):
 def test_a_pixel_that_is_made_of_clipped_ones_and_others_is_not_usable(tmp_path):
     pixels = np.full((4, 8, 3), 128, np.uint8)
     pixels[:, 3:] = 255  # columns 1 (of 2 and 3) and 2, 3 of half as many
-    convert(photograph(tmp_path / "photo.png", pixels), tmp_path / "view.exr", (0.5, 1))
+    convert_photograph(photograph(tmp_path / "photo.png", pixels), tmp_path / "view.exr", (0.5, 1))
     red = read_exr(tmp_path / "view.exr")["R"]
     np.testing.assert_array_equal(red[:, 1], UNUSABLE)
     np.testing.assert_array_equal(red[:, 2:], CLIPPED)
@@ -257,18 +259,18 @@ def test_masks_from_files_and_alpha_both_count(tmp_path):
     mask[3, 3] = 0
     Image.fromarray(mask).save(tmp_path / "mask.png")
     given = photograph(tmp_path / "photo.png", pixels, mask=tmp_path / "mask.png")
-    assert convert(given, tmp_path / "view.exr", (1, 1)).masked
+    assert convert_photograph(given, tmp_path / "view.exr", (1, 1)).masked
     alpha = read_exr(tmp_path / "view.exr")["A"]
     assert alpha[0, 0] == alpha[3, 3] == 0 and alpha.sum() == 14
     Image.fromarray(mask[:2]).save(tmp_path / "mask.png")
     with pytest.raises(CaptureError, match="mask.png: the mask has 4 x 2"):
-        convert(given, tmp_path / "view.exr", (1, 1))
+        convert_photograph(given, tmp_path / "view.exr", (1, 1))
 
 
 @pytest.mark.parametrize("scale", [(1.0, 0.5), (0.371, 0.62), (1 / 3, 1.0)])
 def test_pixels_are_averaged_over_their_area(scale):
     image = np.random.default_rng(SEED).random((12, 15, 2)).astype(np.float32)
-    found = resampled(image, scale)
+    found = average_area(image, scale)
     wanted = overlap(12, scale[1]) @ np.moveaxis(overlap(15, scale[0]) @ image, 2, 0)
     np.testing.assert_allclose(found, np.moveaxis(wanted, 0, 2), atol=1e-6)
 
@@ -288,15 +290,15 @@ def test_cameras_follow_their_photographs(tmp_path):
     given = photograph(tmp_path / "a.png", black, focal=(80.0, 50.0), center=(31.0, 17.0))
     rays = pixel_rays(given)
     for shrink in (1.0, 1.7):
-        square, scale = squared(given, shrink)
+        square, scale = square_pixel_frame(given, shrink)
         assert square.has_square_pixels and square.size == (int(60 * scale[0]), int(40 * scale[1]))
         np.testing.assert_allclose(pixel_rays(square), rays, atol=1e-12)
-    half = fitted(given, (30, 20))
+    half = with_size(given, (30, 20))
     np.testing.assert_allclose(pixel_rays(half), rays, atol=1e-12)
     with pytest.raises(CaptureError, match="another aspect ratio"):
-        fitted(given, (30, 30))
+        with_size(given, (30, 30))
     with pytest.raises(OptionError, match="shrinking by|to shrink"):
-        squared(given, 0.5)
+        square_pixel_frame(given, 0.5)
 
 
 def pixel_rays(frame: Frame) -> np.ndarray:
@@ -328,7 +330,7 @@ MASKS = {
 def test_masks_of_all_kinds(tmp_path, kind):
     MASKS[kind](tmp_path / "mask.png")
     frame = photograph(tmp_path / "photo.png", mask=tmp_path / "mask.png")
-    assert not convert(frame, tmp_path / "view.exr", (1, 1)).empty
+    assert not convert_photograph(frame, tmp_path / "view.exr", (1, 1)).empty
     assert np.array_equal(read_exr(tmp_path / "view.exr")["A"] == 1, LEFT)
 
 
@@ -350,7 +352,7 @@ def test_clipped_pixels_of_the_background_are_not_counted(tmp_path):
     white = np.full_like(GREY, 255)
     white[:, 1:17] = 90
     frame = photograph(tmp_path / "photo.png", white, mask=tmp_path / "mask.png")
-    assert convert(frame, tmp_path / "view.exr", (1, 1)).saturated == len(GREY)
+    assert convert_photograph(frame, tmp_path / "view.exr", (1, 1)).saturated == len(GREY)
 
 
 @pytest.mark.parametrize("shrink", [1.0, 1.9])
@@ -358,7 +360,7 @@ def test_memory_of_a_photograph_is_bounded(tmp_path, shrink):
     side = 768
     frame = photograph(tmp_path / "photo.png", np.full((side, side, 3), 90, np.uint8))
     tracemalloc.start()
-    convert(frame, tmp_path / "view.exr", squared(frame, shrink)[1])
+    convert_photograph(frame, tmp_path / "view.exr", square_pixel_frame(frame, shrink)[1])
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 48 * side * side

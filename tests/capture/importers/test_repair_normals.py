@@ -15,8 +15,8 @@ from trimesh.visual.material import PBRMaterial
 import svu_mi as svu
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
-from svu_mi.capture.importers.mesh_files import read_geometry
-from svu_mi.capture.importers.repair_normals import CREASE, DENSE, repaired
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
+from svu_mi.capture.importers.repair_normals import CREASE, DENSE, repair_normals
 from svu_mi.capture.importers.source import Frame, Light, Source
 from svu_mi.capture.load_warnings import has_front_outside, part_from_behind
 from svu_mi.capture.mesh import MeshArrays, arrays
@@ -37,7 +37,7 @@ def corner_cosines(mesh: MeshArrays) -> np.ndarray:
 
 def test_a_box_without_normals_keeps_its_edges(tmp_path):
     trimesh.creation.box().export(tmp_path / "box.obj", include_normals=False)
-    geometry = read_geometry(tmp_path / "box.obj")
+    geometry = read_textured_mesh(tmp_path / "box.obj")
     np.testing.assert_allclose(corner_cosines(geometry.mesh), 1, atol=1e-12)
     assert len(geometry.mesh.positions) == 24 and len(geometry.mesh.faces) == 12
     sentence = "box.obj: normals are computed; edges of more than 40 degrees are kept sharp."
@@ -51,7 +51,7 @@ def test_a_ply_keeps_its_own_normals(tmp_path, encoding):
     own /= np.linalg.norm(own, axis=1, keepdims=True)
     ball.vertex_normals = own
     ball.export(tmp_path / "ball.ply", vertex_normal=True, encoding=encoding)
-    found = read_geometry(tmp_path / "ball.ply")
+    found = read_textured_mesh(tmp_path / "ball.ply")
     np.testing.assert_allclose(found.mesh.positions, ball.vertices, atol=1e-6)
     np.testing.assert_allclose(found.mesh.normals, own, atol=1e-6)
     assert not found.notes
@@ -59,7 +59,7 @@ def test_a_ply_keeps_its_own_normals(tmp_path, encoding):
 
 @pytest.mark.parametrize("sides", [6, 8, 10, 32])
 def test_a_cylinder_is_round_where_its_sides_meet_flatly(sides):
-    mesh, _ = repaired(buffers(trimesh.creation.cylinder(1, 2, sections=sides)), "cylinder")
+    mesh, _ = repair_normals(buffers(trimesh.creation.cylinder(1, 2, sections=sides)), "cylinder")
     side = np.abs(mesh.normals[:, 2]) < 0.5
     round_ = mesh.positions[side, :2] / np.linalg.norm(mesh.positions[side, :2], axis=1)[:, None]
     cosine = np.einsum("ni,ni->n", mesh.normals[side, :2], round_)
@@ -73,7 +73,7 @@ def test_a_cylinder_is_round_where_its_sides_meet_flatly(sides):
 def test_uvs_go_along_and_nothing_is_moved():
     box = trimesh.creation.box()
     given = replace(buffers(box), uvs=np.array(box.vertices)[:, :2] + 0.5)
-    mesh, _ = repaired(given, "box")
+    mesh, _ = repair_normals(given, "box")
     np.testing.assert_array_equal(mesh.positions[mesh.faces], given.positions[given.faces])
     np.testing.assert_array_equal(mesh.uvs[mesh.faces], given.uvs[given.faces])
 
@@ -81,11 +81,14 @@ def test_uvs_go_along_and_nothing_is_moved():
 def test_smooth_meshes_get_no_more_vertices_and_damaged_triangles_no_edges():
     ball = buffers(trimesh.creation.icosphere(subdivisions=3))
     sliver = np.concatenate([ball.faces, [[0, 0, 1], [5, 5, 5]]])
-    for mesh, notes in (repaired(ball, "ball"), repaired(replace(ball, faces=sliver), "ball")):
+    for mesh, notes in (
+        repair_normals(ball, "ball"),
+        repair_normals(replace(ball, faces=sliver), "ball"),
+    ):
         assert len(mesh.positions) == len(ball.positions) and not notes
         assert np.einsum("ni,ni->n", mesh.normals, mesh.positions).min() > 0.999
     twice = np.concatenate([ball.faces, ball.faces])  # every edge has four triangles
-    mesh, _ = repaired(replace(ball, faces=twice), "ball")
+    mesh, _ = repair_normals(replace(ball, faces=twice), "ball")
     assert len(mesh.positions) == len(ball.positions)
 
 
@@ -93,7 +96,9 @@ def test_the_two_sides_of_a_sheet_do_not_cancel():
     """Each triangle once more, from behind, on the same vertices."""
     grid = buffers(trimesh.creation.icosphere(subdivisions=2))
     front = grid.faces[grid.positions[grid.faces].mean(axis=1)[:, 2] > 0.2]
-    mesh, notes = repaired(replace(grid, faces=np.concatenate([front, front[:, ::-1]])), "sheet")
+    mesh, notes = repair_normals(
+        replace(grid, faces=np.concatenate([front, front[:, ::-1]])), "sheet"
+    )
     assert corner_cosines(mesh).min() > 0.9 and "kept sharp" in notes[0]
 
 
@@ -107,7 +112,7 @@ def shaken(mesh: trimesh.Trimesh, part: float) -> MeshArrays:
 @pytest.mark.parametrize("part", [0.2, 0.3])
 def test_a_noisy_scan_is_smoothed_all_over(part):
     """Creases would keep its noise: 31 degrees instead of 20, on average."""
-    mesh, notes = repaired(shaken(trimesh.creation.icosphere(subdivisions=5), part), "scan")
+    mesh, notes = repair_normals(shaken(trimesh.creation.icosphere(subdivisions=5), part), "scan")
     assert notes == [
         "scan: normals are computed; the surface is too noisy to tell edges from noise, so none is "
         "kept sharp."
@@ -131,7 +136,7 @@ def test_dense_parts_that_were_designed_stay_sharp(kind):
     parts = [part.copy().apply_translation([3 * k, 0, 0]) for k in range(count)]
     given = shaken(trimesh.util.concatenate(parts), 1e-4)
     assert len(given.faces) > DENSE
-    mesh, notes = repaired(given, "part")
+    mesh, notes = repair_normals(given, "part")
     assert notes == ["part: normals are computed; edges of more than 40 degrees are kept sharp."]
     assert corner_cosines(mesh).min() > 0.9
 
@@ -139,7 +144,7 @@ def test_dense_parts_that_were_designed_stay_sharp(kind):
 def test_right_normals_of_a_mesh_that_is_inside_out_are_kept():
     ball = buffers(trimesh.creation.icosphere(subdivisions=2))
     given = replace(ball, faces=ball.faces[:, ::-1], normals=ball.positions)
-    mesh, notes = repaired(given, "ball")
+    mesh, notes = repair_normals(given, "ball")
     assert notes == ["ball: the surface was inside out; its triangles are flipped."]
     np.testing.assert_allclose(mesh.normals, ball.positions, atol=1e-12)
 
@@ -345,8 +350,8 @@ def test_what_a_gltf_has_that_is_ignored_is_said(tmp_path, material, named):
         f"{path}: has {named}, left out: the object is taken to have a base colour, roughness and "
         "metallic only, and the normals of its mesh."
     )
-    assert sentence in read_geometry(path).notes
-    assert sentence not in read_geometry(path, geometry_only=True).notes
+    assert sentence in read_textured_mesh(path).notes
+    assert sentence not in read_textured_mesh(path, geometry_only=True).notes
 
 
 def test_a_bump_map_of_an_obj_is_said_too(tmp_path):
@@ -358,13 +363,13 @@ def test_a_bump_map_of_an_obj_is_said_too(tmp_path):
         "mtllib scan.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\n"
         "f 1/1 2/2 3/3\n"
     )
-    assert read_geometry(tmp_path / "scan.obj").notes == [
+    assert read_textured_mesh(tmp_path / "scan.obj").notes == [
         f"{tmp_path / 'scan.obj'}: has a bump map, a normal map, left out: the object is taken to "
         "have a base colour, roughness and metallic only, and the normals of its mesh."
     ]
-    assert not read_geometry(tmp_path / "scan.obj", geometry_only=True).notes[1:]
+    assert not read_textured_mesh(tmp_path / "scan.obj", geometry_only=True).notes[1:]
 
 
 def test_a_plain_gltf_leaves_nothing_to_say(tmp_path):
     plain = painted(tmp_path, alphaMode="OPAQUE", doubleSided=True, emissiveFactor=[0, 0, 0])
-    assert not read_geometry(plain).notes
+    assert not read_textured_mesh(plain).notes

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from svu_mi.capture.importers.source_files import inside
+from svu_mi.capture.importers.source_files import safe_path
 from svu_mi.errors import CaptureError
 
 GOOD = {
@@ -22,17 +22,17 @@ NO_NAME = [
 
 @pytest.mark.parametrize("name", GOOD)
 def test_a_file_inside(name):
-    assert inside(Path("root"), name, "frame 3") == Path("root", GOOD[name])
+    assert safe_path(Path("root"), name, "frame 3") == Path("root", GOOD[name])
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_a_file_outside(name):
     with pytest.raises(CaptureError, match="frame 3: .* lies outside root; move"):
-        inside(Path("root"), name, "frame 3")
+        safe_path(Path("root"), name, "frame 3")
 
 
 @pytest.mark.parametrize("name", NO_NAME, ids=range(len(NO_NAME)))
 def test_no_name_at_all(name):
     with pytest.raises(CaptureError, match="frame 3: .*name") as error:
-        inside(Path("root"), name, "frame 3")
+        safe_path(Path("root"), name, "frame 3")
     assert len(str(error.value)) < 120 and str(error.value).isascii()

@@ -22,7 +22,7 @@ from svu_mi.capture.importers.colmap.sparse_model import (
     read_model,
 )
 from svu_mi.capture.importers.source import OPENCV, Frame, Source
-from svu_mi.capture.importers.source_files import folder_of, inside, mask_of, no_folder
+from svu_mi.capture.importers.source_files import find_folder, find_mask, missing_folder, safe_path
 from svu_mi.capture.sensors import affine
 from svu_mi.errors import CaptureError, excerpt
 
@@ -105,11 +105,11 @@ def read_project(
     if model is None:
         raise CaptureError(f"{path}: not a COLMAP model; expected cameras.bin or .txt in sparse/0.")
     cameras, views = read_model(model)
-    images = folder_of(IMAGES, images, _near(model, IMAGES))
+    images = find_folder(IMAGES, images, _near(model, IMAGES))
     if images is None:
-        raise no_folder(IMAGES, model / IMAGES)
-    masks = folder_of(MASKS, masks, _near(model, MASKS))
-    files = [inside(images, view.name, _label(model, view)) for view in views]
+        raise missing_folder(IMAGES, model / IMAGES)
+    masks = find_folder(MASKS, masks, _near(model, MASKS))
+    files = [safe_path(images, view.name, _label(model, view)) for view in views]
     missing = [file for file in files if not file.is_file()]
     if missing and not (partly and len(missing) < len(files)):
         raise CaptureError(
@@ -122,7 +122,7 @@ def read_project(
         views=views,
         images=images,
         photographs=files,
-        masks=[None if masks is None else mask_of(masks, f.relative_to(images)) for f in files],
+        masks=[None if masks is None else find_mask(masks, f.relative_to(images)) for f in files],
     )
 
 

@@ -37,7 +37,7 @@ FOCAL_LENGTHS = {
     "FULL_OPENCV": 2, "SIMPLE_DIVISION": 1, "DIVISION": 2,
 }  # fmt: skip
 # What the parameters behind the centre are, of lenses that are straightened here.
-BENT = {
+COEFFICIENTS = {
     "SIMPLE_RADIAL": ("k1",), "RADIAL": ("k1", "k2"), "OPENCV": ("k1", "k2", "p1", "p2"),
     "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3"),  # if the others, k4 to k6, are zero
 }  # fmt: skip
@@ -63,7 +63,7 @@ class ColmapCamera:
     @property
     def is_pinhole(self) -> bool:
         """Whether straight lines stay straight."""
-        return self.model in FOCAL_LENGTHS and not any(self.bends)
+        return self.model in FOCAL_LENGTHS and not any(self.distortion)
 
     @property
     def intrinsics(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -73,16 +73,16 @@ class ColmapCamera:
         return (focal[0], focal[-1]), (center[0], center[1])
 
     @property
-    def bends(self) -> tuple[float, ...]:
+    def distortion(self) -> tuple[float, ...]:
         """Distortion, of a model in ``FOCAL_LENGTHS``."""
         return self.parameters[FOCAL_LENGTHS[self.model] + 2 :]
 
     def lens(self) -> Lens | None:
         """Return the lens if it bends lines and is of our model, else None."""
-        names = BENT.get(self.model, ())
-        if not names or self.is_pinhole or any(self.bends[len(names) :]):
+        names = COEFFICIENTS.get(self.model, ())
+        if not names or self.is_pinhole or any(self.distortion[len(names) :]):
             return None
-        return Lens(**dict(zip(names, self.bends, strict=False)))
+        return Lens(**dict(zip(names, self.distortion, strict=False)))
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _finite(values: Sequence[float]) -> tuple[float, ...]:
     return tuple(values)
 
 
-class _Records:
+class _BinaryReader:
     """Values of a binary file, one after the other, little-endian."""
 
     def __init__(self, data: mmap.mmap) -> None:
@@ -197,7 +197,7 @@ class _Records:
 
 
 @contextlib.contextmanager
-def _damage_of(path: Path) -> Iterator[None]:
+def _parser_errors(path: Path) -> Iterator[None]:
     """Turn parser errors into a CaptureError of a file."""
     try:
         yield
@@ -206,9 +206,9 @@ def _damage_of(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _records(path: Path) -> Iterator[_Records]:
+def _records(path: Path) -> Iterator[_BinaryReader]:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        records = _Records(data)
+        records = _BinaryReader(data)
         yield records
         if records.left:
             raise ValueError(f"the file has {records.left} bytes too many")
@@ -216,7 +216,7 @@ def _records(path: Path) -> Iterator[_Records]:
 
 def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
     cameras, models = {}, list(PARAMETERS)
-    with _damage_of(path), _records(path) as records:
+    with _parser_errors(path), _records(path) as records:
         for _ in range(records.take("Q")[0]):  # a damaged count ends with the file
             number, model, width, height = records.take("IiQQ")
             if not 0 <= model < len(models):
@@ -228,7 +228,7 @@ def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def _read_views(path: Path) -> list[ImagePose]:
     views = []
-    with _damage_of(path), _records(path) as records:
+    with _parser_errors(path), _records(path) as records:
         for _ in range(records.take("Q")[0]):
             _, *pose, camera = records.take("I7dI")
             views.append(ImagePose(records.text(), camera, _finite(pose[:4]), _finite(pose[4:])))
@@ -238,8 +238,8 @@ def _read_views(path: Path) -> list[ImagePose]:
 
 def _parse_cameras(path: Path) -> dict[int, ColmapCamera]:
     cameras = {}
-    with _damage_of(path), path.open(encoding="utf-8") as lines:
-        for line in filter(_is_told, lines):
+    with _parser_errors(path), path.open(encoding="utf-8") as lines:
+        for line in filter(_has_content, lines):
             number, model, width, height, *values = _fields(line, CAMERA_FIELDS, -1)
             if model not in PARAMETERS:
                 raise ValueError(f"camera model {model!r} is unknown")
@@ -250,8 +250,8 @@ def _parse_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def _parse_views(path: Path) -> list[ImagePose]:
     views = []
-    with _damage_of(path), path.open(encoding="utf-8") as lines:
-        for line in filter(_is_told, lines):
+    with _parser_errors(path), path.open(encoding="utf-8") as lines:
+        for line in filter(_has_content, lines):
             _, *fields, camera, name = _fields(line.strip(), VIEW_FIELDS, len(VIEW_FIELDS) - 1)
             if len(name) > LONGEST_NAME:
                 raise ValueError("a name has no end")
@@ -263,7 +263,7 @@ def _parse_views(path: Path) -> list[ImagePose]:
     return views
 
 
-def _is_told(line: str) -> bool:
+def _has_content(line: str) -> bool:
     return not line.lstrip().startswith("#") and not line.isspace()
 
 

@@ -1,6 +1,6 @@
 """Straight lines for COLMAP's distorted cameras: photographs and masks resampled by pycolmap.
 
-Only for lenses that are not of OpenCV's model (``formats.lenses``), such as fisheyes.
+Only for lenses that are not of OpenCV's model (``lens_distortion``), such as fisheyes.
 
 It runs in a process of its own: it aborts on what it does not expect, and its copy of zlib must
 not meet that of Pillow. It gets nothing but a model with the cameras and poses that were read
@@ -28,7 +28,7 @@ from svu_mi.capture.importers.colmap.sparse_model import (
     read_model,
     write_model,
 )
-from svu_mi.capture.importers.resampling import straightened
+from svu_mi.capture.importers.resampling import undistorted_frame
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.photographs import read_mask
 from svu_mi.core.io.files import prepare_folder
@@ -69,18 +69,18 @@ def undistort(
         scratch, made = Path(name), Path(name) / "made"
         made.mkdir()
         masked = []
-        for view, file, found in zip(views, project.photographs, project.masks, strict=True):
-            mask = _checked(cameras[view.camera], file, found)
+        for view, file, given in zip(views, project.photographs, project.masks, strict=True):
+            mask = _read_mask(cameras[view.camera], file, given)
             if mask is not None:
                 masked.append(replace(view, name=f"{view.name}.png"))
                 file = scratch / MASKS / masked[-1].name
                 file.parent.mkdir(parents=True, exist_ok=True)
                 Image.fromarray(mask).save(file)
-        straight = _straightened(cameras, views, project.images, scratch / "photographs")
+        straight = _run_pycolmap(cameras, views, project.images, scratch / "photographs")
         (straight / IMAGES).rename(made / IMAGES)
         (straight / "sparse").rename(made / "sparse")
         if masked:
-            straight = _straightened(cameras, masked, scratch / MASKS, scratch / "shapes")
+            straight = _run_pycolmap(cameras, masked, scratch / MASKS, scratch / "shapes")
             (straight / IMAGES).rename(made / MASKS)
         made.replace(place)
     return output
@@ -92,13 +92,13 @@ def _require_one_to_one(camera: ColmapCamera, label: str) -> None:
     if lens is None:
         return
     focal, center = camera.intrinsics
-    straightened(Frame(
+    undistorted_frame(Frame(
         label=label, image=Path(), to_world=np.eye(4), focal=focal, center=center,
         size=(camera.width, camera.height), lens=lens,
     ))  # fmt: skip
 
 
-def _checked(camera: ColmapCamera, file: Path, mask: Path | None) -> np.ndarray | None:
+def _read_mask(camera: ColmapCamera, file: Path, mask: Path | None) -> np.ndarray | None:
     """Read a photograph and return its mask, (H, W) uint8."""
     if file.suffix.lower() not in KINDS:
         raise CaptureError(
@@ -117,7 +117,7 @@ def _checked(camera: ColmapCamera, file: Path, mask: Path | None) -> np.ndarray 
     return None if given is None else quantized(given)
 
 
-def _straightened(
+def _run_pycolmap(
     cameras: Mapping[int, ColmapCamera], views: Sequence[ImagePose], pictures: Path, output: Path
 ) -> Path:
     """Run pycolmap; return its folder with ``images`` and ``sparse``."""

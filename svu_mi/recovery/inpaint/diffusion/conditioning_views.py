@@ -1,4 +1,4 @@
-"""Pictures to ask a model about: where from, what they show, and how texels get their answer.
+"""Views that condition a diffusion model, and the transfer of its maps to texels.
 
 Of texels that photographs show, but do not determine, the pictures are these photographs: they
 have the evidence that the paper gives the model, too. A texel that no photograph shows needs
@@ -22,28 +22,28 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import film_size, scaled_sensor, sensors_like, windowed_sensor
 from svu_mi.capture.tonemap import Look, alone, exposure, resized
-from svu_mi.core.arrays import owned
+from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.packed_views import LARGEST_FILM, Views, pack_sensors
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.inpaint.diffusion.model_interface import Picture
+from svu_mi.recovery.inpaint.diffusion.model_interface import ModelInput
 from svu_mi.recovery.relighting import relight
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-AROUND = 100  # views on a sphere, of which some are rendered
+CANDIDATES = 100  # candidate views on a sphere
 STEEPEST = 0.3  # cosine to the camera, below which a view does not show a texel well
-JUDGED = 2**16  # texels that views are chosen by, at most
-WORTH = 0.01  # part of what is wanted that a view has to add
+COVERED_TEXELS = 2**16  # texels by which views are chosen, at most
+LEAST_ADDED = 0.01  # least part of the holes that a view adds
 SPP = 64  # of a render
 MARGIN = 0.06  # around it, in parts of its size
-WHOLE = 0.999  # part of a pixel that is known, above which all of it is
+KNOWN_PIXEL = 0.999  # known part above which a pixel counts as known
 
 
 @dataclass(frozen=True)
-class Shots:
-    """Views of one kind that pictures can be had from.
+class ConditioningViews:
+    """Candidate views of one kind: photographs, or renders.
 
     Attributes:
         capture: the ``Capture``.
@@ -60,10 +60,10 @@ class Shots:
 
     @cached_property
     def sensors(self) -> tuple[Any, ...]:
-        """Where pictures can be had from."""
+        """Sensors of the candidate views."""
         capture = self.capture
         if self.photographs is None:
-            return sensors_like(capture.used_sensors or capture.sensors, capture.shape, AROUND)
+            return sensors_like(capture.used_sensors or capture.sensors, capture.shape, CANDIDATES)
         return tuple(capture.sensors[view] for view in self.photographs)
 
     def name(self, place: int) -> str:
@@ -72,27 +72,25 @@ class Shots:
             return str(self.sensors[place].id())
         return self.capture.names[self.photographs[place]]
 
-    def cover(self, wanted: np.ndarray, most: int) -> list[int]:
-        """Return the numbers of some places that together show what is wanted: each adds more
-        than any other would.
-        """
-        texels = np.flatnonzero(wanted)
-        texels = texels[:: -(-len(texels) // JUDGED) or 1]
-        surface = TexelLanes.of(self.field.texels, owned(mi.UInt32, texels.astype(np.uint32)))
+    def choose_views(self, holes: np.ndarray, max_views: int) -> list[int]:
+        """Choose views that show the ``holes``, greedily; return their indices."""
+        texels = np.flatnonzero(holes)
+        texels = texels[:: -(-len(texels) // COVERED_TEXELS) or 1]
+        surface = TexelLanes.of(self.field.texels, to_drjit(mi.UInt32, texels.astype(np.uint32)))
         views = pack_sensors(self.capture.scene, self.capture.shape, self.sensors)
-        shown = np.array([_shown(views, surface, k) for k in range(views.number)])
+        shown = np.array([_well_seen(views, surface, k) for k in range(views.number)])
         chosen: list[int] = []
-        while len(chosen) < most:
-            gains = shown.sum(axis=1)
-            best = int(gains.argmax())
-            if gains[best] <= WORTH * len(texels):
+        while len(chosen) < max_views:
+            added = shown.sum(axis=1)
+            best = int(added.argmax())
+            if added[best] <= LEAST_ADDED * len(texels):
                 break
             chosen.append(best)
             shown = shown & ~shown[best]
         return chosen
 
-    def picture(self, place: int, values: np.ndarray, known: np.ndarray, seed: int) -> Picture:
-        """Return what a model is given of a place."""
+    def input_of(self, place: int, values: np.ndarray, known: np.ndarray, seed: int) -> ModelInput:
+        """Return the input of a model for one view."""
         sensor, part = self._framed(place)
         textures = self.field.laid(values)
         maps, usable = self._maps(sensor, textures, known), self._usable(sensor)
@@ -102,25 +100,25 @@ class Shots:
             photograph = self.capture.images[self.photographs[place]]
             shown = resized(photograph[part], film_size(sensor))
         white = exposure(shown, usable)
-        return Picture(
+        return ModelInput(
             # What holds no radiance is mostly what was too bright.
             photograph=np.clip(np.nan_to_num(shown / white, nan=1.0), 0, 1).astype(np.float32),
-            certain=usable & (maps.pop("known") > WHOLE), maps=maps, sensor=sensor,
+            certain=usable & (maps.pop("known") > KNOWN_PIXEL), maps=maps, sensor=sensor,
         )  # fmt: skip
 
-    def carried(
+    def to_texels(
         self, sensor: Any, maps: Mapping[str, np.ndarray]
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return what maps of a picture say of texels."""
+        """Return the values of texels in maps of a view, and which texels it shows well."""
         surface, views = TexelLanes.of(self.field.texels), self._packed(sensor)
-        seen = _shown(views, surface, 0)
-        found = {}
+        seen = _well_seen(views, surface, 0)
+        values = {}
         for name, image in maps.items():
             color = np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
-            one = replace(views, pixels=owned(mi.Float, color.astype(np.float32).ravel()))
-            shown = sample_visible(one, surface, dr.opaque(mi.UInt32, 0), owned(mi.Bool, seen))
-            found[name] = np.array(shown.radiance)[: CHANNELS[name]]
-        return found, seen
+            at = replace(views, pixels=to_drjit(mi.Float, color.astype(np.float32).ravel()))
+            shown = sample_visible(at, surface, dr.opaque(mi.UInt32, 0), to_drjit(mi.Bool, seen))
+            values[name] = np.array(shown.radiance)[: CHANNELS[name]]
+        return values, seen
 
     def _framed(self, place: int) -> tuple[Any, tuple[slice, slice]]:
         """Return a sensor that sees a square around the object, of which a model sees more then,
@@ -172,7 +170,7 @@ class Shots:
         return maps
 
 
-def _shown(views: Views, surface: TexelLanes, number: int) -> np.ndarray:
-    """Return (t,) bool, the texels that a view shows well."""
+def _well_seen(views: Views, surface: TexelLanes, number: int) -> np.ndarray:
+    """Return (t,) bool, texels that a view shows at no grazing angle."""
     seen = sample_view(views, surface, dr.opaque(mi.UInt32, number))
     return np.array(seen.seen & (seen.cosine > dr.opaque(mi.Float, STEEPEST)))

@@ -1,15 +1,15 @@
-"""Fill what nobody knows by a diffusion model, between what is known (Sec. 5.3 of the paper).
+"""Filling of unknown texels by a diffusion model (Sec. 5.3 of the paper).
 
-In one view after the other, the model invents maps that agree with what is certain there
-(``model.blend``); texels take their values from the first view that shows them well, and are what
-later views have to agree with. What the model makes of a texel counts by its precision, beside
-what the photographs say of that texel by theirs:
+In one view after the other, the model predicts maps that agree with certain pixels
+(``latent_diffusion.blend``); texels take their values from the first view that shows them well,
+and later views have to agree with these. Values of model and photographs are averaged, weighted by
+their precisions:
 
     x = (x_p / s_p^2 + x_m / s_m^2) / (1 / s_p^2 + 1 / s_m^2)
 
-s_m is found out on the object itself: parts of what is certain are hidden, guessed in the same
-way, and compared. What no view shows well is filled by symmetry (``fill.py``), and so
-are the pictures that the model is shown where it has not been yet.
+s_m is measured on the object itself: certain parts are hidden, predicted in the same way, and
+compared. What no view shows well is filled by symmetry (``fill.py``), and so are the pictures that
+the model gets where it has not been yet.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.inpaint.cross_validation import hidden_parts
-from svu_mi.recovery.inpaint.diffusion.conditioning_views import Shots
+from svu_mi.recovery.inpaint.cross_validation import holdout_masks
+from svu_mi.recovery.inpaint.diffusion.conditioning_views import ConditioningViews
 from svu_mi.recovery.inpaint.diffusion.load_weights import load_model
-from svu_mi.recovery.inpaint.diffusion.model_interface import DiffusionOptions, Inventor
-from svu_mi.recovery.inpaint.fill import by_likeness, fill, variance
-from svu_mi.recovery.inpaint.fill_result import Answer, Filled, Filling, Invented, Source
-from svu_mi.recovery.inpaint.texel_hierarchy import Ground
+from svu_mi.recovery.inpaint.diffusion.model_interface import DiffusionOptions, MaterialModel
+from svu_mi.recovery.inpaint.fill import fill, filled_values, variance_of
+from svu_mi.recovery.inpaint.fill_result import Answer, Filled, Fusion, ImageSource, ModelReport
+from svu_mi.recovery.inpaint.texel_hierarchy import TexelGraph
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a model is asked about.
+    """Texels to fill by a model.
 
     Attributes:
         values: (N, T), the textures so far.
-        known: (T,) bool, texels that stay as they are.
-        wanted: (T,) bool, texels that the model is asked about.
+        known: (T,) bool, texels to keep.
+        wanted: (T,) bool, texels to fill.
     """
 
     values: np.ndarray
@@ -59,13 +59,13 @@ def fill_by_diffusion(
     capture: Capture,
     field: TextureField,
     seen: np.ndarray,
-    model: str | Path | Inventor,
+    model: str | Path | MaterialModel,
     above: float = inf,
     options: DiffusionOptions | None = None,
     *,
     progress: Progress | None = None,
 ) -> Filled:
-    """Fill texels that nobody saw, or that are less sure than asked, by a diffusion model.
+    """Fill unseen or uncertain texels by a diffusion model.
 
     Args:
         capture: the photographs.
@@ -84,102 +84,102 @@ def fill_by_diffusion(
         ShapeError: flags of other texels.
     """
     options, progress = options or DiffusionOptions(), progress or Progress()
-    inventor = load_model(model, options.device) if isinstance(model, str | Path) else model
+    loaded = load_model(model, options.device) if isinstance(model, str | Path) else model
     start = fill(field, seen, above, progress=progress)
-    asked = _Object(capture, field, np.asarray(seen, bool), inventor, options, progress)
-    return asked.filled(start) if start.filled.any() else start
+    run = _MultiViewInference(capture, field, np.asarray(seen, bool), loaded, options, progress)
+    return run.filled(start) if start.filled.any() else start
 
 
 @dataclass(frozen=True)
-class _Object:
-    """An object that a model is asked about; attributes as ``fill_by_diffusion`` has them."""
+class _MultiViewInference:
+    """Sequential inference over views; attributes are arguments of ``fill_by_diffusion``."""
 
     capture: Capture
     field: TextureField
     shown: np.ndarray
-    model: Inventor
+    model: MaterialModel
     options: DiffusionOptions
     progress: Progress
 
     def filled(self, start: Filled) -> Filled:
-        """Return what likeness has filled, filled by the model as far as it reaches."""
-        ground = Ground.of(self.field, ~start.filled)
-        parts = hidden_parts(ground)
-        parts = parts[:: max(len(parts) // TRIALS, 1)][:TRIALS]
+        """Replace a filling by symmetry where the model reaches."""
+        graph = TexelGraph.of(self.field, ~start.filled)
+        masks = holdout_masks(graph)
+        masks = masks[:: max(len(masks) // TRIALS, 1)][:TRIALS]
         trials = [
-            Task(by_likeness(ground.without(part), start.weights), ground.known & ~part, part)
-            for part in parts
+            Task(filled_values(graph.with_hidden(mask), start.weights), graph.known & ~mask, mask)
+            for mask in masks
         ]
-        filling, answers = Filling(self.field, self.shown, start.field), []
-        unlike = variance(self.field, ground.known)
-        rest = Task(start.field.values, ground.known, start.filled)
+        fusion, answers = Fusion(self.field, self.shown, start.field), []
+        spread = variance_of(self.field, graph.known)
+        rest = Task(start.field.values, graph.known, start.filled)
         used = tuple(np.flatnonzero(self.capture.used).tolist())
-        for source in get_args(Source):
+        for source in get_args(ImageSource):
             photographed = source == "photographs"
-            shots = Shots(
+            views = ConditioningViews(
                 self.capture, self.field, self.options.side, used if photographed else None
             )
             task = replace(rest, wanted=start.filled & (self.shown == photographed))
-            found = self._answer(source, shots, task, trials) if task.wanted.any() else None
-            if found is None:
+            answered = self._ask(source, views, task, trials) if task.wanted.any() else None
+            if answered is None:
                 continue
-            answer, values = found
+            answer, values = answered
             rest = replace(rest, values=values, known=rest.known | answer.reached)
             answers.append(answer)
             for name, error in answer.errors.items():
                 rows = self.field.rows(name)
-                off = np.sqrt(np.maximum(error**2, 0 if photographed else unlike[rows]))
-                filling.put(name, answer.reached, values[rows], off)
+                sd = np.sqrt(np.maximum(error**2, 0 if photographed else spread[rows]))
+                fusion.fuse(name, answer.reached, values[rows], sd)
         reached = start.filled & rest.known
-        invented = Invented(self.model.title, self.model.licence, tuple(answers), reached)
-        return replace(start, field=filling.done(start.filled), invented=invented)
+        invented = ModelReport(self.model.title, self.model.licence, tuple(answers), reached)
+        return replace(start, field=fusion.fused_field(start.filled), invented=invented)
 
-    def _answer(
-        self, source: Source, shots: Shots, task: Task, trials: Sequence[Task]
+    def _ask(
+        self, source: ImageSource, views: ConditioningViews, task: Task, trials: Sequence[Task]
     ) -> tuple[Answer, np.ndarray] | None:
-        """Return how far the model gets with pictures of a kind, and all values (N, T); None if it
-        reaches nothing that is hidden, so that its error is unknown."""
+        """Return the result on views of one kind and all values (N, T); None if the model reaches
+        no held-out texel, so that its error is unknown."""
         with self.progress.stage(f"Asking the model about {source}") as stage:
-            places = [shots.cover(trial.wanted, TRIAL_VIEWS) for trial in trials]
-            chosen = shots.cover(task.wanted, self.options.views)
+            places = [views.choose_views(trial.wanted, TRIAL_VIEWS) for trial in trials]
+            chosen = views.choose_views(task.wanted, self.options.views)
             pictures = sum(map(len, places)) + len(chosen)
             done, total = itertools.count(1), pictures * self.model.runs * self.options.steps
 
-            def ask(one: Task, some: Sequence[int], number: int) -> tuple[np.ndarray, np.ndarray]:
-                seed = (self.options.seed, get_args(Source).index(source), number)
-                return self._guess(shots, one, some, seed, lambda: stage.update(next(done), total))
+            def run(of: Task, at: Sequence[int], number: int) -> tuple[np.ndarray, np.ndarray]:
+                seed = (self.options.seed, get_args(ImageSource).index(source), number)
+                return self._predict(views, of, at, seed, lambda: stage.update(next(done), total))
 
-            guesses = [ask(*each) for each in zip(trials, places, range(len(trials)), strict=True)]
-            if not any(reached.any() for _, reached in guesses):
+            results = [run(*each) for each in zip(trials, places, range(len(trials)), strict=True)]
+            if not any(reached.any() for _, reached in results):
                 return None
-            likeness = [(t.values, at) for t, (_, at) in zip(trials, guesses, strict=True)]
-            values, reached = ask(task, chosen, len(trials))
+            likeness = [(t.values, at) for t, (_, at) in zip(trials, results, strict=True)]
+            values, reached = run(task, chosen, len(trials))
         return Answer(
-            source, tuple(shots.name(place) for place in chosen), reached,
-            self._errors(guesses), self._errors(likeness),
+            source, tuple(views.name(place) for place in chosen), reached,
+            self._errors(results), self._errors(likeness),
         ), values  # fmt: skip
 
-    def _guess(
-        self, shots: Shots, task: Task, places: Sequence[int], seed: Sequence[int],
+    def _predict(
+        self, views: ConditioningViews, task: Task, places: Sequence[int], seed: Sequence[int],
         after_step: Callable[[], None],
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """Return all values (N, T), and which texels (T,) the model has reached."""
+        """Return all values (N, T) and the texels (T,) that the model reached."""
         values, known, reached = task.values.copy(), task.known.copy(), np.zeros_like(task.known)
         for number, place in enumerate(places):
             seeds = np.random.SeedSequence([*seed, number]).generate_state(2)
-            paths, noise = (int(one) for one in seeds)
-            picture = shots.picture(place, values, known, paths)
+            paths, noise = (int(state) for state in seeds)
+            picture = views.input_of(place, values, known, paths)
             options = self.options
-            maps = self.model.invent(picture, options.steps, options.free, noise, after_step)
-            found, seen = shots.carried(picture.sensor, maps)
+            maps = self.model.predict(picture, options.steps, options.free, noise, after_step)
+            predicted, seen = views.to_texels(picture.sensor, maps)
             new = task.wanted & seen & ~reached
-            for name, of_texels in found.items():
+            for name, of_texels in predicted.items():
                 values[self.field.rows(name), new] = of_texels[:, new]
             known, reached = known | new, reached | new
         return values, reached
 
-    def _errors(self, guesses: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, float]:
+    def _errors(self, results: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, float]:
         """Return root mean square errors of values (N, T) in some texels (T,), by parameter."""
-        off = [(values - self.field.values)[:, at] for values, at in guesses]
-        means = (np.concatenate(off, axis=1) ** 2).mean(axis=1)
+        errors = [(values - self.field.values)[:, at] for values, at in results]
+        means = (np.concatenate(errors, axis=1) ** 2).mean(axis=1)
         return {name: float(np.sqrt(means[self.field.rows(name)].mean())) for name in NAMES}

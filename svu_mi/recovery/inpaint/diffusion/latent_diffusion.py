@@ -1,8 +1,6 @@
-"""A model whose weights were read: pictures to latents and back, and the loop in between.
+"""Latent diffusion model of materials, blended with certain pixels (Sec. 5.3 of the paper).
 
-Nothing of PyTorch is imported before a model is asked for.
-
-Blended diffusion: a model invents what is uncertain, between what is certain (Sec. 5.3).
+PyTorch is imported on first use.
 
 A latent z starts as noise, and steps through the times t_1 > t_2 > ... of a schedule. At first,
 what is certain (mask M, latent x of the known map) is put back after every step, with the noise
@@ -26,7 +24,7 @@ import numpy as np
 
 from svu_mi.capture.image_io import decoded, srgb
 from svu_mi.parameters import CHANNELS
-from svu_mi.recovery.inpaint.diffusion.model_interface import Family, Picture, Run
+from svu_mi.recovery.inpaint.diffusion.model_interface import DenoisingRun, Family, ModelInput
 
 
 def blend(
@@ -53,8 +51,8 @@ Names = tuple[str | None, ...]
 
 
 @dataclass(frozen=True)
-class Model:
-    """Weights that were read (an ``Inventor``).
+class LatentDiffusion:
+    """Loaded weights of a diffusion model (a ``MaterialModel``).
 
     Attributes:
         family: which kind.
@@ -72,27 +70,27 @@ class Model:
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Name to print."""
         return self.family.title
 
     @property
     def licence(self) -> str:
-        """Of its weights, for people."""
+        """Licence of the weights."""
         return self.family.licence
 
     @property
     def runs(self) -> int:
-        """How many times all steps are taken for one picture."""
+        """Denoising runs per picture."""
         return len(self.family.runs)
 
-    def invent(
-        self, picture: Picture, steps: int, free: int, seed: int,
+    def predict(
+        self, picture: ModelInput, steps: int, free: int, seed: int,
         after_step: Callable[[], None] = lambda: None,
     ) -> dict[str, np.ndarray]:  # fmt: skip
-        """Return maps (h, w, 3) or (h, w) float32 in [0, 1], by parameter (see ``Inventor``)."""
+        """Return maps (h, w, 3) or (h, w) float32 in [0, 1], by parameter."""
         import torch
 
-        found: dict[str, np.ndarray] = {}
+        result: dict[str, np.ndarray] = {}
         with torch.inference_mode():
             # On the CPU whatever the device is, so that all devices start from the same noise.
             random = torch.Generator("cpu").manual_seed(seed)
@@ -104,12 +102,12 @@ class Model:
                 schedule = _Schedule(self.scheduler, steps, self.device)
                 predict = self._predictor(run, photograph, after_step)
                 latent = blend(predict, schedule, known, certain, noise, free)
-                for names, part in zip(run.maps, latent.chunk(len(run.maps), 1), strict=True):
-                    found |= self._unstacked(names, self._decoded(part, picture.certain.shape))
-        return found
+                for names, latents in zip(run.maps, latent.chunk(len(run.maps), 1), strict=True):
+                    result |= self._unstacked(names, self._decoded(latents, picture.certain.shape))
+        return result
 
     def _predictor(
-        self, run: Run, photograph: Any, after_step: Callable[[], None]
+        self, run: DenoisingRun, photograph: Any, after_step: Callable[[], None]
     ) -> Callable[[Any, Any], Any]:
         import torch
 
@@ -117,11 +115,11 @@ class Model:
             run.text, padding="max_length" if run.text else "do_not_pad", truncation=True,
             max_length=self.tokenizer.model_max_length, return_tensors="pt",
         ).input_ids  # fmt: skip
-        told = self.text_encoder(tokens.to(self.device))[0]
+        text = self.text_encoder(tokens.to(self.device))[0]
 
         def predict(latent: Any, time: Any) -> Any:
             pair = (photograph, latent) if self.family.photograph_first else (latent, photograph)
-            out = self.unet(torch.cat(pair, 1), time, encoder_hidden_states=told, return_dict=False)
+            out = self.unet(torch.cat(pair, 1), time, encoder_hidden_states=text, return_dict=False)
             after_step()
             return out[0]
 
@@ -130,7 +128,7 @@ class Model:
     def _on_screen(self, name: str, linear: np.ndarray) -> np.ndarray:
         return srgb(linear) if name in self.family.encoded else linear
 
-    def _stacked(self, names: Names, picture: Picture) -> np.ndarray:
+    def _stacked(self, names: Names, picture: ModelInput) -> np.ndarray:
         """Return what is known of the parameters of one picture, (h, w, 3) in [0, 1]."""
         channels = []
         for channel, name in enumerate(names):
@@ -143,13 +141,13 @@ class Model:
 
     def _unstacked(self, names: Names, image: np.ndarray) -> dict[str, np.ndarray]:
         """Return the parameters of one picture (h, w, 3), linear."""
-        found = {}
+        maps = {}
         for name in dict.fromkeys(name for name in names if name):
             first = names.index(name)
-            part = image if CHANNELS[name] == 3 else image[..., first]
-            linear = decoded(part) if name in self.family.encoded else part
-            found[name] = np.asarray(linear, np.float32)
-        return found
+            values = image if CHANNELS[name] == 3 else image[..., first]
+            linear = decoded(values) if name in self.family.encoded else values
+            maps[name] = np.asarray(linear, np.float32)
+        return maps
 
     def _latent(self, image: np.ndarray) -> Any:
         """Encode (h, w, 3) in [0, 1]; edges are repeated up to a whole number of latents."""

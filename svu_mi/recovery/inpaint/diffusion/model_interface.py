@@ -1,4 +1,4 @@
-"""Models that can be asked: their input and output, their options, and the known families.
+"""Diffusion models of materials: input, output, options, and known families.
 
 All are latent diffusion models [Rombach et al. 2022] that are given a picture and denoise maps of
 its materials:
@@ -25,8 +25,8 @@ from svu_mi.errors import OptionError, excerpt
 
 
 @dataclass(frozen=True)
-class Picture:
-    """What a model is given of one view, h x w pixels.
+class ModelInput:
+    """Input of a model for one view, h x w pixels.
 
     Attributes:
         photograph: (h, w, 3) linear, exposed so that 1 is white; in [0, 1].
@@ -42,25 +42,25 @@ class Picture:
     sensor: Any
 
 
-class Inventor(Protocol):
-    """Whoever makes maps of a whole picture from what is known of a part of it."""
+class MaterialModel(Protocol):
+    """Model that completes maps of material parameters in one view."""
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Name to print."""
 
     @property
     def licence(self) -> str:
-        """Of its weights, for people."""
+        """Licence of the weights."""
 
     @property
     def runs(self) -> int:
-        """How many times all steps are taken for one picture."""
+        """Denoising runs per picture."""
 
-    def invent(
-        self, picture: Picture, steps: int, free: int, seed: int, after_step: Callable[[], None]
+    def predict(
+        self, picture: ModelInput, steps: int, free: int, seed: int, after_step: Callable[[], None]
     ) -> Mapping[str, np.ndarray]:
-        """Return maps of a picture as ``Picture.maps`` has them, by parameter, linear."""
+        """Return maps of a picture as ``ModelInput.maps`` has them, by parameter, linear."""
 
 
 INDEX = "model_index.json"
@@ -69,11 +69,11 @@ COLOR = ("base_color",) * 3
 
 
 @dataclass(frozen=True)
-class Run:
+class DenoisingRun:
     """Maps that are denoised together.
 
     Attributes:
-        text: that the model is told.
+        text: prompt.
         maps: of each picture, the parameters that its three channels hold; None for nothing. A
             parameter of one value that has several channels is read from the first.
     """
@@ -87,8 +87,8 @@ class Family:
     """Models of one kind.
 
     Attributes:
-        title: for people.
-        licence: of its published weights, for people.
+        title: to print.
+        licence: of its published weights.
         runs: what it makes.
         photograph_first: whether the photograph's latent comes before those of the maps.
         encoded: what is in sRGB: ``photograph``, ``base_color``; all else is linear.
@@ -97,7 +97,7 @@ class Family:
 
     title: str
     licence: str
-    runs: tuple[Run, ...]
+    runs: tuple[DenoisingRun, ...]
     photograph_first: bool
     encoded: frozenset[str]
     schedule: Mapping[str, Any]
@@ -108,7 +108,7 @@ FAMILIES = {
     "MarigoldIntrinsicsPipeline": Family(
         title="Marigold (intrinsics, appearance)",
         licence="see the model card in their folder (of v1.1: CreativeML Open RAIL++-M)",
-        runs=(Run("", (COLOR, ("roughness", "metallic", None))),),
+        runs=(DenoisingRun("", (COLOR, ("roughness", "metallic", None))),),
         photograph_first=True,
         encoded=frozenset({"photograph", "base_color"}),
         schedule={},
@@ -117,9 +117,9 @@ FAMILIES = {
         title="RGB<->X (RGB to X)",
         licence="Adobe Research License, for noncommercial research only",
         runs=(
-            Run("Albedo (diffuse basecolor)", (COLOR,)),
-            Run("Roughness", (("roughness",) * 3,)),
-            Run("Metallicness", (("metallic",) * 3,)),
+            DenoisingRun("Albedo (diffuse basecolor)", (COLOR,)),
+            DenoisingRun("Roughness", (("roughness",) * 3,)),
+            DenoisingRun("Metallicness", (("metallic",) * 3,)),
         ),
         photograph_first=False,
         encoded=frozenset(),
@@ -129,7 +129,7 @@ FAMILIES = {
 
 
 def family_of(folder: str | Path) -> Family:
-    """Return which kind of weights a folder holds; nothing else of it is read."""
+    """Return the family of the weights in a folder, by its index."""
     index = Path(folder) / INDEX
     known = " or ".join(family.title for family in FAMILIES.values())
     try:
@@ -154,7 +154,7 @@ def family_of(folder: str | Path) -> Family:
 
 @dataclass(frozen=True, kw_only=True)
 class DiffusionOptions:
-    """How a diffusion model is asked."""
+    """Options of a diffusion model."""
 
     views: int = 8
     """Pictures that it is asked about, at most: fewer if they show all there is to fill. Of what
