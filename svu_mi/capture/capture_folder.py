@@ -132,11 +132,11 @@ def _fits(value: Any, kind: Any, inner: Any) -> bool:
     return isinstance(value, kind) and all(isinstance(part, inner) for part in parts)
 
 
-def require_one_run(folder: Path, found: Mapping[Path, str], run: str) -> None:
+def require_one_run(folder: Path, runs: Mapping[Path, str], run: str) -> None:
     """Refuse photographs of another run than the capture's, and a capture that was exchanged."""
     if run and ((entry := entry_of(folder / FILE)) is None or entry.run != run):
         raise CaptureError(f"{folder}: changed while it was being read; load it again.")
-    for path, other in found.items():
+    for path, other in runs.items():
         if run and other and other != run:
             raise CaptureError(
                 f"{path}: comes from another run than {FILE} beside it; restore the original "
@@ -166,7 +166,7 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
 
 def stamps(places: Iterable[Path], apart: Callable[[Path], bool]) -> list[tuple[str, int, int]]:
     """Return paths, sizes and times of files, by which it is known whether inputs are the same."""
-    found = []
+    stamped = []
     for place in places:
         files = [place]
         for folder, inner, names in os.walk(place):
@@ -176,5 +176,5 @@ def stamps(places: Iterable[Path], apart: Callable[[Path], bool]) -> list[tuple[
             parts = path.relative_to(place).parts
             if path.is_file() and not any(is_temporary(n) or is_kept(n) for n in parts):
                 status = path.stat()
-                found.append((str(path), status.st_size, status.st_mtime_ns))
-    return found
+                stamped.append((str(path), status.st_size, status.st_mtime_ns))
+    return stamped

@@ -103,8 +103,8 @@ def _add_clipped(key: Key, capture: Capture, used: Sequence[int]) -> None:
     """Add which channels are clipped, if any is."""
     if capture.clipped:
         for view in used:
-            found = capture.clipped[view]
-            key.add(*(() if found is None else (view, found.channels, found.least)))
+            saturated = capture.clipped[view]
+            key.add(*(() if saturated is None else (view, saturated.channels, saturated.least)))
 
 
 def _digests(arrays: Iterable[np.ndarray | None]) -> list[str]:
@@ -153,7 +153,7 @@ def _light(scene: Any, uncertainty: LightUncertainty | None = None) -> Key:
 
 def _settings(node: Any) -> list[Any]:
     """Return what a Mitsuba object prints beside its parameters, such as a distribution."""
-    return [found for found in PRINTED.findall(str(node)) if found[0] not in NOT_ITS_OWN]
+    return [entry for entry in PRINTED.findall(str(node)) if entry[0] not in NOT_ITS_OWN]
 
 
 def _are_computed(mesh: Any, normals: np.ndarray) -> bool:

@@ -144,13 +144,13 @@ class _Surface:
     @staticmethod
     def of(mesh: mi.Mesh, texels: Size | None) -> _Surface:
         """Measure an ``mi.Mesh`` with a texture of (W, H)."""
-        found = arrays(mesh)
-        chosen = found.faces[:: max(len(found.faces) // FACES, 1)]
-        areas = np.linalg.norm(crosses_of(found.positions, chosen), axis=1) / 2
+        source = arrays(mesh)
+        chosen = source.faces[:: max(len(source.faces) // FACES, 1)]
+        areas = np.linalg.norm(crosses_of(source.positions, chosen), axis=1) / 2
         sides = np.zeros(0)
         if texels is not None:
-            sides = _sides(found, chosen, areas, texels)
-        return _Surface(found.positions, found.positions[chosen].mean(axis=1), sides, areas)
+            sides = _sides(source, chosen, areas, texels)
+        return _Surface(source.positions, source.positions[chosen].mean(axis=1), sides, areas)
 
     def bounds_in(self, sensor: Any, film: Size) -> tuple[np.ndarray, np.ndarray]:
         """Return the first and the last but one pixel (2,) int64 of the object, with a margin; the

@@ -61,19 +61,19 @@ def read_pfm(path: Path) -> np.ndarray:
 
 def _hdr_header(start: bytes) -> tuple[int, int, int]:
     """Return width, height, and where the pixels begin."""
-    found = re.search(rb"\n\n-Y (\d{1,6}) \+X (\d{1,6})\n", start)
-    if not start.startswith(b"#?") or found is None or b"_xyze" in start[: found.start()]:
+    head = re.search(rb"\n\n-Y (\d{1,6}) \+X (\d{1,6})\n", start)
+    if not start.startswith(b"#?") or head is None or b"_xyze" in start[: head.start()]:
         raise ValueError("not the header of an RGBE (Radiance HDR) image")
-    return int(found[2]), int(found[1]), found.end()
+    return int(head[2]), int(head[1]), head.end()
 
 
 def _pfm_header(start: bytes) -> tuple[int, int, int, float, int]:
     """Return width, height, number of channels, scale, and where the pixels begin."""
-    found = re.match(rb"P([Ff])\s+(\d{1,6})\s+(\d{1,6})\s+(-?[\d.]{1,20}(?:e[+-]?\d\d?)?)\s", start)
-    if found is None:
+    head = re.match(rb"P([Ff])\s+(\d{1,6})\s+(\d{1,6})\s+(-?[\d.]{1,20}(?:e[+-]?\d\d?)?)\s", start)
+    if head is None:
         raise ValueError("not the header of a PFM image")
-    channels = 3 if found[1] == b"F" else 1
-    return int(found[2]), int(found[3]), channels, float(found[4]), found.end()
+    channels = 3 if head[1] == b"F" else 1
+    return int(head[2]), int(head[3]), channels, float(head[4]), head.end()
 
 
 def _unpacked(data: bytes, at: int, width: int, height: int) -> bytes:

@@ -96,18 +96,18 @@ class Picture:
 
     def remarks(self) -> list[str]:
         """Say what it states about itself that is not followed: clauses without its name."""
-        found = []
+        clauses = []
         if self.header.foreign:
-            found.append(
+            clauses.append(
                 "its chromaticities are not those of Rec. 709; its values are used as they are: "
                 "convert it if colours matter."
             )
         if self.is_turned():
-            found.append(
+            clauses.append(
                 "is stored rotated; its EXIF orientation is ignored, because poses must be of the "
                 "pixels as stored."
             )
-        return found
+        return clauses
 
 
 def open_picture(path: Path) -> Picture:
@@ -169,8 +169,8 @@ def _of_exr(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]:
                 f"{path}: holds {what} ({', '.join(names)}), not colours; export it as plain RGB."
             )
     grey = channels.get("Y")
-    found = [channels.get(name, grey) for name in "RGB"]
-    planes = [plane for plane in found if plane is not None]
+    colors = [channels.get(name, grey) for name in "RGB"]
+    planes = [plane for plane in colors if plane is not None]
     if len(planes) < 3:
         raise CaptureError(
             f"{path}: expected the channels R, G, B (or Y) in its first part, found "
@@ -185,11 +185,11 @@ def _of_one_layer(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         return channels
     layers = [name.removesuffix("R") for name in channels if name.endswith(".R")]
     whole = [layer for layer in layers if layer.endswith("Combined.")]  # of all its passes
-    for found in (layers, whole):
-        if len(found) == 1:
+    for prefixes in (layers, whole):
+        if len(prefixes) == 1:
             return {
-                name.removeprefix(found[0]): plane
-                for name, plane in channels.items() if name.startswith(found[0])
+                name.removeprefix(prefixes[0]): plane
+                for name, plane in channels.items() if name.startswith(prefixes[0])
             }  # fmt: skip
     return channels
 

@@ -62,40 +62,40 @@ def judged(
     remarks = dict.fromkeys(remark for one, _, _ in taken for remark in one.remarks)
     groups = [([one for one in taken if text in one[0].remarks], text) for text in remarks]
     for bits in (8, 16):
-        found = [one for one in taken if one[0].bits == bits]
+        group = [one for one in taken if one[0].bits == bits]
         text = (
-            f"{bits}-bit, not HDR; decoded as sRGB, {sum(one[0].saturated for one in found)} "
+            f"{bits}-bit, not HDR; decoded as sRGB, {sum(one[0].saturated for one in group)} "
             "saturated pixels count as at least so bright. Clipped highlights hide gloss: use HDR."
         )
-        groups.append((found, text))
+        groups.append((group, text))
     count = sum(one[0].invalid for one in taken)
     text = f"{count} pixels are NaN, infinite or negative; left out."
     groups.append(([one for one in taken if one[0].invalid], text))
     black = [one for one in taken if one[0].black]
     text = "entirely black, so left out; check the exposure, or remove the photograph and its"
     groups.append((black, f"{text} sensor."))
-    return [f"{_subject(found, len(taken))}: {text}" for found, text in groups if found], used
+    return [f"{_subject(group, len(taken))}: {text}" for group, text in groups if group], used
 
 
-def _subject(found: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
+def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
     """Name what a sentence is about: one photograph, or the folder and how many of ``count``."""
-    _, path, name = found[0]
-    if len(found) == 1:
+    _, path, name = group[0]
+    if len(group) == 1:
         return str(path) if name == path.name else f"{path} ({name})"
-    if len(found) == count:
+    if len(group) == count:
         return f"{path.parent}: all {count} photographs"
-    rest = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
-    some = ", ".join(name for _, _, name in found[:NAMED])
-    return f"{path.parent}: {len(found)} of {count} photographs ({some}{rest})"
+    rest = f" and {len(group) - NAMED} more" if len(group) > NAMED else ""
+    some = ", ".join(name for _, _, name in group[:NAMED])
+    return f"{path.parent}: {len(group)} of {count} photographs ({some}{rest})"
 
 
 def ignored(scene: Any, target: Any) -> list[str]:
     """Return a sentence about what the object's material has, and one about other shapes."""
     notes = []
-    if found := list(dict.fromkeys(_of_material(target.bsdf()))):
+    if features := list(dict.fromkeys(_of_material(target.bsdf()))):
         notes.append(
-            f"Shape '{excerpt(target.id())}' has {_and(found)}, which svu does not account for: if "
-            "the photographs show that, roughness and base colour will be off."
+            f"Shape '{excerpt(target.id())}' has {_and(features)}, which svu does not account for: "
+            "if the photographs show that, roughness and base colour will be off."
         )
     others = [shape for shape in scene.shapes() if not is_same(shape, target)]
     near = [shape for shape in others if _extent(shape, target) > SMALL]
@@ -133,16 +133,16 @@ def _is_black(bsdf: Any) -> bool:
     """
     if bsdf is None or bsdf.class_name() == "Null":
         return True
-    found: dict[str, list[np.ndarray]] = {}  # values and data of textures, by parameter
+    inputs: dict[str, list[np.ndarray]] = {}  # values and data of textures, by parameter
     for key, value in mi.traverse(bsdf):
         if not key.endswith("to_uv"):
             name = NESTED.sub("", key).partition(".")[0]
-            found.setdefault(name, []).append(np.array(value, np.float32))
-    if bsdf.class_name() == "MaskBSDF" and not any(map(np.any, found.get("opacity", [1]))):
+            inputs.setdefault(name, []).append(np.array(value, np.float32))
+    if bsdf.class_name() == "MaskBSDF" and not any(map(np.any, inputs.get("opacity", [1]))):
         return True
-    colors = [*found.pop("reflectance", ()), *found.pop("diffuse_reflectance", ())]
-    gloss = [((eta - 1) / (eta + 1)) ** 2 for eta in found.pop("eta", ())]  # 4 % of usual plastic
-    is_diffuse = bool(colors) and set(found) <= BESIDE  # others have more parameters, or no colour
+    colors = [*inputs.pop("reflectance", ()), *inputs.pop("diffuse_reflectance", ())]
+    gloss = [((eta - 1) / (eta + 1)) ** 2 for eta in inputs.pop("eta", ())]  # 4 % of usual plastic
+    is_diffuse = bool(colors) and set(inputs) <= BESIDE  # others have more parameters, or no colour
     return is_diffuse and all((values <= BLACK).all() for values in [*colors, *gloss])
 
 

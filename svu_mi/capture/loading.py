@@ -272,8 +272,8 @@ def plan_photographs(
 
 def _any(values: Iterable[Value | None]) -> tuple[Value | None, ...]:
     """Return what is known of each photograph; nothing if it is of none."""
-    found = tuple(values)
-    return found if any(each is not None for each in found) else ()
+    known = tuple(values)
+    return known if any(each is not None for each in known) else ()
 
 
 def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:

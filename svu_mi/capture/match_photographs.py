@@ -106,12 +106,12 @@ def masks_of(stem: str) -> tuple[str, ...]:
 
 def _pictures(folder: Path) -> list[Path]:
     """Return the pictures of a folder without masks and hidden files, in their natural order."""
-    found = [
+    paths = [
         path for path in folder.iterdir()
         if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
     ]  # fmt: skip
-    masks = {name for path in found for name in masks_of(path.stem)}
-    return sorted((path for path in found if path.stem not in masks), key=_natural)
+    masks = {name for path in paths for name in masks_of(path.stem)}
+    return sorted((path for path in paths if path.stem not in masks), key=_natural)
 
 
 def _natural(path: Path) -> tuple[list[str | int], str]:
@@ -124,8 +124,8 @@ def _by_name(
     folder: Path, expected: Sequence[str], pictures: Iterable[Path], missing: Missing
 ) -> Match:
     """Give each sensor the picture with its name."""
-    found = _once(folder, pictures)
-    if absent := [name for name in expected if name not in found]:
+    by_name = _once(folder, pictures)
+    if absent := [name for name in expected if name not in by_name]:
         lack = (
             f"{folder}: {len(absent)} of {len(expected)} photographs are missing, first "
             f"{absent[0]}.exr"
@@ -138,13 +138,13 @@ def _by_name(
             raise CaptureError(
                 f"{lack}; give the others, or --missing leave-out to go on without them."
             )
-    if extra := [name for name in found if name not in set(expected)]:
+    if extra := [name for name in by_name if name not in set(expected)]:
         raise CaptureError(
-            f"{found[extra[0]]}: there are {len(found)} photographs but only {len(expected)} "
+            f"{by_name[extra[0]]}: there are {len(by_name)} photographs but only {len(expected)} "
             "sensors; remove the extra images or add their sensors to the scene."
         )
-    names = [found[name].name if name in found else f"{name}.exr" for name in expected]
-    return Match([found.get(name) for name in expected], names, [])
+    names = [by_name[name].name if name in by_name else f"{name}.exr" for name in expected]
+    return Match([by_name.get(name) for name in expected], names, [])
 
 
 def _instead(folder: Path) -> str:
@@ -187,15 +187,15 @@ def _in_order(
 
 def _once(folder: Path, pictures: Iterable[Path]) -> dict[str, Path]:
     """Return pictures by their names without suffix."""
-    found: dict[str, Path] = {}
+    by_name: dict[str, Path] = {}
     for path in sorted(pictures, key=lambda path: (path.stem, path.name)):
-        if path.stem in found:
+        if path.stem in by_name:
             raise CaptureError(
-                f"{folder}: {found[path.stem].name} and {path.name} are the same view; "
+                f"{folder}: {by_name[path.stem].name} and {path.name} are the same view; "
                 "keep one of them."
             )
-        found[path.stem] = path
-    return found
+        by_name[path.stem] = path
+    return by_name
 
 
 def _id(name: str) -> str:

@@ -127,21 +127,21 @@ def missing_corner(mesh: Any) -> str | None:
 def read_ply(path: Path) -> MeshArrays:
     """Read a PLY file with Mitsuba's reader, but for its normals."""
     try:
-        found: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": True})
+        loaded: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": True})
     except READING as error:
         raise MeshError(f"{path}: cannot be read: {refusal(error)}") from error
-    if problem := missing_corner(found):
+    if problem := missing_corner(loaded):
         raise MeshError(f"{path}: {problem}")
-    return arrays(found)
+    return arrays(loaded)
 
 
 def covered_by_charts(mesh: Any) -> float:
     """Return the part of its texture that the UV charts of a ``mi.Mesh`` cover at most, in [0, 1];
     1 without UVs."""
-    found = arrays(mesh)
-    if found.uvs is None:
+    loaded = arrays(mesh)
+    if loaded.uvs is None:
         return 1.0
-    area = chart_areas(found.uvs, found.faces).sum()
+    area = chart_areas(loaded.uvs, loaded.faces).sum()
     return float(min(MARGIN * area, 1)) if np.isfinite(area) else 1.0
 
 

@@ -96,10 +96,10 @@ def read_photographs(
             _read_photograph, pictures.values(), [windows[view] for view in pictures],
             [exposures[view] for view in pictures], buffer.images, buffer.masks, buffer.channels,
         )  # fmt: skip
-        found = dict(zip(pictures, read, strict=True))
+        loaded = dict(zip(pictures, read, strict=True))
     return [
         # Of a photograph that nobody has taken: NaN, in no memory.
-        found.get(k) or Photograph(np.broadcast_to(np.float32(np.nan), (*window.size[::-1], 3)))
+        loaded.get(k) or Photograph(np.broadcast_to(np.float32(np.nan), (*window.size[::-1], 3)))
         for k, window in enumerate(windows)
     ], buffer
 
@@ -190,15 +190,15 @@ def _mask_of(picture: Picture, planes: Sequence[np.ndarray], window: Window) -> 
         return np.asarray(alpha >= (IN_MASK if picture.bits else ON_OBJECT))
     path = picture.path
     names = (path.with_name(stem + end) for stem in masks_of(path.stem) for end in SUFFIXES)
-    found = next((name for name in names if name.is_file()), None)
-    return None if found is None else window.cut(read_mask(found, picture.size[::-1]))
+    mask = next((name for name in names if name.is_file()), None)
+    return None if mask is None else window.cut(read_mask(mask, picture.size[::-1]))
 
 
-def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None:
+def _require_size(path: Path, size: Sequence[int], film: Sequence[int]) -> None:
     """Refuse a photograph of another (width, height) than its film."""
-    if tuple(found) != tuple(film):
+    if tuple(size) != tuple(film):
         raise CaptureError(
-            f"{path}: the photograph has {found[0]} x {found[1]} pixels but its sensor's film has "
+            f"{path}: the photograph has {size[0]} x {size[1]} pixels but its sensor's film has "
             f"{film[0]} x {film[1]}; resample it, or set the film's size (or crop window)."
         )
 
@@ -212,10 +212,10 @@ def _steps(picture: Picture) -> Rounding | None:
 def _positive(picture: Picture, name: str) -> float | None:
     """Return an attribute that is a positive number; None if it is not there, or something else."""
     try:
-        found = float(picture.header.attributes.get(name, np.nan))
+        value = float(picture.header.attributes.get(name, np.nan))
     except (TypeError, ValueError):
         return None
-    return found if 0 < found < np.inf else None
+    return value if 0 < value < np.inf else None
 
 
 def _mark(color: np.ndarray, exposure: float, clipped: Clipped | None) -> tuple[int, int, bool]:

@@ -90,8 +90,8 @@ class PixelBuffer:
         """Return which photographs of the buffer these are; None unless they are its own views,
         each once."""
         numbers = {id(own): number for number, own in enumerate(self.images)}
-        found = [numbers.get(id(image), -1) for image in images]
-        return found if -1 not in found and len(set(found)) == len(found) else None
+        order = [numbers.get(id(image), -1) for image in images]
+        return order if -1 not in order and len(set(order)) == len(order) else None
 
     def masks_at(self, places: Sequence[int], masks: Sequence[np.ndarray | None]) -> np.ndarray:
         """Return (P,) bool, True outside of the masks' photographs and where one has none."""

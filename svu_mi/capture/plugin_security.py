@@ -104,9 +104,9 @@ def searching(folder: str) -> Iterator[None]:
 
 def _refuse_files_of(name: str) -> None:
     for file in _libraries(name):
-        found = Path(str(mi.file_resolver().resolve(file)))
-        if os.path.exists(found) and not _is_own(found):
-            raise _refused(found)
+        library = Path(str(mi.file_resolver().resolve(file)))
+        if os.path.exists(library) and not _is_own(library):
+            raise _refused(library)
 
 
 def _refused(path: Path) -> SceneError:

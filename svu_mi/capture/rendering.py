@@ -210,14 +210,14 @@ def plan_render(
 
 def require_rendered(capture: Capture, spp: int) -> None:
     """Refuse photographs that were rendered otherwise than they would be now."""
-    if capture.source is None or (found := capture_folder.read(capture.source)) is None:
+    if capture.source is None or (description := capture_folder.read(capture.source)) is None:
         return
-    own = [describe(sensor) for sensor in find_sensors(capture.scene, str(found.scene))]
+    own = [describe(sensor) for sensor in find_sensors(capture.scene, str(description.scene))]
     changed = "from other sensors than the scene has now"
-    if json.loads(json.dumps(own)) == list(found.sensors):
-        if found.rendered.get("spp", spp) == spp:
+    if json.loads(json.dumps(own)) == list(description.sensors):
+        if description.rendered.get("spp", spp) == spp:
             return
-        changed = f"with --spp {excerpt(found.rendered['spp'], 20)}"
+        changed = f"with --spp {excerpt(description.rendered['spp'], 20)}"
     raise OptionError(
         f"{capture.source}: was rendered {changed}; restore that, or omit --resume to start again."
     )

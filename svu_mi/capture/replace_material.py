@@ -27,16 +27,16 @@ def constant_parameters(shape: Any) -> dict[str, float]:
     another BSDF, and when nothing varies: a material without any texture is a placeholder.
     """
     bsdf = shape.bsdf()
-    found: dict[str, float] = {}
+    constants: dict[str, float] = {}
     if not is_principled(bsdf):
-        return found
+        return constants
     for key, value in mi.traverse(bsdf):
         name, _, kind = key.removeprefix("brdf_0.").partition(".")
         if name in NAMES and kind == "value":
             values = np.array(value, np.float64).ravel()
             if np.ptp(values) == 0 and PARAMETERS[name].holds(values[0]):
-                found[name] = float(values[0])
-    return found if len(found) < len(NAMES) else {}
+                constants[name] = float(values[0])
+    return constants if len(constants) < len(NAMES) else {}
 
 
 @dataclass(frozen=True)

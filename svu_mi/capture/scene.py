@@ -207,13 +207,13 @@ def _candidates(shapes: Sequence[Any], path: str) -> list[Any]:
     if not meshes:
         return bodies[:1]  # refused by the caller, which names it
     principled = [s for s in meshes if s.bsdf() and "Principled" in str(s.bsdf())]
-    found = principled or meshes
-    if len(found) > 1:
+    candidates = principled or meshes
+    if len(candidates) > 1:
         raise SceneError(
-            f"{path}: several shapes could be the object ({_ids(found)}); choose one with "
+            f"{path}: several shapes could be the object ({_ids(candidates)}); choose one with "
             "--shape ID."
         )
-    return found
+    return candidates
 
 
 def _ids(shapes: Sequence[Any]) -> str:

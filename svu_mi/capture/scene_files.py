@@ -36,11 +36,11 @@ def check_xml(path: Path, defines: Mapping[str, str]) -> None:
             continue
         require_file(file, path)
         seen.add(file)
-        found = _Reader(file, parameters)
-        sensors += found.sensors
-        for name in found.others:
+        reader = _Reader(file, parameters)
+        sensors += reader.sensors
+        for name in reader.others:
             require_file(_found(name, file), path)
-        waiting += [_found(name, file) for name in found.includes]
+        waiting += [_found(name, file) for name in reader.includes]
     require_views(sensors, f"{path}: sensors", SceneError)
 
 
@@ -123,15 +123,15 @@ def check_files(state: Any, label: str) -> None:
         path = _path(props["filename"])
         require_file(path, label)
         if kind in READERS:
-            found = {"type": kind, **{key: props[key] for key in KEYS if key in props}}
-            meshes[tuple(found.values())] = found
-    for found in meshes.values():
-        _check_mesh(found, f"{label}: {excerpt(_path(found['filename']), LONGEST)}")
+            settings = {"type": kind, **{key: props[key] for key in KEYS if key in props}}
+            meshes[tuple(settings.values())] = settings
+    for settings in meshes.values():
+        _check_mesh(settings, f"{label}: {excerpt(_path(settings['filename']), LONGEST)}")
 
 
-def _check_mesh(found: dict[str, Any], label: str) -> None:
+def _check_mesh(settings: dict[str, Any], label: str) -> None:
     try:
-        mesh: Any = mi.load_dict({**found, "face_normals": True})
+        mesh: Any = mi.load_dict({**settings, "face_normals": True})
     except READING as error:
         raise SceneError(
             f"{label}: cannot be read: {refusal(error)}; export the mesh again."

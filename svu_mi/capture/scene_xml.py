@@ -191,9 +191,9 @@ def environment(emitter: Any, folder: Path, assets: str) -> Element:
     sun = np.array(params["sun_direction"], np.float64).ravel()
     SubElement(node, "vector", name="sun_direction", value=_text(sun))
     for key, label in (("sun_aperture", "Sun aperture"), ("complex_sun", "Complex sun model")):
-        found = re.search(rf"{label} = (\S+)", str(emitter))  # not among its parameters
-        if found is not None:
-            value = found[1] == "true" if found[1] in ("true", "false") else float(found[1])
+        match = re.search(rf"{label} = (\S+)", str(emitter))  # not among its parameters
+        if match is not None:
+            value = match[1] == "true" if match[1] in ("true", "false") else float(match[1])
             put(node, **{key: value})
     return node
 

@@ -115,5 +115,5 @@ def _key_in(path: Path) -> str | None:
             header = stream.read(HEADER).partition(b"end_header")[0].decode("ascii", "replace")
     except OSError as error:
         raise MeshError(f"{path}: cannot be opened ({error.strerror})") from error
-    found = re.search(rf"^comment {KEY}([0-9a-f]+)", header, re.MULTILINE)
-    return found and found[1]
+    match = re.search(rf"^comment {KEY}([0-9a-f]+)", header, re.MULTILINE)
+    return match and match[1]

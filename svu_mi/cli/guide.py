@@ -260,7 +260,7 @@ def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
             " Candidates are judged in light that is filtered for one more photograph (Eq. 13), "
             "which is sharper, so the entropy after one may exceed the entropy now."
         )
-    if TABLE[guidance.options.strategy].forecasts:
+    if TABLE[guidance.options.strategy].needs_forecast:
         words += " By how much each photograph is expected to lower the latter (gain), and to what:"
     console.print(words, highlight=False, soft_wrap=True)
     console.print(table, markup=False, highlight=False)

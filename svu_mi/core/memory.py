@@ -335,9 +335,9 @@ def _own() -> int:
 
 
 def _available() -> int | None:
-    found = _field(MEMINFO, "MemAvailable", 1024)
-    if found is not None:
-        return found
+    free = _field(MEMINFO, "MemAvailable", 1024)
+    if free is not None:
+        return free
     with suppress(OSError, ValueError, AttributeError):  # not on Windows
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return None

@@ -111,10 +111,10 @@ def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state:
     def more(state: Any, other: Any) -> tuple[Any]:
         return (over_neighbors(around[1:], add, add(other, state)),)
 
-    (found,) = dr.if_stmt(
+    (total,) = dr.if_stmt(
         args=(state, other), cond=other != own, true_fn=more, false_fn=lambda state, _: (state,)
     )
-    return found
+    return total
 
 
 @dataclass(frozen=True)
@@ -173,8 +173,8 @@ def _in_the_map(texels: Texels) -> tuple[np.ndarray, np.ndarray]:
     result = []
     for offset, last in ((1, index % width == width - 1), (width, index // width == height - 1)):
         other = np.where(last, -1, number[index + offset])
-        found = np.flatnonzero(other >= 0)
-        result.append(np.stack([found, other[found]], axis=-1))
+        present = np.flatnonzero(other >= 0)
+        result.append(np.stack([present, other[present]], axis=-1))
     return result[0], result[1]
 
 
@@ -187,8 +187,8 @@ def _across_seams(surface: _Surface, right: np.ndarray, down: np.ndarray) -> np.
         return np.empty((0, 2), np.int64)
     target = surface.position[start] + way
     tree = scipy.spatial.cKDTree(surface.position[border])
-    distance, found = tree.query(target, min(CANDIDATES, len(border)))
-    other = border[found]
+    distance, candidate = tree.query(target, min(CANDIDATES, len(border)))
+    other = border[candidate]
     here = np.broadcast_to(start[:, None], other.shape)
     gap = surface.position[other] - surface.position[here]
     # The texel over there may be wider than the one here.

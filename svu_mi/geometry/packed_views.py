@@ -190,9 +190,9 @@ class _Pixels:
             return None
         least = np.ones((len(kept), 3), np.float32)
         for place, index in enumerate(kept):
-            found = capture.clipped[index]
-            if found is not None:
-                least[place] = found.least
+            saturation = capture.clipped[index]
+            if saturation is not None:
+                least[place] = saturation.least
         return ClippedPixels(self.clipped, to_drjit(mi.Float, least.ravel()))
 
     def drop_hot(self, offset: np.ndarray) -> list[tuple[int, int, float]]:
@@ -215,13 +215,13 @@ class _Pixels:
         pixels = np.flatnonzero(hot.numpy())
         self.usable &= ~hot
         dr.eval(self.usable)
-        found = []
+        counts = []
         order = np.argsort(offset)
         owner = order[np.searchsorted(offset[order], pixels, side="right") - 1]
         for view in np.unique(owner):
             own = colors[pixels[owner == view]].max()
-            found.append((int(view), int((owner == view).sum()), float(own / most * HOT)))
-        return found
+            counts.append((int(view), int((owner == view).sum()), float(own / most * HOT)))
+        return counts
 
 
 @dataclass(frozen=True)
@@ -301,12 +301,12 @@ def _require_size(capture: Capture, index: int) -> None:
 
 def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
     """Return first steps and slopes of the channels of photographs; None if all are of floats."""
-    found = [capture.rounding[index] for index in kept if capture.rounding]
-    if not any(each is not None for each in found):
+    steps = [capture.rounding[index] for index in kept if capture.rounding]
+    if not any(each is not None for each in steps):
         return None
     none = np.zeros(3, np.float32)
-    first = np.stack([none if each is None else each.first for each in found])
-    slope = np.stack([none if each is None else each.slope for each in found])
+    first = np.stack([none if each is None else each.first for each in steps])
+    slope = np.stack([none if each is None else each.slope for each in steps])
     return to_drjit(mi.Float, first.ravel()), to_drjit(mi.Float, slope.ravel())
 
 
@@ -323,8 +323,8 @@ def _flags(
     capture: Capture, kept: Sequence[int], buffer: PixelBuffer, places: Sequence[int]
 ) -> Any | None:
     """Return (P,) UInt8, the bits of channels that are clipped; None where no photograph is."""
-    found = [capture.clipped[index] for index in kept if capture.clipped]
-    if not any(each is not None for each in found):
+    saturations = [capture.clipped[index] for index in kept if capture.clipped]
+    if not any(each is not None for each in saturations):
         return None
-    channels = [None if each is None else each.channels for each in found]
+    channels = [None if each is None else each.channels for each in saturations]
     return dr.uint8_array_t(mi.Float)(buffer.channels_at(places, channels))

@@ -16,8 +16,8 @@ MOST_TAPS = 8  # per side of a texel
 
 def as_channels(color: Any, channels: int) -> list[Any]:
     """Return a colour of 3 channels, or of 1, as that many: one is the mean of three."""
-    found = list(color)
-    return found if len(found) == channels else [sum(found) / len(found)]
+    values = list(color)
+    return values if len(values) == channels else [sum(values) / len(values)]
 
 
 @dataclass(frozen=True)

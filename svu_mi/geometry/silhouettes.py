@@ -83,11 +83,11 @@ def find_tiles(
 ) -> np.ndarray:
     """Return disjoint tiles of V views, (N, 3) uint32: view, column, row of the first pixel."""
     windows = _windows(projections, near, sizes, bounds)
-    found = [
+    of_views = [
         _tiles_of(view, window, mask)
         for view, (window, mask) in enumerate(zip(windows, masks, strict=True))
     ]
-    return np.concatenate([np.zeros((0, 3), np.uint32), *found])
+    return np.concatenate([np.zeros((0, 3), np.uint32), *of_views])
 
 
 def _windows(

@@ -28,14 +28,14 @@ def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
         raise SceneError(f"{label} has no principled BSDF, so its parameters are unknown.")
     si = dr.zeros(mi.SurfaceInteraction3f, texels.count)
     si.uv = texels.uv
-    found = {}
+    parameters = {}
     for name, values in attributes(bsdf, si).items():
         # A uniform texture gives one value for all.
         columns = [
             np.broadcast_to(np.array(x, np.float64).ravel(), (texels.count,)) for x in values
         ]
-        found[name] = np.stack(columns, axis=-1) if len(columns) > 1 else columns[0].copy()
-    return found
+        parameters[name] = np.stack(columns, axis=-1) if len(columns) > 1 else columns[0].copy()
+    return parameters
 
 
 def attributes(bsdf: Any, si: Any, active: Any = True) -> dict[str, list[Any]]:

@@ -250,21 +250,21 @@ def _surface_points(
 ) -> Texels:  # fmt: skip
     """Interpolate the mesh at texel centres, in double precision, some at a time."""
     faces = _face_normals(source)
-    found = {name: np.empty((n, len(index)), np.float32) for name, n in POINTS.items()}
+    points = {name: np.empty((n, len(index)), np.float32) for name, n in POINTS.items()}
     for first in range(0, len(index), CHUNK):
         span = slice(first, first + CHUNK)
         for name, values in _interpolated(source, faces, index[span], face[span], resolution):
-            found[name][:, span] = values.T
+            points[name][:, span] = values.T
     return Texels(
         resolution=resolution,
         index=to_drjit(mi.UInt32, index.astype(np.uint32)),
         face=to_drjit(mi.UInt32, face.astype(np.uint32)),
-        position=to_drjit(mi.Point3f, found["position"]),
-        normal=to_drjit(mi.Normal3f, found["normal"]),
-        geometric_normal=to_drjit(mi.Normal3f, found["geometric_normal"]),
-        uv=to_drjit(mi.Point2f, found["uv"]),
-        footprint=to_drjit(mi.Float, found["footprint"][0]),
-        sides=(to_drjit(mi.Vector3f, found["along_u"]), to_drjit(mi.Vector3f, found["along_v"])),
+        position=to_drjit(mi.Point3f, points["position"]),
+        normal=to_drjit(mi.Normal3f, points["normal"]),
+        geometric_normal=to_drjit(mi.Normal3f, points["geometric_normal"]),
+        uv=to_drjit(mi.Point2f, points["uv"]),
+        footprint=to_drjit(mi.Float, points["footprint"][0]),
+        sides=(to_drjit(mi.Vector3f, points["along_u"]), to_drjit(mi.Vector3f, points["along_v"])),
         overlapping=overlapping,
         degenerate=degenerate,
         extent=_extent(source),

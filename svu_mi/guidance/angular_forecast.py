@@ -24,8 +24,8 @@ import numpy as np
 from svu_mi.core.local_memory import allocate, load, store
 from svu_mi.geometry.sample_view import ViewSample
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.objectives import FAR, Colors, Parts
-from svu_mi.guidance.predicted_responses import Respond
+from svu_mi.guidance.objectives import FAR, ChannelFields, Colors
+from svu_mi.guidance.predicted_responses import ResponseFunction
 from svu_mi.light.light_visibility import trace_mirror
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.grid import PrincipledGrid
@@ -44,16 +44,16 @@ def columns(levels: int, channels: int) -> int:
     return 1 + 4 * levels * channels
 
 
-def respond(scene: Any, model: ReflectionModel) -> Respond:
-    """Return what evaluates a view of texels."""
+def respond(scene: Any, model: ReflectionModel) -> ResponseFunction:
+    """Return a function that evaluates the reflectance columns of a view."""
     surface = model.surface
 
     def evaluate(seen: ViewSample) -> list[Any]:
         free = mi.Bool(True)
         if model.reads_mirrors:
             free = trace_mirror(scene, surface, seen, seen.seen)
-        found = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
-        return [value for level in found for lobe in level for value in lobe]
+        columns_by_level = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
+        return [value for level in columns_by_level for lobe in level for value in lobe]
 
     return evaluate
 
@@ -80,14 +80,18 @@ class AngularForecast(Forecast):
         self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
     ) -> np.ndarray:
         if candidates is None:
-            return self._expect(texels, 1, partial(_in_turn, views=_Order(views), known=len(views)))
-        each = partial(_each, known=_Order(views), candidates=_Order(candidates))
+            return self._expect(
+                texels, 1, partial(_view_by_view, views=_ViewList(views), known=len(views))
+            )
+        each = partial(
+            _with_each_candidate, known=_ViewList(views), candidates=_ViewList(candidates)
+        )
         return self._expect(texels, len(candidates), each)
 
-    def one_by_one(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    def cumulative(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
         # Products of the views so far are summed up once, not once for every candidate.
-        order = _Order(np.concatenate([views, candidates]))
-        in_turn = partial(_in_turn, views=order, known=len(views))
+        order = _ViewList(np.concatenate([views, candidates]))
+        in_turn = partial(_view_by_view, views=order, known=len(views))
         steps = self._expect(np.arange(self.count), 1 + len(candidates), in_turn)
         steps[0, ~self.seen[views].any(axis=0)] = self.measure.unseen
         for before, after, seen in zip(steps[:-1], steps[1:], self.seen[candidates], strict=True):
@@ -99,14 +103,14 @@ class AngularForecast(Forecast):
         place, hypothesis = self.hypotheses.of_texels(texels)
         out = dr.zeros(mi.Float, number * len(place))
         dr.eval(out)
-        out = kernel(_Launch(self, numbers(texels[place]), numbers(hypothesis)), out=out)
+        out = kernel(_HypothesisLanes(self, numbers(texels[place]), numbers(hypothesis)), out=out)
         dr.eval(out)
         each = out.numpy().reshape(number, len(place))
         return np.add.reduceat(each, np.flatnonzero(hypothesis == 0), axis=1)
 
 
-class _Order:
-    """Views to go through, one after the other."""
+class _ViewList:
+    """Numbers of views, in the order in which a kernel visits them."""
 
     def __init__(self, views: np.ndarray) -> None:
         self.count = dr.opaque(mi.UInt32, len(views))
@@ -120,12 +124,12 @@ Truth = tuple[Any, list[Any], Any, Any]
 """Row, colour of every channel, probability and -log prior of a hypothesis."""
 Lobes = list[tuple[Any, ...]]
 """Columns of every lobe (``reflection/principled.py``)."""
-Shown = tuple[Any, list[Any]]
+PredictedSample = tuple[Any, list[Any]]
 """Weight of the errors of a photograph, over 2 s^2 tau, and its radiance by channel."""
 
 
-class _Launch:
-    """Hypotheses of texels, one per lane, and the rows of their grid; a packet has few texels."""
+class _HypothesisLanes:
+    """Hypotheses of texels, one per lane, against all rows of their grid."""
 
     def __init__(self, forecast: AngularForecast, lane: Any, number: Any) -> None:
         self._forecast, self._lane = forecast, lane
@@ -154,8 +158,8 @@ class _Launch:
         colors = [dr.gather(mi.Float, self._truths, place + k) for k in range(self.channels)]
         return row, colors, weight, self._prior(row)
 
-    def shown(self, view: Any) -> Shown:
-        """What a photograph of the truth would show."""
+    def predicted(self, view: Any) -> PredictedSample:
+        """Predict the sample of a view if the hypothesis is true."""
         row, colors, *_ = self.truth
         level = row // self.mixtures
         lines = self._lines(self.lobes(view, level), row - level * self.mixtures)
@@ -163,25 +167,27 @@ class _Launch:
         return self._precision * noise_weight(sum(r) / len(r), self._kappa), r
 
     def lobes(self, view: Any, level: Any) -> Lobes:
-        """What a view shows of all rows of a level: the columns of every lobe."""
-        found = []
+        """Return the columns of every lobe in a view, for all rows of a level."""
+        columns = []
         for lobe in range(self._lobes):
-            found.append(columns_of(*self._responses.read(view, level * self._lobes + lobe)))
-        return found
+            columns.append(columns_of(*self._responses.read(view, level * self._lobes + lobe)))
+        return columns
 
-    def products(self, sums: list[Any], lobes: Lobes, mixed: Any, shown: Shown | None) -> list[Any]:
+    def products(
+        self, sums: list[Any], lobes: Lobes, mixed: Any, shown: PredictedSample | None
+    ) -> list[Any]:  # fmt: skip
         """Add w slope^2, w slope rest, w rest^2 of every channel, in a view (or None) of a row."""
         if shown is None:
             return sums
         weight, radiance = shown
-        found: list[Any] = []
+        products: list[Any] = []
         for (slope, base), c, r in zip(
             self._lines(lobes, mixed), self.truth[1], radiance, strict=True
         ):
             rest = r - dr.fma(c, slope, base)
             scaled = weight * slope
-            found += [scaled * slope, scaled * rest, weight * rest * rest]
-        return [old + new for old, new in zip(sums, found, strict=True)]
+            products += [scaled * slope, scaled * rest, weight * rest * rest]
+        return [old + new for old, new in zip(sums, products, strict=True)]
 
     @dr.syntax
     def empty(self) -> list[Any]:
@@ -199,7 +205,7 @@ class _Launch:
         sees = mi.Float(0)
         if self.sees(view) > 0:
             sees = mi.Float(1)
-            shown = self.shown(view)
+            shown = self.predicted(view)
             level = mi.UInt32(0)
             # Literals: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
             while level < mi.UInt32(self.levels):
@@ -216,7 +222,7 @@ class _Launch:
     def evaluate(self, sums: list[Any], views: Any, candidate: Any | None) -> Any:
         """Return the measure, a Float, from sums of views and of a visible candidate or None."""
         share = dr.select(self._averaged, dr.rcp(views), 1)
-        shown = None if candidate is None else self.shown(candidate)
+        shown = None if candidate is None else self.predicted(candidate)
         total = self.measure.start()
         level = mi.UInt32(0)
         while level < mi.UInt32(self.levels):
@@ -234,12 +240,14 @@ class _Launch:
         return self.measure.value(total)
 
     def row(self, sums: list[Any], row: Any) -> tuple[Any, Any]:
-        """Energy of a row relative to the truth's, which no colour is below, and what sums up."""
+        """Return the least energy of a row, less the truth's, and each channel's likelihood."""
         _, colors, _, usual = self.truth
         bound, channels = self._forecast.colors.channels(sums, colors)
         return bound + self._prior(row) - usual, channels
 
-    def add(self, sums: list[Any], row: Any, energy: Any, channels: list[Parts]) -> list[Any]:
+    def add(
+        self, sums: list[Any], row: Any, energy: Any, channels: list[ChannelFields]
+    ) -> list[Any]:
         """Add a row to the measure's sums."""
         level = row // self.mixtures
         mixed = row_entropy.nodes(mi.Float, self._mixed, row - level * self.mixtures)
@@ -258,39 +266,41 @@ class _Launch:
     def _lines(self, lobes: Lobes, mixed: Any) -> list[tuple[Any, Any]]:
         """Radiance of a row as slope and value at 0 over the base colour of each channel."""
         how = mixture(*row_entropy.nodes(mi.Float, self._mixed, mixed))
-        found = [(dot(how.slope, x), dot(how.offset, x)) for x in lobes]
-        return found if len(found) == self.channels else found * self.channels
+        lines = [(dot(how.slope, x), dot(how.offset, x)) for x in lobes]
+        return lines if len(lines) == self.channels else lines * self.channels
 
 
 @dr.syntax
-def _each(launch: _Launch, known: _Order, candidates: _Order, out: Any) -> Any:
+def _with_each_candidate(
+    lanes: _HypothesisLanes, known: _ViewList, candidates: _ViewList, out: Any
+) -> Any:
     """Write p(psi_0) times the measure with each candidate: (candidates, lanes)."""
-    sums = launch.empty()
+    sums = lanes.empty()
     n = mi.Float(0)
     i = mi.UInt32(0)
     while i < known.count:
-        n += launch.accumulate(sums, known.at(i))
+        n += lanes.accumulate(sums, known.at(i))
         i += 1
     j = mi.UInt32(0)
     while j < candidates.count:
         view = candidates.at(j)
-        if launch.sees(view) > 0:
-            launch.write(out, j, launch.evaluate(sums, n + 1, view))
+        if lanes.sees(view) > 0:
+            lanes.write(out, j, lanes.evaluate(sums, n + 1, view))
         j += 1
     return out
 
 
 @dr.syntax
-def _in_turn(launch: _Launch, views: _Order, known: int, out: Any) -> Any:
-    """Write the same with the known views, the first, then with every other view as well."""
-    sums, last = launch.empty(), dr.opaque(mi.UInt32, known - 1)
+def _view_by_view(lanes: _HypothesisLanes, views: _ViewList, known: int, out: Any) -> Any:
+    """Write the same with the known views, which come first, then with one view more at a time."""
+    sums, last = lanes.empty(), dr.opaque(mi.UInt32, known - 1)
     n = mi.Float(0)
     i = mi.UInt32(0)
     while i < views.count:
         view = views.at(i)
-        sees = launch.accumulate(sums, view)
+        sees = lanes.accumulate(sums, view)
         n += sees
         if (n > 0) & ((i == last) | ((i > last) & (sees > 0))):
-            launch.write(out, i - last, launch.evaluate(sums, n, None))
+            lanes.write(out, i - last, lanes.evaluate(sums, n, None))
         i += 1
     return out

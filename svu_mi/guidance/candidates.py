@@ -161,6 +161,24 @@ class Candidates:
         return replace(self, reachable=self.reachable & flags)
 
 
+def candidates_or_default(
+    given: Candidates | Sequence[Any] | None, capture: Capture
+) -> Candidates:  # fmt: skip
+    """Return candidates; by default sensors without a photograph (black counts as one)."""
+    if isinstance(given, Candidates):
+        return given
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        return Candidates.of(given)
+    if given is not None:
+        raise OptionError(
+            f"next_best_view(): candidates must be Candidates or sensors, got {given!r}; "
+            "place some with svu.Candidates.around(capture, count)."
+        )
+    unused = [view for view, used in enumerate(capture.used) if not used]
+    missing = [view for view in unused if not np.isfinite(capture.images[view]).any()]
+    return Candidates.at(capture, missing) if missing else Candidates.around(capture)
+
+
 def _is_capture(path: Path) -> bool:
     """Return whether a JSON file is one of ours, by what it says of itself."""
     record = read_json(path)

@@ -57,7 +57,7 @@ class Hypotheses:
         if most >= (probabilities.shape[1] if possible is None else possible):
             weights = probabilities / total
         else:
-            weights = _drawn(np.cumsum(probabilities / total, axis=1), most, starts)
+            weights = _systematic_sample(np.cumsum(probabilities / total, axis=1), most, starts)
         return Hypotheses.of(weights)
 
     @staticmethod
@@ -76,7 +76,7 @@ class Hypotheses:
         )
 
 
-def _drawn(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
+def _systematic_sample(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
     """Return (T, N) shares k / K of cells drawn at equal steps of probability."""
     # How many of the points (i + start) / K lie below the end of every cell.
     below = np.clip(np.ceil(cumulative * most - starts[:, None]), 0, most)
@@ -109,7 +109,7 @@ class Forecast(ABC):
         """T."""
         return int(self.responses.count[0])
 
-    def now(self, views: np.ndarray) -> np.ndarray:
+    def current(self, views: np.ndarray) -> np.ndarray:
         """Return E[H] (T,) of photographs from some views; of unseen texels, H of the prior."""
         seen = self.seen[views].any(axis=0)
         result = np.full(self.count, self.measure.unseen, np.float32)
@@ -121,12 +121,12 @@ class Forecast(ABC):
         """Return E[H] with views and one candidate (Eq. 13): (A, L); NaN where it does not see."""
         if not len(candidates) or not len(texels):
             return np.empty((len(candidates), len(texels)), np.float32)
-        found = self._evaluate(views, candidates, texels)
-        return np.where(self.seen[np.ix_(candidates, texels)], found, np.nan)
+        values = self._evaluate(views, candidates, texels)
+        return np.where(self.seen[np.ix_(candidates, texels)], values, np.nan)
 
-    def one_by_one(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    def cumulative(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
         """Return E[H] of some views, then with each of A candidates in addition: (A + 1, T)."""
-        steps = [self.now(views)]
+        steps = [self.current(views)]
         for k, candidate in enumerate(candidates):
             texels = np.flatnonzero(self.seen[candidate])
             after = steps[-1].copy()
@@ -136,7 +136,7 @@ class Forecast(ABC):
         return np.stack(steps)
 
     @property
-    def lasting(self) -> bool:
+    def is_separable(self) -> bool:
         """Whether E[H] of a texel stays when a view is added that does not see it."""
         return True
 

@@ -1,4 +1,4 @@
-"""Choosing views one by one, each as if those before it were photographed."""
+"""Greedy choice of views, each as if those before it were photographed."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ GROWTH = 0.05
 BATCH = 8  # candidates of one launch, each of which may make others needless
 
 
-class Greedy:
+class GreedyScorer:
     """Lowest expected entropy (Eq. 13), summed over texels; unseen ones have that of the prior.
 
     E[H] of a texel is recomputed when a view that sees it is added; always, if the forecast is not
-    ``lasting``. With ``lazy``, only candidates whose last gain, times ``GROWTH`` per view, reaches
+    separable. With ``lazy``, only candidates whose last gain, times ``GROWTH`` per view, reaches
     the best are updated [Minoux 1978].
 
     Attributes:
@@ -30,27 +30,27 @@ class Greedy:
         lazy: bool = False,
     ) -> None:  # fmt: skip
         self.forecast, self.photographs, self.evaluated = forecast, photographs, 0
-        self._views, self._lazy = np.arange(photographs), lazy and forecast.lasting
-        self.entropy = forecast.now(self._views).astype(np.float64)
+        self._views, self._lazy = np.arange(photographs), lazy and forecast.is_separable
+        self.entropy = forecast.current(self._views).astype(np.float64)
         self._sees = forecast.seen[photographs:]
         self._expected = np.zeros(self._sees.shape)
         self._stale = self._sees.copy()
-        self._gains = np.where(self._sees.any(axis=1), np.inf, 0.0)
-        self._bounds = self._gains.copy()
+        self._scores = np.where(self._sees.any(axis=1), np.inf, 0.0)
+        self._bounds = self._scores.copy()
         self._free = np.ones(len(self._sees), bool) if reachable is None else reachable.copy()
 
-    def gains(self) -> np.ndarray:
-        """Mean over texels of E[H] without and with each candidate; -infinity for those taken or
-        out of reach. Candidates that are not up to date, because they are hardly the best, have
+    def scores(self) -> np.ndarray:
+        """Return the mean information gain of each candidate; -infinity for those taken or out of
+        reach. Candidates that are not up to date, because they are hardly the best, have
         their last gain, or one just below the best."""
         while len(candidates := self._next()):
             self._evaluate(candidates)
         below = np.nextafter(self._best(), -np.inf)
-        known = np.where(self._fresh, self._gains, np.minimum(self._gains, below))
+        known = np.where(self._fresh, self._scores, np.minimum(self._scores, below))
         return np.where(self._free, known, -np.inf)
 
     def _next(self) -> np.ndarray:
-        """Return candidates that must be brought up to date before the best is known."""
+        """Return candidates to evaluate before the best is certain."""
         pending = np.flatnonzero(self._free & ~self._fresh)
         if not self._lazy:
             return pending
@@ -61,41 +61,41 @@ class Greedy:
 
     def _best(self) -> float:
         """Return the largest gain that is up to date."""
-        return float(self._gains[self._free & self._fresh].max(initial=-np.inf))
+        return float(self._scores[self._free & self._fresh].max(initial=-np.inf))
 
     @property
     def _fresh(self) -> np.ndarray:
         """(C,) bool, which candidates are up to date."""
         return np.asarray(~self._stale.any(axis=1))
 
-    def texel_gains(self, candidate: int) -> np.ndarray:
-        """Return what a candidate would change in every texel, (T,) float64."""
+    def information_gain(self, candidate: int) -> np.ndarray:
+        """Return the expected fall of the entropy of every texel, (T,) float64."""
         if self._stale[candidate].any():
             self._evaluate(np.array([candidate]))
         return np.where(self._sees[candidate], self.entropy - self._expected[candidate], 0.0)
 
     def choose(self, candidate: int) -> None:
-        """Take a candidate as photographed; recompute all if the forecast is not ``lasting``."""
-        self.entropy = self.entropy - self.texel_gains(candidate)
+        """Treat a candidate as photographed; recompute all if the forecast is not separable."""
+        self.entropy = self.entropy - self.information_gain(candidate)
         touched = (self._sees & self._sees[candidate]).any(axis=1) & np.isfinite(self._bounds)
         self._bounds[touched] += GROWTH * np.abs(self._bounds[touched])
         self._views = np.append(self._views, self.photographs + candidate)
         self._free[candidate] = False
-        if self.forecast.lasting:
+        if self.forecast.is_separable:
             self._stale |= self._sees & self._sees[candidate]
         else:
             self._stale = self._sees.copy()
-            self.entropy = self.forecast.now(self._views).astype(np.float64)
+            self.entropy = self.forecast.current(self._views).astype(np.float64)
 
     def _evaluate(self, candidates: np.ndarray) -> None:
-        """Bring candidates up to date."""
+        """Evaluate E[H] of candidates."""
         if not len(candidates):
             return
         texels = np.flatnonzero(self._stale[candidates].any(axis=0))
-        found = self.forecast.expected(self._views, self.photographs + candidates, texels)
-        seen = np.isfinite(found)
+        expected = self.forecast.expected(self._views, self.photographs + candidates, texels)
+        seen = np.isfinite(expected)
         self.evaluated += int(seen.sum())
-        self._expected[np.ix_(candidates, texels)] = np.where(seen, found, 0)
+        self._expected[np.ix_(candidates, texels)] = np.where(seen, expected, 0)
         self._stale[candidates] = False
         change = np.where(self._sees[candidates], self.entropy - self._expected[candidates], 0)
-        self._gains[candidates] = self._bounds[candidates] = change.mean(axis=1)
+        self._scores[candidates] = self._bounds[candidates] = change.mean(axis=1)

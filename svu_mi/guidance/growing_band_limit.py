@@ -22,7 +22,11 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.guidance.predicted_responses import Responses
-from svu_mi.guidance.spectral_forecast import Cells, Keep, SpectrumForecast
+from svu_mi.guidance.spectral_forecast import (
+    SpectrumForecast,
+    SpectrumHypotheses,
+    SpectrumReduction,
+)
 from svu_mi.posterior.spectrum_kernel import Products, row_distances
 
 Relight = Callable[[int], tuple[Responses, float]]
@@ -48,7 +52,7 @@ class GrowingForecast(SpectrumForecast):
     )
 
     @property
-    def lasting(self) -> bool:
+    def is_separable(self) -> bool:
         """Every view changes the light."""
         return False
 
@@ -66,7 +70,7 @@ class GrowingForecast(SpectrumForecast):
             self._lights[views] = replace(self, responses=responses, prefilter=prefilter)
         return self._lights[views]
 
-    def _kept(self, lane: Any) -> tuple[int, Keep]:
+    def _kept(self, lane: Any) -> tuple[int, SpectrumReduction]:
         """Keep S_L'^2 by degree, S_L' S_B by degree, and the sum of S_B^2; all over 2 sigma^2."""
         count, of_light = super()._kept(lane)
         scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
@@ -90,12 +94,12 @@ class GrowingForecast(SpectrumForecast):
 
         return 2 * count + 1, keep
 
-    def _cells(self, texel: Any, kept: list[Any]) -> Cells:
-        return _Weighted(self, texel, kept)
+    def _hypotheses(self, texel: Any, kept: list[Any]) -> SpectrumHypotheses:
+        return _WeightedHypotheses(self, texel, kept)
 
 
-class _Weighted(Cells):
-    """``Cells`` that are as likely as the photographs make them in the light of each lane."""
+class _WeightedHypotheses(SpectrumHypotheses):
+    """``SpectrumHypotheses`` weighted by the photographs' likelihood in the light of each lane."""
 
     def __init__(self, forecast: GrowingForecast, texel: Any, kept: list[Any]) -> None:
         degree = forecast.switches.degree
@@ -110,7 +114,7 @@ class _Weighted(Cells):
         self._least, self._total = self._sums()
 
     def truth(self, number: Any) -> tuple[Any, list[Any], Any]:
-        """As ``Cells`` has it, but for the probability."""
+        """As ``SpectrumHypotheses`` has it, but for the probability."""
         _, fall, prior = super().truth(number)
         away = mi.Float(dr.minimum(self._energy(number) - self._least, 1e3))
         return dr.exp(-away) / self._total, fall, prior

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
 
 from svu_mi.core.validation import require, require_types
-from svu_mi.guidance.strategies import Name
+from svu_mi.errors import OptionError
+from svu_mi.guidance.strategies import StrategyName
 from svu_mi.presets import AnyPreset, Preset
 
-Light = Literal["preset", "photographs", "growing"]
+BandLimit = Literal["preset", "photographs", "growing"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class GuidanceOptions:
     """How candidates are judged."""
 
-    strategy: Name = "entropy"
+    strategy: StrategyName = "entropy"
     """entropy: lowest expected entropy (Eq. 13); error: lowest expected squared error of
     the parameters, relative to the present one, which determines the PSNR of textures. Baselines:
     coverage: most texels that few views see; farthest: the direction farthest from all so far;
@@ -30,7 +31,7 @@ class GuidanceOptions:
     """Most psi of Eq. 13 per texel, drawn from its posterior: cells of roughness and metallic, of
     the colour that the photographs then give; if there are no more cells, the sum is over all."""
 
-    band_limit: Light = "preset"
+    band_limit: BandLimit = "preset"
     """Band limit of the light in which candidates of a method="spectrum" estimate are judged; by
     default that of its preset, growing for paper. photographs: that of the estimate,
     alpha' = v^(-1/2) for v photographs, whatever is added, and truths as likely as the estimate
@@ -60,3 +61,17 @@ class GuidanceOptions:
             return self
         own = preset.band_limit if isinstance(preset, Preset) else "photographs"
         return replace(self, band_limit=own)
+
+
+def with_switches(options: GuidanceOptions | None, switches: dict[str, Any]) -> GuidanceOptions:
+    """Return options, the defaults if there are none, with some of them replaced by name."""
+    options = GuidanceOptions() if options is None else options
+    if not isinstance(options, GuidanceOptions):
+        raise OptionError(f"next_best_view(): options must be GuidanceOptions, got {options!r}.")
+    known = asdict(options)
+    for name in switches:
+        if name not in known:
+            raise OptionError(
+                f"next_best_view(): unknown option {name!r}; use one of {', '.join(known)}."
+            )
+    return replace(options, **switches)

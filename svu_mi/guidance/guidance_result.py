@@ -13,11 +13,11 @@ from svu_mi.geometry.neighbors import squares_of
 from svu_mi.geometry.texels import Texels
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.guidance_options import GuidanceOptions
-from svu_mi.guidance.strategy_inputs import Prospect
+from svu_mi.guidance.strategy_inputs import StrategyInputs
 
 CHUNK = 8192  # texels whose maps are computed at a time
-FINEST = 128  # values of a map along its longer side; finer ones would show their noise
-NAMED = 3  # proposals that a line names
+MAP_SIZE = 128  # values of a map along its longer side; finer ones would show their noise
+SHOWN_NAMES = 3  # proposals that a line names
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Guidance:
     Attributes:
         candidates: what there was to choose from.
         proposals: the best view, then the best one once that is taken, ...
-        gains: (C,) float64, gain of every candidate as the next photograph, in the unit of the
+        scores: (C,) float64, score of every candidate as the next photograph, in the unit of the
             strategy (mean change of E[H], if by entropy); NaN where not reachable.
         entropy: of the photographs so far, as ``estimate`` has it: mean over all texels, of which
             unseen ones count as H of the prior (``Posterior.prior_entropy``).
@@ -69,18 +69,18 @@ class Guidance:
 
     candidates: Candidates
     proposals: tuple[Proposal, ...]
-    gains: np.ndarray
+    scores: np.ndarray
     entropy: float
     texels: Texels
     options: GuidanceOptions
     method: str
     skipped: dict[str, int]
     timings: dict[str, float] = field(default_factory=dict)
-    _prospect: Prospect | None = field(default=None, repr=False, compare=False)
+    _inputs: StrategyInputs | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
-        names = ", ".join(proposal.name for proposal in self.proposals[:NAMED])
-        more = ", ..." if len(self.proposals) > NAMED else ""
+        names = ", ".join(proposal.name for proposal in self.proposals[:SHOWN_NAMES])
+        more = ", ..." if len(self.proposals) > SHOWN_NAMES else ""
         return (
             f"<Guidance: {names}{more} of {self.candidates.count} candidates, mean entropy "
             f"{self.entropy:.2f} so far>"
@@ -89,8 +89,8 @@ class Guidance:
     @property
     def ranking(self) -> np.ndarray:
         """Numbers of the reachable candidates as the next photograph, the best first."""
-        order = np.argsort(-self.gains, kind="stable")
-        return order[np.isfinite(self.gains[order])]
+        order = np.argsort(-self.scores, kind="stable")
+        return order[np.isfinite(self.scores[order])]
 
     def gain_maps(self) -> np.ndarray:
         """Return the gain of every texel by each proposal: (proposals, T) float32.
@@ -107,18 +107,16 @@ class Guidance:
 
     @cached_property
     def _maps(self) -> np.ndarray:
-        assert self._prospect is not None
+        assert self._inputs is not None
         maps = np.zeros((len(self.proposals), self.texels.count), np.float32)
         proposed = Candidates.of([proposal.sensor for proposal in self.proposals])
-        everywhere = replace(
-            self._prospect, candidates=proposed, texels=np.arange(self.texels.count)
-        )
+        everywhere = replace(self._inputs, candidates=proposed, texels=np.arange(self.texels.count))
         # Where none of them sees anything, there is nothing to gain.
         seen = everywhere.seen_by_candidates()
         shown = np.flatnonzero(seen.any(axis=0))
         first, block = self._blocks(shown)
         gains = [
-            _gains(replace(everywhere, texels=first[start : start + CHUNK]))
+            _texel_information_gain(replace(everywhere, texels=first[start : start + CHUNK]))
             for start in range(0, len(first), CHUNK)
         ]
         if gains:
@@ -128,7 +126,7 @@ class Guidance:
     def _blocks(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return one texel of each block of (t,) texels, and the block number of each, (t,)."""
         width, height = self.texels.resolution
-        side = -(-max(width, height) // FINEST)
+        side = -(-max(width, height) // MAP_SIZE)
         row, column = squares_of(self.texels)[chosen].T
         of_block = row // side * width + column // side
         _, first, block = np.unique(of_block, return_index=True, return_inverse=True)
@@ -151,15 +149,15 @@ class Guidance:
         return self.texels.to_image(self._maps[proposal], 0.0)
 
 
-def _gains(prospect: Prospect) -> np.ndarray:
+def _texel_information_gain(inputs: StrategyInputs) -> np.ndarray:
     """Gain of every texel by each candidate, (C, t), those before it taken as photographed."""
-    known, count = prospect.photographs, prospect.candidates.count
-    forecast = prospect.forecast
-    if forecast.lasting:
-        steps = forecast.one_by_one(np.arange(known), known + np.arange(count))
+    known, count = inputs.photographs, inputs.candidates.count
+    forecast = inputs.forecast
+    if forecast.is_separable:
+        steps = forecast.cumulative(np.arange(known), known + np.arange(count))
         return steps[:-1] - steps[1:]
-    greedy, gains = prospect.greedy, []
+    greedy, gains = inputs.greedy, []
     for candidate in range(count):
-        gains.append(greedy.texel_gains(candidate))
+        gains.append(greedy.information_gain(candidate))
         greedy.choose(candidate)
     return np.stack(gains)

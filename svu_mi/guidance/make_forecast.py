@@ -1,4 +1,4 @@
-"""From an estimate to a forecast of some of its texels."""
+"""Forecasts of an estimate's entropy, with hypotheses drawn from its posterior."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.forecast import Forecast, Hypotheses, numbers
 from svu_mi.guidance.growing_band_limit import GrowingForecast
 from svu_mi.guidance.guidance_options import GuidanceOptions
-from svu_mi.guidance.objectives import Colors, Entropy, prior_tables
-from svu_mi.guidance.predicted_responses import Respond, Responses, collect
+from svu_mi.guidance.objectives import Colors, EntropyMeasure, prior_tables
+from svu_mi.guidance.predicted_responses import ResponseFunction, Responses, collect_responses
 from svu_mi.guidance.spectral_forecast import SpectrumForecast
 from svu_mi.light.band_limited import band_limited_lighting
 from svu_mi.posterior.angular import AngularKernel
@@ -32,41 +32,44 @@ from svu_mi.posterior.spectrum import SpectrumKernel
 from svu_mi.posterior.tables import color_of_rows
 from svu_mi.presets import AngularPreset, AnyPreset, Preset
 
-Look = Callable[[TexelLanes, Respond, int], Responses]
-Draw = Callable[[np.ndarray, np.ndarray], Hypotheses]
+CollectFunction = Callable[[TexelLanes, ResponseFunction, int], Responses]
+DrawFunction = Callable[[np.ndarray, np.ndarray], Hypotheses]
 """Probabilities (t, N) of texels and prior (N,) -> truths."""
 
 
 def forecast_of(
     estimate: Estimate, texels: np.ndarray, candidates: Views, options: GuidanceOptions
 ) -> Forecast:
-    """Look at texels from sensors that have not taken a photograph."""
+    """Make the forecast of texels for candidate views."""
     options = options.resolved(estimate.preset)
-    refuse_growing(estimate.method, options)
+    require_band_limit(estimate.method, options)
     observed = observations_of(estimate, None)
     # A texel draws the same, whichever others are looked at.
     starts = np.random.default_rng(options.seed).random(observed.texels.count)[texels]
 
-    def look(surface: TexelLanes, respond: Respond, columns: int) -> Responses:
-        return collect(surface, (observed.views, observed.visibility), candidates, respond, columns)
+    def collect(surface: TexelLanes, respond: ResponseFunction, columns: int) -> Responses:
+        photographed = observed.views, observed.visibility
+        return collect_responses(surface, photographed, candidates, respond, columns)
 
     def draw(weights: np.ndarray, prior: np.ndarray) -> Hypotheses:
         return Hypotheses.draw(weights, options.hypotheses, starts, int((prior > 0).sum()))
 
     if isinstance(estimate.posterior.kernel, SpectrumKernel):
-        known = _spectrum(estimate.posterior, estimate.switches, observed, texels, look, draw)
+        known = _spectrum_forecast(
+            estimate.posterior, estimate.switches, observed, texels, collect, draw
+        )
         if options.band_limit == "photographs":
             return known
-        return _growing(known, estimate.posterior, observed, texels, look)
+        return _growing_forecast(known, estimate.posterior, observed, texels, collect)
     assert isinstance(estimate.posterior.kernel, CalibratedKernel | AngularKernel)
-    return _angular(estimate.posterior, estimate.switches, observed, texels, look, draw)
+    return _angular_forecast(estimate.posterior, estimate.switches, observed, texels, collect, draw)
 
 
-def _angular(
+def _angular_forecast(
     posterior: Posterior[CalibratedKernel | AngularKernel], switches: AnyPreset, observed: Observed,
-    texels: np.ndarray, look: Look, draw: Draw,
+    texels: np.ndarray, collect: CollectFunction, draw: DrawFunction,
 ) -> AngularForecast:  # fmt: skip
-    """With the energies of the estimate."""
+    """Make a forecast with the energies of the estimate."""
     grid, by_nodes = posterior.grid, isinstance(posterior.kernel, AngularKernel)
     if not isinstance(grid, PrincipledGrid):
         raise OptionError(
@@ -95,7 +98,7 @@ def _angular(
     # Grey light has one lobe for all channels.
     lobes = 1 if observed.lighting.environment.grey else channels
     model = observed.model(grid.roughness_nodes, switches, lobes, texels)
-    responses = look(
+    responses = collect(
         model.surface, angular_forecast.respond(observed.views.scene, model),
         angular_forecast.columns(grid.shape[0], lobes),
     )  # fmt: skip
@@ -106,18 +109,18 @@ def _angular(
     prior, given = prior_tables(posterior.prior, usual)
     nodes = grid.base_color_nodes if by_nodes else None
     colors = Colors(edges, posterior.kernel.problem.copies, given, nodes)
-    rows, truths = _rows(posterior, texels)
-    variance = _variance(posterior, switches, observed.unit)[texels]
+    rows, truths = _row_truths(posterior, texels)
+    variance = _noise_variance(posterior, switches, observed.unit)[texels]
     return AngularForecast(
         responses=responses, hypotheses=draw(rows, posterior.prior.sum(axis=2).ravel()),
-        grid=grid, prior=prior, measure=_entropy(posterior),
+        grid=grid, prior=prior, measure=_entropy_measure(posterior),
         truths=to_drjit(mi.Float, truths.ravel()), channels=channels,
         precision=to_drjit(mi.Float, 0.5 / variance), kappa=switches.kappa(observed.unit),
         averaged=by_nodes and switches.errors == "mean", colors=colors,
     )  # fmt: skip
 
 
-def _rows(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _row_truths(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return row masses (t, rows), and each row's base colour if true, (t, rows, C)."""
     kernel, nodes = posterior.kernel, posterior.grid.axes["base_color"]
     if not isinstance(kernel, CalibratedKernel):
@@ -135,7 +138,7 @@ def _rows(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarray, np
     return masses, colors
 
 
-def _variance(
+def _noise_variance(
     posterior: Posterior[CalibratedKernel | AngularKernel], switches: AngularPreset, unit: float
 ) -> np.ndarray:
     """s^2 tau of all texels, (T,); of those nobody saw, the median of the others."""
@@ -148,9 +151,9 @@ def _variance(
     return variance * switches.overdispersion
 
 
-def _spectrum(
+def _spectrum_forecast(
     posterior: Posterior[SpectrumKernel], switches: AnyPreset, observed: Observed,
-    texels: np.ndarray, look: Look, draw: Draw,
+    texels: np.ndarray, collect: CollectFunction, draw: DrawFunction,
 ) -> SpectrumForecast:  # fmt: skip
     grid = posterior.grid
     if not isinstance(grid, ParameterGrid):
@@ -165,26 +168,26 @@ def _spectrum(
     respond = spectral_forecast.respond(observed.views.scene, surface, observed.lighting, switches)
     p = np.array(posterior.probabilities_of(texels))
     return SpectrumForecast(
-        responses=look(surface, respond, spectral_forecast.columns(switches)),
+        responses=collect(surface, respond, spectral_forecast.columns(switches)),
         hypotheses=draw(p.reshape(len(p), -1), posterior.prior.ravel()), grid=grid,
-        prior=_energies(posterior.kernel.problem.prior),
-        measure=_entropy(posterior), switches=switches,
+        prior=_prior_energies(posterior.kernel.problem.prior),
+        measure=_entropy_measure(posterior), switches=switches,
         sigma=float(posterior.kernel.problem.sigma[0]), prefilter=observed.lighting.prefilter,
     )  # fmt: skip
 
 
-def _growing(
+def _growing_forecast(
     known: SpectrumForecast, posterior: Posterior[SpectrumKernel], observed: Observed,
-    texels: np.ndarray, look: Look,
+    texels: np.ndarray, collect: CollectFunction,
 ) -> GrowingForecast:  # fmt: skip
-    """In the light of one view more, with truths that the photographs make likely in it."""
+    """Make a forecast in the light of one more view, with truths weighted by the photographs."""
     switches, environment = known.switches, observed.lighting.environment
     surface = TexelLanes.of(observed.texels, numbers(texels))
 
     def relight(views: int) -> tuple[Responses, float]:
         lighting = band_limited_lighting(environment, views)
         respond = spectral_forecast.respond(observed.views.scene, surface, lighting, switches)
-        return look(surface, respond, spectral_forecast.columns(switches)), lighting.prefilter
+        return collect(surface, respond, spectral_forecast.columns(switches)), lighting.prefilter
 
     problem, seen = posterior.kernel.problem, posterior.observed[texels]
     (channels,) = problem.groups
@@ -198,8 +201,8 @@ def _growing(
     )  # fmt: skip
 
 
-def refuse_growing(method: str, options: GuidanceOptions) -> None:
-    """Refuse a band limit that grows for estimates without one."""
+def require_band_limit(method: str, options: GuidanceOptions) -> None:
+    """Refuse a growing band limit for estimates other than by power spectra."""
     if options.band_limit == "growing" and method != "spectrum":
         raise OptionError(
             "next_best_view(): band_limit='growing' is about power spectra (Eq. 13); use "
@@ -209,12 +212,12 @@ def refuse_growing(method: str, options: GuidanceOptions) -> None:
         )
 
 
-def _entropy(posterior: Posterior) -> Entropy:
+def _entropy_measure(posterior: Posterior) -> EntropyMeasure:
     """Return the measure in units of the posterior's entropy; known parameters have one node."""
-    return Entropy(max(posterior.most, 1e-6), posterior.prior_entropy)
+    return EntropyMeasure(max(posterior.most, 1e-6), posterior.prior_entropy)
 
 
-def _energies(prior: tuple[Any, Any] | None) -> Any | None:
+def _prior_energies(prior: tuple[Any, Any] | None) -> Any | None:
     """-log prior of every cell, (N,) Float, from those of rows, and of cells given their row."""
     if prior is None:
         return None

@@ -26,7 +26,7 @@ UNLIKELY = 1e4  # -log of what a prior excludes: a number that float32 still add
 FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is about exp(0)
 
 
-class Row(NamedTuple):
+class ColorMarginal(NamedTuple):
     """Sums over the base colours of a row, for C channels.
 
     Attributes:
@@ -40,12 +40,12 @@ class Row(NamedTuple):
     variance: list[Any]
 
 
-def row_of(energies: list[Any]) -> Row:
+def color_marginal(energies: list[Any]) -> ColorMarginal:
     """Sum over cells of a row, which have energies above 0, the smallest near it."""
     p = [dr.exp(-x) for x in energies]
     z = sum(p)
     zx = sum(a * x for a, x in zip(p, energies, strict=True))
-    return Row(z, nats(z, zx), [], [])
+    return ColorMarginal(z, nats(z, zx), [], [])
 
 
 class Measure(Protocol):
@@ -58,7 +58,7 @@ class Measure(Protocol):
     def start(self) -> list[Any]:
         """Sums of no row."""
 
-    def add(self, sums: list[Any], row: Row, shared: tuple[Any, ...]) -> list[Any]:
+    def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
         """Add a row; ``shared`` are its roughness and the parameters that mix, Floats."""
 
     def value(self, sums: list[Any]) -> Any:
@@ -66,22 +66,22 @@ class Measure(Protocol):
 
 
 @dataclass(frozen=True)
-class Entropy:
+class EntropyMeasure:
     """Normalised entropy of Eq. 5, by the chain rule: of rows, and of colours given these.
 
     Attributes:
-        most: nats of entropy 1 (``Posterior.most``): log n of n cells, or the prior's.
+        max_entropy: nats of entropy 1 (``Posterior.most``): log n of n cells, or the prior's.
         unseen: entropy of the prior, in these units.
     """
 
-    most: float
+    max_entropy: float
     unseen: float = 1.0
 
     def start(self) -> list[Any]:
         """Z, and the sum of w (H - log w) over rows of weight w."""
         return [mi.Float(0), mi.Float(0)]
 
-    def add(self, sums: list[Any], row: Row, shared: tuple[Any, ...]) -> list[Any]:
+    def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
         """Add a row, whatever its parameters."""
         del shared
         z, zx = sums
@@ -91,11 +91,11 @@ class Entropy:
     def value(self, sums: list[Any]) -> Any:
         """H."""
         z, zx = sums
-        return (dr.log(z) + zx / z) * dr.opaque(mi.Float, 1 / self.most)
+        return (dr.log(z) + zx / z) * dr.opaque(mi.Float, 1 / self.max_entropy)
 
 
 @dataclass(frozen=True)
-class Variance:
+class VarianceMeasure:
     """Sum of the parameters' variances, each relative to its present one: expected squared error.
 
     Attributes:
@@ -116,7 +116,7 @@ class Variance:
         """Z, and the sums of w x and w x^2 for all shared parameters and the colour of channels."""
         return [mi.Float(0) for _ in range(1 + 2 * (len(self.present) - 1 + self.channels))]
 
-    def add(self, sums: list[Any], row: Row, shared: tuple[Any, ...]) -> list[Any]:
+    def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
         """Add a row."""
         zero = mi.Float(0)
         values = [*((x, zero) for x in shared), *zip(row.mean, row.variance, strict=True)]
@@ -136,7 +136,7 @@ class Variance:
         return total
 
 
-Parts = tuple[Any, Any, Any, Any]
+ChannelFields = tuple[Any, Any, Any, Any]
 """A ``Channel``, as what Dr.Jit can carry through a branch."""
 
 
@@ -163,27 +163,27 @@ class Colors:
     given: Any | None
     nodes: np.ndarray | None = None
 
-    def channels(self, sums: list[Any], truth: list[Any]) -> tuple[Any, list[Parts]]:
+    def channels(self, sums: list[Any], truth: list[Any]) -> tuple[Any, list[ChannelFields]]:
         """Return the energy of the best colours, Float, and each channel's likelihood."""
         if self.edges[0] == self.edges[-1]:  # known: the truth has that colour, too
             return self.copies * sum(sums[2::3]), []
         thirds = zip(sums[::3], sums[1::3], sums[2::3], truth, strict=True)
-        found = [_channel(*one) for one in thirds]
-        parts = [(one.least, one.mirrored, one.mu, one.s) for one in found]
-        return self.copies * sum(one.least for one in found), parts
+        likelihoods = [_channel(*one) for one in thirds]
+        parts = [(one.least, one.mirrored, one.mu, one.s) for one in likelihoods]
+        return self.copies * sum(one.least for one in likelihoods), parts
 
-    def row(self, energy: Any, channels: list[Parts], place: Any) -> Row:
+    def row(self, energy: Any, channels: list[ChannelFields], place: Any) -> ColorMarginal:
         """Integrate over all colours of row ``place``, whose best ones have an energy."""
         weight = dr.exp(-energy)
         if not channels:
             c = dr.opaque(mi.Float, float(self.edges[0]))
-            return Row(weight, mi.Float(0), [c], [mi.Float(0)])
-        found = [self._integrate(Channel(*one), place) for one in channels]
-        for mass, *_ in found:
+            return ColorMarginal(weight, mi.Float(0), [c], [mi.Float(0)])
+        integrals = [self._integrate(Channel(*one), place) for one in channels]
+        for mass, *_ in integrals:
             for _ in range(self.copies):
                 weight *= mass
-        _, entropies, means, variances = zip(*found, strict=True)
-        return Row(weight, sum(entropies) / len(found), list(means), list(variances))
+        _, entropies, means, variances = zip(*integrals, strict=True)
+        return ColorMarginal(weight, sum(entropies) / len(integrals), list(means), list(variances))
 
     def _integrate(self, channel: Channel, place: Any) -> tuple[Any, Any, Any, Any]:
         """Mass, entropy of cells, mean and variance of a channel's colour."""
@@ -192,21 +192,21 @@ class Colors:
         if self.given is not None:
             density = [dr.gather(mi.Float, self.given, place * K + k) for k in range(K)]
         if self.nodes is not None:
-            found = _sum(channel, self.nodes.tolist(), density or [1.0] * K)
-            mass = found.mass
+            integrals = _sum_over_nodes(channel, self.nodes.tolist(), density or [1.0] * K)
+            mass = integrals.mass
         elif density is None:
             # Mean and variance in double precision, which is left out where nobody asks for them.
-            found = channel.integrate(edges)
+            integrals = channel.integrate(edges)
             mass, cells = channel.masses(edges)
-            found = replace(found, mass=mass, cells=cells)
+            integrals = replace(integrals, mass=mass, cells=cells)
         else:
-            log_mass, found = channel.under(edges, density)
+            log_mass, integrals = channel.under(edges, density)
             mass = dr.exp(log_mass)
-        nats = -sum(p * dr.log(dr.maximum(p, 1e-30)) for p in found.cells)
-        return mass, nats, found.mean, found.variance
+        nats = -sum(p * dr.log(dr.maximum(p, 1e-30)) for p in integrals.cells)
+        return mass, nats, integrals.mean, integrals.variance
 
 
-def _sum(channel: Channel, nodes: list[float], density: list[Any]) -> Integrals:
+def _sum_over_nodes(channel: Channel, nodes: list[float], density: list[Any]) -> Integrals:
     """Sum over some colours alone, where ``Channel.integrate`` takes all."""
     best = dr.maximum(channel.mu, 0)
     p = []

@@ -1,4 +1,4 @@
-"""What every view would show of every texel, whatever the texel is made of.
+"""Predicted responses: what each view observes of each texel, up to its reflectance.
 
 A photograph of a candidate does not exist. What it would show follows from the geometry and the
 known light alone, but for the reflectance, and that part is kept here: a few numbers per view and
@@ -27,7 +27,7 @@ from svu_mi.geometry.sample_view import (
 )
 from svu_mi.geometry.visibility import Visibility
 
-Respond = Callable[[ViewSample], list[Any]]
+ResponseFunction = Callable[[ViewSample], list[Any]]
 """One sample per lane -> its columns, Floats, but for the first, which is the cosine."""
 
 
@@ -71,11 +71,11 @@ class Responses:
     def table(self) -> np.ndarray:
         """Return (V, T, K) float32."""
         seen = self.seen
-        values = np.zeros((*seen.shape, self.columns), np.float32)
-        values[..., 0] = self.first.numpy().reshape(seen.shape)
+        table = np.zeros((*seen.shape, self.columns), np.float32)
+        table[..., 0] = self.first.numpy().reshape(seen.shape)
         rest = self.rest.numpy().reshape(-1, QUAD * self.groups)[: int(seen.sum())]
-        values[seen, 1:] = rest[:, : self.columns - 1]
-        return values
+        table[seen, 1:] = rest[:, : self.columns - 1]
+        return table
 
     def at(self, lane: Any) -> Responses:
         """Return the same, for launches about some of the texels."""
@@ -102,9 +102,9 @@ class Responses:
         return dr.gather(mi.UInt32, self.slot, view * self.count + self.lane)
 
 
-def collect(
+def collect_responses(
     surface: TexelLanes, photographed: tuple[Views, Visibility], candidates: Views,
-    respond: Respond, columns: int,
+    respond: ResponseFunction, columns: int,
 ) -> Responses:  # fmt: skip
     """Evaluate all views of texels: those photographed first, then the candidates."""
     _require_room(surface.count, photographed[0].number + candidates.number, columns)
@@ -125,10 +125,10 @@ def collect(
         record(sample_visible(candidates, surface, view, known), before + view)
         return (view + 1,)
 
-    order = visibility.order
     visibility.over_views(
-        views, surface, lambda seen, slot: record(seen, dr.gather(mi.UInt32, order, slot)), ()
-    )
+        views, surface,
+        lambda seen, slot: record(seen, dr.gather(mi.UInt32, visibility.order, slot)), (),
+    )  # fmt: skip
     dr.eval(responses.rest)
     fold(mi.UInt32(0), candidates.count, of_candidate)
     dr.eval(responses.rest)

@@ -24,8 +24,8 @@ from svu_mi.frequency.solve_primal import extend_lanes
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample, mirror_direction
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.objectives import FAR, row_of
-from svu_mi.guidance.predicted_responses import Respond, Responses
+from svu_mi.guidance.objectives import FAR, color_marginal
+from svu_mi.guidance.predicted_responses import ResponseFunction, Responses
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.light_visibility import trace_mirror
 from svu_mi.posterior.grid import ParameterGrid
@@ -35,7 +35,7 @@ from svu_mi.presets import Preset
 
 NEGLIGIBLE = 1e-9  # probability of a truth that nothing depends on
 
-Keep = Callable[[list[list[Any]]], list[Any]]
+SpectrumReduction = Callable[[list[list[Any]]], list[Any]]
 """A spectrum by degree and channel -> what is kept of it."""
 
 
@@ -44,8 +44,10 @@ def columns(switches: Preset) -> int:
     return 4 + switches.colors
 
 
-def respond(scene: Any, surface: TexelLanes, lighting: Lighting, switches: Preset) -> Respond:
-    """Return what evaluates a view of texels: a row of Eq. 12 for the light."""
+def respond(
+    scene: Any, surface: TexelLanes, lighting: Lighting, switches: Preset
+) -> ResponseFunction:
+    """Return a function that evaluates a view: a row of Eq. 12 for the light."""
     dr.eval(lighting.filtered)  # no texture may be made while a loop is recorded
 
     def evaluate(seen: ViewSample) -> list[Any]:
@@ -110,7 +112,7 @@ class SpectrumForecast(Forecast):
         dr.eval(values)
         return to_drjit(mi.Float64, np.concatenate([value.numpy() for value in values]))
 
-    def _kept(self, lane: Any) -> tuple[int, Keep]:
+    def _kept(self, lane: Any) -> tuple[int, SpectrumReduction]:
         """Return K, and a function that returns K Float64: sum_C S_L'(l)^2 / (2 sigma^2), l > 0."""
         del lane
         scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
@@ -120,9 +122,9 @@ class SpectrumForecast(Forecast):
 
         return self.switches.degree, keep
 
-    def _cells(self, texel: Any, kept: list[Any]) -> Cells:
+    def _hypotheses(self, texel: Any, kept: list[Any]) -> SpectrumHypotheses:
         """Return the cells of the lanes of a launch, from what was kept of their light."""
-        return Cells(self, texel, kept)
+        return SpectrumHypotheses(self, texel, kept)
 
     def _entropies(self, powers: Any, lane: Any, pairs: Any) -> np.ndarray:
         """E[H] of pairs, numbered candidate * L + texel."""
@@ -135,7 +137,9 @@ class SpectrumForecast(Forecast):
             dr.gather(mi.Float64, powers, (candidate * count + k) * size + place)
             for k in range(count)
         ]
-        H = _average(self._cells(texel, kept), dr.opaque(mi.UInt32, self.grid.shape[0]))
+        H = _expected_entropy(
+            self._hypotheses(texel, kept), dr.opaque(mi.UInt32, self.grid.shape[0])
+        )
         dr.eval(H)
         return H.numpy()
 
@@ -146,14 +150,14 @@ def _samples(rows: Responses, views: np.ndarray) -> Any:
 
     def sample(index: Any) -> tuple[Any, Any, list[Any]]:
         view = dr.gather(mi.UInt32, order, index)
-        found = [value for k in range(rows.groups) for value in rows.read(view, k)]
-        x, y, z, *light = found[: rows.columns - 1]
+        values = [value for k in range(rows.groups) for value in rows.read(view, k)]
+        x, y, z, *light = values[: rows.columns - 1]
         return mi.Vector3f(x, y, z), rows.sees(view), light
 
     return sample
 
 
-class Cells:
+class SpectrumHypotheses:
     """Distances of Eq. 11 between cells, for the light of each lane."""
 
     def __init__(self, forecast: SpectrumForecast, texel: Any, light: list[Any]) -> None:
@@ -177,13 +181,13 @@ class Cells:
         both = [t * S for t, S in zip(truth, self._light, strict=True)]
         observed = sum(t * x for t, x in zip(truth, both, strict=True))
         products = Products(self._light, both, observed)
-        found = []
+        energies = []
         for j, x in enumerate(row_distances(self._squares, products, self._falloff(level))):
             if self._prior is not None:
                 place = level * len(self._squares) + j
                 x += mi.Float64(dr.gather(mi.Float, self._prior, place)) - prior
-            found.append(mi.Float(dr.clip(x, -FAR, FAR)))
-        return found
+            energies.append(mi.Float(dr.clip(x, -FAR, FAR)))
+        return energies
 
     def _cell(self, cell: Any) -> tuple[Any, list[Any]]:
         """Ks^2 and e_l of a cell."""
@@ -202,18 +206,20 @@ class Cells:
 
 
 @dr.syntax
-def _average(cells: Cells, levels: Any) -> Any:
+def _expected_entropy(lanes: SpectrumHypotheses, levels: Any) -> Any:
     """sum over psi_0 of p(psi_0) H."""
     total = mi.Float(0)
     h = mi.UInt32(0)
-    while h < cells.hypotheses:
-        weight, truth, prior = cells.truth(h)
+    while h < lanes.hypotheses:
+        weight, truth, prior = lanes.truth(h)
         if weight > NEGLIGIBLE:
-            sums = cells.measure.start()
+            sums = lanes.measure.start()
             level = mi.UInt32(0)
             while level < levels:
-                sums = cells.measure.add(sums, row_of(cells.energies(level, truth, prior)), ())
+                sums = lanes.measure.add(
+                    sums, color_marginal(lanes.energies(level, truth, prior)), ()
+                )
                 level += 1
-            total += weight * cells.measure.value(sums)
+            total += weight * lanes.measure.value(sums)
         h += 1
     return total

@@ -11,42 +11,44 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
+from svu_mi.errors import OptionError
+
 if TYPE_CHECKING:
-    from svu_mi.guidance.strategy_inputs import Prospect
+    from svu_mi.guidance.strategy_inputs import StrategyInputs
 
-    Name = str
+    StrategyName = str
 
 
-class Judge(Protocol):
-    """A strategy at work."""
+class ViewScorer(Protocol):
+    """Scores of candidates under a strategy, updated as candidates are chosen."""
 
-    def gains(self) -> np.ndarray:
-        """What each candidate is worth now, (C,) float64; more is better, and the best is exact."""
+    def scores(self) -> np.ndarray:
+        """Return the score of each candidate, (C,) float64; the best is the highest, and exact."""
 
     def choose(self, candidate: int) -> None:
-        """Take a candidate as photographed from now on."""
+        """Treat a candidate as photographed from now on."""
 
 
 @dataclass(frozen=True)
-class Strategy:
-    """Criterion of candidates; ``make``: prospect -> judge. ``method`` None: for all estimates."""
+class GuidanceStrategy:
+    """A criterion of candidates and its unit; ``method`` None: for estimates by any method."""
 
     unit: str
-    make: Callable[[Prospect], Judge]
-    forecasts: bool = False
+    make_scorer: Callable[[StrategyInputs], ViewScorer]
+    needs_forecast: bool = False
     method: str | None = None
 
 
-class Farthest:
+class FarthestScorer:
     """Farthest-point sampling: the direction farthest from all views so far."""
 
     def __init__(self, directions: np.ndarray, views: int) -> None:
-        """Make it of unit directions (V, 3) from the object; the first ``views`` are taken."""
+        """Take unit directions (V, 3) from the object; the first ``views`` have photographs."""
         self._candidates, taken = directions[views:], directions[:views]
         self._angles = _angles(self._candidates, taken).min(axis=1, initial=np.pi)
 
-    def gains(self) -> np.ndarray:
-        """Angle to the nearest view so far, in radians."""
+    def scores(self) -> np.ndarray:
+        """Return angles to the nearest view so far, in radians."""
         return self._angles
 
     def choose(self, candidate: int) -> None:
@@ -58,11 +60,11 @@ class Farthest:
 def farthest(directions: np.ndarray, taken: Sequence[int], count: int) -> list[int]:
     """Return ``taken`` and up to ``count`` more directions by farthest-point sampling."""
     chosen = list(taken)
-    strategy = Farthest(np.concatenate([directions[chosen], directions]), len(chosen))
+    strategy = FarthestScorer(np.concatenate([directions[chosen], directions]), len(chosen))
     free = np.ones(len(directions), bool)
     free[chosen] = False
     for _ in range(min(count, int(free.sum()))):
-        best = int(np.argmax(np.where(free, strategy.gains(), -np.inf)))
+        best = int(np.argmax(np.where(free, strategy.scores(), -np.inf)))
         strategy.choose(best)
         free[best] = False
         chosen.append(best)
@@ -73,57 +75,69 @@ def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip(a @ b.T, -1, 1))
 
 
-class Random:
-    """Any order, each as likely."""
+class RandomScorer:
+    """Random order, uniformly distributed."""
 
     def __init__(self, candidates: int, seed: int) -> None:
-        self._gains = np.random.default_rng(seed).permutation(candidates).astype(np.float64)
+        self._scores = np.random.default_rng(seed).permutation(candidates).astype(np.float64)
 
-    def gains(self) -> np.ndarray:
-        """Ranks."""
-        return self._gains
+    def scores(self) -> np.ndarray:
+        """Return ranks."""
+        return self._scores
 
     def choose(self, candidate: int) -> None:
-        """Add a candidate: others keep their rank."""
+        """Do nothing: others keep their rank."""
 
 
-class Coverage:
-    """Most texels that few views see: each is worth 2^-n, seen by n views so far."""
+class CoverageScorer:
+    """Most texels that few views see: n views so far give a texel the weight 2^-n."""
 
     def __init__(self, seen: np.ndarray, views: int) -> None:
-        """Make it of ``seen`` (V, T) bool; the first ``views`` are taken."""
+        """Take visibility (V, T) bool; the first ``views`` have photographs."""
         self._sees = seen[views:]
-        self._worth = 0.5 ** seen[:views].sum(axis=0)
+        self._weight = 0.5 ** seen[:views].sum(axis=0)
 
-    def gains(self) -> np.ndarray:
-        """Mean worth over texels."""
-        return np.where(self._sees, self._worth, 0).mean(axis=1)
+    def scores(self) -> np.ndarray:
+        """Return the mean weight of the texels seen."""
+        return np.where(self._sees, self._weight, 0).mean(axis=1)
 
     def choose(self, candidate: int) -> None:
         """Add a candidate."""
-        self._worth = self._worth * np.where(self._sees[candidate], 0.5, 1)
+        self._weight = self._weight * np.where(self._sees[candidate], 0.5, 1)
 
 
-TABLE: dict[str, Strategy] = {
-    "entropy": Strategy(
-        "expected fall of the mean entropy", lambda known: known.greedy, forecasts=True
+TABLE: dict[str, GuidanceStrategy] = {
+    "entropy": GuidanceStrategy(
+        "expected fall of the mean entropy", lambda inputs: inputs.greedy, needs_forecast=True
     ),
-    "error": Strategy(
+    "error": GuidanceStrategy(
         "expected fall of the mean squared error, relative to the present one",
-        lambda known: known.by_error(), forecasts=True, method="angular",
+        lambda inputs: inputs.by_error(), needs_forecast=True, method="angular",
     ),
-    "coverage": Strategy(
-        "mean worth of the texels seen", lambda known: Coverage(known.seen, known.photographs)
+    "coverage": GuidanceStrategy(
+        "mean worth of the texels seen",
+        lambda inputs: CoverageScorer(inputs.seen, inputs.photographs),
     ),
-    "farthest": Strategy(
+    "farthest": GuidanceStrategy(
         "angle to the nearest photograph, in radians",
-        lambda known: Farthest(known.directions, known.photographs),
+        lambda inputs: FarthestScorer(inputs.directions, inputs.photographs),
     ),
-    "random": Strategy(
-        "a drawn rank", lambda known: Random(known.candidates.count, known.options.seed)
+    "random": GuidanceStrategy(
+        "a drawn rank", lambda inputs: RandomScorer(inputs.candidates.count, inputs.options.seed)
     ),
 }  # fmt: skip
 STRATEGIES = tuple(TABLE)
 
 if not TYPE_CHECKING:
-    Name: Any = Literal[STRATEGIES]
+    StrategyName: Any = Literal[STRATEGIES]
+
+
+def strategy_for(name: str, method: str) -> GuidanceStrategy:
+    """Return a strategy; refuse one that needs an estimate by another method."""
+    strategy = TABLE[name]
+    if strategy.method not in (None, method):
+        raise OptionError(
+            f"next_best_view(): {name} needs an estimate by method={strategy.method!r}.",
+            shell=f"--strategy {name} needs --method {strategy.method}.",
+        )
+    return strategy

@@ -14,10 +14,10 @@ from svu_mi.geometry.visibility import Visibility
 from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.greedy import Greedy
+from svu_mi.guidance.greedy import GreedyScorer
 from svu_mi.guidance.guidance_options import GuidanceOptions
 from svu_mi.guidance.make_forecast import forecast_of
-from svu_mi.guidance.objectives import Variance
+from svu_mi.guidance.objectives import VarianceMeasure
 from svu_mi.guidance.predicted_responses import cosines
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.posterior.calibrated import CalibratedKernel
@@ -25,11 +25,11 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.tables import marginals_of
 
-LEAST = 1e-4  # of a parameter's variance that others are compared with
+LEAST_VARIANCE = 1e-4  # of a parameter's variance that others are compared with
 
 
 @dataclass(frozen=True)
-class Prospect:
+class StrategyInputs:
     """C candidates, and t texels of an estimate that they are judged by, (t,) int64."""
 
     estimate: Estimate
@@ -53,7 +53,7 @@ class Prospect:
     @cached_property
     def seen(self) -> np.ndarray:
         """(V, t) bool, which view sees which texel."""
-        if TABLE[self.options.strategy].forecasts:
+        if TABLE[self.options.strategy].needs_forecast:
             return self.forecast.seen
         return self._sees((self.observed.views, self.observed.visibility))
 
@@ -64,8 +64,8 @@ class Prospect:
     def _sees(self, photographed: tuple[Views, Visibility] | None) -> np.ndarray:
         """Return which of these views and the candidates sees which texel."""
         surface = TexelLanes.of(self.observed.texels, numbers(self.texels))
-        found = cosines(surface, photographed, self._packed)
-        return np.asarray(found.numpy() > 0).reshape(-1, len(self.texels))
+        visible = cosines(surface, photographed, self._packed)
+        return np.asarray(visible.numpy() > 0).reshape(-1, len(self.texels))
 
     @cached_property
     def forecast(self) -> Forecast:
@@ -73,11 +73,11 @@ class Prospect:
         return forecast_of(self.estimate, self.texels, self._packed, self.options)
 
     @cached_property
-    def greedy(self) -> Greedy:
+    def greedy(self) -> GreedyScorer:
         """Candidates by expected entropy."""
         return self._greedy(self.forecast, self.options.lazy)
 
-    def by_error(self) -> Greedy:
+    def by_error(self) -> GreedyScorer:
         """Return candidates by the squared error to expect, relative to that of seen texels."""
         posterior, seen = self.estimate.posterior, self.observed.coverage > 0
         if isinstance(posterior.kernel, CalibratedKernel):
@@ -88,11 +88,11 @@ class Prospect:
             nodes = posterior.axes[name]
             spread = np.array(posterior.sd(name), np.float64)[seen] ** 2
             # A parameter that is known has no error to lower.
-            present.append(max(float(spread.mean()), LEAST))
+            present.append(max(float(spread.mean()), LEAST_VARIANCE))
             prior.append(float(p @ (nodes - p @ nodes) ** 2))
         forecast = self.forecast
         assert isinstance(forecast, AngularForecast)
-        measure = Variance(tuple(present), tuple(prior), forecast.channels)
+        measure = VarianceMeasure(tuple(present), tuple(prior), forecast.channels)
         # Errors to expect may well grow with a view, that of a truth with two explanations, say.
         return self._greedy(replace(forecast, measure=measure), lazy=False)
 
@@ -101,5 +101,5 @@ class Prospect:
         capture = self.observed.capture
         return pack_sensors(capture.scene, capture.shape, self.candidates.sensors, later=True)
 
-    def _greedy(self, forecast: Forecast, lazy: bool) -> Greedy:
-        return Greedy(forecast, self.photographs, self.candidates.reachable, lazy=lazy)
+    def _greedy(self, forecast: Forecast, lazy: bool) -> GreedyScorer:
+        return GreedyScorer(forecast, self.photographs, self.candidates.reachable, lazy=lazy)

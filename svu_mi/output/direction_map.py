@@ -37,7 +37,7 @@ def draw_directions(
     used = directions_of(capture.used_sensors, center)
     frame = viewing_frame(np.array(up, np.float64), used[0])
     x, y = _hammer(directions_of(guidance.candidates.sensors, center) @ frame.T)
-    gains, reachable = guidance.gains, guidance.candidates.reachable
+    gains, reachable = guidance.scores, guidance.candidates.reachable
     drawn = style.scalar_mappable(color_range(gains[reachable]))
     _graticule(axes)
     size, hollow = _dot(axes, len(gains)), ~reachable

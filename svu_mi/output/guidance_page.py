@@ -161,7 +161,7 @@ def draw_ranking(axes: Axes, guidance: Guidance) -> None:
     from matplotlib.ticker import MaxNLocator
 
     order = guidance.ranking
-    gains = guidance.gains[order]
+    gains = guidance.scores[order]
     colors = style.colors(gains, color_range(gains))
     axes.bar(np.arange(1, len(order) + 1), gains, width=1 if len(order) > 60 else 0.9, color=colors)
     low, top = min(float(gains.min()), 0), 1.2 * float(max(gains.max(), 1e-9))

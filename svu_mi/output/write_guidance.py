@@ -136,7 +136,7 @@ def _ranked(guidance: Guidance) -> list[dict[str, Any]]:
     names, reachable = guidance.candidates.names, guidance.candidates.reachable
     return [
         {"number": int(k), "name": names[k], "reachable": bool(reachable[k]),
-         "gain": float(guidance.gains[k])}
+         "gain": float(guidance.scores[k])}
         for k in (*guidance.ranking, *np.flatnonzero(~reachable))
     ]  # fmt: skip
 

@@ -20,23 +20,22 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import directions_of, sphere_sensors
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.local_memory import padded_to_quads
-from svu_mi.guidance import guidance_result as results
-from svu_mi.guidance import strategies as baselines
-from svu_mi.guidance import strategy_inputs as prospects
+from svu_mi.guidance import guidance_result, strategies, strategy_inputs
 from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.forecast import Hypotheses
-from svu_mi.guidance.greedy import GROWTH, Greedy
+from svu_mi.guidance.greedy import GROWTH, GreedyScorer
 from svu_mi.guidance.growing_band_limit import GrowingForecast
-from svu_mi.guidance.objectives import Colors, Entropy, Variance, prior_tables
+from svu_mi.guidance.objectives import Colors, EntropyMeasure, VarianceMeasure, prior_tables
 from svu_mi.guidance.predicted_responses import Responses
 from svu_mi.guidance.spectral_forecast import SpectrumForecast
 from svu_mi.guidance.strategies import STRATEGIES, TABLE
-from svu_mi.guidance.strategy_inputs import Prospect
+from svu_mi.guidance.strategy_inputs import StrategyInputs
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.quadrature import cell_edges
 from svu_mi.presets import preset
 
 SUN = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0.4, 0.8, 0.45]}
+BASELINES = [name for name in STRATEGIES if not TABLE[name].needs_forecast]
 LOW = 3  # degree, where kernels of the usual one do the same and take ten times as long to compile
 SHARP = preset("paper", sigma=1e-3)  # with .1, spectra under this sky say next to nothing
 PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.2]},
@@ -53,9 +52,10 @@ def responses_of(table: np.ndarray) -> Responses:
 
 
 def test_responses_of_texels_that_no_view_sees():
-    found = Responses.of(to_drjit(mi.Float, np.zeros(15, np.float32)), 7, 5)
-    assert not found.seen.any() and found.table().shape == (3, 5, 7) and not found.table().any()
-    assert not np.array(found.read(mi.UInt32(2), 1)).any()
+    responses = Responses.of(to_drjit(mi.Float, np.zeros(15, np.float32)), 7, 5)
+    assert not responses.seen.any() and not responses.table().any()
+    assert responses.table().shape == (3, 5, 7)
+    assert not np.array(responses.read(mi.UInt32(2), 1)).any()
 
 
 def posteriors(rng: np.random.Generator, count: int, cells: int) -> np.ndarray:
@@ -95,7 +95,7 @@ def angular_forecast(
         precision=to_drjit(mi.Float, rng.uniform(0.5, 1.5, count)),
         colors=Colors(edges, copies, given, axis if nodes else None),
         hypotheses=Hypotheses.draw(p, hypotheses, np.zeros(count)),
-        measure=Entropy(float(np.log(np.prod(grid.shape)))),
+        measure=EntropyMeasure(float(np.log(np.prod(grid.shape)))),
     )  # fmt: skip
     return forecast, table.astype(np.float64), p
 
@@ -110,7 +110,7 @@ def angular_oracle(forecast, table, texel, views, prior=None):
         if colors.nodes is None and cells > 1:
             width = np.diff(cell_edges(grid.base_color_nodes))
         prior = np.ones((levels * metallic, 1)) * width
-    found = oracle.Angular(
+    exact = oracle.Angular(
         lobes=table[seen, texel, 1:].reshape(len(seen), levels, -1, 4),
         metallic=grid.axes["metallic"], prior=(prior / prior.sum()).reshape(-1, cells),
         precision=float(forecast.precision.numpy()[texel]), kappa=forecast.kappa,
@@ -118,12 +118,12 @@ def angular_oracle(forecast, table, texel, views, prior=None):
         colors=grid.axes["base_color"] if cells == 1 else colors.nodes,
     )  # fmt: skip
     shape = (-1, levels * metallic, forecast.channels)
-    return found, forecast.truths.numpy().reshape(shape)[texel].astype(np.float64)
+    return exact, forecast.truths.numpy().reshape(shape)[texel].astype(np.float64)
 
 
 def exact_entropy(forecast, table, p, views, texel, prior=None):
-    found, truths = angular_oracle(forecast, table, texel, views, prior)
-    total = sum(w * found.entropy(row, truths[row]) for row, w in enumerate(p[texel]) if w > 0)
+    exact, truths = angular_oracle(forecast, table, texel, views, prior)
+    total = sum(w * exact.entropy(row, truths[row]) for row, w in enumerate(p[texel]) if w > 0)
     return total / np.log(np.prod(forecast.grid.shape))
 
 
@@ -151,9 +151,9 @@ class TestAngular:
         rng, grid = np.random.default_rng(1), GRIDS[name]
         forecast, table, p = angular_forecast(rng, 7, 19, grid, **RULES[rule])
         views, candidates = np.arange(4), np.array([6, 4, 5])
-        now = forecast.now(views)
+        now = forecast.current(views)
         texels = np.array([0, 3, 12])
-        found = forecast.expected(views, candidates, texels)
+        expected = forecast.expected(views, candidates, texels)
         near = 1e-4  # the oracle's quadrature of colours
         for t in texels:
             seen = table[:4, t, 0].any()
@@ -161,10 +161,10 @@ class TestAngular:
             assert now[t] == pytest.approx(before, abs=near)
         for (a, v), (i, t) in [(x, y) for x in enumerate(candidates) for y in enumerate(texels)]:
             if table[v, t, 0] == 0:
-                assert np.isnan(found[a, i])
+                assert np.isnan(expected[a, i])
             else:
                 exact = exact_entropy(forecast, table, p, [*range(4), v], t)
-                assert found[a, i] == pytest.approx(exact, abs=near)
+                assert expected[a, i] == pytest.approx(exact, abs=near)
 
     @pytest.mark.parametrize("averaged", [True, False])
     def test_prior_and_noise_that_grows(self, averaged):
@@ -173,24 +173,25 @@ class TestAngular:
         forecast, table, p = angular_forecast(
             rng, 5, 6, grid, kappa=1 / 0.7, prior=prior, averaged=averaged, nodes=averaged
         )
-        found = forecast.expected(np.arange(3), np.array([3, 4]), np.arange(6))
+        expected = forecast.expected(np.arange(3), np.array([3, 4]), np.arange(6))
         for a, v in enumerate((3, 4)):
             for t in np.flatnonzero(table[v, :, 0]):
                 exact = exact_entropy(forecast, table, p, [0, 1, 2, v], t, prior)
-                assert found[a, t] == pytest.approx(exact, abs=1e-4)
+                assert expected[a, t] == pytest.approx(exact, abs=1e-4)
 
     @pytest.mark.parametrize("rule", ["at nodes, averaged", "in colour, added"])
     def test_expected_error(self, rule):
         rng, grid = np.random.default_rng(6), GRIDS["cube"]
         forecast, table, p = angular_forecast(rng, 5, 8, grid, **RULES[rule])
         present, prior = (0.1, 0.05, 0.02), (0.14, 0.17, 0.125)
-        judged = dataclasses.replace(forecast, measure=Variance(present, prior, forecast.channels))
+        measure = VarianceMeasure(present, prior, forecast.channels)
+        errors = dataclasses.replace(forecast, measure=measure)
         axes = (grid.axes["roughness"], grid.axes["metallic"])
         values = np.stack([x.ravel() for x in np.meshgrid(*axes, indexing="ij")], axis=1)
-        found = judged.expected(np.arange(3), np.array([3, 4]), np.arange(8))
-        now = judged.now(np.arange(3))
+        expected = errors.expected(np.arange(3), np.array([3, 4]), np.arange(8))
+        now = errors.current(np.arange(3))
         for t in range(8):
-            for views, got in (([0, 1, 2], now[t]), ([0, 1, 2, 3], found[0, t])):
+            for views, got in (([0, 1, 2], now[t]), ([0, 1, 2, 3], expected[0, t])):
                 if np.isnan(got) or not table[views, t, 0].any():
                     continue
                 exact, truths = angular_oracle(forecast, table, t, views)
@@ -207,10 +208,10 @@ class TestAngular:
         forecast, table, p = angular_forecast(rng, 4, 5, grid, **RULES[rule])
         bright = np.where(np.arange(table.shape[-1]) > 0, 1e6, 1) * table.astype(np.float32)
         blinding = dataclasses.replace(forecast, kappa=np.inf, responses=responses_of(bright))
-        found = blinding.expected(np.arange(3), np.array([3]), np.arange(5))
+        expected = blinding.expected(np.arange(3), np.array([3]), np.arange(5))
         seen = table[3, :, 0] > 0
         # Everything is told apart, but for cells that are the same whatever the light.
-        assert np.isfinite(found[0, seen]).all() and (found[0, seen] < 0.2).all()
+        assert np.isfinite(expected[0, seen]).all() and (expected[0, seen] < 0.2).all()
 
 
 class TestRankOne:
@@ -235,7 +236,7 @@ class TestRankOne:
             responses=responses_of(table), prior=None,
             hypotheses=Hypotheses.draw(p, 12, np.zeros(count)), grid=grid,
             switches=switches, sigma=switches.sigma, prefilter=0.0,
-            measure=Entropy(float(np.log(12))),
+            measure=EntropyMeasure(float(np.log(12))),
         )  # fmt: skip
         alphas = grid.roughness_nodes**2
         alphas = np.maximum(alphas, 1e-3) if switches.bounded_alpha else alphas
@@ -252,14 +253,14 @@ class TestRankOne:
             )
 
         known, candidates = np.arange(4), np.array([4, 5, 6, 7])
-        now = forecast.now(known)
-        found = forecast.expected(known, candidates, np.arange(count))
+        now = forecast.current(known)
+        expected = forecast.expected(known, candidates, np.arange(count))
         for t in range(count):
             if table[:4, t, 0].any():
                 assert now[t] == pytest.approx(exact(range(4), t), abs=2e-5)
             for a, v in enumerate(candidates):
                 if table[v, t, 0] > 0:
-                    assert found[a, t] == pytest.approx(exact([*range(4), v], t), abs=2e-5)
+                    assert expected[a, t] == pytest.approx(exact([*range(4), v], t), abs=2e-5)
 
 
 class TestGrowing:
@@ -294,7 +295,7 @@ class TestGrowing:
         unseen = 1.0 if prior is None else oracle.entropy(np.zeros(12), prior)
         forecast = GrowingForecast(
             responses=responses_of(table(0)), hypotheses=Hypotheses.of(cells), grid=grid,
-            prior=energies, measure=Entropy(float(np.log(12)), unseen), switches=switches,
+            prior=energies, measure=EntropyMeasure(float(np.log(12)), unseen), switches=switches,
             sigma=switches.sigma, prefilter=0.0,
             photographs=to_drjit(mi.Float, shown.ravel()), observed=to_drjit(mi.Bool, observed),
             relight=lambda views: (responses_of(table(views)), 0.0),
@@ -332,20 +333,20 @@ class TestGrowing:
             prior /= prior.sum()
         case, taken = self.case(switches, prior), list(range(self.PHOTOGRAPHS))
         forecast, near = case[0], {"abs": 1e-5}
-        greedy = Greedy(forecast, self.PHOTOGRAPHS)
+        greedy = GreedyScorer(forecast, self.PHOTOGRAPHS)
         assert not case[3].all()
         for _ in range(3):
-            views, gains = len(taken) + 1, greedy.gains()
+            views, gains = len(taken) + 1, greedy.scores()
             before = [self.exact(case, switches, taken, views, t, prior) for t in range(self.COUNT)]
             np.testing.assert_allclose(greedy.entropy, before, atol=1e-5)
             for candidate in set(range(self.VIEWS)) - set(taken):
-                found = greedy.texel_gains(candidate - self.PHOTOGRAPHS)
+                gain = greedy.information_gain(candidate - self.PHOTOGRAPHS)
                 for t in range(self.COUNT):
                     after = before[t]
                     if forecast.seen[candidate, t]:
                         after = self.exact(case, switches, [*taken, candidate], views, t, prior)
-                    assert found[t] == pytest.approx(before[t] - after, **near)
-                assert gains[candidate - self.PHOTOGRAPHS] == pytest.approx(found.mean(), **near)
+                    assert gain[t] == pytest.approx(before[t] - after, **near)
+                assert gains[candidate - self.PHOTOGRAPHS] == pytest.approx(gain.mean(), **near)
             best = int(np.argmax(gains))
             greedy.choose(best)
             taken.append(self.PHOTOGRAPHS + best)
@@ -356,17 +357,17 @@ class TestGrowing:
         used = (0, 3, 5, 9)
         estimate = svu.estimate(some(capture, used), texels, "spectrum", SHARP)
         around = svu.Candidates.at(capture, [1, 2])
-        forecast = prospect(estimate, around, band_limit="growing").forecast
-        same = prospect(
+        forecast = inputs_of(estimate, around, band_limit="growing").forecast
+        same = inputs_of(
             estimate, around, hypotheses=64, band_limit="photographs"
         ).forecast  # fmt: skip
         assert isinstance(forecast, GrowingForecast)
         four, _ = forecast.relight(4)
         np.testing.assert_array_equal(four.table(), same.responses.table())
         lit = dataclasses.replace(forecast, relight=lambda views: forecast.relight(views - 1))
-        exact = same.now(np.arange(4))
-        np.testing.assert_allclose(lit.now(np.arange(4)), exact, atol=1e-4)
-        assert np.abs(forecast.now(np.arange(4)) - exact).max() > 1e-3
+        exact = same.current(np.arange(4))
+        np.testing.assert_allclose(lit.current(np.arange(4)), exact, atol=1e-4)
+        assert np.abs(forecast.current(np.arange(4)) - exact).max() > 1e-3
 
     def test_refused(self, estimated):
         estimate = estimated(0, 1)
@@ -404,17 +405,17 @@ class GrowingGains:
 
     first, growth = np.array([1, 0.9, 0.885, 0.8]), np.array([1, 1.08, 1, 1.08])
 
-    def __init__(self, lasting):
-        self.lasting, self.seen = lasting, np.ones((5, 1), bool)
+    def __init__(self, is_separable):
+        self.is_separable, self.seen = is_separable, np.ones((5, 1), bool)
 
-    def now(self, views):
+    def current(self, views):
         chosen = enumerate(np.asarray(views)[1:] - 1)
         return np.array([10 - sum(self.gain(number, step) for step, number in chosen)])
 
     def expected(self, views, candidates, texels):
         assert texels.tolist() == [0]
         gains = [self.gain(number, len(views) - 1) for number in candidates - 1]
-        return self.now(views)[None] - np.array(gains)[:, None]
+        return self.current(views)[None] - np.array(gains)[:, None]
 
     def gain(self, number, step):
         return self.first[number] * self.growth[number] ** step
@@ -427,19 +428,19 @@ class TestGreedy:
 
     def test_only_what_changes_is_evaluated_again_and_nothing_is_lost(self):
         forecast, taken = self.forecast(), [0, 1, 2]
-        greedy = Greedy(forecast, 3)
+        greedy = GreedyScorer(forecast, 3)
         for _ in range(5):
-            gains = greedy.gains()
-            before, exact = forecast.now(np.array(taken)), np.full(11, -np.inf)
+            gains = greedy.scores()
+            before, exact = forecast.current(np.array(taken)), np.full(11, -np.inf)
             free = [c for c in range(11) if 3 + c not in taken]
-            found = forecast.expected(np.array(taken), 3 + np.array(free), np.arange(60))
-            change = np.where(np.isfinite(found), before - found, 0).mean(axis=1)
+            expected = forecast.expected(np.array(taken), 3 + np.array(free), np.arange(60))
+            change = np.where(np.isfinite(expected), before - expected, 0).mean(axis=1)
             exact[free] = change
             np.testing.assert_allclose(gains, exact, atol=1e-6)
             best = int(np.argmax(gains))
             greedy.choose(best)
             taken.append(3 + best)
-            np.testing.assert_allclose(greedy.entropy, forecast.now(np.array(taken)), atol=1e-6)
+            np.testing.assert_allclose(greedy.entropy, forecast.current(np.array(taken)), atol=1e-6)
         pairs = int(forecast.seen[3:].sum())
         assert greedy.evaluated < 5 * pairs
 
@@ -447,27 +448,27 @@ class TestGreedy:
         monkeypatch.setattr("svu_mi.guidance.greedy.BATCH", 2)
         chosen, evaluated = [], []
         for lazy in (False, True):
-            greedy = Greedy(self.forecast(views=40, count=200), 3, lazy=lazy)
+            greedy = GreedyScorer(self.forecast(views=40, count=200), 3, lazy=lazy)
             order = []
             for _ in range(6):
-                order.append(int(np.argmax(greedy.gains())))
+                order.append(int(np.argmax(greedy.scores())))
                 greedy.choose(order[-1])
             chosen.append(order)
             evaluated.append(greedy.evaluated)
         assert chosen[0] == chosen[1]
         assert evaluated[1] < evaluated[0]
 
-    @pytest.mark.parametrize(("growth", "lasting", "third"), [
+    @pytest.mark.parametrize(("growth", "is_separable", "third"), [
         (0.1, True, 3), (0.0, True, 2), (0.0, False, 3),
     ])  # fmt: skip
-    def test_gains_that_grow_with_every_view(self, monkeypatch, growth, lasting, third):
+    def test_gains_that_grow_with_every_view(self, monkeypatch, growth, is_separable, third):
         """Candidate 3 is the third best, but was below the second when it was last looked at."""
         monkeypatch.setattr("svu_mi.guidance.greedy.BATCH", 1)
         monkeypatch.setattr("svu_mi.guidance.greedy.GROWTH", growth)
-        greedy = Greedy(GrowingGains(lasting), 1, lazy=True)
+        greedy = GreedyScorer(GrowingGains(is_separable), 1, lazy=True)
         order = []
         for _ in range(3):
-            order.append(int(np.argmax(greedy.gains())))
+            order.append(int(np.argmax(greedy.scores())))
             greedy.choose(order[-1])
         assert order == [0, 1, third]
 
@@ -475,13 +476,13 @@ class TestGreedy:
         forecast = self.forecast()
         table = forecast.responses.table().copy()
         table[5] = 0
-        greedy = Greedy(dataclasses.replace(forecast, responses=responses_of(table)), 3)
-        assert greedy.gains()[2] == 0
+        greedy = GreedyScorer(dataclasses.replace(forecast, responses=responses_of(table)), 3)
+        assert greedy.scores()[2] == 0
 
     def test_nothing_seen_so_far(self):
-        greedy = Greedy(self.forecast(), 0)
+        greedy = GreedyScorer(self.forecast(), 0)
         assert (greedy.entropy == 1).all()
-        assert (greedy.gains() > 0).all()
+        assert (greedy.scores() > 0).all()
 
 
 class TestBaselines:
@@ -489,29 +490,29 @@ class TestBaselines:
         rng = np.random.default_rng(0)
         d = rng.normal(size=(30, 3))
         d /= np.linalg.norm(d, axis=1, keepdims=True)
-        strategy, taken = baselines.Farthest(d, 4), list(range(4))
+        strategy, taken = strategies.FarthestScorer(d, 4), list(range(4))
         for _ in range(6):
-            best = int(np.argmax(strategy.gains()))
+            best = int(np.argmax(strategy.scores()))
             angles = np.arccos(np.clip(d @ d[taken].T, -1, 1)).min(axis=1)
             assert 4 + best == int(np.argmax(angles))
-            assert strategy.gains()[best] == pytest.approx(angles.max())
+            assert strategy.scores()[best] == pytest.approx(angles.max())
             strategy.choose(best)
             taken.append(4 + best)
-        assert baselines.farthest(d, range(4), 6) == taken
-        assert sorted(baselines.farthest(d, [7], 99)) == list(range(30))
+        assert strategies.farthest(d, range(4), 6) == taken
+        assert sorted(strategies.farthest(d, [7], 99)) == list(range(30))
 
     def test_coverage_prefers_what_few_views_see(self):
         seen = np.zeros((4, 10), bool)
         seen[0, :6] = True  # photographed
         seen[1, :5], seen[2, 6:], seen[3, 4:8] = True, True, True
-        strategy = baselines.Coverage(seen, 1)
-        np.testing.assert_allclose(strategy.gains(), [0.25, 0.4, 0.3])
+        strategy = strategies.CoverageScorer(seen, 1)
+        np.testing.assert_allclose(strategy.scores(), [0.25, 0.4, 0.3])
         strategy.choose(1)
-        np.testing.assert_allclose(strategy.gains()[[0, 2]], [0.25, 0.2])
+        np.testing.assert_allclose(strategy.scores()[[0, 2]], [0.25, 0.2])
 
     def test_random_is_a_permutation_that_a_seed_fixes(self):
-        a, b = baselines.Random(20, 3).gains(), baselines.Random(20, 4).gains()
-        assert sorted(a) == list(range(20)) and (a == baselines.Random(20, 3).gains()).all()
+        a, b = strategies.RandomScorer(20, 3).scores(), strategies.RandomScorer(20, 4).scores()
+        assert sorted(a) == list(range(20)) and (a == strategies.RandomScorer(20, 3).scores()).all()
         assert (a != b).any()
 
 
@@ -540,11 +541,11 @@ def estimated(sunny):
     return of
 
 
-def prospect(estimate, candidates, **options):
+def inputs_of(estimate, candidates, **options):
     """Candidates and all texels of an estimate."""
     texels = np.arange(estimate.texels.count)
     options = svu.GuidanceOptions(**options)
-    return Prospect(estimate, estimate.observed, candidates, texels, options)
+    return StrategyInputs(estimate, estimate.observed, candidates, texels, options)
 
 
 class TestNextBestView:
@@ -559,22 +560,22 @@ class TestNextBestView:
         images = tuple(x if i in used else garbage for i, x in enumerate(capture.images))
         dirty = dataclasses.replace(clean, images=images, masks=tuple(
             None if i in used else np.zeros((64, 64), bool) for i in range(20)))  # fmt: skip
-        found = [
+        both = [
             svu.next_best_view(
                 svu.estimate(c, texels, **switches), svu.Candidates.without_photograph(c), 3
             )
             for c in (clean, dirty)
         ]
-        assert found[0].candidates.count == 16
-        np.testing.assert_array_equal(found[0].gains, found[1].gains)
-        assert [p.name for p in found[0].proposals] == [p.name for p in found[1].proposals]
+        assert both[0].candidates.count == 16
+        np.testing.assert_array_equal(both[0].scores, both[1].scores)
+        assert [p.name for p in both[0].proposals] == [p.name for p in both[1].proposals]
 
     @pytest.mark.slow
     def test_candidates_see_what_their_photographs_show(self, sunny, estimated):
         capture, texels = sunny
         whole = svu.estimate(capture, texels)
         around = svu.Candidates.at(capture, range(1, 20))
-        known = prospect(estimated(0), around, hypotheses=1, strategy="coverage")
+        known = inputs_of(estimated(0), around, hypotheses=1, strategy="coverage")
         assert (known.seen == known.forecast.seen).all()  # by rays alone, and as forecasts have it
         every = known.forecast
         bits, lanes = whole.observed.visibility.bits, dr.arange(mi.UInt32, texels.count)
@@ -608,7 +609,7 @@ class TestNextBestView:
         assert every.skipped["texels not looked at"] == 0
         few = [svu.next_best_view(estimate, around, texels=300, seed=seed) for seed in range(5)]
         z = [
-            (g.gains[p.candidate] - every.gains[p.candidate]) / p.error
+            (g.scores[p.candidate] - every.scores[p.candidate]) / p.error
             for g in few
             for p in g.proposals
         ]
@@ -622,14 +623,14 @@ class TestNextBestView:
         _, texels = sunny
         guidance = svu.next_best_view(estimated(0, 5, 9), count=2)
         every = guidance.gain_maps()
-        monkeypatch.setattr(results, "FINEST", 12)  # blocks of 4 x 4
+        monkeypatch.setattr(guidance_result, "MAP_SIZE", 12)  # blocks of 4 x 4
         maps = dataclasses.replace(guidance).gain_maps()
         assert not np.array_equal(maps, every)
         row, column = np.divmod(texels.index.numpy(), 48)
         block = row // 4 * 12 + column // 4
-        for found, exact in zip(maps, every, strict=True):
+        for values, exact in zip(maps, every, strict=True):
             for number in np.unique(block):
-                own = found[block == number]
+                own = values[block == number]
                 values = np.unique(own[own != 0])
                 assert len(values) <= 1 and all(np.abs(exact[block == number] - v).min() < 1e-5
                                                 for v in values)  # fmt: skip
@@ -645,7 +646,7 @@ class TestNextBestView:
         guidance = svu.next_best_view(estimate, candidates.restricted(flags), 100)
         assert len(guidance.proposals) == 17
         assert best not in [p.candidate for p in guidance.proposals]
-        assert np.isnan(guidance.gains[best]) and best not in guidance.ranking
+        assert np.isnan(guidance.scores[best]) and best not in guidance.ranking
         assert sorted(guidance.ranking) == [c for c in range(18) if c != best]
 
     @pytest.mark.slow
@@ -659,18 +660,18 @@ class TestNextBestView:
             names = [p.candidate for p in guidance.proposals]
             assert len(set(names)) == 4
             assert guidance.entropy == pytest.approx(np.array(estimate.entropy).mean())
-            forecast = TABLE[strategy].forecasts
+            forecast = TABLE[strategy].needs_forecast
             for p in guidance.proposals:
                 assert np.isfinite([p.gain, p.error, p.entropy]).all() == forecast
                 assert 0 <= p.new <= p.sees <= 1
-            judged = prospect(estimate, around).greedy
+            greedy = inputs_of(estimate, around).greedy
             for name in names:
-                judged.choose(name)
-            final[strategy] = judged.entropy.mean()
+                greedy.choose(name)
+            final[strategy] = greedy.entropy.mean()
         assert final["entropy"] <= min(final.values()) + 2e-3
         assert final["entropy"] < final["random"]
 
-    @pytest.mark.parametrize("strategy", [name for name in STRATEGIES if not TABLE[name].forecasts])
+    @pytest.mark.parametrize("strategy", BASELINES)
     @pytest.mark.parametrize("method", ["angular", "spectrum"])
     def test_who_needs_no_forecast_pays_for_none(
         self, sunny, estimated, monkeypatch, strategy, method
@@ -679,9 +680,9 @@ class TestNextBestView:
         capture, _ = sunny
         estimate = estimated(0, 1, 2, method=method)
         asked = []
-        monkeypatch.setattr(prospects, "forecast_of", lambda *_: asked.append("forecast"))
+        monkeypatch.setattr(strategy_inputs, "forecast_of", lambda *_: asked.append("forecast"))
         monkeypatch.setattr(Hypotheses, "draw", lambda *_: asked.append("truths"))
-        monkeypatch.setattr(Greedy, "__init__", lambda *_: asked.append("Eq. 13"))
+        monkeypatch.setattr(GreedyScorer, "__init__", lambda *_: asked.append("Eq. 13"))
         around = svu.Candidates.around(capture, 9)
         svu.next_best_view(estimate, around, 3, strategy=strategy)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -689,7 +690,7 @@ class TestNextBestView:
             svu.next_best_view(estimate, around, 3, strategy=strategy)
             kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
             dr.kernel_history_clear()
-            prospect(estimate, around, strategy=strategy).seen  # noqa: B018
+            inputs_of(estimate, around, strategy=strategy).seen  # noqa: B018
             rays = {k["hash"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT}
         # Besides, matrices of sensors are multiplied.
         assert not asked
@@ -726,18 +727,18 @@ class TestNextBestView:
         real = np.array([before - np.array(estimated(*taken, v).entropy).mean() for v in left])
         # The truth is one of many that were averaged over: gains are right on average, and those
         # of single candidates agree far beyond chance.
-        assert stats.pearsonr(guidance.gains, real, alternative="greater").pvalue < 0.01
-        assert np.corrcoef(guidance.gains, real)[0, 1] > 0.8
-        assert 0.5 < guidance.gains.mean() / real.mean() < 1.5
+        assert stats.pearsonr(guidance.scores, real, alternative="greater").pvalue < 0.01
+        assert np.corrcoef(guidance.scores, real)[0, 1] > 0.8
+        assert 0.5 < guidance.scores.mean() / real.mean() < 1.5
 
     def test_entropy_so_far_is_the_estimate_s_where_it_is_right(self, sunny, estimated):
         """Photographs as the model has them: what they are expected to say is what they say."""
         capture, _ = sunny
         estimate = estimated(0, 5, 9, 14, preset="fixed")
         around = svu.Candidates.at(capture, [0])
-        forecast = prospect(estimate, around, hypotheses=512).forecast
+        forecast = inputs_of(estimate, around, hypotheses=512).forecast
         seen = np.array(estimate.coverage) > 0
-        now, entropy = forecast.now(np.arange(4)), np.array(estimate.entropy)
+        now, entropy = forecast.current(np.arange(4)), np.array(estimate.entropy)
         assert np.corrcoef(now[seen], entropy[seen])[0, 1] > 0.99
         assert np.sqrt(np.mean((now - entropy)[seen] ** 2)) < 0.03
         assert (now[~seen] == 1).all()
@@ -790,16 +791,16 @@ class TestNextBestView:
         assert (np.array(alone.entropy)[unseen] == 1).all()
         assert np.array(whole.entropy)[unseen] == pytest.approx(n[0] / n[1], rel=1e-6)
         around = svu.Candidates.at(capture, [v for v in range(20) if v not in (0, 5)])
-        forecasts = [prospect(e, around, hypotheses=4).forecast for e in (alone, whole)]
+        forecasts = [inputs_of(e, around, hypotheses=4).forecast for e in (alone, whole)]
         views, asked, every = np.arange(2), np.arange(2, 20), np.arange(texels.count)
-        for found in (lambda f: f.now(views), lambda f: f.expected(views, asked, every)):
-            both = [found(forecast) * m for forecast, m in zip(forecasts, n, strict=True)]
+        for evaluate in (lambda f: f.current(views), lambda f: f.expected(views, asked, every)):
+            both = [evaluate(forecast) * m for forecast, m in zip(forecasts, n, strict=True)]
             np.testing.assert_allclose(both[1], both[0], atol=2e-5 * n[1])
         options = svu.GuidanceOptions(hypotheses=4)
         proposed = [svu.next_best_view(e, around, 3, options=options) for e in (alone, whole)]
         ranks = [[p.candidate for p in guidance.proposals] for guidance in proposed]
         assert ranks[0] == ranks[1]
-        nats = [guidance.gains * m for guidance, m in zip(proposed, n, strict=True)]
+        nats = [guidance.scores * m for guidance, m in zip(proposed, n, strict=True)]
         np.testing.assert_allclose(nats[1], nats[0], atol=1e-5)
 
     @pytest.mark.parametrize("method, name", [("angular", "fixed"), ("spectrum", SHARP)])
@@ -809,7 +810,7 @@ class TestNextBestView:
             some(capture, (0, 5)), texels, method, name, prior=np.eye(8)[3] + 0.5 * np.eye(8)[6]
         )
         around = svu.Candidates.around(capture, 4)
-        forecast = prospect(estimate, around, hypotheses=4096).forecast
+        forecast = inputs_of(estimate, around, hypotheses=4096).forecast
         unseen = np.flatnonzero(np.array(estimate.coverage) == 0)
         table = np.zeros((8, len(unseen)))
         columns = np.prod(estimate.posterior.grid.shape[1:-1] if method == "angular" else 8)
@@ -823,7 +824,7 @@ class TestNextBestView:
         np.testing.assert_allclose(table, np.broadcast_to(exact, table.shape), atol=1e-6)
         H = estimate.posterior.prior_entropy
         assert 0.3 < H < 0.9
-        np.testing.assert_allclose(forecast.now(np.arange(2))[unseen], H, rtol=1e-6)
+        np.testing.assert_allclose(forecast.current(np.arange(2))[unseen], H, rtol=1e-6)
 
     def test_bad_input(self, sunny, estimated):
         capture, texels = sunny
@@ -871,10 +872,10 @@ class TestNextBestView:
         )  # fmt: skip
         estimate = svu.estimate(capture, svu.texels(capture.mesh, 96))
         around = svu.Candidates.around(capture, 40)
-        known = prospect(estimate, around, lazy=False).greedy
+        known = inputs_of(estimate, around, lazy=False).greedy
         gains, order = [], []
         for _ in range(4):
-            gains.append(known.gains())
+            gains.append(known.scores())
             order.append(int(np.argmax(gains[-1])))
             known.choose(order[-1])
         growth = np.concatenate([
@@ -882,9 +883,9 @@ class TestNextBestView:
             for before, after in itertools.pairwise(gains) for free in [np.isfinite(after)]
         ])  # fmt: skip
         assert 0 < growth.max() < GROWTH
-        lazy = prospect(estimate, around).greedy
+        lazy = inputs_of(estimate, around).greedy
         for candidate in order:
-            assert np.argmax(lazy.gains()) == candidate
+            assert np.argmax(lazy.scores()) == candidate
             lazy.choose(candidate)
         assert lazy.evaluated < known.evaluated
 

@@ -75,10 +75,10 @@ def test_shrinking_takes_means_and_keeps_what_is_not_usable():
 def test_views_one_by_one_are_those_of_single_steps(vase):
     candidates = svu.Candidates.around(vase.capture, 3)
     guidance = svu.next_best_view(vase.estimate, candidates, 3, texels=300)
-    forecast, known = guidance._prospect.forecast, guidance._prospect.photographs
+    forecast, known = guidance._inputs.forecast, guidance._inputs.photographs
     views, added = np.arange(known), known + np.arange(3)
-    expected = forecast.one_by_one(views, added)
-    np.testing.assert_allclose(expected, Forecast.one_by_one(forecast, views, added), atol=2e-5)
+    expected = forecast.cumulative(views, added)
+    np.testing.assert_allclose(expected, Forecast.cumulative(forecast, views, added), atol=2e-5)
 
 
 @pytest.mark.slow

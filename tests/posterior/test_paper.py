@@ -25,7 +25,7 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.frequency.spectra import Coefficients
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.geometry.sample_view import TexelLanes
-from svu_mi.guidance.strategy_inputs import Prospect
+from svu_mi.guidance.strategy_inputs import StrategyInputs
 from svu_mi.light.band_limited import lat_long_texture, look_up
 from svu_mi.light.environment import directions, quadrature, synthesize
 from svu_mi.posterior.estimate import Estimate
@@ -514,7 +514,7 @@ def test_eq13_expected_entropy(observed, samples):
     )
     candidates = svu.Candidates.around(capture, 3)
     options = svu.GuidanceOptions(band_limit="growing")
-    known = Prospect(estimate, estimate.observed, candidates, samples.texel, options)
+    known = StrategyInputs(estimate, estimate.observed, candidates, samples.texel, options)
     views, asked = np.arange(14), 14 + np.arange(3)
     found = known.forecast.expected(views, asked, np.arange(len(samples.texel)))
     responses, prefilter = known.forecast.relight(15)  # w, direction and light of every view
@@ -541,7 +541,7 @@ def test_eq13_the_light_is_band_limited_for_the_new_number_of_views(observed, sa
     candidates = svu.Candidates.around(observed.capture, 2)
     estimate = svu.estimate(observed.capture, observed.texels, "spectrum", "paper", grid=GRID)
     options = svu.GuidanceOptions(band_limit="growing")
-    known = Prospect(estimate, estimate.observed, candidates, samples.texel, options)
+    known = StrategyInputs(estimate, estimate.observed, candidates, samples.texel, options)
     table = known.forecast.relight(15)[0].table()
     normal = unit(observed.texels.normal.numpy().T[samples.texel])
     coefficients = paper.band_limited(observed.lighting.coefficients, 15)

@@ -80,7 +80,7 @@ def choices(capture: Any, texels: Any) -> Iterator[tuple[str, Any]]:
         guidance = svu.next_best_view(found, count=3, strategy=strategy, texels=512)
         names = [proposal.name for proposal in guidance.proposals]
         yield f"choices: {strategy}", np.array(names)
-        yield f"guidance {strategy}: gains", guidance.gains
+        yield f"guidance {strategy}: gains", guidance.scores
 
 
 def light(capture: Any, texels: Any, *, gains: bool) -> Iterator[tuple[str, Any]]:

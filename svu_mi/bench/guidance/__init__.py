@@ -138,7 +138,7 @@ class ViewSelectionCase(CaseSubject):
         if strategy == "farthest":
             return self._farthest(self.start, count)[len(self.start) :]
         chosen = list(self.start)
-        ahead = 1 if TABLE[strategy].forecasts else count
+        ahead = 1 if TABLE[strategy].needs_forecast else count
         while len(chosen) < len(self.start) + count:
             left = [v for v in range(self.capture.count) if v not in chosen]
             guidance = next_best_view(
@@ -170,7 +170,7 @@ class ViewSelectionCase(CaseSubject):
         left = [view for view in range(self.capture.count) if view not in self.start]
         tried = left[:: max(1, len(left) // self.sizes.asked)][: self.sizes.asked]
         known = estimate(chosen_views(self.capture, self.start), self.grid)
-        gains = next_best_view(known, Candidates.at(self.capture, tried)).gains
+        gains = next_best_view(known, Candidates.at(self.capture, tried)).scores
         changes = [
             _mean_entropy(known) - _mean_entropy(
                 estimate(chosen_views(self.capture, [*self.start, view]), self.grid)

@@ -172,9 +172,9 @@ def _planes(
         images.update(_split(path, name, np.asarray(values)))
     sizes = {image.shape for image in images.values()}
     if len(sizes) != 1 or 0 in next(iter(sizes)):
-        found = ", ".join(f"{name} {np.shape(v)}" for name, v in channels.items())
+        shapes = ", ".join(f"{name} {np.shape(v)}" for name, v in channels.items())
         raise ShapeError(
-            f"{path}: channels must be (H, W) arrays of one size, got {found or 'none'}."
+            f"{path}: channels must be (H, W) arrays of one size, got {shapes or 'none'}."
         )
     planes = {}
     for name, image in images.items():
@@ -238,14 +238,14 @@ def _read_channels(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str | i
     try:
         with quiet, OpenEXR.File(str(path), separate_channels=True) as file:
             # Damaged pixels end in a file without parts or channels, not in an exception.
-            found = dict(file.parts[0].channels)
-            pixels = {name: np.asarray(channel.pixels) for name, channel in found.items()}
+            channels = dict(file.parts[0].channels)
+            pixels = {name: np.asarray(channel.pixels) for name, channel in channels.items()}
             attributes = _plain(file.parts[0].header)
     except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
         raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
     if not pixels or any(plane.ndim != 2 for plane in pixels.values()):
         raise CaptureError(f"{path}: a damaged or deep EXR file; export it as a flat image.")
-    if any(c.xSampling != 1 or c.ySampling != 1 for c in found.values()):
+    if any(c.xSampling != 1 or c.ySampling != 1 for c in channels.values()):
         raise CaptureError(f"{path}: channels are subsampled; export the EXR as plain RGB.")
     return pixels, attributes
 

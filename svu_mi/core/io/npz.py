@@ -36,9 +36,9 @@ PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; others unpack
 
 def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
     """Write arrays, numbers or text by name, with a digest; never half of them."""
-    found = {name: np.asarray(value) for name, value in arrays.items()}
+    content = {name: np.asarray(value) for name, value in arrays.items()}
     with replacing(path) as temporary:
-        np.savez(temporary, **found, **{DIGEST: np.array(_digest(found))})  # type: ignore[arg-type]
+        np.savez(temporary, **content, **{DIGEST: np.array(_digest(content))})  # type: ignore[arg-type]
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -49,11 +49,11 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     with _opened(path) as file, zipfile.ZipFile(file) as archive:
         # What is packed, or overlaps, may take more memory than disk.
         members = _members(archive, ANY, (zipfile.ZIP_STORED,), path.stat().st_size)
-        found = {name: _array(archive.read(member)) for name, member in members.items()}
-    digest = found.pop(DIGEST, None)
-    if digest is None or digest.shape or str(digest) != _digest(found):
+        content = {name: _array(archive.read(member)) for name, member in members.items()}
+    digest = content.pop(DIGEST, None)
+    if digest is None or digest.shape or str(digest) != _digest(content):
         raise ValueError("its checksum does not match")
-    return found
+    return content
 
 
 class Field(NamedTuple):

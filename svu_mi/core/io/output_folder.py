@@ -245,15 +245,15 @@ def _stranger_in(folder: Path, command: str) -> str:
     """Return which file of a folder is not of an older result of a command; empty if none is."""
     if not folder.exists():
         return ""
-    found = entries_in(folder)
-    own = {name: entry for name, entry in found.items() if entry.command == command}
+    entries = entries_in(folder)
+    own = {name: entry for name, entry in entries.items() if entry.command == command}
     for name in files_in(folder):
         top = name.partition("/")[0]
         if is_kept(top) or name in own or name.rpartition("/")[2] in IGNORED:
             continue
         if any(entry.owns(folder, name) for entry in own.values()):
             continue
-        writer = next((e.command for r, e in found.items() if name == r or name in e.files), "")
+        writer = next((e.command for r, e in entries.items() if name == r or name in e.files), "")
         what = f"written by svu {excerpt(writer, 40)}"
         if any(name in entry.files for entry in own.values()):
             what = f"changed since svu {command} wrote it"
@@ -307,8 +307,8 @@ def _is_own_page(path: Path) -> bool:
     if not os.path.lexists(path):
         return True
     content = path.read_bytes() if path.is_file() and not path.is_symlink() else b""
-    found = MARK.search(content)
-    return found is not None and digest_of(content[: found.start()]) == found[1].decode()
+    mark = MARK.search(content)
+    return mark is not None and digest_of(content[: mark.start()]) == mark[1].decode()
 
 
 def _say_kept(path: Path, kept: Path) -> None:

@@ -50,12 +50,12 @@ class Entry:
     def parse(cls, value: Any) -> Entry | None:
         """Return the entry that a record holds; None for anything that is not a valid one."""
         try:
-            found = cls(value["run"], value["command"], value["capture"], dict(value["files"]))
+            entry = cls(value["run"], value["command"], value["capture"], dict(value["files"]))
         except (TypeError, KeyError, ValueError):
             return None
-        words = found.run, found.command, found.capture, *found.files.values()
-        valid = all(isinstance(word, str) for word in words) and all(map(is_inside, found.files))
-        return found if valid else None
+        words = entry.run, entry.command, entry.capture, *entry.files.values()
+        valid = all(isinstance(word, str) for word in words) and all(map(is_inside, entry.files))
+        return entry if valid else None
 
     def owns(self, folder: Path, name: str) -> bool:
         """Return whether a file is still the one that the run wrote."""
@@ -75,17 +75,17 @@ def entry_of(record: Path, command: str = "") -> Entry | None:
     """Return the result that a record names; None if it cannot be read, or is another command's."""
     try:
         short = record.is_file() and record.stat().st_size <= MAX_BYTES
-        found = read_json(record) if short else {}
+        content = read_json(record) if short else {}
     except (CaptureError, OSError):
         return None
-    entry = Entry.parse(found.get(RESULT)) if isinstance(found, dict) else None
+    entry = Entry.parse(content.get(RESULT)) if isinstance(content, dict) else None
     return entry if entry is not None and command in ("", entry.command) else None
 
 
 def entries_in(folder: Path) -> dict[str, Entry]:
     """Return the results that the records of a folder name, by the name of the record."""
-    found = {name: entry_of(folder / name) for name in RECORDS}
-    return {name: entry for name, entry in found.items() if entry is not None}
+    entries = {name: entry_of(folder / name) for name in RECORDS}
+    return {name: entry for name, entry in entries.items() if entry is not None}
 
 
 def is_as_written(folder: Path, record: str) -> bool:
@@ -108,11 +108,11 @@ def files_in(folder: Path) -> list[str]:
 
     A link to a folder counts as a file. An OSError is raised if a folder cannot be read.
     """
-    found = []
+    names = []
     for root, folders, files in os.walk(folder, onerror=_refuse):
-        paths = *(Path(root, name) for name in files), *(Path(root, name) for name in folders)
-        found += [p.relative_to(folder) for p in paths if p.is_symlink() or not p.is_dir()]
-    return sorted(name.as_posix() for name in found if not any(map(is_temporary, name.parts)))
+        paths = (Path(root, name) for name in (*files, *folders))
+        names += [p.relative_to(folder) for p in paths if p.is_symlink() or not p.is_dir()]
+    return sorted(name.as_posix() for name in names if not any(map(is_temporary, name.parts)))
 
 
 def _refuse(error: OSError) -> None:
@@ -125,8 +125,8 @@ def marks_of(path: Path) -> tuple[str, str]:
     Both are empty in files of others, which may have been put there by hand.
     """
     if path.suffix.lower() == ".exr":
-        found = read_header(path).attributes
-        return str(found.get(RUN, "")), str(found.get(CAPTURE, ""))
+        attributes = read_header(path).attributes
+        return str(attributes.get(RUN, "")), str(attributes.get(CAPTURE, ""))
     try:
         with path.open("rb") as stream:
             head = stream.read(HEAD).decode("ascii", "replace")
@@ -172,9 +172,9 @@ def text_in(record: Any, *names: str) -> str:
 
 def require_no_result(folder: Path) -> None:
     """Refuse a folder that was given as a capture, if it is a result of another command."""
-    found = entries_in(folder)
-    if others := [entry.command for entry in found.values() if entry.command not in CAPTURES]:
-        record = read_json(folder / RUN_RECORD) if RUN_RECORD in found else None
+    entries = entries_in(folder)
+    if others := [entry.command for entry in entries.values() if entry.command not in CAPTURES]:
+        record = read_json(folder / RUN_RECORD) if RUN_RECORD in entries else None
         source = text_in(record, "inputs", "source")
         raise CaptureError(
             f"{folder}: is a result of svu {excerpt(others[0], 40)}; give the capture it was made "
