@@ -117,7 +117,7 @@ def _of_all_in_tiles(run: Run, switches: AngularPreset) -> Posterior:
             stage.update(first + len(part.seen), len(texels))
 
     with run.progress.stage("Gathering statistics", len(texels)) as stage:
-        factors = Factors.joined(of_tiles(stage), len(texels))
+        factors = Factors.concatenated(of_tiles(stage), len(texels))
         dr.flush_malloc_cache()  # the sums of a tile, which nobody needs any more
     told = [part for part in rounded if part is not None]  # of all tiles, or of none
     rounding = np.concatenate(told) if told else None
