@@ -85,8 +85,8 @@ def test_the_loop_recovers_textures(tmp_path, monkeypatch):
     inside = names["texels"].inside()
     ratios = []
     for key in names["keys"]:
-        truth, found = (np.array(names[x][key])[inside] for x in ("truth", "optimizer"))
-        assert np.isfinite(found).all() and found.min() >= 0 and found.max() <= 1
-        ratios.append(np.sqrt(((found - truth) ** 2).mean() / ((0.5 - truth) ** 2).mean()))
+        truth, estimated = (np.array(names[x][key])[inside] for x in ("truth", "optimizer"))
+        assert np.isfinite(estimated).all() and estimated.min() >= 0 and estimated.max() <= 1
+        ratios.append(np.sqrt(((estimated - truth) ** 2).mean() / ((0.5 - truth) ** 2).mean()))
     # A start of 0.5 everywhere, 72 steps: base colour 0.71, roughness 0.95, metallic 0.90.
     assert max(ratios) < 1 and np.mean(ratios) < 0.93, ratios
