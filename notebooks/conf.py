@@ -49,6 +49,7 @@ CONTENTS = """
 :caption: Pages
 notebooks/capture
 notebooks/methods
+notebooks/how
 notebooks/guiding
 notebooks/recovering
 notebooks/results

@@ -22,7 +22,7 @@ from svu_mi.reflection.mix_columns import mixed_radiance
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.render_model import PrefilteredModel, prefiltered_model, shade
 from svu_mi.reflection.two_ray_visibility import FacingFrame, sample_light_visibility
-from svu_mi.statistics.gather_statistics import mixed_of
+from svu_mi.statistics.gather_statistics import mixing_values
 
 # A scene has no photographs that light could be fitted to, as ``paper`` does at every texel.
 PRESETS = {name: each for name, each in ANGULAR_PRESETS.items() if each.fit is None} | {
@@ -148,7 +148,7 @@ class ShIntegrator(mi.SamplingIntegrator):
             light.model, roughness, side.normal, side.direction, moments,
             visible=visible, to_moments=light.moments.to_local,
         )  # fmt: skip
-        color = mi.Color3f(*mixed_radiance(parts, values["base_color"], mixed_of(values)))
+        color = mi.Color3f(*mixed_radiance(parts, values["base_color"], mixing_values(values)))
         color = dr.select(lit, color, 0)
         if self.hide_emitters:
             return color, hit, []

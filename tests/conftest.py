@@ -60,12 +60,12 @@ def _light_is_filtered_once() -> None:
     def once(grid: np.ndarray, width: float, profile: partial) -> np.ndarray:
         light = hashlib.blake2b(np.ascontiguousarray(grid)).digest()
         key = (light, grid.shape, width, profile.func, profile.args)
-        found = kept.get(key)  # several threads do this
-        if found is None:
+        image = kept.get(key)  # several threads do this
+        if image is None:
             if len(kept) >= MAPS:
                 kept.clear()
-            found = kept[key] = convolve(grid, width, profile)
-        return found
+            image = kept[key] = convolve(grid, width, profile)
+        return image
 
     prefiltered.convolve = once
 

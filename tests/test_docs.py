@@ -32,8 +32,8 @@ def pages(root, tmp_path_factory):
 
 def headings(page: str) -> list[str]:
     """Return the headings of a page, without tags and link marks."""
-    found = re.findall(r"<h\d>(.*?)</h\d>", page, re.S)
-    return [html.unescape(re.sub(r"<a class=.*|<[^>]+>", "", text)) for text in found]
+    heads = re.findall(r"<h\d>(.*?)</h\d>", page, re.S)
+    return [html.unescape(re.sub(r"<a class=.*|<[^>]+>", "", text)) for text in heads]
 
 
 def test_every_public_name_is_documented(pages):

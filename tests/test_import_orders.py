@@ -25,10 +25,10 @@ print("svu_mi" in sys.modules)
 def bad() -> str:
     """Version of the LLVM that Dr.Jit takes here by itself, if that is one of those that abort."""
     code = "import drjit as dr; print(*dr.detail.llvm_version(), sep='.')"
-    found = python("-c", CLEAN + code).stdout.strip()
-    if not _llvm.is_x86() or found.partition(".")[0] not in ("15", "16"):
-        pytest.skip(f"Dr.Jit finds LLVM {found} by itself, which does not abort")
-    return found
+    version = python("-c", CLEAN + code).stdout.strip()
+    if not _llvm.is_x86() or version.partition(".")[0] not in ("15", "16"):
+        pytest.skip(f"Dr.Jit finds LLVM {version} by itself, which does not abort")
+    return version
 
 
 @pytest.mark.parametrize(("first", "variant", "imported"), [

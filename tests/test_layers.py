@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import runpy
 import sys
 from collections import Counter
 from collections.abc import Iterator
@@ -171,6 +172,12 @@ def test_plugins_and_scenes_use_absolute_imports(root):
     for folder in ABOVE:
         for path in (root / folder).rglob("*.py"):
             assert "." not in imports(path, root / "svu_mi"), path
+
+
+def test_the_picture_of_the_rooms_shows_these_imports(root):
+    script = runpy.run_path(str(root / "notebooks" / "draw_rooms.py"))
+    now = script["arrows"](script["graph"]())
+    assert script["drawn"]() == now, "run python notebooks/draw_rooms.py"
 
 
 def test_the_package_uses_nothing_of_the_tests(root):

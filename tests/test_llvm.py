@@ -91,8 +91,9 @@ def chosen_for(machine, given):
 
 def test_users_library_wins(machine, tmp_path):
     mine = library(tmp_path, "18.1")
-    found = chosen_for(machine, mine)
-    assert (found.path, found.version, found.source, found.problem) == (mine, (18, 1), "user", None)
+    choice = chosen_for(machine, mine)
+    assert (choice.path, choice.version, choice.source) == (mine, (18, 1), "user")
+    assert choice.problem is None
 
 
 @pytest.mark.parametrize(
@@ -130,15 +131,15 @@ def test_require_raises_what_bootstrap_found(machine, tmp_path):
 def test_first_usable_candidate_is_taken_and_dr_jit_is_told(machine):
     candidates = [("system", "/a/libLLVM-14.so.1"), ("system", "/a/libLLVM-16.so.1"),
                   ("conda", "/b/libLLVM-17.so"), ("wheel", "/c/libLLVM.so.23.1")]  # fmt: skip
-    found = _llvm.choose(candidates)
-    assert (found.path, found.source, found.version) == ("/b/libLLVM-17.so", "conda", (17,))
+    choice = _llvm.choose(candidates)
+    assert (choice.path, choice.source, choice.version) == ("/b/libLLVM-17.so", "conda", (17,))
     assert os.environ[_llvm.VARIABLE] == "/b/libLLVM-17.so"
 
 
 def test_only_bad_libraries_means_none_for_dr_jit_too(machine):
-    found = _llvm.choose([("system", "/a/libLLVM-15.so.1"), ("system", "/a/libLLVM-14.so.1")])
-    assert found.path is None
-    assert "/a/libLLVM-15.so.1 is LLVM 15" in (found.problem or "")
+    choice = _llvm.choose([("system", "/a/libLLVM-15.so.1"), ("system", "/a/libLLVM-14.so.1")])
+    assert choice.path is None
+    assert "/a/libLLVM-15.so.1 is LLVM 15" in (choice.problem or "")
     assert os.environ[_llvm.VARIABLE] == _llvm.REFUSED
 
 
@@ -153,8 +154,8 @@ def test_newest_of_a_folder_comes_first_and_other_libraries_are_not_confused(tmp
                  "libLLVM.so.20.1-rust-1.88.0-stable", "libLLVM.so"):  # fmt: skip
         (tmp_path / name).write_bytes(b"")
     (tmp_path / "libLLVM-19.so").symlink_to("libLLVM.so.19.1")
-    found = [os.path.basename(path) for _, path in _llvm.newest_first("x", [str(tmp_path)])]
-    assert found == ["libLLVM.so.19.1", "libLLVM-15.so.1", "libLLVM-9.so", "libLLVM.so"]
+    names = [os.path.basename(path) for _, path in _llvm.newest_first("x", [str(tmp_path)])]
+    assert names == ["libLLVM.so.19.1", "libLLVM-15.so.1", "libLLVM-9.so", "libLLVM.so"]
 
 
 def test_wheel_is_found_where_its_record_says(machine, tmp_path):

@@ -74,11 +74,11 @@ NAMED = {
 def test_no_other_file_names_a_parameter_that_mixes():
     """Names, attributes and keys; text that only mentions one does not count."""
     root = Path(svu_mi.__file__).parent
-    found = set()
+    files = set()
     for path in root.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             words = {getattr(node, key, None) for key in ("id", "attr", "arg", "value")
                      if isinstance(getattr(node, key, None), str)}  # fmt: skip
             if words & {*MIXED, *(f"{name}_nodes" for name in MIXED)}:
-                found.add(path.relative_to(root).as_posix())
-    assert {file for file in found if not file.startswith("bench/")} == NAMED
+                files.add(path.relative_to(root).as_posix())
+    assert {file for file in files if not file.startswith("bench/")} == NAMED

@@ -16,7 +16,7 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency.fit_samples import Samples
+from svu_mi.frequency.fit_samples import FitSamples
 from svu_mi.frequency.spectra import fit_spectra
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.pipeline import estimate
@@ -43,7 +43,7 @@ def stored_samples(capture, texels, switches):
     seen, surface = observe(capture, texels), TexelLanes.of(texels)
     columns, visibility = [], seen.visibility
     colors = switches.colors
-    samples = Samples(seen, surface, switches.occluded, colors, colors)
+    samples = FitSamples(seen, surface, switches.occluded, colors, colors)
     for place in range(int(visibility.count[0])):
         direction, weight, values = samples.at(mi.UInt32(place))
         dr.eval(direction, weight, values)

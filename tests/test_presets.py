@@ -41,10 +41,10 @@ def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
             return real(*given, **options)
 
         monkeypatch.setattr(module, kind, watch)
-    found = svu.estimate(seen, method=method, preset=name)
-    assert found.preset == preset(name, method=method)
-    assert used and all(one == found.preset for one in used)
-    entropy = np.array(found.entropy)
+    estimate = svu.estimate(seen, method=method, preset=name)
+    assert estimate.preset == preset(name, method=method)
+    assert used and all(one == estimate.preset for one in used)
+    entropy = np.array(estimate.entropy)
     assert np.isfinite(entropy).all()
 
 

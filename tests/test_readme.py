@@ -15,6 +15,9 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "notebooks").glob("*.md"))]
 
 
+HOW = "notebooks/how.md"
+
+
 def script(page: str, heading: str) -> str:
     """Return the code block of a section."""
     text = (ROOT / page).read_text(encoding="utf-8") + "\n## "
@@ -51,12 +54,20 @@ def test_python_names_exist(page):
     assert set(re.findall(r"\bsvu\.([A-Za-z_]+)", text)) <= set(svu_mi.__all__)
 
 
-def test_contributing_names_files_that_exist():
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", HOW])
+def test_pages_name_files_that_exist(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
     named = set(re.findall(r"`((?:svu_mi|tests|plugins|notebooks)/[\w./]+)`", text))
     missing = [name for name in named if "NAME" not in name and not (ROOT / name).exists()]
     for name in re.findall(r"`(\w+\.py)`", text):  # of the folder that was named before
         missing += [] if list((ROOT / "svu_mi").rglob(name)) else [name]
+    assert not missing
+
+
+def test_the_way_of_a_pixel_names_functions_that_exist():
+    rows = re.findall(r"\| `(svu_mi/[\w/]+[.]py)` \| `(\w+)` \|", (ROOT / HOW).read_text())
+    assert len(rows) > 20
+    missing = [row for row in rows if f"def {row[1]}(" not in (ROOT / row[0]).read_text()]
     assert not missing
 
 
@@ -85,8 +96,8 @@ def test_the_loop_recovers_textures(tmp_path, monkeypatch):
     inside = names["texels"].inside()
     ratios = []
     for key in names["keys"]:
-        truth, found = (np.array(names[x][key])[inside] for x in ("truth", "optimizer"))
-        assert np.isfinite(found).all() and found.min() >= 0 and found.max() <= 1
-        ratios.append(np.sqrt(((found - truth) ** 2).mean() / ((0.5 - truth) ** 2).mean()))
+        truth, estimated = (np.array(names[x][key])[inside] for x in ("truth", "optimizer"))
+        assert np.isfinite(estimated).all() and estimated.min() >= 0 and estimated.max() <= 1
+        ratios.append(np.sqrt(((estimated - truth) ** 2).mean() / ((0.5 - truth) ** 2).mean()))
     # A start of 0.5 everywhere, 72 steps: base colour 0.71, roughness 0.95, metallic 0.90.
     assert max(ratios) < 1 and np.mean(ratios) < 0.93, ratios

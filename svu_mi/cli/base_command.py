@@ -7,17 +7,20 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 from rich.console import Console
 
 from svu_mi import _llvm
-from svu_mi.cli.shared_options import Output, Overwrite, require_range
+from svu_mi.cli.shared_options import Output, Overwrite, as_dict, require_range
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.progress import Progress
 from svu_mi.errors import SvuEnvironmentError, excerpt
+
+if TYPE_CHECKING:
+    from svu_mi.output.run_record import RunInfo
 
 log = logging.getLogger(__name__)
 
@@ -40,8 +43,8 @@ Variant = Annotated[str, tyro.conf.arg(aliases=["-m"], help="Mitsuba variant.")]
 class BaseCommand:
     """Base class of commands: variant and threads, with Mitsuba's letters."""
 
-    draws: ClassVar[bool] = True
-    """Whether the command draws pictures, for which matplotlib is imported."""
+    uses_matplotlib: ClassVar[bool] = True
+    """Whether the command imports matplotlib, for its pictures."""
     variant: Variant = "auto"
     """Mitsuba variant; auto takes the first usable of cuda, metal and llvm _ad_rgb."""
     threads: Threads = 0
@@ -66,6 +69,12 @@ class BaseCommand:
             log.warning(f"--threads 1: {FEWEST_THREADS} are used, which Mitsuba needs to read EXR.")
         ensure_threads(self.threads)
         mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
+
+    def run_info(self, progress: Progress, /, **options: Any) -> RunInfo:
+        """Return the options and kernels of this run, for ``run.json``."""
+        from svu_mi.output.run_record import RunInfo
+
+        return RunInfo(settings=as_dict(self), kernels=progress.kernels, **options)
 
     def _set_variant(self) -> None:
         import drjit as dr

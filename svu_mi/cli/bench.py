@@ -100,12 +100,13 @@ class Bench(BaseCommand):
         from svu_mi.bench.cases import chosen_cases
         from svu_mi.bench.study import Selection
 
-        objects, lights = names(self.objects, "--objects"), names(self.lights, "--lights")
+        objects = parse_names(self.objects, "--objects")
+        lights = parse_names(self.lights, "--lights")
         cases: tuple[Case, ...] = ()
         if on_cases:
             cases = chosen_cases(self.data, self.output, objects, lights, quick=self.quick)
         return Selection(
-            cases=cases, data=self.data, objects=objects, rows=names(self.rows, "--rows"),
+            cases=cases, data=self.data, objects=objects, rows=parse_names(self.rows, "--rows"),
             capture=self.capture, every=self.every, environment_view=self.environment_view,
         )  # fmt: skip
 
@@ -133,9 +134,9 @@ class Bench(BaseCommand):
         require_range("--every", self.every, 2)
 
 
-def names(words: str, option: str) -> tuple[str, ...]:
+def parse_names(words: str, option: str) -> tuple[str, ...]:
     """Return the names of a comma-separated list; none for an empty one."""
-    found = tuple(word.strip() for word in words.split(",")) if words.strip() else ()
-    if not all(found):
+    values = tuple(word.strip() for word in words.split(",")) if words.strip() else ()
+    if not all(values):
         raise OptionError(f"{option} takes names separated by commas, none empty, got {words!r}.")
-    return found
+    return values

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from svu_mi.cli.base_command import BaseCommand
-from svu_mi.cli.import_ import import_again
-from svu_mi.cli.loading import NeedOf, read_capture, with_search
-from svu_mi.cli.shared_options import Output, Overwrite, PhotographOptions, SceneOptions, given
+from svu_mi.cli.import_ import reimport_command
+from svu_mi.cli.loading import NeedFunc, read_capture, with_light_search
+from svu_mi.cli.shared_options import Output, Overwrite, PhotographOptions, SceneOptions, as_dict
 from svu_mi.cli.streams import format_number, print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
@@ -49,10 +49,10 @@ class CheckCapture(BaseCommand):
         _ = self.source.defines(), self.photographs.bytes
         with claimed(self.output, "check", overwrite=self.overwrite) as place:
             self.start()
-            capture, found = self._run(Progress(console), place)
-        _print(console, found, capture)
+            capture, result = self._run(Progress(console), place)
+        _print(console, result, capture)
         print_line(console, f"Wrote {self.output / 'check.html'}")
-        return WRONG if self.strict and not found.fits else 0
+        return WRONG if self.strict and not result.fits else 0
 
     def _run(self, progress: Progress, place: Claim) -> tuple[Capture, Check]:
         from svu_mi.calibration.checks.check import check
@@ -60,51 +60,52 @@ class CheckCapture(BaseCommand):
         from svu_mi.capture.crop import Detail
         from svu_mi.output.check_page import write_check
 
-        need: NeedOf = partial(Need, "check")
+        need: NeedFunc = partial(Need, "check")
         estimates, find = self.photographs.estimates_gains, None
         if estimates:
-            need = with_search(need)
+            need = with_light_search(need)
         capture = read_capture(
             progress, self.source, self.photographs, need, Detail(side=SIDE), trust=self.trust
         )  # nothing is cropped: poses may be wrong
         if estimates:
             find = partial(found_gains, capture, self.output / "light", progress)
-        found = check(capture, gains=find, progress=progress)
+        result = check(capture, gains=find, progress=progress)
         with progress.stage("Writing the page"):
-            write_check(capture, found, place, settings=given(self), remedy=_remedy(found, capture))
-        return capture, found
+            remedy = _remedy(result, capture)
+            write_check(capture, result, place, settings=as_dict(self), remedy=remedy)
+        return capture, result
 
 
-def _print(console: Console, found: Check, capture: Capture) -> None:
+def _print(console: Console, result: Check, capture: Capture) -> None:
     from svu_mi.output import check_page
 
-    console.print(_views(found), markup=False)
-    for one in found.findings:
-        verdict = one.verdict.upper() if one.verdict in SERIOUS else one.verdict
-        print_line(console, f"{one.question} ({verdict}): {one.sentence}")
-    for line in (check_page.verdict(found), _remedy(found, capture)):
+    console.print(_view_table(result), markup=False)
+    for finding in result.findings:
+        verdict = finding.verdict.upper() if finding.verdict in SERIOUS else finding.verdict
+        print_line(console, f"{finding.question} ({verdict}): {finding.sentence}")
+    for line in (check_page.verdict(result), _remedy(result, capture)):
         if line:
             print_line(console, line)
 
 
-def _remedy(found: Check, capture: Capture) -> str:
-    return f"Import it again with: {import_again(capture, found.fixes)}" if found.fixes else ""
+def _remedy(check: Check, capture: Capture) -> str:
+    return f"Import it again with: {reimport_command(capture, check.fixes)}" if check.fixes else ""
 
 
-def _views(found: Check) -> Any:
+def _view_table(result: Check) -> Any:
     """Return a table of the views that fit worst, and of all of them, before and after."""
     from rich.table import Table
 
     from svu_mi.calibration.checks.check_result import Summary
 
     table = Table("", "IoU", "edges", "colour error", box=None)
-    for view in found.worst[:SHOWN]:
-        table.add_row(view.name, *_cells(view))
-    table.add_row(f"all {len(found.views)}", *_cells(Summary.of(found.views)))
-    if found.corrected is not found.views:
-        table.add_row("all, corrected", *_cells(Summary.of(found.corrected)))
+    for view in result.worst[:SHOWN]:
+        table.add_row(view.name, *_fit_numbers(view))
+    table.add_row(f"all {len(result.views)}", *_fit_numbers(Summary.of(result.views)))
+    if result.corrected is not result.views:
+        table.add_row("all, corrected", *_fit_numbers(Summary.of(result.corrected)))
     return table
 
 
-def _cells(one: Any) -> list[str]:
-    return [format_number(value) for value in (one.overlap, one.contrast, one.color_error)]
+def _fit_numbers(view: Any) -> list[str]:
+    return [format_number(value) for value in (view.overlap, view.contrast, view.color_error)]

@@ -10,16 +10,16 @@ from typing import Annotated, Literal
 import tyro
 
 from svu_mi.cli.base_command import ResultCommand
-from svu_mi.cli.loading import read_capture, with_search
+from svu_mi.cli.loading import read_capture, with_light_search
 from svu_mi.cli.shared_options import (
     Memory,
     Output,
     PhotographOptions,
     SceneOptions,
     Size,
-    bytes_of,
-    given,
-    texel_size,
+    as_dict,
+    parse_bytes,
+    parse_resolution,
 )
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import MODELS, Need
@@ -57,31 +57,31 @@ class Compare(ResultCommand):
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
-        bytes_of(self.memory, "--memory")
+        parse_bytes(self.memory, "--memory")
         if self.resolution:
-            texel_size(self.resolution)
+            parse_resolution(self.resolution)
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
-        """Compare, write the page, and say what was found."""
+        """Compare, write the page, and summarise it."""
         from svu_mi.capture.crop import Detail
         from svu_mi.output.compare.compare_page import write_comparison
         from svu_mi.output.compare.differences import plan_comparison
 
         preset = self.preset[0] if len(self.preset) == 1 else self.preset
-        size = texel_size(self.resolution) if self.resolution else None
+        size = parse_resolution(self.resolution) if self.resolution else None
         plan = plan_comparison(
             self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance
         )
         # Of the one of the two estimates that takes more.
         model = max(self.preset, key=MODELS.__getitem__)
-        need = with_search(partial(Need, "compare", resolution=plan.size, model=model))
+        need = with_light_search(partial(Need, "compare", resolution=plan.size, model=model))
         for index, path in plan.captures:
             capture = read_capture(
                 progress, SceneOptions(scene=path), PhotographOptions(memory=self.memory), need,
                 Detail(texels=plan.size), trust=self.trust,
             )  # fmt: skip
             plan.estimate(index, capture, progress)
-        found = plan.compared()
+        comparison = plan.compared()
         with progress.stage("Writing the page"):
-            write_comparison(found, place, settings=given(self))
-        return [found.sentence()]
+            write_comparison(comparison, place, settings=as_dict(self))
+        return [comparison.sentence()]

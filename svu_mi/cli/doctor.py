@@ -45,7 +45,7 @@ class HealthCheck:
 class Doctor(BaseCommand):
     """Say what is installed, what can run here, and what to do about the rest."""
 
-    draws = False
+    uses_matplotlib = False
 
     def run(self, console: Console) -> int:
         """Print facts and checks; return 0 if all checks are passed, else 2."""
@@ -59,13 +59,13 @@ def diagnose() -> tuple[Facts, list[HealthCheck]]:
     """Return facts by name, and test results; takes a few seconds, and never raises."""
     versions = {name: _version(name) for name in PACKAGES}
     loading = _child("mitsuba", "collect_facts", remedy=REINSTALL.format("mitsuba drjit"))
-    found, llvm = {}, _llvm.status()
+    child_facts, llvm = {}, _llvm.status()
     if loading.ok:
-        found, loading = json.loads(loading.detail), HealthCheck("mitsuba", True, "loads")
-        one = found["llvm"]  # as Dr.Jit has loaded it; its source is known only here
+        child_facts, loading = json.loads(loading.detail), HealthCheck("mitsuba", True, "loads")
+        one = child_facts["llvm"]  # as Dr.Jit has loaded it; its source is known only here
         llvm = _llvm.LlvmStatus(one["path"], tuple(one["version"]), llvm.source, one["problem"])
-    variants = found.get("variants", [])
-    usable = [name for name in variants if _runs(name, found["backends"], llvm)]
+    variants = child_facts.get("variants", [])
+    usable = [name for name in variants if _runs(name, child_facts["backends"], llvm)]
     library = f"{_llvm.dotted(llvm.version)}, {llvm.path or 'no file'} ({llvm.source})"
     usual = Path(tempfile.gettempdir()) / "drjit" if sys.platform == "win32" else "~/.drjit"
     facts = {
@@ -76,8 +76,8 @@ def diagnose() -> tuple[Facts, list[HealthCheck]]:
         "Usable": ", ".join(usable) or "none",
         # Not a failed check where a GPU does the work.
         "LLVM": f"{library}: not usable. {llvm.problem}" if llvm.problem else library,
-        **found.get("devices", {}),
-        "Threads": str(found.get("threads", 0)),
+        **child_facts.get("devices", {}),
+        "Threads": str(child_facts.get("threads", 0)),
         "Kernel cache": os.environ.get("DRJIT_CACHE_DIR", str(usual)),
     }
     return facts, [check_packages(versions), loading, *check_renders(usable, llvm), check_exr()]

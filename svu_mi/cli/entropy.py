@@ -31,15 +31,14 @@ class Entropy(EstimateCommand, ResultCommand):
         """Run the pipeline, write the four files, and say what is known."""
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
         from svu_mi.output.interval_summary import IntervalSummary
-        from svu_mi.output.run_record import RunInfo
         from svu_mi.output.write_entropy import write_outputs
         from svu_mi.presets import NOTHING, Skip
 
-        size, skip = opt.texel_size(self.resolution), Skip() if self.skip else NOTHING
-        capture, result = self.estimated(progress, size, "entropy", skip=skip)
+        size, skip = opt.parse_resolution(self.resolution), Skip() if self.skip else NOTHING
+        capture, result = self.load_and_estimate(progress, size, "entropy", skip=skip)
         warn_if_too_bright(result)
         with progress.stage("Writing the results"):
             knowledge = IntervalSummary.of(result)
-            run = RunInfo(settings=opt.given(self), kernels=progress.kernels)
+            run = self.run_info(progress)
             write_outputs(capture, result, place, run, knowledge=knowledge, pictures=self.pictures)
         return [knowledge.summary()]

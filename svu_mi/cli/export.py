@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from svu_mi.cli.base_command import ResultCommand
-from svu_mi.cli.loading import announce
+from svu_mi.cli.loading import require_memory
 from svu_mi.cli.shared_options import Output
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import Need, Sizes
@@ -71,7 +71,7 @@ class Export(ResultCommand):
 
         with progress.stage("Reading the result"):
             plan = plan_asset(self.result, self.entropy)
-            announce(progress, str(self.result), Need("export", Sizes(()), plan.size))
+            require_memory(progress, str(self.result), Need("export", Sizes(()), plan.size))
             asset = plan.read()
         with progress.stage("Writing the asset"):
             export_asset(asset, place, self._options())

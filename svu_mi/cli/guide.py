@@ -73,7 +73,6 @@ class Guide(EstimateCommand):
     def run(self, console: Console) -> int:
         """Judge the candidates, and write the results."""
         from svu_mi.output.interval_summary import IntervalSummary
-        from svu_mi.output.run_record import RunInfo
         from svu_mi.output.write_guidance import write_guidance
 
         self.check()
@@ -82,9 +81,7 @@ class Guide(EstimateCommand):
             progress = Progress(console)
             capture, estimate, guidance = self._guide(progress)
             with progress.stage("Writing the results") as stage:
-                run = RunInfo(
-                    settings=opt.given(self), kernels=progress.kernels, progress=stage.update
-                )
+                run = self.run_info(progress, progress=stage.update)
                 write_guidance(
                     capture, estimate, guidance, place, run, up=self.up,
                     pictures=self.pictures,
@@ -101,10 +98,10 @@ class Guide(EstimateCommand):
         # What a file says is refused before photographs are read.
         fixed = None if self._placed else self._restricted(Candidates.read(self.candidates))
         missing: opt.Missing | None = "leave-out" if self.candidates == SCENE else None
-        size, model = opt.texel_size(self.resolution), self.estimation.model
+        size, model = opt.parse_resolution(self.resolution), self.estimation.model
         count = _number(self.candidates) or 0
         need = partial(Need, "guide", resolution=size, model=model, candidates=count)
-        capture, texels = self.load_lit(progress, need, size, self.light, missing=missing)
+        capture, texels = self.load_with_light(progress, need, size, self.light, missing=missing)
         candidates = fixed or self._restricted(self._place(capture))
         known = self.estimation.estimate(progress, capture, texels, whole=True)
         guidance = next_best_view(

@@ -48,32 +48,32 @@ def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
 
 
 @contextmanager
-def flowing(commands: Any) -> Iterator[None]:
+def reflowed_help(commands: Any) -> Iterator[None]:
     """Print the texts of ``--help`` without the line ends that they have in the code."""
     for command in typing.get_args(commands) or (commands,):
-        _join(typing.get_args(command)[0] if typing.get_args(command) else command)
+        _set_help_texts(typing.get_args(command)[0] if typing.get_args(command) else command)
     width = shutil.get_terminal_size().columns
-    with redirect_stdout(cast(TextIO, _Wrapping(sys.stdout, width))):
+    with redirect_stdout(cast(TextIO, _WrappingStream(sys.stdout, width))):
         yield
 
 
-def _join(options: Any) -> None:
+def _set_help_texts(options: Any) -> None:
     """Put the text of each option, in one line, where tyro looks first."""
     if not dataclasses.is_dataclass(options):
         return
     texts: dict[str, str] = {}
     for each in reversed(cast(type, options).__mro__):
         if dataclasses.is_dataclass(each):
-            found = docstring_parser.parse_from_object(each).params
-            texts |= {one.arg_name: one.description for one in found if one.description}
+            params = docstring_parser.parse_from_object(each).params
+            texts |= {param.arg_name: param.description for param in params if param.description}
     for field in dataclasses.fields(options):
         if field.name in texts:
             text = " ".join(texts[field.name].split())
             field.metadata = MappingProxyType({**field.metadata, "help": text})
-        _join(type(field.default))
+        _set_help_texts(type(field.default))
 
 
-class _Wrapping:
+class _WrappingStream:
     """A stream that breaks what is too long for the terminal between words."""
 
     def __init__(self, stream: TextIO, width: int) -> None:

@@ -18,7 +18,7 @@ from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES, ImportOpti
 from svu_mi.capture.importers.registry import ReadOptions, read_source
 from svu_mi.cli.base_command import BaseCommand
 from svu_mi.cli.help import REGISTRY
-from svu_mi.cli.loading import announce
+from svu_mi.cli.loading import require_memory
 from svu_mi.cli.shared_options import Output, Overwrite
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
@@ -74,7 +74,7 @@ class Import(BaseCommand):
     result with svu check.
     """
 
-    draws = False
+    uses_matplotlib = False
     source: From
     """The file or folder."""
     output: Output = Path("capture")
@@ -89,13 +89,13 @@ class Import(BaseCommand):
         """What was asked for as words of this command, but for the folder of the result."""
         light = self.conversion.environment
         asked = {
-            "undistort": self.undistort, **_changed(self.reading),
-            **({} if light is None else _told(light)), **_changed(self.conversion),
+            "undistort": self.undistort, **_changed_options(self.reading),
+            **({} if light is None else _light_options(light)), **_changed_options(self.conversion),
         }  # fmt: skip
-        return [str(self.source), *(word for option in asked.items() for word in _words(*option))]
+        return [str(self.source), *(word for pair in asked.items() for word in _arguments(*pair))]
 
     def run(self, console: Console) -> int:
-        """Import the capture and say what was found."""
+        """Import the capture, and print the notes about it."""
         from svu_mi.capture.importers.import_capture import NO_LIGHT
 
         with claimed(self.output, "import", overwrite=self.overwrite) as place:
@@ -126,11 +126,11 @@ class Import(BaseCommand):
                     source = replace(source, root=self.source)
             with progress.stage("Converting photographs") as stage:
                 plan = plan_import(source, self.conversion)
-                announce(progress, str(self.source), Need("import", plan.sizes))
+                require_memory(progress, str(self.source), Need("import", plan.sizes))
                 return plan.write(place, self.words, stage.update)
 
 
-def import_again(capture: Capture, fixes: Sequence[str]) -> str:
+def reimport_command(capture: Capture, fixes: Sequence[str]) -> str:
     """Return the command that imports a capture again with more corrections, ready to paste.
 
     Args:
@@ -139,16 +139,16 @@ def import_again(capture: Capture, fixes: Sequence[str]) -> str:
     """
     from svu_mi.capture import capture_folder
 
-    found = None if capture.source is None else capture_folder.read(capture.source)
-    given = _parsed(found.imported.get("options") if found else None)
+    record = None if capture.source is None else capture_folder.read(capture.source)
+    given = _parse_arguments(record.imported.get("options") if record else None)
     if given is None:  # from Python, or an earlier version; or changed since
-        return " ".join(["svu import ...", *_words("fixes", _effective(fixes))])
-    every = _effective((*given.conversion.fixes, *fixes))
+        return " ".join(["svu import ...", *_arguments("fixes", _without_reverted(fixes))])
+    every = _without_reverted((*given.conversion.fixes, *fixes))
     again = replace(given, conversion=replace(given.conversion, fixes=every))
     return shlex.join(["svu", "import", *again.words, "-o", str(capture.source)])
 
 
-def _parsed(words: Any) -> Import | None:
+def _parse_arguments(words: Any) -> Import | None:
     """Return the options that a capture was imported with, which may be a stranger's; None if
     they are invalid."""
     is_text = isinstance(words, list) and all(isinstance(word, str) for word in words)
@@ -159,13 +159,13 @@ def _parsed(words: Any) -> Import | None:
     config = (tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands)
     try:
         with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
-            found = tyro.cli(Import, args=words, config=config, registry=REGISTRY)
+            command = tyro.cli(Import, args=words, config=config, registry=REGISTRY)
     except SystemExit:
         return None
-    return found if set(found.conversion.fixes) <= FIXES.keys() else None
+    return command if set(command.conversion.fixes) <= FIXES.keys() else None
 
 
-def _effective(fixes: Iterable[str]) -> tuple[str, ...]:
+def _without_reverted(fixes: Iterable[str]) -> tuple[str, ...]:
     """Return corrections without those that the next one reverts."""
     import numpy as np
 
@@ -181,14 +181,14 @@ def _effective(fixes: Iterable[str]) -> tuple[str, ...]:
     return tuple(kept)
 
 
-def _changed(options: Any) -> dict[str, Any]:
+def _changed_options(options: Any) -> dict[str, Any]:
     """Return options that are not what they are by default, but for the light."""
     known = (field for field in fields(options) if field.name != "environment")
     pairs = ((field.name, getattr(options, field.name), field.default) for field in known)
     return {name: value for name, value, default in pairs if value != default}
 
 
-def _told(light: Light) -> dict[str, Any]:
+def _light_options(light: Light) -> dict[str, Any]:
     """Return the options that describe a light, see ``_light``."""
     axes = [name for name, axes in ENVIRONMENT_AXES.items() if (axes == light.to_world).all()]
     return {
@@ -198,7 +198,7 @@ def _told(light: Light) -> dict[str, Any]:
     }
 
 
-def _words(name: str, value: Any) -> list[str]:
+def _arguments(name: str, value: Any) -> list[str]:
     flag = {"fixes": "--fix"}.get(name, f"--{name.replace('_', '-')}")
     if isinstance(value, bool):
         return [flag] if value else []

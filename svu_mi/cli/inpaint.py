@@ -73,7 +73,6 @@ class Inpaint(CaptureCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> Iterable[str]:
         """Fill, and write the results."""
         from svu_mi.geometry.neighbors import neighbors
-        from svu_mi.output.run_record import RunInfo
         from svu_mi.output.texture_files import (
             read_textures,
             recovery_settings,
@@ -87,18 +86,18 @@ class Inpaint(CaptureCommand, ResultCommand):
         textures, model = read_textures(self.recovered), self._model(progress)
         size = textures.resolution
         need = partial(Need, "recover", resolution=size, model="default")
-        capture, texels = self.load_lit(progress, need, size, self.light)
+        capture, texels = self.load_with_light(progress, need, size, self.light)
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("How sure the textures are"):
             used, around = recovery_settings(self.recovered), neighbors(texels, capture.mesh)
             names = used.get("parameters", NAMES)
             field = field_around(textures, known, around, names, weights_of(used))
-        found = self._fill(progress, model, capture, field, known.posterior.observed)
+        filled = self._fill(progress, model, capture, field, known.posterior.observed)
         with progress.stage("Writing the results"):
-            run = RunInfo(settings=opt.given(self), kernels=progress.kernels)
-            write_filled(capture, field, found, place, run, pictures=self.pictures)
-        return fill_sentences(found)
+            run = self.run_info(progress)
+            write_filled(capture, field, filled, place, run, pictures=self.pictures)
+        return fill_sentences(filled)
 
     def _model(self, progress: Progress) -> LatentDiffusion | None:
         """Read the weights: before anything that takes long."""

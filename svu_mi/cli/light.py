@@ -12,7 +12,7 @@ import tyro
 from svu_mi.calibration.light.light_options import LightOptions
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand, interruptible
-from svu_mi.cli.loading import CaptureCommand, to_find_light
+from svu_mi.cli.loading import CaptureCommand, light_search_need
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Depths = Annotated[tuple[tuple[int, int], ...], tyro.conf.arg(metavar="CELLS ROUNDS ...")]
 Card = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="U V ALBEDO")]
 Switch = tyro.conf.FlagCreatePairsOff[bool]
-LEAST = 1e-6  # factor of brightness
+MIN_SCALE = 1e-6  # factor of brightness
 FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side that base colours are compared on
 
 
@@ -67,7 +67,7 @@ class FindLight(CaptureCommand, ResultCommand):
         from svu_mi.calibration.light.grey_card import require_albedo
 
         super().check()
-        opt.texel_size(self.resolution)
+        opt.parse_resolution(self.resolution)
         if self.light_moves and self.light_fixed:
             raise OptionError("--light-moves and --light-fixed exclude each other; omit one.")
         self._options()
@@ -76,7 +76,7 @@ class FindLight(CaptureCommand, ResultCommand):
         several = [name for name, value in facts.items() if value is not None]
         if len(several) > 1:
             raise OptionError(f"{' and '.join(several)} say the same thing twice; give one.")
-        opt.require_range("--light-scale", self.light_scale, LEAST, 1 / LEAST)
+        opt.require_range("--light-scale", self.light_scale, MIN_SCALE, 1 / MIN_SCALE)
         if self.mean_albedo is not None:
             require_albedo(self.mean_albedo, "--mean-albedo")
         if self.grey_card is not None:
@@ -88,7 +88,7 @@ class FindLight(CaptureCommand, ResultCommand):
                 )
 
     def _options(self) -> LightOptions:
-        """Return how light is found."""
+        """Return the options of the search for the light."""
         moves = self.light_moves if self.light_moves or self.light_fixed else None
         return LightOptions(
             texels=self.texels, depths=self.depths, seed=self.seed, moves=moves,
@@ -101,31 +101,30 @@ class FindLight(CaptureCommand, ResultCommand):
         from svu_mi.calibration.light.estimate_light import estimate_light
         from svu_mi.output.light_page import write_light
         from svu_mi.output.object_views import up_direction
-        from svu_mi.output.run_record import RunInfo
 
-        options, size = self._options(), opt.texel_size(self.resolution)
-        need = partial(to_find_light, resolution=size, options=options)
+        options, size = self._options(), opt.parse_resolution(self.resolution)
+        need = partial(light_search_need, resolution=size, options=options)
         surroundings = self.background != "none"
         capture, grid = self.load(progress, need, size, surroundings=surroundings)
         own = capture.environment
         if own is not None:
             progress.say("The capture has a light; it is not looked at, but compared with.")
         with interruptible(lambda: "interrupted; run the same command again"):
-            found = estimate_light(capture, grid, options, progress)
-            found = self._scaled(progress, capture, found)
-        against = None if own is None or found.moves else summary.likeness(found, own)
+            light = estimate_light(capture, grid, options, progress)
+            light = self._scaled(progress, capture, light)
+        against = None if own is None or light.moves else summary.likeness(light, own)
         with progress.stage("Writing the results"):
-            run = RunInfo(settings=opt.given(self), kernels=progress.kernels)
+            run = self.run_info(progress)
             write_light(
-                capture, found, place, run, used=asdict(options), against=against,
+                capture, light, place, run, used=asdict(options), against=against,
                 timings=progress.timings, pictures=self.pictures,
             )  # fmt: skip
-        lines = list(summary.sentences(found, up_direction(capture)))
-        if found.gains is not None:
-            lines += summary.gain_sentences(found.gains, capture)
+        lines = list(summary.sentences(light, up_direction(capture)))
+        if light.gains is not None:
+            lines += summary.gain_sentences(light.gains, capture)
         return lines if against is None else [*lines, summary.likeness_sentence(against)]
 
-    def _scaled(self, progress: Progress, capture: Capture, found: LightEstimate) -> LightEstimate:
+    def _scaled(self, progress: Progress, capture: Capture, light: LightEstimate) -> LightEstimate:
         """Return the light as bright as is known otherwise."""
         from svu_mi.calibration.exposure import equalized
         from svu_mi.calibration.light.grey_card import scaled_by_card, scaled_by_mean
@@ -133,15 +132,15 @@ class FindLight(CaptureCommand, ResultCommand):
         from svu_mi.posterior.observations import observe
 
         if self.light_scale is not None:
-            return found.scaled(self.light_scale)
+            return light.scaled(self.light_scale)
         if self.mean_albedo is None and self.grey_card is None:
-            return found
-        if found.gains is not None:
-            capture = equalized(capture, found.gains)
+            return light
+        if light.gains is not None:
+            capture = equalized(capture, light.gains)
         finest = FINEST_MEAN if self.grey_card is None else FINEST_CARD
         seen = observe(capture, texels(capture.mesh, finest), progress)
         with progress.stage("Comparing base colours"):
             if self.grey_card is not None:
-                return scaled_by_card(found, seen, self.grey_card[:2], self.grey_card[2])
+                return scaled_by_card(light, seen, self.grey_card[:2], self.grey_card[2])
             assert self.mean_albedo is not None
-            return scaled_by_mean(found, seen, self.mean_albedo)
+            return scaled_by_mean(light, seen, self.mean_albedo)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from svu_mi.posterior.estimate import Estimate
 
 EQUATIONS = 26  # memory of six matrices of 3 N x 3 N, in that of a look
-NeedOf = Callable[[Sizes], Need]
+NeedFunc = Callable[[Sizes], Need]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +34,12 @@ class CaptureCommand(BaseCommand):
     output: opt.Output = Path("out")
 
     @property
-    def beside(self) -> tuple[Path, Path]:
+    def side_folders(self) -> tuple[Path, Path]:
         """Folders of photographs that --render makes, and of light that is found."""
         return self.output / "capture", self.output / "light"
 
     def load(
-        self, progress: Progress, need: NeedOf, size: tuple[int, int], *, again: bool = False,
+        self, progress: Progress, need: NeedFunc, size: tuple[int, int], *, again: bool = False,
         missing: opt.Missing | None = None, surroundings: bool = False,
     ) -> tuple[Capture, Texels]:  # fmt: skip
         """Read or render the photographs, and lay out texels; there may be no light.
@@ -63,8 +63,8 @@ class CaptureCommand(BaseCommand):
             photographs = replace(photographs, missing=missing)
         if not self.capture.rendering.render:
             capture = self._read(progress, photographs, need, detail)
-        elif again and has_photographs(self.beside[0]):
-            rendered = replace(photographs, images=self.beside[0], missing="refuse")
+        elif again and has_photographs(self.side_folders[0]):
+            rendered = replace(photographs, images=self.side_folders[0], missing="refuse")
             capture = self._read(progress, rendered, need, detail)
             require_rendered(capture, self.spp)
         else:
@@ -72,17 +72,17 @@ class CaptureCommand(BaseCommand):
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)
 
-    def load_lit(
-        self, progress: Progress, need: NeedOf, size: tuple[int, int], light: Path | None,
+    def load_with_light(
+        self, progress: Progress, need: NeedFunc, size: tuple[int, int], light: Path | None,
         **options: Any,
     ) -> tuple[Capture, Texels]:  # fmt: skip
         """Load the capture with a given light, its own, or one found in the photographs."""
         from svu_mi.calibration.light.resolve_light import illuminated
 
-        need = with_search(need) if light is None else need
+        need = with_light_search(need) if light is None else need
         capture, grid = self.load(progress, need, size, **options)
-        gains = self.capture.photographs.estimates_gains
-        lit = illuminated(capture, light, elsewhere=self.beside[1], gains=gains, progress=progress)
+        gains, folder = self.capture.photographs.estimates_gains, self.side_folders[1]
+        lit = illuminated(capture, light, elsewhere=folder, gains=gains, progress=progress)
         return lit, grid
 
     def check(self) -> None:
@@ -90,8 +90,9 @@ class CaptureCommand(BaseCommand):
         self.capture.check(self.spp)
 
     def _read(
-        self, progress: Progress, photographs: opt.PhotographOptions, need: NeedOf, detail: Detail
-    ) -> Capture:
+        self, progress: Progress, photographs: opt.PhotographOptions, need: NeedFunc,
+        detail: Detail,
+    ) -> Capture:  # fmt: skip
         from svu_mi.capture.match_photographs import NoPhotographsError, photographs_of
 
         source = self.capture.source
@@ -109,7 +110,7 @@ class CaptureCommand(BaseCommand):
                 f"--render to render the scene itself ({error.sensors} sensors)."
             ) from error
 
-    def _render(self, progress: Progress, need: NeedOf) -> Capture:
+    def _render(self, progress: Progress, need: NeedFunc) -> Capture:
         from svu_mi.capture.rendering import plan_render
 
         source, unwrap = self.capture.source, self.capture.rendering.unwrap
@@ -118,10 +119,10 @@ class CaptureCommand(BaseCommand):
                 source.scene, self.spp, shape=source.shape, defines=source.defines(),
                 unwrap=unwrap, trust=self.trust,
             )  # fmt: skip
-            announce_sizes(
-                progress, str(source.scene), larger(partial(Need, "render"), need), plan.sizes
+            photograph_memory(
+                progress, str(source.scene), largest_need(partial(Need, "render"), need), plan.sizes
             )
-            return plan.render(self.beside[0], progress=stage.update)
+            return plan.render(self.side_folders[0], progress=stage.update)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,10 +137,10 @@ class EstimateCommand(CaptureCommand):
         """Refuse options that make no sense, before any work."""
         super().check()
         if self.resolution:
-            opt.texel_size(self.resolution)
+            opt.parse_resolution(self.resolution)
         self.estimation.check()
 
-    def estimated(
+    def load_and_estimate(
         self, progress: Progress, size: tuple[int, int], command: str,
         recovered: Path | None = None, **options: Any,
     ) -> tuple[Capture, Estimate]:  # fmt: skip
@@ -147,7 +148,7 @@ class EstimateCommand(CaptureCommand):
         from svu_mi.output.texture_files import require_textures_of
 
         need = partial(Need, command, resolution=size, model=self.estimation.model)
-        capture, grid = self.load_lit(progress, need, size, self.light)
+        capture, grid = self.load_with_light(progress, need, size, self.light)
         if recovered is not None:
             require_textures_of(capture, recovered)
         return capture, self.estimation.estimate(progress, capture, grid, **options)
@@ -157,7 +158,7 @@ def read_capture(
     progress: Progress,
     source: opt.SceneOptions,
     photographs: opt.PhotographOptions,
-    need: NeedOf,
+    need: NeedFunc,
     detail: Detail,
     *,
     trust: bool,
@@ -173,28 +174,28 @@ def read_capture(
             detail=detail,
         )  # fmt: skip
         label, sizes = str(photographs.images or source.scene), plan.sizes(photographs.bytes)
-        return plan.read(announce_sizes(progress, label, need, sizes))
+        return plan.read(photograph_memory(progress, label, need, sizes))
 
 
-def announce_sizes(progress: Progress, label: str, need: NeedOf, sizes: Sizes) -> float:
+def photograph_memory(progress: Progress, label: str, need: NeedFunc, sizes: Sizes) -> float:
     """Refuse sizes that need too much memory, announce others, and return bytes for photographs.
 
     These are 0 where all else needs the memory, unless a size was asked for.
     """
-    found = need(sizes)
-    if not (found.fits or sizes.asked):
-        found = need(replace(sizes, memory=0.0))
-    announce(progress, label, found)
-    return found.sizes.memory
+    required = need(sizes)
+    if not (required.fits or sizes.asked):
+        required = need(replace(sizes, memory=0.0))
+    require_memory(progress, label, required)
+    return required.sizes.memory
 
 
-def announce(progress: Progress, label: str, need: Need) -> None:
-    """Refuse what needs too much memory, and announce what does not (see ``announce_sizes``)."""
+def require_memory(progress: Progress, label: str, need: Need) -> None:
+    """Refuse what needs too much memory, and announce what does not (see ``photograph_memory``)."""
     need.require(label)
     progress.say(need.sentence())
 
 
-def to_find_light(sizes: Sizes, resolution: tuple[int, int], options: LightOptions) -> Need:
+def light_search_need(sizes: Sizes, resolution: tuple[int, int], options: LightOptions) -> Need:
     """Return the memory of a search for the light."""
     cells = max(cells for cells, _ in options.depths)
     # Of few texels, the normal equations of the cells take more than the texels' part of them.
@@ -204,15 +205,15 @@ def to_find_light(sizes: Sizes, resolution: tuple[int, int], options: LightOptio
     return Need("light", sizes, resolution, looks=looks, model="spectrum")
 
 
-def with_search(need: NeedOf) -> NeedOf:
+def with_light_search(need: NeedFunc) -> NeedFunc:
     """Return the memory of a command that first finds the light, if there is none."""
     from svu_mi.calibration.light.resolve_light import OPTIONS, RESOLUTION
 
-    search = partial(to_find_light, resolution=(RESOLUTION, RESOLUTION), options=OPTIONS)
-    both = larger(need, search)
+    search = partial(light_search_need, resolution=(RESOLUTION, RESOLUTION), options=OPTIONS)
+    both = largest_need(need, search)
     return lambda sizes: need(sizes) if sizes.lit else both(sizes)
 
 
-def larger(*needs: NeedOf) -> NeedOf:
+def largest_need(*needs: NeedFunc) -> NeedFunc:
     """Return the largest of some needs."""
     return lambda sizes: max((need(sizes) for need in needs), key=lambda one: one.bytes)

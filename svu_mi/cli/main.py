@@ -24,7 +24,7 @@ from svu_mi.cli.doctor import Doctor
 from svu_mi.cli.entropy import Entropy
 from svu_mi.cli.export import Export
 from svu_mi.cli.guide import Guide
-from svu_mi.cli.help import REGISTRY, flowing
+from svu_mi.cli.help import REGISTRY, reflowed_help
 from svu_mi.cli.import_ import Import
 from svu_mi.cli.inpaint import Inpaint
 from svu_mi.cli.light import FindLight
@@ -34,7 +34,7 @@ from svu_mi.cli.relight import Relight
 from svu_mi.cli.render import Render
 from svu_mi.cli.report import Report
 from svu_mi.cli.scenes import Scenes
-from svu_mi.cli.shared_options import with_known_repeated
+from svu_mi.cli.shared_options import repeat_known
 from svu_mi.cli.streams import LogLines, OneLine, forgiving_streams
 from svu_mi.cli.view import View
 from svu_mi.core.memory import require_start
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str]) -> int:
     for word in arguments:
-        if problem := _problem(word):
+        if problem := _name_problem(word):
             return _fail(f"{excerpt(word, LONGEST)}: {problem}.", 2)
     if list(arguments) == ["--version"]:
         print(f"svu {__version__}")
@@ -83,14 +83,14 @@ def _run(arguments: Sequence[str]) -> int:
     warnings.showwarning = _show_warning
     try:
         asked = not {"-h", "--help"}.isdisjoint(arguments)
-        with flowing(Command) if asked else nullcontext():
+        with reflowed_help(Command) if asked else nullcontext():
             command: Any = tyro.cli(
-                Command, prog="svu", description=DESCRIPTION, args=with_known_repeated(arguments),
+                Command, prog="svu", description=DESCRIPTION, args=repeat_known(arguments),
                 config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands), registry=REGISTRY,
             )  # fmt: skip
-        _require_a_place()
+        _require_working_folder()
         require_start()
-        if command.draws and getattr(command, "pictures", True):
+        if command.uses_matplotlib and getattr(command, "pictures", True):
             import_matplotlib()
         return command.run(OneLine())  # stderr is for the one line that says what went wrong
     except KeyboardInterrupt as stop:
@@ -105,7 +105,7 @@ def _run(arguments: Sequence[str]) -> int:
         return _fail(*_sentence(error))
 
 
-def _problem(word: str) -> str | None:
+def _name_problem(word: str) -> str | None:
     """Return why a word cannot be the name of a file; None if it can."""
     if "\0" in word:
         return "it has a zero byte, which no name may have"
@@ -118,7 +118,7 @@ def _problem(word: str) -> str | None:
     return None
 
 
-def _require_a_place() -> None:
+def _require_working_folder() -> None:
     """Refuse a working directory that has been removed: Mitsuba would abort the process."""
     try:
         os.getcwd()

@@ -85,7 +85,7 @@ class Recover(CaptureCommand, ResultCommand):
     def check(self) -> None:
         """Refuse options that make no sense, before any work."""
         super().check()
-        opt.texel_size(self.resolution)
+        opt.parse_resolution(self.resolution)
         if not self.parameters:
             raise OptionError("--parameters must name at least one texture.")
         opt.require_range("--seed", self.seed, 0)
@@ -112,7 +112,6 @@ class Recover(CaptureCommand, ResultCommand):
     def _recover(self, progress: Progress, place: Claim) -> IntervalSummary:
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
         from svu_mi.output.interval_summary import IntervalSummary
-        from svu_mi.output.run_record import RunInfo
         from svu_mi.output.write_recovery import DrawOptions, write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.posterior.observations import observe
@@ -121,10 +120,10 @@ class Recover(CaptureCommand, ResultCommand):
         from svu_mi.recovery.uncertainty.texture_field import texture_field
 
         options = self._options()  # refused before any work
-        size = opt.texel_size(self.resolution)
+        size = opt.parse_resolution(self.resolution)
         need = partial(Need, "recover", resolution=size, model="default")
-        capture, texels = self.load_lit(progress, need, size, self.light, again=self.resume)
-        _, initial = opt.recovered_textures(self.initial, texels.resolution, one_run=False)
+        capture, texels = self.load_with_light(progress, need, size, self.light, again=self.resume)
+        _, initial = opt.read_recovered(self.initial, texels.resolution, one_run=False)
         seen = observe(capture, texels, progress)
         recovery = recover(
             seen, None, self.method, self.preset, sharing=self.sharing, tv=self.tv,
@@ -140,7 +139,7 @@ class Recover(CaptureCommand, ResultCommand):
         if has_field(known):
             field = texture_field(recovery, known, capture.mesh, progress=progress)
         with progress.stage("Writing the results") as stage:
-            run = RunInfo(settings=opt.given(self), kernels=progress.kernels, progress=stage.update)
+            run = self.run_info(progress, progress=stage.update)
             write_recovery(
                 capture, recovery, place, run, estimate=known, field=field,
                 draws=DrawOptions(self.drawn, self.seed) if self.drawn else None,
@@ -155,13 +154,13 @@ class Recover(CaptureCommand, ResultCommand):
         for option, unused in (("steps", "path"), ("epochs", "sh")):
             if self.method == unused and getattr(self, option) is not None:
                 raise OptionError(f"--{option} has no effect with --method {unused}; omit it.")
-        found = options_of(self.method, self.preset)
-        if (sh := found.get("sh")) and self.steps is not None:
-            found["sh"] = replace(sh, descent=replace(sh.descent, steps=self.steps))
-        if path := found.get("path"):
+        options = options_of(self.method, self.preset)
+        if (sh := options.get("sh")) and self.steps is not None:
+            options["sh"] = replace(sh, descent=replace(sh.descent, steps=self.steps))
+        if path := options.get("path"):
             epochs = path.epochs if self.epochs is None else self.epochs
-            found["path"] = replace(path, epochs=epochs, seed=self.seed)
-        return found
+            options["path"] = replace(path, epochs=epochs, seed=self.seed)
+        return options
 
 
 def _advice(checkpoint: Path) -> str:

@@ -70,7 +70,6 @@ class Relight(CaptureCommand, ResultCommand):
         """Render, and write the results."""
         from svu_mi.calibration.light.resolve_light import with_map
         from svu_mi.output.relight_page import uncertainty_sentence, write_relighting
-        from svu_mi.output.run_record import RunInfo
         from svu_mi.output.texture_files import read_textures, require_textures_of
         from svu_mi.output.texture_samples import find_draws, read_draws
         from svu_mi.recovery.relighting import relight_draws
@@ -90,16 +89,16 @@ class Relight(CaptureCommand, ResultCommand):
             )
         sensors, names = self._sensors(capture)
         with progress.stage("Rendering draws", len(files)) as stage:
-            found = relight_draws(
+            relit = relight_draws(
                 capture, textures, read_draws(files), None, sensors, self.spp, seed=self.seed,
                 progress=lambda done: stage.update(done, len(files)),
             )  # fmt: skip
         with progress.stage("Writing the results"):
-            run = RunInfo(settings=opt.given(self), kernels=progress.kernels)
+            run = self.run_info(progress)
             write_relighting(
-                capture, found, names, place, run, draws=len(files), pictures=self.pictures
+                capture, relit, names, place, run, draws=len(files), pictures=self.pictures
             )
-        return [uncertainty_sentence(found)]
+        return [uncertainty_sentence(relit)]
 
     def _sensors(self, capture: Capture) -> tuple[list[Any], list[str]]:
         """Return the sensors that pictures are made from, and their names."""

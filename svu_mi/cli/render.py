@@ -9,8 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from svu_mi.cli.base_command import BaseCommand, interruptible
-from svu_mi.cli.loading import announce_sizes
-from svu_mi.cli.shared_options import Output, Overwrite, SceneOptions, Size, pair
+from svu_mi.cli.loading import photograph_memory
+from svu_mi.cli.shared_options import Output, Overwrite, SceneOptions, Size, parse_size
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
@@ -25,7 +25,7 @@ class Render(BaseCommand):
     Unlike the mitsuba program, it knows the plugins of svu_mi.
     """
 
-    draws = False
+    uses_matplotlib = False
     source: SceneOptions
     output: Output = Path("capture")
     overwrite: Overwrite = False
@@ -43,7 +43,7 @@ class Render(BaseCommand):
         """Render the views."""
         from svu_mi.capture.rendering import VIEWS
 
-        size, defines = pair(self.resolution, "--resolution"), self.source.defines()
+        size, defines = parse_size(self.resolution, "--resolution"), self.source.defines()
         require_spp(self.spp, "--spp")
         require_views(self.views or 0, "--views")
         with claimed(self.output, "render", overwrite=self.overwrite, keep=VIEWS) as place:
@@ -64,7 +64,7 @@ class Render(BaseCommand):
                 resolution=size, defines=defines, trust=self.trust,
             )  # fmt: skip
             need = partial(Need, "render")
-            announce_sizes(progress, str(self.source.scene), need, plan.sizes)
+            photograph_memory(progress, str(self.source.scene), need, plan.sizes)
             return plan.render(place, progress=stage.update, resume=self.resume).count
 
 

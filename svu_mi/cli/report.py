@@ -55,14 +55,14 @@ class Report(EstimateCommand):
         with locked(self.output.resolve()):
             clear_temporaries(self.output.parent)
             self.start()
-            size, textures = opt.recovered_textures(self.recovered, self.resolution, SIDE)
+            size, textures = opt.read_recovered(self.recovered, self.resolution, SIDE)
             knowledge = self._write(Progress(console), size, textures)
         print_line(console, f"Wrote {self.output}")
         print_line(console, knowledge.summary())
         return 0
 
     @property
-    def beside(self) -> tuple[Path, Path]:
+    def side_folders(self) -> tuple[Path, Path]:
         """Folders beside the page (see ``CaptureCommand``)."""
         name, stem = self.output.with_name, self.output.stem
         return name(f"{stem}_capture"), name(f"{stem}_light")
@@ -84,10 +84,10 @@ class Report(EstimateCommand):
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
         from svu_mi.output.report.report import write_report
 
-        capture, found = self.estimated(progress, size, "report", self.recovered)
-        warn_if_too_bright(found)
+        capture, estimate = self.load_and_estimate(progress, size, "report", self.recovered)
+        warn_if_too_bright(estimate)
         with progress.stage("Writing the report") as stage:
             return write_report(
-                capture, found, self.output, textures=textures, title=self.title,
-                settings=opt.given(replace(self, resolution=size)), progress=stage.update,
+                capture, estimate, self.output, textures=textures, title=self.title,
+                settings=opt.as_dict(replace(self, resolution=size)), progress=stage.update,
             )  # fmt: skip

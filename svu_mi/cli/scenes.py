@@ -28,7 +28,7 @@ class Scenes:
     overcast, clear and window.
     """
 
-    draws: ClassVar[bool] = False
+    uses_matplotlib: ClassVar[bool] = False
     name: Name = ""
     """Scene to copy; without a name all are listed."""
     output: Output = Path("scenes")

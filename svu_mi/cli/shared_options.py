@@ -105,7 +105,7 @@ class PhotographOptions:
     @property
     def bytes(self) -> float | None:
         """Bytes that photographs may take; None by default."""
-        return bytes_of(self.memory, "--memory")
+        return parse_bytes(self.memory, "--memory")
 
     @property
     def estimates_gains(self) -> bool:
@@ -187,22 +187,22 @@ def require_range(option: str, value: float | None, low: float, high: float = ma
         raise OptionError(f"{option} must be {limits}, got {value:g}.")
 
 
-def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
+def parse_size(size: tuple[int, ...], option: str) -> tuple[int, int]:
     """Return (width, height) from one or two numbers."""
     if len(size) not in (1, 2) or min(size) < 1:
-        found = " ".join(map(str, size))
-        raise OptionError(f"{option} takes one or two positive numbers, got {found}.")
+        numbers = " ".join(map(str, size))
+        raise OptionError(f"{option} takes one or two positive numbers, got {numbers}.")
     return size[0], size[-1]
 
 
-def texel_size(resolution: tuple[int, ...]) -> tuple[int, int]:
+def parse_resolution(resolution: tuple[int, ...]) -> tuple[int, int]:
     """Return (width, height) of ``--resolution``."""
-    size = pair(resolution, "--resolution")
+    size = parse_size(resolution, "--resolution")
     require_texels(size, "--resolution")
     return size
 
 
-def bytes_of(text: str, option: str) -> float | None:
+def parse_bytes(text: str, option: str) -> float | None:
     """Return how many bytes "4G" or "800M" are; None for an empty text."""
     if not text:
         return None
@@ -216,7 +216,7 @@ def bytes_of(text: str, option: str) -> float | None:
     return size
 
 
-def with_known_repeated(words: Sequence[str]) -> list[str]:
+def repeat_known(words: Sequence[str]) -> list[str]:
     """Return the words of a command with ``--known a=0 b=1`` as ``--known a=0 --known b=1``.
 
     An option that takes any number of words would take the scene after it, too.
@@ -255,16 +255,16 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
     return known or None
 
 
-def recovered_textures(
+def read_recovered(
     folder: Path | None, resolution: tuple[int, ...], default: int = 0, one_run: bool = True
 ) -> tuple[tuple[int, int], Textures | None]:
     """Return the (width, height) of a grid, and the textures of a folder, which must have it."""
     from svu_mi.output.texture_files import read_textures
 
     if folder is None:
-        return pair(resolution or (default,), "--resolution"), None
+        return parse_size(resolution or (default,), "--resolution"), None
     textures = read_textures(folder, one_run=one_run)
-    if resolution and pair(resolution, "--resolution") != textures.resolution:
+    if resolution and parse_size(resolution, "--resolution") != textures.resolution:
         width, height = textures.resolution
         raise OptionError(
             f"{folder}: the textures have {width} x {height} texels; give --resolution {width} "
@@ -273,10 +273,10 @@ def recovered_textures(
     return textures.resolution, textures
 
 
-def given(options: Any) -> dict[str, Any]:
+def as_dict(options: Any) -> dict[str, Any]:
     """Return the options of a command by name, those of its groups too, for ``run.json``."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
-        found |= given(value) if dataclasses.is_dataclass(value) else {field.name: value}
-    return found
+        values |= as_dict(value) if dataclasses.is_dataclass(value) else {field.name: value}
+    return values

@@ -41,8 +41,8 @@ class View(EstimateCommand):
         require_viser()
         self.start()
         progress = Progress(console)
-        size, textures = opt.recovered_textures(self.recovered, self.resolution, SIDE)
-        capture, result = self.estimated(progress, size, "view", self.recovered)
+        size, textures = opt.read_recovered(self.recovered, self.resolution, SIDE)
+        capture, result = self.load_and_estimate(progress, size, "view", self.recovered)
         with progress.stage("Opening the viewer"):
             viewer = Viewer(capture, result, textures, port=self.port, up=self.up)
         print_line(console, f"Open {viewer.url} in a browser; press Ctrl-C to stop.")

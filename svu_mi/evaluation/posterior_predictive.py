@@ -25,7 +25,7 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.mix_columns import Parts, interpolate_radiance
 from svu_mi.reflection.reflection_model import ReflectionModel
-from svu_mi.statistics.gather_statistics import GRAZING, Values, mixed_of
+from svu_mi.statistics.gather_statistics import GRAZING, Values, mixing_values
 
 CHANNELS = 3
 
@@ -83,7 +83,7 @@ class Prediction:
         lobes = columns_seen_from(self.scene, self.model, eye)
         found = np.empty((len(self.draws), self.model.surface.count, CHANNELS), np.float32)
         for k, (values, shares) in enumerate(zip(self.draws, self.shares, strict=True)):
-            shown = interpolate_radiance(lobes, shares, values["base_color"], mixed_of(values))
+            shown = interpolate_radiance(lobes, shares, values["base_color"], mixing_values(values))
             shown = [dr.maximum(x, 0) for x in shown]  # splines overshoot
             dr.eval(shown)
             found[k] = np.stack([x.numpy() for x in shown], axis=1)

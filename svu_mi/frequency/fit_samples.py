@@ -1,4 +1,4 @@
-"""Samples of Eq. 12: what texels show, and the light that they mirror; and fits to them."""
+"""Samples and fits of Eq. 12: radiance of texels, and the light that they mirror."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.frequency.fit_sh import SolverGroup, fit_lanes, solver_groups
-from svu_mi.frequency.harmonics import System
+from svu_mi.frequency.harmonics import FitSystem
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
@@ -28,7 +28,7 @@ Masking = Callable[[Any, Any], list[Any]]
 """Cosines and numbers of texels to F factors."""
 
 
-class Photographed(Protocol):
+class FitSource(Protocol):
     """Photographs of texels under a light, as ``observed.Observed`` has them."""
 
     @property
@@ -49,7 +49,7 @@ class Photographed(Protocol):
 
 
 @dataclass(frozen=True)
-class Samples:
+class FitSamples:
     """Rows of Eq. 12, of the texels ``surface``.
 
     Attributes:
@@ -60,7 +60,7 @@ class Samples:
             right-hand side per factor and channel. Default 1.
     """
 
-    observed: Photographed
+    observed: FitSource
     surface: TexelLanes
     occluded: bool
     channels: int
@@ -78,7 +78,7 @@ class Samples:
         incoming = dr.if_stmt(
             args=(seen.direction, mi.Vector3f(self.surface.normal)),
             cond=lit,
-            true_fn=lambda way, normal: lighting.radiance(mirror_direction(normal, way)),
+            true_fn=lambda view, normal: lighting.radiance(mirror_direction(normal, view)),
             false_fn=lambda *_: dr.zeros(mi.Color3f),
         )
         light = as_channels(incoming, self.light_channels)
@@ -90,10 +90,10 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Job:
+class FitJob:
     """Fit of all texels, (T,) ``counts`` views each; may be repeated with another masking."""
 
-    observed: Photographed
+    observed: FitSource
     switches: Preset | Fit
     counts: np.ndarray
     channels: int
@@ -111,14 +111,14 @@ class Job:
     ) -> Iterator[tuple[Any, list[list[Any]]]]:
         """Yield the texels of each solver, UInt32, and their coefficients, not evaluated yet."""
         fit = self.switches
-        system = System.of(
+        system = FitSystem.of(
             fit.degree, self.channels + factors * self.light_channels, fit.regularizer,
             fit.penalize_constant,
         )  # fmt: skip
         # Made now: a texture that is made while a loop is recorded does not outlive the recording.
         dr.eval(self.observed.lighting.filtered)
         for group, surface in self.launches:
-            samples = Samples(
+            samples = FitSamples(
                 self.observed, surface, self.occluded, self.channels, self.light_channels, masking
             )
             yield (
@@ -131,13 +131,13 @@ class Job:
 class MirroredLight:
     """Light that S ``chosen`` texels mirror into their photographs, to be fitted (Eq. 12)."""
 
-    observed: Photographed
+    observed: FitSource
     fit: Fit
     channels: int
     chosen: np.ndarray
 
-    def room(self, rows: int) -> Any:
-        """Return zeros for so many numbers per lane, evaluated: (rows S,) Float."""
+    def allocate(self, rows: int) -> Any:
+        """Return zeros for ``rows`` numbers per lane, evaluated: (rows S,) Float."""
         size = rows * len(self.chosen)
         if size >= 2**32:
             raise OptionError(
@@ -151,7 +151,7 @@ class MirroredLight:
 
     @cached_property
     def lane(self) -> Any:
-        """(T,) UInt32, which lane a texel has; 0 for others."""
+        """(T,) UInt32, the lane of each texel; 0 for others."""
         lane = np.zeros(self.observed.texels.count, np.uint32)
         lane[self.chosen] = np.arange(len(self.chosen))
         return to_drjit(mi.UInt32, lane)
@@ -162,8 +162,8 @@ class MirroredLight:
             yield dr.gather(mi.UInt32, self.lane, texel), coefficients
 
     @cached_property
-    def _job(self) -> Job:
-        """Of all steps of a recovery: who is solved by which kernel does not change."""
+    def _job(self) -> FitJob:
+        """The fit, cached: texels keep their solver in all steps of a recovery."""
         counts = np.zeros(self.observed.texels.count, np.uint32)
         counts[self.chosen] = self.observed.visibility.coverage.numpy()[self.chosen]
-        return Job(self.observed, self.fit, counts, 0, self.channels)
+        return FitJob(self.observed, self.fit, counts, 0, self.channels)

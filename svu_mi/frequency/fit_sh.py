@@ -22,7 +22,7 @@ from svu_mi.core.arrays import tensor, to_drjit
 from svu_mi.core.local_memory import scatter_rows
 from svu_mi.errors import OptionError
 from svu_mi.frequency import harmonics
-from svu_mi.frequency.harmonics import Sample, System
+from svu_mi.frequency.harmonics import FitSystem, ReadSample
 from svu_mi.frequency.solve_dual import fit_dual
 from svu_mi.frequency.solve_primal import fit_primal
 from svu_mi.presets import Preset
@@ -40,7 +40,7 @@ VIEWS_PER_COEFFICIENT = 2.5
 80, 98 and 128 visible views: 0.44, 0.59 and 0.82 of the time of the primal)."""
 
 
-def fit_lanes(sample: Sample, views: Any, system: System, capacity: int) -> list[list[Any]]:
+def fit_lanes(sample: ReadSample, views: Any, system: FitSystem, capacity: int) -> list[list[Any]]:
     """Fit Eq. 12 in every lane; return (degree + 1)^2 coefficients, each ``channels`` Floats.
 
     ``sample(view)`` returns unit direction, weight w (0: unseen) and values. Coefficient (l, m) is
@@ -171,11 +171,11 @@ def fit_sh(
     flat = (direction_tensor.array, weight_tensor.array, value_tensor.array)
     samples = _Samples(*flat, dr.opaque(mi.UInt32, views), channels)
     groups = solver_groups(_inspect(samples, texels, views), lmax, method)
-    system = System.of(lmax, channels, float(regularizer), penalize_constant)
+    system = FitSystem.of(lmax, channels, float(regularizer), penalize_constant)
     return mi.TensorXf(_fitted(samples, system, groups, texels), shape)
 
 
-def _fitted(samples: _Samples, system: System, groups: list[SolverGroup], texels: int) -> Any:
+def _fitted(samples: _Samples, system: FitSystem, groups: list[SolverGroup], texels: int) -> Any:
     """Return the coefficients of all texels, flat, texel-major."""
     coefficients = dr.zeros(mi.Float, texels * (system.degree + 1) ** 2 * samples.channels)
     dr.eval(coefficients)

@@ -27,7 +27,7 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import harmonics
 
 MAX_DEGREE = 9
-"""The highest degree ``dr.sh_eval`` knows."""
+"""The highest degree of ``dr.sh_eval``."""
 
 
 def degree_of(count: int) -> int:
@@ -74,13 +74,13 @@ def zonal_kernel(t: Any, powers: list[float]) -> Any:
     return value
 
 
-Sample = Callable[[Any], tuple[Any, Any, list[Any]]]
+ReadSample = Callable[[Any], tuple[Any, Any, list[Any]]]
 """``view -> (direction, weight, values)``: see ``fit_lanes``."""
 
 
 @dataclass(frozen=True)
-class System:
-    """What both ways of solving Eq. 12 need to know; lists have one entry per degree."""
+class FitSystem:
+    """Parameters of Eq. 12 for both solvers; lists have one entry per degree."""
 
     degree: int
     channels: int
@@ -88,10 +88,10 @@ class System:
     regularizer: Any  # lambda, an opaque double: a new value must not mean a new kernel
 
     @staticmethod
-    def of(degree: int, channels: int, regularizer: float, penalize_constant: bool) -> System:
-        """State the problem."""
+    def of(degree: int, channels: int, regularizer: float, penalize_constant: bool) -> FitSystem:
+        """Set up the fit."""
         ridge = harmonics.ridge(degree, penalize_constant)
-        return System(degree, channels, ridge, dr.opaque(mi.Float64, regularizer))
+        return FitSystem(degree, channels, ridge, dr.opaque(mi.Float64, regularizer))
 
     @property
     def degrees(self) -> list[int]:
@@ -103,12 +103,12 @@ class System:
         return harmonics.basis(mi.Vector3d(*direction), self.degree)
 
 
-def unit(direction: Any) -> Any:
+def normalized_double(direction: Any) -> Any:
     """Normalise a direction in double precision, which fits of close views need."""
     return dr.normalize(mi.Vector3d(direction))
 
 
-def power_lanes(coefficients: list[list[Any]]) -> list[list[Any]]:
+def power_per_degree(coefficients: list[list[Any]]) -> list[list[Any]]:
     """Return S(l) of every lane (Eq. 8): lmax + 1 lists of C arrays, squared radiance."""
     spectrum = []
     for l in range(harmonics.degree_of(len(coefficients)) + 1):

@@ -27,7 +27,7 @@ from svu_mi.reflection.wide_lobes import Lobe
 
 @dataclass(frozen=True)
 class ShLobes:
-    """Lobes of a few widths, the same for all texels.
+    """Specular lobes of K widths from the SH fit of each texel's light.
 
     Attributes:
         alpha: (K,) float64 widths.
@@ -44,7 +44,7 @@ class ShLobes:
     def of(light: MirroredLight, alpha: np.ndarray, switches: AngularPreset) -> ShLobes:
         """Fit and convolve the light with a lobe of each width; 4 n C bytes per texel and width."""
         rows, count = (light.fit.degree + 1) ** 2 * light.channels, len(light.chosen)
-        values = light.room(len(alpha) * rows)
+        values = light.allocate(len(alpha) * rows)
         for level, width in enumerate(alpha.tolist()):
             square = dr.opaque(mi.Float, float(_square(light, width)))
             for lane, coefficients in light.solutions(_masking(width), 1):
@@ -66,7 +66,7 @@ class ShLobes:
             dr.opaque(mi.UInt32, (level * rows + c) * stride)
             for level in range(len(self.alpha)) for c in range(channels)
         ]  # fmt: skip
-        found = _evaluate(
+        radiance = _evaluate(
             self.values, direction, light.fit.degree, dr.arange(mi.UInt32, stride),
             dr.opaque(mi.UInt32, channels * stride), columns,
         )  # fmt: skip
@@ -74,13 +74,13 @@ class ShLobes:
         for level, alpha in enumerate(self.alpha.tolist()):
             # Opaque: as a literal, every grid would compile kernels of its own.
             A, B, D = view_albedo(self.fresnel, cosine, dr.opaque(mi.Float, alpha))
-            own = found[level * channels : (level + 1) * channels]
+            own = radiance[level * channels : (level + 1) * channels]
             result.append([(A * value, B * value, D * value) for value in own])
         return result
 
 
 @dataclass(frozen=True)
-class Convolved:
+class ConvolvedLight:
     """Light under a lobe of every texel's own width.
 
     Attributes:
@@ -91,9 +91,9 @@ class Convolved:
     light: MirroredLight
 
     @staticmethod
-    def of(light: MirroredLight, roughness: Any) -> Convolved:
+    def of(light: MirroredLight, roughness: Any) -> ConvolvedLight:
         """Fit and convolve, exactly: every texel's light is fitted under its own masking."""
-        values = light.room(2 * (light.fit.degree + 1) ** 2 * light.channels)
+        values = light.allocate(2 * (light.fit.degree + 1) ** 2 * light.channels)
         stride = dr.opaque(mi.UInt32, len(light.chosen))
 
         def masking(cosine: Any, texel: Any) -> list[Any]:
@@ -115,17 +115,17 @@ class Convolved:
                 ]
             values = scatter_strided(values, convolved, lane, stride)
             dr.eval(values)
-        return Convolved(values, light)
+        return ConvolvedLight(values, light)
 
-    def towards(self, direction: Any) -> list[tuple[Any, Any]]:
+    def evaluate(self, direction: Any) -> list[tuple[Any, Any]]:
         """Evaluate in angle: (S_alpha * G1 L, its derivative for roughness) of each channel."""
         channels, count = self.light.channels, len(self.light.chosen)
         stride = dr.opaque(mi.UInt32, count)
-        found = _evaluate(
+        values = _evaluate(
             self.values, direction, self.light.fit.degree, dr.arange(mi.UInt32, count),
             2 * channels * stride, [k * stride for k in range(2 * channels)],
         )  # fmt: skip
-        return list(zip(found[:channels], found[channels:], strict=True))
+        return list(zip(values[:channels], values[channels:], strict=True))
 
 
 def _masking(alpha: float) -> Callable[[Any, Any], list[Any]]:

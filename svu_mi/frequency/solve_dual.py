@@ -18,7 +18,7 @@ import mitsuba as mi
 
 from svu_mi.core.local_memory import allocate, load, store
 from svu_mi.frequency import cholesky, harmonics
-from svu_mi.frequency.harmonics import Sample, System, unit
+from svu_mi.frequency.harmonics import FitSystem, ReadSample, normalized_double
 
 TILE = 4
 """Edge of a tile: 16 double precision values, half of which stay in registers while it is
@@ -27,7 +27,7 @@ updated. Measured from 2 to 8: the fastest."""
 Y00 = 1 / math.sqrt(4 * math.pi)
 
 
-def fit_dual(sample: Sample, views: Any, system: System, capacity: int) -> list[list[Any]]:
+def fit_dual(sample: ReadSample, views: Any, system: FitSystem, capacity: int) -> list[list[Any]]:
     """Compact the visible samples of the lane, solve for them, and go back to coefficients."""
     channels = system.channels
     free = system.ridge[0] == 0
@@ -60,7 +60,7 @@ def fit_dual(sample: Sample, views: Any, system: System, capacity: int) -> list[
 
 
 @dr.syntax
-def _compact(sample: Sample, views: Any, samples: list, capacity: int) -> tuple[list, Any]:
+def _compact(sample: ReadSample, views: Any, samples: list, capacity: int) -> tuple[list, Any]:
     """Store the visible samples of each lane one after the other."""
     count = mi.UInt32(0)
     view = mi.UInt32(0)
@@ -71,7 +71,7 @@ def _compact(sample: Sample, views: Any, samples: list, capacity: int) -> tuple[
         # for the same in all lanes; the select gives it the width of the lanes.
         slot = dr.select(held, count, 0)
         if held:
-            store(samples, slot, [*unit(direction), mi.Float64(weight), *values])
+            store(samples, slot, [*normalized_double(direction), mi.Float64(weight), *values])
             count += 1
         view += 1
     return samples, count
@@ -85,7 +85,7 @@ def _pad(samples: list, count: Any, blocks: Any) -> None:
             slot.write(0, count + k, inside)
 
 
-def _kernel_tile(samples: list, bi: Any, bj: Any, diagonal: bool, system: System) -> list:
+def _kernel_tile(samples: list, bi: Any, bj: Any, diagonal: bool, system: FitSystem) -> list:
     """Return tile (bi, bj) of M = W K W + 1; only its lower triangle if it is diagonal."""
     powers = harmonics.zonal_polynomial(system.degree, system.ridge[0] > 0)
     scale = dr.rcp(system.regularizer)
@@ -188,7 +188,7 @@ def _add_outer(total: list, y: list, wa: list) -> list:
 
 
 def _scale_coefficients(
-    total: list, system: System, constant: list | None, seen: Any
+    total: list, system: FitSystem, constant: list | None, seen: Any
 ) -> list[list[Any]]:
     """c = (lambda R)^-1 Y^T W a; the constant itself where it is free."""
     out = []

@@ -17,12 +17,12 @@ import mitsuba as mi
 
 from svu_mi.core.local_memory import allocate, load, store
 from svu_mi.frequency import cholesky
-from svu_mi.frequency.harmonics import Sample, System, power_lanes, unit
+from svu_mi.frequency.harmonics import FitSystem, ReadSample, normalized_double, power_per_degree
 
 
-def fit_primal(sample: Sample, views: Any, system: System) -> list[list[Any]]:
+def fit_primal(sample: ReadSample, views: Any, system: FitSystem) -> list[list[Any]]:
     """Accumulate the normal equations view by view, then solve them in place."""
-    solved = Solved.of(sample, views, system)
+    solved = SolvedSystem.of(sample, views, system)
     return [
         [dr.select(solved.seen, mi.Float(value), 0) for value in row]
         for row in solved.coefficients(system)
@@ -30,7 +30,7 @@ def fit_primal(sample: Sample, views: Any, system: System) -> list[list[Any]]:
 
 
 @dataclass
-class Solved:
+class SolvedSystem:
     """Normal equations in local memory, factored and solved.
 
     Attributes:
@@ -46,7 +46,7 @@ class Solved:
     seen: Any
 
     @staticmethod
-    def of(sample: Sample, views: Any, system: System) -> Solved:
+    def of(sample: ReadSample, views: Any, system: FitSystem) -> SolvedSystem:
         """Accumulate the equations view by view, and solve them."""
         size = system.degree + 1  # tiles of this edge fill the matrix without padding
         blocks, memory = dr.opaque(mi.UInt32, size), cholesky.packed_count(size)
@@ -59,14 +59,14 @@ class Solved:
         gram, right, seen = _accumulate(sample, views, memory, system.basis)
         gram, right = cholesky.factor_and_forward(gram, right, blocks, size)
         right = cholesky.backward(gram, right, blocks, size, size)
-        return Solved(gram, right, rows, blocks, seen)
+        return SolvedSystem(gram, right, rows, blocks, seen)
 
-    def coefficients(self, system: System) -> list[list[Any]]:
+    def coefficients(self, system: FitSystem) -> list[list[Any]]:
         """Read c: (degree + 1)^2 rows of channels, Float64."""
         return read_rows(self.solution, system)
 
 
-def read_rows(memory: list, system: System) -> list[list[Any]]:
+def read_rows(memory: list, system: FitSystem) -> list[list[Any]]:
     """Read (degree + 1)^2 rows of channels from blocks."""
     size, channels = system.degree + 1, system.channels
     return [
@@ -89,7 +89,7 @@ def _clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list
     return gram, right
 
 
-def _add_ridge(gram: list, system: System, size: int) -> None:
+def _add_ridge(gram: list, system: FitSystem, size: int) -> None:
     """Write lambda R on the diagonal."""
     for i, l in enumerate(system.degrees):
         tile = cholesky.packed_count(i // size) + i // size
@@ -98,16 +98,19 @@ def _add_ridge(gram: list, system: System, size: int) -> None:
 
 @dr.syntax
 def _accumulate(
-    sample: Sample, views: Any, memory: tuple[list, list, list, Any], basis: Callable[[list], list]
+    sample: ReadSample,
+    views: Any,
+    memory: tuple[list, list, list, Any],
+    basis: Callable[[list], list],
 ) -> tuple[list, list, Any]:
-    """Add Y^T W^2 Y and Y^T W^2 f, and say which lanes saw anything."""
+    """Add Y^T W^2 Y and Y^T W^2 f; return them and the lanes with samples."""
     gram, right, rows, blocks = memory
     seen = mi.Bool(False)
     view = mi.UInt32(0)
     while view < views:
         direction, weight, values = sample(view)
         if weight > 0:
-            write_row(rows, basis(unit(direction)), mi.Float64(weight))
+            write_row(rows, basis(normalized_double(direction)), mi.Float64(weight))
             scaled = [mi.Float64(weight) * mi.Float64(value) for value in values]
             bi = mi.UInt32(0)
             while bi < blocks:
@@ -139,33 +142,36 @@ def _add_outer(tile: list, a: list, b: list) -> list:
 FREE = 1e-12
 """Stands for R_00 = 0: a lane without samples has a matrix, too. Changes c by 1e-12 of itself."""
 
-Take = Callable[[Any, list[list[Any]]], None]
-"""``(j, power)``: is given the spectrum with sample j added, Float64 by degree and channel."""
+TakeSpectrum = Callable[[Any, list[list[Any]]], None]
+"""Consumer of (j, power): the spectrum with sample j added, Float64 by degree and channel."""
 
 
-def extend_lanes(
-    known: tuple[Sample, Any], added: tuple[Sample, Any], system: System, take: Take
+def fit_candidates(
+    known: tuple[ReadSample, Any],
+    added: tuple[ReadSample, Any],
+    system: FitSystem,
+    take: TakeSpectrum,
 ) -> list[list[Any]]:
     """Fit the ``known`` samples and their count, then each of the ``added`` in addition.
 
     Returns the power of the known; calls ``take`` where an added sample's weight is positive.
     """
     system = replace(system, ridge=[max(value, FREE) for value in system.ridge])
-    solved = Solved.of(*known, system)
+    solved = SolvedSystem.of(*known, system)
     sample, candidates = added
-    _add_each(_Change(system, sample, take), candidates, solved, system.degree + 1)
-    return power_lanes(solved.coefficients(system))
+    _add_each(_AddedSample(system, sample, take), candidates, solved, system.degree + 1)
+    return power_per_degree(solved.coefficients(system))
 
 
-class _Change:
-    """What a sample changes; not a dataclass, which a loop would take for part of its state."""
+class _AddedSample:
+    """Rank-one update by one sample; not a dataclass, whose fields would be loop state."""
 
-    def __init__(self, system: System, added: Sample, take: Take) -> None:
+    def __init__(self, system: FitSystem, added: ReadSample, take: TakeSpectrum) -> None:
         self._system, self.added, self._take = system, added, take
 
     def basis(self, direction: Any) -> list[Any]:
         """y of a direction."""
-        return self._system.basis(unit(direction))
+        return self._system.basis(normalized_double(direction))
 
     def norm(self, step: list) -> Any:
         """1 + w y . A^-1 w y, from z = L^-1 w y."""
@@ -182,17 +188,17 @@ class _Change:
         ]
 
     def take(self, j: Any, fitted: list, step: list, errors: list) -> None:
-        """Hand the changed spectrum over; ``step`` holds A^-1 w y."""
+        """Consume the changed spectrum; ``step`` holds A^-1 w y."""
         size, old = self._system.degree + 1, read_rows(fitted, self._system)
         new = [
             [dr.fma(step[i % size][i // size], e, c) for e, c in zip(errors, row, strict=True)]
             for i, row in enumerate(old)
         ]
-        self._take(j, power_lanes(new))
+        self._take(j, power_per_degree(new))
 
 
 @dr.syntax
-def _add_each(change: _Change, candidates: Any, solved: Solved, size: int) -> Any:
+def _add_each(change: _AddedSample, candidates: Any, solved: SolvedSystem, size: int) -> Any:
     gram, fitted, step, blocks = solved.factor, solved.solution, solved.rows, solved.blocks
     j = mi.UInt32(0)
     while j < candidates:

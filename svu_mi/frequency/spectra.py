@@ -1,4 +1,4 @@
-"""SH fits and power spectra of what every texel shows, and of the light that it mirrors."""
+"""SH fits and power spectra of each texel's radiance and mirrored light."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.local_memory import scatter_rows, scatter_strided
-from svu_mi.frequency.fit_samples import Job, Photographed
-from svu_mi.frequency.harmonics import power_lanes
+from svu_mi.frequency.fit_samples import FitJob, FitSource
+from svu_mi.frequency.harmonics import power_per_degree
 from svu_mi.presets import Preset
 
 
@@ -24,7 +24,7 @@ class Spectra:
 
 
 def fit_spectra(
-    observed: Photographed,
+    observed: FitSource,
     switches: Preset,
     *,
     channels: int | None = None,
@@ -38,9 +38,9 @@ def fit_spectra(
     shape = (observed.texels.count, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
-    job = Job(observed, switches, counts, colors, light, switches.occluded)
+    job = FitJob(observed, switches, counts, colors, light, switches.occluded)
     for texel, coefficients in job.solutions():
-        power, copies = power_lanes(coefficients), colors // light
+        power, copies = power_per_degree(coefficients), colors // light
         scatter_rows(outgoing.array, [row[:colors] for row in power], texel)
         scatter_rows(incoming.array, [row[colors:] * copies for row in power], texel)
         dr.eval(outgoing, incoming)
@@ -49,7 +49,7 @@ def fit_spectra(
 
 @dataclass(frozen=True)
 class Coefficients:
-    """SH coefficients of the radiance of T texels, and of the light that they mirror.
+    """SH coefficients of the radiance and the mirrored light of T texels.
 
     Attributes:
         values: (K (C + C') T,) Float: for coefficient l*l + l + m, then channel of photographs
@@ -76,14 +76,14 @@ class Coefficients:
 
 
 def fit_coefficients(
-    observed: Photographed, switches: Preset, *, light_channels: int = 3
+    observed: FitSource, switches: Preset, *, light_channels: int = 3
 ) -> Coefficients:
     """Fit three channels as ``fit_spectra`` does and keep the coefficients, 24 bytes each."""
     count = observed.texels.count
     values = dr.zeros(mi.Float, (switches.degree + 1) ** 2 * (3 + light_channels) * count)
     dr.eval(values)
     coverage = observed.visibility.coverage.numpy()
-    job = Job(observed, switches, coverage, 3, light_channels, switches.occluded)
+    job = FitJob(observed, switches, coverage, 3, light_channels, switches.occluded)
     for texel, coefficients in job.solutions():
         flat = [value for row in coefficients for value in row]
         values = scatter_strided(values, flat, texel, dr.opaque(mi.UInt32, count))

@@ -19,8 +19,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.frequency.harmonics import System
-from svu_mi.frequency.solve_primal import extend_lanes
+from svu_mi.frequency.harmonics import FitSystem
+from svu_mi.frequency.solve_primal import fit_candidates
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample, mirror_direction
 from svu_mi.guidance.forecast import Forecast, numbers
@@ -98,10 +98,10 @@ class SpectrumForecast(Forecast):
                 dr.scatter(result, value, index, True, dr.ReduceMode.NoConflicts)
 
         switches = self.switches
-        system = System.of(
+        system = FitSystem.of(
             switches.degree, switches.colors, switches.regularizer, switches.penalize_constant
         )
-        known = extend_lanes(
+        known = fit_candidates(
             (_samples(rows, views), dr.opaque(mi.UInt32, len(views))),
             (_samples(rows, asked), dr.opaque(mi.UInt32, len(asked))), system, write,
         )  # fmt: skip

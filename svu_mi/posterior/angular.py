@@ -24,7 +24,7 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
 from svu_mi.reflection.principled import Mixture, mixture, paper_mixture
-from svu_mi.statistics.cholesky_factors import FLOOR, Factors, combined
+from svu_mi.statistics.cholesky_factors import FLOOR, Factors, apply_factor
 from svu_mi.statistics.statistics import Statistics
 
 UNLIKELY = 1e30  # energy, in single precision, of a cell that the prior excludes
@@ -92,7 +92,7 @@ class AngularKernel(CellKernel):
 
     @cached_property
     def _lane(self) -> np.ndarray:
-        return self.problem.factors.lanes(self.count)
+        return self.problem.factors.lane_of_texel(self.count)
 
     @cached_property
     def _entropies(self) -> np.ndarray:
@@ -205,7 +205,7 @@ def _listed(values: np.ndarray) -> str:
 
 def _row_energies(problem: Problem, lane: Any) -> row_entropy.RowEnergies:
     factors = problem.factors
-    reader = factors.at(lane)
+    reader = factors.reader(lane)
     square = reader.weight / 2  # errors are per unit of weight
     if problem.averaged:  # over views, whose weights are at most 1
         square /= mi.Float(dr.maximum(dr.gather(mi.UInt32, factors.views, lane), 1))
@@ -230,13 +230,13 @@ def _cells(problem: Problem, column: Any, U: list[Any]) -> list[Any]:
     if problem.mixed is None:
         return [_over_diffuse(U, paper_mixture(Ks)) for Ks in nodes]
     how = mixture(*row_entropy.nodes(mi.Float, problem.mixed, column))
-    u, v = (combined(U, x)[:-1] for x in (how.slope, how.offset))
+    u, v = (apply_factor(U, x)[:-1] for x in (how.slope, how.offset))
     return [_square([dr.fma(a, c, b) for a, b in zip(u, v, strict=True)], U[FLOOR]) for c in nodes]
 
 
 def _over_diffuse(U: list[Any], how: Mixture) -> Any:
     """The same at the best Kd in [0, 1], which only the first component depends on."""
-    first, *others = combined(U, how.offset)[:-1]
+    first, *others = apply_factor(U, how.offset)[:-1]
     slope = U[0]
     inverse = dr.select(slope > 0, dr.rcp(dr.select(slope > 0, slope, 1)), 0)
     first = dr.fma(slope, dr.clip(-first * inverse, 0, 1), first)

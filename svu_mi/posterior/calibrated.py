@@ -144,7 +144,7 @@ class CalibratedKernel(Kernel):
     def lane(self) -> np.ndarray:
         """(T,) int64, which of the S texels each is; 0 for others."""
         texel = self.problem.factors.texel.numpy()
-        return self.problem.factors.lanes(int(texel.max()) + 1 if len(texel) else 0)
+        return self.problem.factors.lane_of_texel(int(texel.max()) + 1 if len(texel) else 0)
 
     def noise_of(self, texels: np.ndarray) -> np.ndarray:
         """Return the noise of texels, (t,)."""
@@ -347,7 +347,7 @@ def _with_noise(
     # Opaque: as a literal, every capture would compile a kernel of its own.
     unit = dr.opaque(mi.Float, 1 / scale, factors.count)
     rest = np.array(kernel.least(replace(problem, scale=unit)), np.float64)  # over unit^2
-    unexplained, weight = factors.unexplained()
+    unexplained, weight = factors.residuals()
     both = 2 * rest + problem.copies * unexplained / scale**2
     variance = noise_variance(
         weight * both, np.array(factors.views, np.float64), factors.channels * problem.copies,

@@ -18,7 +18,7 @@ from svu_mi.posterior.calibrated_problem import Problem
 from svu_mi.posterior.node_integration import Node, Walker
 from svu_mi.posterior.quadrature import Axis
 from svu_mi.posterior.tables import color_of_rows
-from svu_mi.statistics.texel_blocks import BLOCK, size, start
+from svu_mi.statistics.texel_blocks import BLOCK, block_size, texel_offset
 
 
 def least(problem: Problem, *, excess: bool = False) -> Any:
@@ -372,9 +372,9 @@ def cleared(number: int) -> Any:
 
 def _in_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:
     """Return local memory in blocks, written within the kernel that computes it."""
-    target = dr.zeros(mi.Float, size(number, count))
+    target = dr.zeros(mi.Float, block_size(number, count))
     dr.eval(target)
-    place = start(dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, number))
+    place = texel_offset(dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, number))
     return _write(masses, number, target, place, BLOCK, first)
 
 

@@ -72,11 +72,11 @@ class Problem:
         """Whether the prior of colours excludes nothing (see ``Channel.weighed``)."""
         return self.given is not None and float(dr.min(self.given)[0]) > GENTLE
 
-    def some(self, chosen: np.ndarray) -> Problem:
+    def subset(self, chosen: np.ndarray) -> Problem:
         """Return the problem of some texels, by their numbers among S."""
         lanes = to_drjit(mi.UInt32, chosen)
         return replace(
-            self, factors=self.factors.some(chosen),
+            self, factors=self.factors.subset(chosen),
             scale=dr.gather(mi.Float, self.scale, lanes),
             least=dr.gather(mi.Float, self.least, lanes),
         )  # fmt: skip

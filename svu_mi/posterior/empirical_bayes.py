@@ -45,7 +45,7 @@ def shared(
     if posterior.kernel.learned or len(seen) == 0:
         return posterior
     chosen = seen[evenly_spaced(len(seen), SAMPLE)]
-    sample, everyone = problem.some(chosen), np.arange(len(chosen))
+    sample, everyone = problem.subset(chosen), np.arange(len(chosen))
     alone = prior_tables(problem)
     learned = _mixed(kernel.tables(sample, everyone).mean(axis=0, dtype=float), alone)
     for _ in range(rounds - 1):

@@ -96,7 +96,7 @@ def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior
             stage.update(first + len(part.seen), len(texels))
 
     with inputs.progress.stage("Gathering statistics", len(texels)) as stage:
-        factors = Factors.joined(of_tiles(stage), len(texels))
+        factors = Factors.concatenated(of_tiles(stage), len(texels))
         dr.flush_malloc_cache()  # the sums of a tile, which nobody needs any more
     told = [part for part in rounded if part is not None]  # of all tiles, or of none
     rounding = np.concatenate(told) if told else None

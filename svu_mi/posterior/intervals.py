@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior.quadrature import Axis
-from svu_mi.statistics.texel_blocks import BLOCK, start
+from svu_mi.statistics.texel_blocks import BLOCK, texel_offset
 
 LEVEL = 0.9  # probability that an interval holds, where nobody says another
 ENOUGH = 4096  # texels that say what part of a surface is known
@@ -28,7 +28,7 @@ def shortest(masses: Any, parts: Axis, count: int, level: float) -> tuple[Any, A
     ``masses`` is a Float in blocks: a row for each part, any sum.
     """
     number = dr.opaque(mi.UInt32, parts.count)
-    place = start(dr.arange(mi.UInt32, count), number)
+    place = texel_offset(dr.arange(mi.UInt32, count), number)
     low, high = (to_drjit(mi.Float, ends) for ends in parts.ends)
 
     def mass(part: Any, active: Any = True) -> Any:

@@ -18,7 +18,7 @@ from svu_mi.posterior.quadrature import cells_of
 from svu_mi.posterior.row_entropy import entropy_of
 from svu_mi.posterior.tables import draw_cells, marginals_of
 from svu_mi.statistics.cholesky_factors import Factors
-from svu_mi.statistics.texel_blocks import in_blocks
+from svu_mi.statistics.texel_blocks import to_blocks
 
 CHUNK = 1 << 22  # cells per pass of everything that is not the entropy
 
@@ -168,7 +168,7 @@ class CellKernel(Kernel):
         """Return the ends of runs of cells (see ``Kernel``)."""
         p, parts = self._marginal(name)[texels], cells_of(self.grid.axes[name])
         ends = [
-            shortest(in_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
+            shortest(to_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
             for g in range(p.shape[-1])
         ]
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))

@@ -18,7 +18,7 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior.calibrated_problem import NEAR, Problem
 from svu_mi.posterior.truncated_normal import Channel, Integrals
 from svu_mi.reflection.principled import Mixture, mixture
-from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, combined
+from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, apply_factor
 
 FAR = 28.0  # nats, prior included, from which on a node is left out
 
@@ -50,7 +50,7 @@ class Walker:
         everything = dr.arange(mi.UInt32, problem.factors.count)
         self.lane = everything if lane is None else lane
         self.edges = problem.edges if edges is None else edges
-        self._reader = problem.factors.at(self.lane)
+        self._reader = problem.factors.reader(self.lane)
         self._scale = dr.gather(mi.Float, problem.scale, self.lane)
         self._least = dr.gather(mi.Float, problem.least, self.lane)
         self._columns = dr.opaque(mi.UInt32, problem.mixed.count)
@@ -119,7 +119,7 @@ class Walker:
         how = self._mixture(column)
         return [
             Channel.of(
-                combined(of_channel, how.slope)[:-1], combined(of_channel, how.offset)[:-1],
+                apply_factor(of_channel, how.slope)[:-1], apply_factor(of_channel, how.offset)[:-1],
                 of_channel[FLOOR],
             )
             for of_channel in U
@@ -243,7 +243,7 @@ class Walker:
 def energy_at(U: list[Any], x: list[Any]) -> Any:
     """Return 1/2 |U x|^2 where columns count x times, the last of them once: Float."""
     energy = U[FLOOR]
-    for component in reversed(combined(U, x)[:-1]):
+    for component in reversed(apply_factor(U, x)[:-1]):
         energy = dr.fma(component, component, energy)
     return 0.5 * energy
 

@@ -39,16 +39,16 @@ from svu_mi.light.light_visibility import (
 from svu_mi.presets import AngularPreset, Fit, Preset
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.reflection_model import IncidentLight, ReflectionModel
-from svu_mi.statistics.censored import PASSES, best_models
+from svu_mi.statistics.censored import PASSES, find_best_models
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.gather_statistics import (
-    ALIKE,
+    UNIFORM,
     Weighting,
     clipped_samples,
-    gather,
+    gather_statistics,
     rounding_sums,
 )
-from svu_mi.statistics.statistics import Gathered, Statistics
+from svu_mi.statistics.statistics import LazyStatistics, Statistics
 
 log = logging.getLogger(__name__)
 
@@ -182,7 +182,7 @@ class Observed:
 
     def statistics(
         self, roughness: np.ndarray, switches: AngularPreset, channels: int, *,
-        light_channels: int | None = None, weighting: Weighting = ALIKE,
+        light_channels: int | None = None, weighting: Weighting = UNIFORM,
         texels: np.ndarray | None = None,
     ) -> Statistics:  # fmt: skip
         """Gather the statistics of all photographs, of (t,) texels, by default ``seen``.
@@ -195,7 +195,7 @@ class Observed:
 
     def factors(
         self, roughness: np.ndarray, switches: AngularPreset, channels: int, *,
-        light_channels: int | None = None, weighting: Weighting = ALIKE,
+        light_channels: int | None = None, weighting: Weighting = UNIFORM,
         texels: np.ndarray | None = None,
     ) -> Factors:  # fmt: skip
         """Return the square-root form of ``statistics``; saves memory if none is saturated."""
@@ -224,19 +224,21 @@ class Observed:
         if not len(lanes):
             return statistics
         # What is not clipped stays; samples that are clipped are added to it.
-        plain, texels = statistics.at(lanes), number[lanes].astype(np.int64)
+        plain, texels = statistics.subset(lanes), number[lanes].astype(np.int64)
         model = self.model(model.roughness, model.switches, model.channels, texels)
         samples = clipped_samples(self.views, self.visibility, model.surface)
         combined = plain
         for _ in range(PASSES):
-            models = replace(best_models(combined), samples=samples)
+            models = replace(find_best_models(combined), samples=samples)
             around = replace(weighting, models=models)
             combined = plain + self._gather(model, channels, around).statistics()
         return statistics.replaced(lanes, combined)
 
-    def _gather(self, model: ReflectionModel, channels: int, weighting: Weighting) -> Gathered:
+    def _gather(
+        self, model: ReflectionModel, channels: int, weighting: Weighting
+    ) -> LazyStatistics:
         mirrors = self.mirrors if model.reads_mirrors else None
-        return gather(self.views, self.visibility, model, mirrors, channels, weighting)
+        return gather_statistics(self.views, self.visibility, model, mirrors, channels, weighting)
 
     def _counts_clipped(self, weighting: Weighting) -> bool:
         counts = weighting.current is None and weighting.kappa < inf

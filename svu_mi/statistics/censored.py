@@ -27,22 +27,22 @@ from svu_mi.parameters import MIXED
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import Statistics
-from svu_mi.statistics.texel_blocks import Reader
+from svu_mi.statistics.texel_blocks import BlockReader
 
 CLIPPED_PART = 0.05  # of a texel's pixels in a view, from which it counts as clipped
-PASSES = 2  # parabolas, each around what the one before leads to
-NODES = 5  # of what mixes the columns, that the best of is taken
+PASSES = 2  # of re-weighted least squares
+NODES = 5  # per mixing parameter, of the search for the best model
 PARAMETERS = 3.0  # of a texel at one roughness, in samples of three channels
 FEWEST_FREE = 1.0  # samples more than those, by which noise is divided at least
-ENOUGH = 3.0  # samples more than those, from which a texel knows its own noise
+ENOUGH = 3.0  # samples more than those, from which a texel's own noise is used
 LEAST_NOISE = 0.01  # part of kappa
 TIE = 1e-9  # part of an error by which another is not less: models may be equally good
 BELOW, ABOVE = 3.0, 5.0  # standard deviations below b where lambda is its bound [Sampford 1953],
-# and above b where nothing is left to say
+# and above b where the weight is negligible
 
 
 @dataclass(frozen=True)
-class Models:
+class BestModels:
     """Best model of every texel at every level of roughness.
 
     Attributes:
@@ -55,36 +55,36 @@ class Models:
     channels: int
     samples: Bits | None = None
 
-    def of_level(self, lane: Any, level: int, levels: int) -> tuple[list[Any], list[Any]]:
-        """Return what mixes the columns, and base colours, of lanes at a level: Floats."""
+    def parameters(self, lane: Any, level: int, levels: int) -> tuple[list[Any], list[Any]]:
+        """Return mixing parameters and base colours of lanes at a level: Floats."""
         start = (lane * levels + level) * (len(MIXED) + self.channels)
-        found = [
+        values = [
             dr.gather(mi.Float, self.values, start + k) for k in range(len(MIXED) + self.channels)
         ]
-        return found[: len(MIXED)], found[len(MIXED) :]
+        return values[: len(MIXED)], values[len(MIXED) :]
 
     def noise(self, lane: Any) -> Any:
         """Return the standard deviation of lanes."""
         return dr.gather(mi.Float, self.sigma, lane)
 
 
-def parabola(model: Any, least: Any, noise: Any) -> tuple[Any, Any]:
-    """Return t and h of a clipped sample: radiance, and how much it counts."""
-    z = dr.clip((model - least) / noise, -1e4, ABOVE)
+def parabola(model: Any, bound: Any, noise: Any) -> tuple[Any, Any]:
+    """Return radiance t and weight h of a saturated sample, at least ``bound``."""
+    z = dr.clip((model - bound) / noise, -1e4, ABOVE)
     near, x = dr.maximum(z, -BELOW), dr.maximum(-z, BELOW)
     normal = 0.5 * (1 + dr.erf(near * dr.sqrt(0.5)))
     ratio = dr.exp(-0.5 * near * near) * dr.rcp(dr.sqrt(2 * dr.pi) * normal)
-    # Single precision cannot tell what is left of 1; the ratio's upper bound is as good there.
+    # Single precision cancels here; the ratio's upper bound is accurate enough.
     far = 2 * dr.rcp(dr.sqrt(x * x + 8) + x)
     above = dr.select(z < -BELOW, far, ratio + near)
     return model + noise / above, dr.select(z < -BELOW, far + x, ratio) * above
 
 
-def best_models(statistics: Statistics) -> Models:
+def find_best_models(statistics: Statistics) -> BestModels:
     """Return the models with the least squared error at every level, of all texels."""
     levels, channels, count = statistics.levels, statistics.channels, statistics.count
     size = len(MIXED) + channels
-    reader, lane = Reader(statistics.sums, statistics.rows, count), dr.arange(mi.UInt32, count)
+    reader, lane = BlockReader(statistics.sums, statistics.rows, count), dr.arange(mi.UInt32, count)
     weight = reader.read(dr.opaque(mi.UInt32, statistics.rows - 1))
     scale = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
     values = dr.zeros(mi.Float, count * levels * size)
@@ -112,7 +112,7 @@ def best_models(statistics: Statistics) -> Models:
     (least,) = fold(mi.UInt32(0), end, search, dr.full(mi.Float64, dr.inf, count))
     dr.eval(least, values)
     sigma = _noise(statistics, least.numpy(), weight.numpy())
-    return Models(values, to_drjit(mi.Float, sigma.astype(np.float32)), channels)
+    return BestModels(values, to_drjit(mi.Float, sigma.astype(np.float32)), channels)
 
 
 def _best_color(mean: list[list[Any]], mixed: np.ndarray) -> tuple[list[Any], Any]:
@@ -121,17 +121,19 @@ def _best_color(mean: list[list[Any]], mixed: np.ndarray) -> tuple[list[Any], An
     slope = [float(b - a) for a, b in zip(start, mixture(*mixed).at(1.0), strict=True)]
     colors, error = [], mi.Float64(0)
     for of_channel in mean:
-        square = _form(of_channel, slope, slope)
-        cross = _form(of_channel, slope, start)
+        square = _quadratic_form(of_channel, slope, slope)
+        cross = _quadratic_form(of_channel, slope, start)
         # A channel that is clipped in all views is as bright as can be, before anything is known.
         inside = dr.clip(-cross / dr.select(square > 0, square, 1), 0, 1)
         color = dr.select(square > 0, inside, 1)
         colors.append(color)
-        error += square * color * color + 2 * cross * color + _form(of_channel, start, start)
+        error += (
+            square * color * color + 2 * cross * color + _quadratic_form(of_channel, start, start)
+        )
     return colors, error
 
 
-def _form(mean: list[Any], a: Sequence[float], b: Sequence[float]) -> Any:
+def _quadratic_form(mean: list[Any], a: Sequence[float], b: Sequence[float]) -> Any:
     """Return the mean of (a . columns) (b . columns)."""
     total = mi.Float64(0)
     for (i, j), value in zip(PAIRS, mean, strict=True):
@@ -147,7 +149,7 @@ def _noise(statistics: Statistics, least: np.ndarray, weight: np.ndarray) -> np.
     error = np.maximum(least, 0) / statistics.channels
     variance = error * weight / np.maximum(views - PARAMETERS, FEWEST_FREE)
     enough = views >= PARAMETERS + ENOUGH
-    # Of texels that are clipped in nearly all views, nothing is known; they are like others.
+    # Texels that are clipped in nearly all views get the median noise.
     usual = float(np.median(variance[enough])) if enough.any() else 0.0
     variance = np.where(enough, variance, np.maximum(variance, usual))
     return np.maximum(np.sqrt(variance), LEAST_NOISE * statistics.kappa)

@@ -6,7 +6,7 @@ parameters that mix the columns by x (``Mixture``) is
     |U x|^2,
 
 never negative, also between interpolated levels, and exact to the rounding of radiance. The square
-of its last entry is the residual; the part that no roughness explains is kept apart (``least``).
+of its last entry is the residual; its minimum over roughness is stored apart (``residual_floor``).
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Factors:
 
     Attributes:
         values: (S * ``stride``,) Float, for every texel: for each level, U of all channels, P
-            entries in radiance, the last (``floor``) squared and less the channel's ``least``. Then
-            least of every channel, and the sum of weights of U. Levels are zero-padded.
+            entries in radiance, the last (``floor``) squared and less the channel's residual floor.
+            Then the floor of every channel, and the sum of weights. Levels are zero-padded.
         views: (S,) UInt32, number of views of each texel.
         texel: (S,) UInt32, number among all texels.
         roughness: (R,) float64 of the levels.
@@ -64,11 +64,11 @@ class Factors:
         """Number of values per texel."""
         return stride(self.levels, self.channels)
 
-    def at(self, lane: Any | None = None) -> FactorReader:
-        """Return what reads the factors of texels, by default of all in order."""
+    def reader(self, lane: Any | None = None) -> FactorReader:
+        """Return a reader of the factors of texels, by default of all in order."""
         return FactorReader(self, dr.arange(mi.UInt32, self.count) if lane is None else lane)
 
-    def some(self, chosen: np.ndarray) -> Factors:
+    def subset(self, chosen: np.ndarray) -> Factors:
         """Return the factors of some texels, by their numbers among S."""
         lanes = to_drjit(mi.UInt32, np.asarray(chosen).astype(np.uint32))
         values = mi.Float()
@@ -89,7 +89,7 @@ class Factors:
         )
 
     @staticmethod
-    def joined(parts: Iterable[Factors], count: int) -> Factors:
+    def concatenated(parts: Iterable[Factors], count: int) -> Factors:
         """Concatenate parts of ``count`` texels; holds one part besides the result."""
         values, views, texel, done, part = mi.Float(), [], [], 0, None
         for part in parts:
@@ -116,18 +116,19 @@ class Factors:
         entries[:, :, FLOOR] = np.sqrt(entries[:, :, FLOOR] + ends[:, : self.channels].T)
         return entries
 
-    def lanes(self, total: int) -> np.ndarray:
-        """Return which of the S texels each of all T is, (T,) int64; 0 for others."""
+    def lane_of_texel(self, total: int) -> np.ndarray:
+        """Return the lane among S of each of T texels, (T,) int64; 0 for others."""
         lanes, texel = np.zeros(total, np.int64), self.texel.numpy()
         lanes[texel] = np.arange(len(texel))
         return lanes
 
-    def unexplained(self) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(self) -> tuple[np.ndarray, np.ndarray]:
         """Return squared residuals, summed over channels, and sums of weights: (S,) float64."""
-        reader = self.at()
-        least, weight = sum(mi.Float64(x) for x in reader.least), mi.Float(reader.weight)
-        dr.eval(least, weight)
-        return np.array(least), np.array(weight, np.float64)
+        reader = self.reader()
+        floor = sum(mi.Float64(x) for x in reader.residual_floor)
+        weight = mi.Float(reader.weight)
+        dr.eval(floor, weight)
+        return np.array(floor), np.array(weight, np.float64)
 
 
 class FactorReader:
@@ -148,13 +149,15 @@ class FactorReader:
     def factor(self, level: Any) -> list[list[Any]]:
         """Return all entries of U, in the order of ``PAIRS``, of every channel: Floats."""
         return [
-            [*entries, dr.sqrt(floor + least)]
-            for (*entries, floor), least in zip(self.entries(level), self.least, strict=True)
+            [*entries, dr.sqrt(rest + floor)]
+            for (*entries, rest), floor in zip(
+                self.entries(level), self.residual_floor, strict=True
+            )
         ]
 
     @property
-    def least(self) -> list[Any]:
-        """The squared error that nothing explains, of every channel: Floats."""
+    def residual_floor(self) -> list[Any]:
+        """The least squared error at any roughness, of every channel: Floats."""
         return self._ends[:-1]
 
     @property
@@ -163,26 +166,26 @@ class FactorReader:
         return self._ends[-1]
 
     def _read(self, first: Any, count: int) -> list[Any]:
-        """Read so many values from a multiple of four on."""
-        found = [dr.gather(mi.Vector4f, self._values, first + k)
+        """Read ``count`` values from a multiple of four on."""
+        fours = [dr.gather(mi.Vector4f, self._values, first + k)
                  for k in range(quad_count(count))]  # fmt: skip
-        return [x for four in found for x in four][:count]
+        return [x for four in fours for x in four][:count]
 
 
 def stride(levels: int, channels: int) -> int:
-    """Return how many values the factors of a texel take."""
+    """Return the number of values per texel."""
     return levels * padded_to_quads(channels * len(PAIRS)) + padded_to_quads(channels + 1)
 
 
-def combined(U: list[Any], x: Sequence[Any]) -> list[Any]:
+def apply_factor(U: list[Any], x: Sequence[Any]) -> list[Any]:
     """Return the components of U x."""
-    entries, found = dict(zip(PAIRS, U, strict=True)), []
+    entries, product = dict(zip(PAIRS, U, strict=True)), []
     for row in range(COLUMNS):
         total: Any = 0.0
         for column in reversed(range(row, COLUMNS)):
             total = dr.fma(entries[row, column], x[column], total)
-        found.append(total)
-    return found
+        product.append(total)
+    return product
 
 
 def factorize(
@@ -191,19 +194,19 @@ def factorize(
     """Factorise sums, divided by their weight, within the kernel that computes them."""
     levels, count = len(roughness), int(dr.width(texel))
     scale = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
-    least = [mi.Float64(dr.inf)] * channels
+    floor = [mi.Float64(dr.inf)] * channels
     rows: list[list[list[Any]]] = [[] for _ in range(levels)]
     for level in range(levels):
         for channel in range(channels):
             row = (level * channels + channel) * len(PAIRS)
             U = _cholesky([scale * column for column in columns[row : row + len(PAIRS)]])
-            least[channel] = dr.minimum(least[channel], U[-1])
+            floor[channel] = dr.minimum(floor[channel], U[-1])
             rows[level].append(U)
     written = []
     for of_level in rows:
-        written += _filled([x for U, low in zip(of_level, least, strict=True)
+        written += _padded([x for U, low in zip(of_level, floor, strict=True)
                             for x in (*U[:-1], U[-1] - low)])  # fmt: skip
-    written += _filled([*least, weight])
+    written += _padded([*floor, weight])
     values = dr.empty(mi.Float, stride(levels, channels) * count)
     place = dr.arange(mi.UInt32, count) * len(written)
     values = scatter_strided(values, written, place, mi.UInt32(1))
@@ -211,7 +214,7 @@ def factorize(
     return Factors(values, views, texel, roughness, channels)
 
 
-def _filled(values: list[Any]) -> list[Any]:
+def _padded(values: list[Any]) -> list[Any]:
     """Pad values by zeros."""
     return [*values, *[mi.Float64(0)] * (padded_to_quads(len(values)) - len(values))]
 
@@ -239,7 +242,7 @@ def _cholesky(sums: list[Any]) -> list[Any]:
 
 
 def catmull_rom(t: Any) -> list[Any]:
-    """Return the weights of four values, between the second and the third of which t lies."""
+    """Return the weights of four values at t in [0, 1] between the second and the third."""
     return [
         0.5 * t * (-1 + t * (2 - t)),
         0.5 * (2 + t * t * (-5 + 3 * t)),

@@ -1,4 +1,4 @@
-"""From photographs to statistics: one kernel, one pass over the views; and their rounding."""
+"""Statistics from photographs: one kernel, one pass over the views."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from svu_mi.reflection.mix_columns import (
 )
 from svu_mi.reflection.principled import columns
 from svu_mi.reflection.reflection_model import ReflectionModel
-from svu_mi.statistics.censored import CLIPPED_PART, Models, parabola
+from svu_mi.statistics.censored import CLIPPED_PART, BestModels, parabola
 from svu_mi.statistics.cholesky_factors import PAIRS
-from svu_mi.statistics.statistics import EDGES, Gathered, noise_weight
+from svu_mi.statistics.statistics import EDGES, LazyStatistics, noise_weight
 
 GRAZING = 1e-3  # cosine: more grazing views are treated like this one
-SMALLEST = 0.05  # error, in units of kappa, from which a sample counts no more than others
+SMALLEST = 0.05  # lower bound of an error, in units of kappa
 
 
 Values = dict[str, list[Any]]
@@ -54,16 +54,16 @@ class Weighting:
     kappa: float = inf
     edges: float = EDGES
     current: Values | None = None
-    models: Models | None = None
+    models: BestModels | None = None
 
 
-ALIKE = Weighting()
+UNIFORM = Weighting()
 
 
-def gather(
+def gather_statistics(
     views: Views, visibility: Visibility, model: ReflectionModel, mirrors: MirrorVisibility | None,
-    channels: int | None = None, weighting: Weighting = ALIKE,
-) -> Gathered:  # fmt: skip
+    channels: int | None = None, weighting: Weighting = UNIFORM,
+) -> LazyStatistics:  # fmt: skip
     """Collect the statistics of a model's texels in C channels, 3 or 1.
 
     A one-channel model (grey light) serves all C; ``mirrors`` None: mirror directions unoccluded.
@@ -83,13 +83,15 @@ def gather(
             if kappa < inf:
                 w *= noise_weight(sum(radiance) / channels, knee, seen.contrast, eta)
             flags = _saturated(seen.clipped, channels) if saturated else None
-            terms, w = samples.columns_and_weights(Sample(lobes, radiance, flags, w, surface.lane))
+            terms, w = samples.columns_and_weights(
+                TexelSample(lobes, radiance, flags, w, surface.lane)
+            )
             part: Any = mi.Float(1)
             if saturated:
                 part = sum(share for _, share in terms) / len(terms)
                 number = number + dr.select(seen.seen, part, 0)
             weight, w = weight + mi.Float64(part * w), mi.Float64(w)
-            added = [product for one in terms for product in _products(*one)]
+            added = [product for term in terms for product in _products(*term)]
             return (
                 weight,
                 number,
@@ -106,13 +108,13 @@ def gather(
     )
     if not saturated:
         counts = mi.Float(dr.gather(mi.UInt32, visibility.coverage, surface.index))
-    return Gathered(
+    return LazyStatistics(
         sums, weight, counts, surface.index, model.roughness, channels,
         kappa if weighting.current is None else nan, weighting.edges,
     )  # fmt: skip
 
 
-class Sample(NamedTuple):
+class TexelSample(NamedTuple):
     """One view of every texel, C channels of radiance at R levels of roughness.
 
     Attributes:
@@ -129,7 +131,7 @@ class Sample(NamedTuple):
 
 
 Columns = tuple[tuple[Any, ...], Any]
-"""Columns of r - b, and the part of the sample's weight that they have; None: all of it."""
+"""Columns of r - b, and their part of the sample's weight (None: all)."""
 
 
 class SampleModel(Protocol):
@@ -137,73 +139,75 @@ class SampleModel(Protocol):
 
     reads_saturated: bool
 
-    def columns_and_weights(self, sample: Sample) -> tuple[list[Columns], Any]:
+    def columns_and_weights(self, sample: TexelSample) -> tuple[list[Columns], Any]:
         """Return the columns of every level and channel, level by level, and the weight."""
 
 
-class Unsaturated:
-    """Saturated channels are left out; all others have the sample's weight."""
+class UnsaturatedSamples:
+    """Leaves saturated channels out; all others have the sample's weight."""
 
     reads_saturated = True
 
-    def columns_and_weights(self, sample: Sample) -> tuple[list[Columns], Any]:
+    def columns_and_weights(self, sample: TexelSample) -> tuple[list[Columns], Any]:
         """See ``SampleModel``."""
         parts: list[Any] = [None] * len(sample.radiance)
         if sample.saturated is not None:
             parts = [dr.select(flag, mi.Float(0), 1) for flag in sample.saturated]
         shown = list(zip(sample.radiance, parts, strict=True))
-        return [one for level in sample.lobes for one in _columns(level, shown)], sample.weight
+        return [term for level in sample.lobes for term in _columns(level, shown)], sample.weight
 
 
-class Reweighted:
-    """Samples also count less by the error of current parameters: absolute errors."""
+class ReweightedSamples:
+    """Also divides weights by the error of current parameters: absolute errors."""
 
     reads_saturated = False
 
     def __init__(self, current: Values, kappa: float) -> None:
         self._current, self._knee = current, dr.opaque(mi.Float, kappa)
 
-    def columns_and_weights(self, sample: Sample) -> tuple[list[Columns], Any]:
+    def columns_and_weights(self, sample: TexelSample) -> tuple[list[Columns], Any]:
         """See ``SampleModel``."""
         current = self._current
         shares = linear_weights(current["roughness"][0], len(sample.lobes))
-        r = interpolate_radiance(sample.lobes, shares, current["base_color"], mixed_of(current))
+        r = interpolate_radiance(
+            sample.lobes, shares, current["base_color"], mixing_values(current)
+        )
         off = sum(dr.abs(x - b) for x, b in zip(r, sample.radiance, strict=True)) / len(r)
         weight = sample.weight * (self._knee / dr.maximum(off, SMALLEST * self._knee))
         shown = [(b, None) for b in sample.radiance]
-        return [one for level in sample.lobes for one in _columns(level, shown)], weight
+        return [term for level in sample.lobes for term in _columns(level, shown)], weight
 
 
-class Censored:
-    """Only saturated channels count, as parabolas around models that are known (``censored``)."""
+class CensoredSamples:
+    """Counts only saturated channels, as parabolas around given models (``censored``)."""
 
     reads_saturated = True
 
-    def __init__(self, models: Models) -> None:
+    def __init__(self, models: BestModels) -> None:
         self._models = models
 
-    def columns_and_weights(self, sample: Sample) -> tuple[list[Columns], Any]:
+    def columns_and_weights(self, sample: TexelSample) -> tuple[list[Columns], Any]:
         """See ``SampleModel``."""
         assert sample.saturated is not None
         noise = self._models.noise(sample.lane) * dr.rsqrt(dr.maximum(sample.weight, 1e-6))
-        found: list[Columns] = []
+        terms: list[Columns] = []
         for number, level in enumerate(sample.lobes):
-            mixed, color = self._models.of_level(sample.lane, number, len(sample.lobes))
+            mixed, color = self._models.parameters(sample.lane, number, len(sample.lobes))
             expected, shown = mixed_radiance(level, color, mixed), []
             for b, flag, r in zip(sample.radiance, sample.saturated, expected, strict=True):
                 t, h = parabola(r, b, noise)
                 shown.append((t, dr.select(flag, h, 0)))
-            found += _columns(level, shown)
-        return found, sample.weight
+            terms += _columns(level, shown)
+        return terms, sample.weight
 
 
 def _sample_model(weighting: Weighting, channels: int) -> SampleModel:
-    """Return how samples enter the statistics."""
+    """Return the sample model of a weighting."""
     if weighting.current is not None:
         if not (weighting.kappa < inf and channels == 3):
-            raise OptionError("gather(): current needs a finite kappa and 3 channels.")
-        return Reweighted(weighting.current, weighting.kappa)
-    return Unsaturated() if weighting.models is None else Censored(weighting.models)
+            raise OptionError("gather_statistics(): current needs a finite kappa and 3 channels.")
+        return ReweightedSamples(weighting.current, weighting.kappa)
+    return UnsaturatedSamples() if weighting.models is None else CensoredSamples(weighting.models)
 
 
 def clipped_samples(views: Views, visibility: Visibility, surface: TexelLanes) -> Bits:
@@ -222,24 +226,24 @@ def clipped_samples(views: Views, visibility: Visibility, surface: TexelLanes) -
     return bits
 
 
-def flat(values: Values) -> list[Any]:
+def flatten_values(values: Values) -> list[Any]:
     """Return all Floats, parameter by parameter in the order of ``NAMES``."""
     return [x for name in NAMES for x in values[name]]
 
 
-def mixed_of(values: Values) -> list[Any]:
+def mixing_values(values: Values) -> list[Any]:
     """Return the values that mix the columns, in the order of ``MIXED``."""
     return [values[name][0] for name in MIXED]
 
 
 def _saturated(over: Any, channels: int) -> list[Any]:
-    """Return which of C channels are saturated, by the part of their pixels that is."""
+    """Return which of C channels are saturated, by their saturated fraction of pixels."""
     parts = list(over) if channels > 1 else [dr.max(over)]
     return [part > CLIPPED_PART for part in parts]
 
 
 def _columns(level: list[Parts], shown: list[tuple[Any, Any]]) -> list[Columns]:
-    """Return columns by channel, given its radiance and weight; grey light has one for all."""
+    """Return the columns of each channel's radiance and weight; grey light serves all."""
     return [(columns(*level[c % len(level)], b), part) for c, (b, part) in enumerate(shown)]
 
 

@@ -25,10 +25,17 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.cholesky_factors import PAIRS, Factors, factorize
-from svu_mi.statistics.texel_blocks import Reader, in_blocks, put, rows_of, scattered, taken
+from svu_mi.statistics.texel_blocks import (
+    BlockReader,
+    from_blocks,
+    gather_texels,
+    scatter_texels,
+    to_blocks,
+    write_blocks,
+)
 
 EDGES = AngularPreset.edges  # eta
-PARTLY = 0.01  # part of a view that sums of parts may lack to be a whole one
+PARTLY = 0.01  # tolerance of a sum of partial views that counts as a whole one
 
 
 def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = EDGES) -> Any:
@@ -38,7 +45,7 @@ def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = ED
 
 
 @dataclass(frozen=True)
-class Gathered:
+class LazyStatistics:
     """Unevaluated statistics. Evaluating twice runs the kernel twice.
 
     Attributes:
@@ -56,15 +63,15 @@ class Gathered:
     edges: float
 
     def statistics(self) -> Statistics:
-        """Return them in memory, where they can be added to others."""
+        """Evaluate the sums."""
         count, columns = int(dr.width(self.texel)), [*self.columns, self.weight]
-        sums = scattered(mi.Float64, columns, count, self.counts)
+        sums = write_blocks(mi.Float64, columns, count, self.counts)
         return Statistics(
             sums, self.counts, self.texel, self.roughness, self.channels, self.kappa, self.edges
         )
 
     def factor(self) -> Factors:
-        """Return the square-root form alone, without the sums in memory."""
+        """Evaluate the square-root form alone, without storing the sums."""
         return factorize(
             self.columns, self.weight, whole_views(self.counts), self.texel, self.roughness,
             self.channels,
@@ -135,50 +142,52 @@ class Statistics:
 
     @cached_property
     def views(self) -> Any:
-        """(S,) UInt32, how many views see each texel (``whole_views``)."""
+        """(S,) UInt32, number of views of each texel (``whole_views``)."""
         views = whole_views(self.counts)
         dr.eval(views)
         return views
 
     def factor(self) -> Factors:
-        """Return the square-root form, per unit of weight: what errors are taken from."""
+        """Return the square-root form, per unit of weight."""
         return self._factors
 
     @cached_property
     def _factors(self) -> Factors:
-        reader = Reader(self.sums, self.rows, self.count)
+        reader = BlockReader(self.sums, self.rows, self.count)
         *columns, weight = (reader.read(row) for row in range(self.rows))
         return factorize(columns, weight, self.views, self.texel, self.roughness, self.channels)
 
     @property
     def weight(self) -> np.ndarray:
         """(S,) float64, the sum of the samples' weights."""
-        return rows_of(self.sums, self.rows, self.count)[-1]
+        return from_blocks(self.sums, self.rows, self.count)[-1]
 
-    def at(self, lanes: np.ndarray) -> Statistics:
-        """Return the statistics of some lanes, by their numbers."""
+    def subset(self, lanes: np.ndarray) -> Statistics:
+        """Return the statistics of some lanes."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return replace(
-            self, sums=taken(self.sums, self.rows, chosen),
+            self, sums=gather_texels(self.sums, self.rows, chosen),
             counts=dr.gather(mi.Float, self.counts, chosen),
             texel=dr.gather(mi.UInt32, self.texel, chosen),
         )  # fmt: skip
 
     def replaced(self, lanes: np.ndarray, others: Statistics) -> Statistics:
-        """Return statistics that are others' for some lanes, each of which comes once."""
+        """Return statistics with those of some lanes (each once) replaced."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         counts = mi.Float(self.counts)
         dr.scatter(counts, others.counts, chosen)
         dr.eval(counts)
-        return replace(self, sums=put(self.sums, self.rows, chosen, others.sums), counts=counts)
+        return replace(
+            self, sums=scatter_texels(self.sums, self.rows, chosen, others.sums), counts=counts
+        )
 
     def table(self) -> np.ndarray:
         """Return the sums as (R, C, P, S) float64."""
-        rows = rows_of(self.sums, self.rows, self.count)[:-1]
+        rows = from_blocks(self.sums, self.rows, self.count)[:-1]
         return rows.reshape(self.levels, self.channels, len(PAIRS), self.count)
 
     def errors(self, *nodes: np.ndarray) -> np.ndarray:
-        """Return mean squared errors of cells of a few texels, (S, R, C, M ..., K); 0 if unseen."""
+        """Return mean squared errors at grid nodes, (S, R, C, M ..., K); 0 if unseen."""
         *mixed, color = np.meshgrid(*nodes, indexing="ij")
         x = mixture(*mixed).at(color)
         forms = np.stack([(2 - (i == j)) * x[i] * x[j] for i, j in PAIRS])
@@ -195,7 +204,7 @@ class Statistics:
         channels, count = table.shape[1], table.shape[-1]
         rows = np.concatenate([table.reshape(-1, count), np.reshape(weight, (1, count))])
         return Statistics(
-            sums=in_blocks(mi.Float64, rows),
+            sums=to_blocks(mi.Float64, rows),
             counts=to_drjit(mi.Float, np.asarray(views, np.float32)),
             texel=dr.arange(mi.UInt32, count),
             roughness=np.asarray(roughness, np.float64), channels=channels, kappa=kappa,
@@ -203,6 +212,6 @@ class Statistics:
 
 
 def whole_views(counts: Any) -> Any:
-    """Return the number of views, UInt32, partial ones added up; at least 1 if any is positive."""
-    some = dr.select(counts > 0, mi.UInt32(1), 0)
-    return dr.maximum(mi.UInt32(counts + PARTLY), some)
+    """Return the number of views, UInt32, the sum of partial ones; at least 1 if positive."""
+    minimum = dr.select(counts > 0, mi.UInt32(1), 0)
+    return dr.maximum(mi.UInt32(counts + PARTLY), minimum)

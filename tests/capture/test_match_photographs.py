@@ -173,12 +173,12 @@ def test_another_variant_is_named_before_any_work(variant):
 
 
 def test_version_and_several_values(capsys):
-    from svu_mi.cli.shared_options import with_known_repeated
+    from svu_mi.cli.shared_options import repeat_known
 
     assert run("--version") == 0
     assert capsys.readouterr().out == f"svu {svu.__version__}\n"
     given = ["entropy", "--known", "metallic=0", "roughness=0.5", "a=b.xml", "--known", "scene"]
-    assert with_known_repeated(given) == [
+    assert repeat_known(given) == [
         "entropy", "--known", "metallic=0", "--known", "roughness=0.5", "a=b.xml",
         "--known", "scene",
     ]  # fmt: skip

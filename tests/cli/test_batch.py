@@ -22,13 +22,18 @@ from support.helpers import fails, run
 from svu_mi import scenes
 from svu_mi.cli.batch import batch_page
 from svu_mi.cli.batch.batch_page import write_index
-from svu_mi.cli.batch.capture_list import Item, read_list, require_apart
-from svu_mi.cli.batch.runner import BatchRunner, CommandPool, ProcessResult, sentence_of, work_there
-from svu_mi.cli.batch.steps import STEPS, key_of, read_done, words_of, write_done
+from svu_mi.cli.batch.capture_list import BatchItem, read_list, require_separate
+from svu_mi.cli.batch.runner import (
+    BatchRunner,
+    CommandPool,
+    ProcessResult,
+    last_sentence,
+    work_on_cluster,
+)
+from svu_mi.cli.batch.steps import STEPS, command_words, read_done, step_key, write_done
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.main import Command
-from svu_mi.cli.shared_options import given as options_given
-from svu_mi.cli.shared_options import with_known_repeated
+from svu_mi.cli.shared_options import as_dict, repeat_known
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError
 
@@ -116,8 +121,8 @@ def test_results_among_the_files_of_captures_are_refused_before_anything_is_writ
         said = fails(capsys, "batch", captures, "-o", output)
         assert "among the files of the capture" in said and "another folder with -o" in said
     assert set(tmp_path.rglob("*")) == before
-    require_apart(shelf / "out", read_list(shelf))
-    require_apart(tmp_path / "scenes" / "vase", read_list(tmp_path / "scenes"))
+    require_separate(shelf / "out", read_list(shelf))
+    require_separate(tmp_path / "scenes" / "vase", read_list(tmp_path / "scenes"))
 
 
 # --- steps ------------------------------------------------------------------------------------
@@ -142,7 +147,7 @@ class Made(CommandPool):
 
 
 def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
-    item = Item("a", shelf_of("a") / "a")
+    item = BatchItem("a", shelf_of("a") / "a")
     shelf = BatchRunner(output=tmp_path / "out", options={"resolution": "16"})
 
     def made(shelf, item=item):
@@ -158,12 +163,12 @@ def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
     assert made(shelf) == ["recover"]
     os.utime(item.capture / "view_0002.exr")
     assert made(shelf) == list(STEPS)
-    assert made(shelf, Item("a", item.capture, {"preset": "fast"})) == list(STEPS)
+    assert made(shelf, BatchItem("a", item.capture, {"preset": "fast"})) == list(STEPS)
     (tmp_path / "out" / "a" / "batch.json").write_text('{"steps": {"entropy": 3')
     assert made(shelf) == list(STEPS)
 
 
-def steps_made(shelf: BatchRunner, item: Item) -> list[str]:
+def steps_made(shelf: BatchRunner, item: BatchItem) -> list[str]:
     commands = Made()
     assert not shelf.work(item, commands).sentence
     return [line[0] for line in commands.lines]
@@ -175,7 +180,7 @@ def test_a_scene_outside_of_its_capture_and_the_variant_are_inputs(shelf_of, tmp
     record = json.loads((folder / "capture.json").read_text()) | {"scene": "../vase.xml"}
     (folder / "capture.json").write_text(json.dumps(record))
     shelf = BatchRunner(output=tmp_path / "shelf" / "out")
-    item = Item("a", folder)
+    item = BatchItem("a", folder)
     assert steps_made(shelf, item) == list(STEPS) and steps_made(shelf, item) == []
     os.utime(scene)
     assert steps_made(shelf, item) == list(STEPS)
@@ -183,7 +188,7 @@ def test_a_scene_outside_of_its_capture_and_the_variant_are_inputs(shelf_of, tmp
     assert steps_made(shelf, item) == list(STEPS)
     os.utime(tmp_path / "shelf" / "b" / "capture.json")  # another capture of the same scene
     assert steps_made(shelf, item) == []
-    lit = Item("a", folder, {"light": str(tmp_path / "shelf" / "l.exr")})
+    lit = BatchItem("a", folder, {"light": str(tmp_path / "shelf" / "l.exr")})
     (tmp_path / "shelf" / "l.exr").touch()  # beside the scene
     assert steps_made(shelf, lit) == list(STEPS)
     os.utime(scene)
@@ -196,7 +201,7 @@ def test_a_scene_beside_the_results_is_done_once(tmp_path, monkeypatch):
     scene = shutil.copy(scenes.path("vase"), tmp_path)
     monkeypatch.chdir(tmp_path)
     for out, path in (("out/one", Path("vase.xml")), ("out/two", Path(scene))):
-        shelf, item = BatchRunner(output=Path(out)), Item("vase", path)
+        shelf, item = BatchRunner(output=Path(out)), BatchItem("vase", path)
         assert steps_made(shelf, item) == list(STEPS) and steps_made(shelf, item) == []
     os.utime(scene)
     assert steps_made(shelf, item) == list(STEPS)
@@ -204,32 +209,34 @@ def test_a_scene_beside_the_results_is_done_once(tmp_path, monkeypatch):
 
 def test_commands_get_the_options_they_know(tmp_path):
     options = {"resolution": "16 8", "preset": "fast", "light": "l.exr"}
-    item = Item("a", tmp_path, options)
-    words = {name: words_of(step, item, tmp_path, STEPS) for name, step in STEPS.items()}
+    item = BatchItem("a", tmp_path, options)
+    words = {name: command_words(step, item, tmp_path, STEPS) for name, step in STEPS.items()}
     expected = ["--resolution", "16", "8", "--preset=fast", "--light=l.exr"]
     assert words["entropy"][4:] == expected
     assert "--preset" not in words["recover"]
     assert words["report"][-2:] == ["--recovered", str(tmp_path / "recovered")]
     assert words["export"][1] == str(tmp_path / "recovered")
-    assert key_of(words["entropy"], "") != key_of(words["entropy"], "x")
+    assert step_key(words["entropy"], "") != step_key(words["entropy"], "x")
 
 
 def test_commands_understand_paths_with_spaces_and_ids_with_dashes(tmp_path):
     given = {"light": "my lamps/a b.exr", "images": "-a b", "shape": "--my shape"}
     options = given | {"resolution": "16", "preset": "fast"}
     for name in ("entropy", "recover", "report"):
-        words = words_of(STEPS[name], Item("a", tmp_path / "a b", options), tmp_path, ["recover"])
+        words = command_words(
+            STEPS[name], BatchItem("a", tmp_path / "a b", options), tmp_path, ["recover"]
+        )
         found = tyro.cli(
-            Command, args=with_known_repeated(words), registry=REGISTRY,
+            Command, args=repeat_known(words), registry=REGISTRY,
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
         )  # fmt: skip
-        found = options_given(found)
+        found = as_dict(found)
         assert str(found["light"]) == given["light"] and found["shape"] == given["shape"]
         assert str(found["images"]) == given["images"] and found["scene"] == tmp_path / "a b"
 
 
 def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of, tmp_path):
-    item = Item("a", shelf_of("a") / "a")
+    item = BatchItem("a", shelf_of("a") / "a")
     shelf = BatchRunner(output=tmp_path / "out", steps=["entropy"])
     commands = Made([-9, -9])
     assert shelf.work(item, commands).made == 1 and len(commands.lines) == 3
@@ -240,7 +247,7 @@ def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of,
 
 
 def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
-    item = Item("a", shelf_of("a") / "a")
+    item = BatchItem("a", shelf_of("a") / "a")
     shelf = BatchRunner(output=tmp_path / "out", steps=["recover"], words=("-t", "2"))
     left = shelf.output / "a" / STEPS["recover"].checkpoint
 
@@ -258,7 +265,7 @@ def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
 
 
 def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path):
-    item = Item("a", shelf_of("a") / "a")
+    item = BatchItem("a", shelf_of("a") / "a")
     shelf = BatchRunner(output=tmp_path / "out", steps=["recover"])
     left = shelf.output / "a" / STEPS["recover"].checkpoint
 
@@ -303,7 +310,7 @@ def test_a_file_that_vanishes_while_it_is_looked_at_is_a_row(shelf_of, tmp_path,
         raise FileNotFoundError(errno.ENOENT, "No such file or directory", "view_0001.exr")
 
     monkeypatch.setattr("svu_mi.cli.batch.steps.stamps", vanished)
-    outcome = BatchRunner(output=tmp_path / "out").work(Item("a", shelf_of("a") / "a"), Made())
+    outcome = BatchRunner(output=tmp_path / "out").work(BatchItem("a", shelf_of("a") / "a"), Made())
     assert outcome.sentence.startswith("view_0001.exr: No such file or directory; ")
 
 
@@ -330,7 +337,7 @@ def test_a_capture_that_is_called_like_a_file_of_the_batch_is_refused(shelf_of, 
 """, "invalid choice 'bogus' for argument '--preset'. Expected one of ('default', 'fast')."),
 ])  # fmt: skip
 def test_the_sentence_of_a_row_is_the_last_that_was_said(said, sentence):
-    assert sentence_of(said) == sentence
+    assert last_sentence(said) == sentence
 
 
 def test_nothing_is_loaded_from_where_a_batch_runs(tmp_path, monkeypatch):
@@ -338,7 +345,7 @@ def test_nothing_is_loaded_from_where_a_batch_runs(tmp_path, monkeypatch):
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'loaded')!r}, 'w')")
     monkeypatch.chdir(tmp_path)
     ended = CommandPool().run(["entropy", "nowhere", "-o", "out"])
-    assert ended.status == 2 and "nowhere" in ended.said
+    assert ended.status == 2 and "nowhere" in ended.message
     assert not (tmp_path / "loaded").exists()
 
 
@@ -347,7 +354,7 @@ def test_a_picture_of_the_page_is_drawn_again_only_if_it_is_another(tmp_path, mo
 
     (tmp_path / "a" / "entropy").mkdir(parents=True)
     path, asked = tmp_path / "a" / "entropy" / "overview.png", []
-    monkeypatch.setattr(batch_page, "drawing", lambda *_: asked.append(1))
+    monkeypatch.setattr(batch_page, "embedded_png", lambda *_: asked.append(1))
     for color in ("red", "red", "blue"):
         if not path.is_file() or color == "blue":
             Image.new("RGB", (32, 16), color).save(path)
@@ -357,7 +364,7 @@ def test_a_picture_of_the_page_is_drawn_again_only_if_it_is_another(tmp_path, mo
 
 
 def test_the_page_links_what_is_done_of_the_capture_as_it_is_now(shelf_of, tmp_path):
-    item, out = Item("a", shelf_of("a") / "a"), tmp_path / "out"
+    item, out = BatchItem("a", shelf_of("a") / "a"), tmp_path / "out"
 
     def linked(shelf, *statuses):
         write_index(out, [shelf.work(item, Made(statuses))])
@@ -377,7 +384,10 @@ def test_who_comes_to_a_capture_that_another_works_on_waits_and_has_nothing_to_d
     shelf_of, tmp_path
 ):
     """As the same command does, after one that was killed, on a cluster."""
-    item, shelf = Item("a", shelf_of("a") / "a"), BatchRunner(output=tmp_path / "out", patience=60)
+    item, shelf = (
+        BatchItem("a", shelf_of("a") / "a"),
+        BatchRunner(output=tmp_path / "out", patience=60),
+    )
 
     class Slow(Made):
         def run(self, words):
@@ -410,7 +420,7 @@ def test_a_worker_of_a_cluster_works_on_one_capture_at_a_time(tmp_path, monkeypa
     monkeypatch.setattr(BatchRunner, "work", work)
     shelf = BatchRunner(output=tmp_path)
     with ThreadPoolExecutor(4) as threads:
-        list(threads.map(lambda name: work_there(shelf, Item(name, tmp_path)), "abcd"))
+        list(threads.map(lambda name: work_on_cluster(shelf, BatchItem(name, tmp_path)), "abcd"))
     assert most == [1, 1, 1, 1]
 
 

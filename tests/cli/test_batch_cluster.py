@@ -46,7 +46,7 @@ def test_a_connection_that_is_lost_is_a_sentence(monkeypatch, name):
     distributed = pytest.importorskip("distributed")
     known = {"CommClosedError": distributed.comm.CommClosedError, "CancelledError": CancelledError}
     monkeypatch.setattr(distributed, "Client", MagicMock())
-    with pytest.raises(SvuError, match="connection was lost"), runner.connected("tcp://there:1"):
+    with pytest.raises(SvuError, match="connection was lost"), runner.dask_client("tcp://there:1"):
         raise known[name]("Stream is closed.")
 
 

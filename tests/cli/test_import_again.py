@@ -17,7 +17,7 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.sensors import affine
-from svu_mi.cli.import_ import Conversion, Import, _parsed, import_again
+from svu_mi.cli.import_ import Conversion, Import, _parse_arguments, reimport_command
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
 
@@ -58,7 +58,7 @@ def test_the_whole_command_is_printed_again(given, capsys, kind):
     record = json.loads((given.parent / "the capture/capture.json").read_text())["import"]
     assert sorted(record["options"]) == sorted(words)
     capture = svu.load_capture("the capture", light="optional")
-    line = import_again(capture, ["camera-y180", "light-flip"])
+    line = reimport_command(capture, ["camera-y180", "light-flip"])
     assert line.startswith("svu import 'my nerf' ")
     assert line.endswith(" --fix camera-y180 --fix light-flip -o 'the capture'")
     program, *again = shlex.split(line)
@@ -78,7 +78,7 @@ def test_a_correction_that_was_wrong_is_left_out(given, given_before, said, left
     """Twice the same is nothing, but for quarter turns."""
     words = [word for name in given_before for word in ("--fix", name)]
     assert main(["import", *NEEDED, *words, "-o", "capture"]) == 0
-    line = import_again(svu.load_capture("capture", light="optional"), said)
+    line = reimport_command(svu.load_capture("capture", light="optional"), said)
     words = [word for name in left for word in ("--fix", name)]
     assert line == shlex.join(["svu", "import", *NEEDED, *words, "-o", "capture"])
 
@@ -92,8 +92,8 @@ def test_a_capture_of_unknown_words(given):
     for options in (None, "words", [1, 2], {}):
         record["import"]["options"] = options
         path.write_text(json.dumps(record))
-        assert import_again(capture, ["mesh-x90"]) == "svu import ... --fix mesh-x90"
-    assert import_again(replace(capture, source=None), []) == "svu import ..."
+        assert reimport_command(capture, ["mesh-x90"]) == "svu import ... --fix mesh-x90"
+    assert reimport_command(replace(capture, source=None), []) == "svu import ..."
 
 
 @pytest.mark.parametrize("more", [
@@ -110,10 +110,10 @@ def test_words_that_an_import_would_not_have_written_are_not_printed(given, more
     for options in ([*NEEDED, *more], ["-o", *NEEDED]):
         record["import"]["options"] = options
         path.write_text(json.dumps(record))
-        assert import_again(capture, ["mesh-x90"]) == "svu import ... --fix mesh-x90"
+        assert reimport_command(capture, ["mesh-x90"]) == "svu import ... --fix mesh-x90"
     record["import"]["options"] = [*NEEDED, "-o", "elsewhere", "--trust", "--overwrite"]
     path.write_text(json.dumps(record))
-    line = import_again(capture, [])
+    line = reimport_command(capture, [])
     assert line == shlex.join(["svu", "import", *NEEDED, "-o", "capture"])
     assert capsys.readouterr() == ("", "")
 
@@ -131,5 +131,5 @@ def test_every_option_is_known():
         original_world=True, normalized=True,
     )  # fmt: skip
     asked = Import(source=Path("s"), undistort=True, reading=reading, conversion=options)
-    found = _parsed(asked.words)
+    found = _parse_arguments(asked.words)
     assert found.words == asked.words and found.conversion.fixes == ("mesh-x90", "camera-inverse")

@@ -98,12 +98,12 @@ def test_energies_are_those_of_the_samples() -> None:
     for _ in range(100):
         level, metallic, color = rng.integers(8), rng.random(40), rng.random((40, 3))
         exact = samples.error(int(level), metallic, color)
-        reader, found = factors.at(), np.zeros(40)
+        reader, found = factors.reader(), np.zeros(40)
         for channel in range(3):
             U = reader.entries(mi.UInt32(int(level)))[channel]
             c, m = (mi.Float(x.astype(np.float32)) for x in (color[:, channel], metallic))
             rest = 2 * np.array(energy_at(U, mixture(m).at(c)), np.float64)
-            found += rest + np.array(reader.least[channel], np.float64)
+            found += rest + np.array(reader.residual_floor[channel], np.float64)
         found *= samples.w.sum(axis=1)
         scale = samples.error(int(level), 0 * metallic, 0 * color)  # of black, in single precision
         assert np.all(np.abs(found - exact) <= 1e-6 * np.maximum(exact, scale))

@@ -37,7 +37,7 @@ from svu_mi.recovery.path.pixel_loss import l1
 from svu_mi.recovery.recovery_options import PATH_PRESETS, SH_PRESETS
 from svu_mi.recovery.sh.angular_l1_loss import angular_objective
 from svu_mi.recovery.sh.spectral_loss import SpectralObjective
-from svu_mi.statistics.gather_statistics import flat
+from svu_mi.statistics.gather_statistics import flatten_values
 
 L = 6  # l*
 SH = preset("paper", method="angular")
@@ -397,7 +397,7 @@ def summed_errors(objective: Any, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
     errors = objective.errors(values)
     found = np.array(dr.detach(errors), np.float64)
     dr.backward(dr.sum(errors))
-    slopes = [np.array(dr.grad(column), np.float64) for column in flat(values)]
+    slopes = [np.array(dr.grad(column), np.float64) for column in flatten_values(values)]
     return found, np.stack(slopes, axis=1)
 
 

@@ -15,7 +15,7 @@ from svu_mi.recovery.sh.likelihood import Likelihood
 from svu_mi.recovery.sh.quadratic_error import energy
 from svu_mi.reflection.lobes import dielectric_albedo, dielectric_fresnel, split_sum
 from svu_mi.statistics.cholesky_factors import PAIRS, Factors
-from svu_mi.statistics.gather_statistics import flat
+from svu_mi.statistics.gather_statistics import flatten_values
 from svu_mi.statistics.statistics import Statistics
 
 LEVELS, TEXELS, VIEWS = 6, 7, 9
@@ -95,7 +95,7 @@ def test_energy_and_its_derivatives_between_levels() -> None:
     value, slopes = energy(factors_of(found), as_values(values))
     np.testing.assert_allclose(value.numpy(), exact(entries, values), rtol=2e-5)
     step = 1e-6
-    for k, slope in enumerate(flat(slopes)):
+    for k, slope in enumerate(flatten_values(slopes)):
         ends = []
         for sign in (1, -1):
             moved = values.copy()

@@ -19,7 +19,7 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.cli.loading import announce_sizes
+from svu_mi.cli.loading import photograph_memory
 from svu_mi.core import memory
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.memory import Need, Sizes
@@ -74,7 +74,7 @@ def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(m
     machine(monkeypatch, 4e9)
 
     need = partial(Need, "recover", resolution=(1024, 1024), model="default")
-    plan_memory = partial(announce_sizes, Progress(), "capture", need)
+    plan_memory = partial(photograph_memory, Progress(), "capture", need)
     many = Sizes([(1000, 1000)] * 90, memory=2e9, asked=False)
     assert plan_memory(many) == 0
     with pytest.raises(CaptureError, match=r"^capture: needs [\d.]+ GB of memory, 4 are there"):

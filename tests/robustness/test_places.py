@@ -49,7 +49,7 @@ def test_commands_that_draw_import_it_before_anything_else_and_others_do_not():
     code = (
         "import sys, svu_mi.cli.main as program\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "run = lambda self, console: ('matplotlib' in sys.modules) != self.draws\n"
+        "run = lambda self, console: ('matplotlib' in sys.modules) != self.uses_matplotlib\n"
         "program.Render.run = program.Import.run = program.Doctor.run = program.Entropy.run = run\n"
         "words = (['render', 'x'], ['import', 'x'], ['doctor'], ['entropy', 'x'])\n"
         "sys.exit(any(map(program.main, words)))"

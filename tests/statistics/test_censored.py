@@ -23,7 +23,7 @@ from svu_mi.errors import CaptureError
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.reflection.principled import mixture
-from svu_mi.statistics.censored import Models, best_models, parabola
+from svu_mi.statistics.censored import BestModels, find_best_models, parabola
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import Statistics
@@ -63,9 +63,9 @@ def test_the_best_models_are_those_of_a_search():
     table = np.stack(
         [(columns[..., i] * columns[..., j]).sum(axis=2) for i, j in PAIRS], axis=-1
     ).transpose(0, 2, 3, 1)
-    found = best_models(Statistics.of(
+    found = find_best_models(Statistics.of(
         table, np.full(5, 12.0), np.full(5, 12), np.linspace(0, 1, 3), 1.0))  # fmt: skip
-    assert isinstance(found, Models)
+    assert isinstance(found, BestModels)
     values, sigma = found.values.numpy().reshape(5, 3, 3), found.sigma.numpy()
     for level in range(3):
         np.testing.assert_allclose(values[:, level, 0], 0.5, atol=1e-6)
@@ -200,7 +200,7 @@ def test_more_is_known_where_something_is_clipped_and_nothing_changes_elsewhere(
     seen, found = statistics_of(stored, texels)
     _, without = statistics_of(replace(stored, clipped=()), texels)
     both = np.intersect1d(found.texel.numpy(), without.texel.numpy())
-    one, other = (x.at(np.searchsorted(x.texel.numpy(), both)) for x in (found, without))
+    one, other = (x.subset(np.searchsorted(x.texel.numpy(), both)) for x in (found, without))
     touched = seen.visibility.clipped.count()[both] > 0
     assert 0.05 < touched.mean() < 0.9
     assert np.median((one.weight / other.weight)[touched]) > 1

@@ -324,17 +324,17 @@ def test_factor_is_that_of_a_qr_factorisation(texels):
     samples[0][:] = np.maximum(samples[0], 0.05)
     factors = summed(samples, np.arange(14)).factor()
     np.testing.assert_allclose(factors.table(), upper(samples), rtol=2e-5, atol=1e-6)
-    np.testing.assert_allclose(factors.at().weight.numpy(), samples[0].sum(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(factors.reader().weight.numpy(), samples[0].sum(axis=0), rtol=1e-6)
 
 
 def test_the_least_that_nothing_explains_is_kept_apart():
     """Of every channel; floors are what of a level is above it, and never negative."""
     samples = random_columns(np.random.default_rng(3), 14, channels=3)
     factors, exact = summed(samples, np.arange(14)).factor(), upper(samples)[:, :, FLOOR] ** 2
-    reader = factors.at()
+    reader = factors.reader()
     for channel in range(3):
         least = exact[:, channel].min(axis=0)
-        np.testing.assert_allclose(reader.least[channel].numpy(), least, rtol=1e-5)
+        np.testing.assert_allclose(reader.residual_floor[channel].numpy(), least, rtol=1e-5)
         for level in range(factors.levels):
             floor = reader.entries(mi.UInt32(level))[channel][FLOOR].numpy()
             assert (floor >= 0).all()
@@ -387,13 +387,13 @@ def test_products_and_some_of_the_texels():
         products(factors), statistics.table() / statistics.weight, rtol=1e-5, atol=1e-6
     )
     chosen = np.array([3, 19, 0, 3])
-    some = factors.some(chosen)
+    some = factors.subset(chosen)
     assert isinstance(some, Factors) and some.count == 4
     np.testing.assert_array_equal(some.table(), factors.table()[..., chosen])
     np.testing.assert_array_equal(some.texel.numpy(), chosen)
     np.testing.assert_array_equal(some.views.numpy(), statistics.views.numpy()[chosen])
     np.testing.assert_array_equal(
-        factors.at(to_drjit(mi.UInt32, chosen)).weight.numpy(), some.at().weight.numpy()
+        factors.reader(to_drjit(mi.UInt32, chosen)).weight.numpy(), some.reader().weight.numpy()
     )
 
 
@@ -403,7 +403,7 @@ def test_statistics_of_some_lanes_and_back(count):
     table, weight = rng.random((2, 3, 10, count)), rng.random(count)
     statistics = Statistics.of(table, weight, np.arange(1, count + 1), np.array([0.0, 1.0]), 2.0)
     lanes = rng.permutation(count)[: max(count // 2, 1)]
-    some = statistics.at(lanes)
+    some = statistics.subset(lanes)
     np.testing.assert_array_equal(some.table(), table[..., lanes])
     np.testing.assert_array_equal(some.weight, weight[lanes])
     np.testing.assert_array_equal(some.views.numpy(), lanes + 1)
@@ -415,9 +415,9 @@ def test_statistics_of_some_lanes_and_back(count):
     assert twice.views.numpy()[lanes].tolist() == (2 * (lanes + 1)).tolist()
     np.testing.assert_array_equal(statistics.table(), table)  # as it was
     nothing = np.zeros(0, np.int64)
-    assert statistics.at(nothing).count == 0
+    assert statistics.subset(nothing).count == 0
     np.testing.assert_array_equal(
-        statistics.replaced(nothing, statistics.at(nothing)).table(), table
+        statistics.replaced(nothing, statistics.subset(nothing)).table(), table
     )
 
 

@@ -48,15 +48,15 @@ def check_posterior() -> None:
     views = np.full(TEXELS, VIEWS)
     grid = svu.PrincipledGrid(metallic=3, base_color=3, specular=3, known={"roughness": 0.5})
     switches = svu.preset("default", method="angular")
-    found = calibrated_posterior(
+    posterior = calibrated_posterior(
         Statistics.of(table, views, views, np.array([0.5])), grid, preset=switches
     )
     assert specular_from_principled(0.7, 0, 1) == 0.08  # twice the default's, of a dielectric
     assert diffuse_from_principled(0.7, 0, 1) == 0.7
-    assert list(found.axes) == ["roughness", "metallic", "specular", "base_color"]
+    assert list(posterior.axes) == ["roughness", "metallic", "specular", "base_color"]
     # A multiple of the 4 halves of cells, not below 14.
     metal, gloss, color = parts(16, switches.metals), parts(16, 0), (np.arange(400) + 0.5) / 400
-    precision = 1 / (2 * found.kernel.noise**2 * switches.overdispersion)
+    precision = 1 / (2 * posterior.kernel.noise**2 * switches.overdispersion)
     weight = np.empty((TEXELS, len(metal[0]), len(gloss[0]), len(color)))
     for k, value in enumerate(metal[0]):
         y, colors = gloss[0][:, None, None, None], color[:, None, None]
@@ -71,14 +71,14 @@ def check_posterior() -> None:
         mean = masses @ middle
         sd = np.sqrt(masses @ (middle**2 + width**2 / 12) - mean**2)
         marginal = np.stack([masses[:, cell == k].sum(axis=1) for k in range(3)], axis=1)
-        assert_allclose(found.mean(name).numpy(), mean, atol=2e-4)
-        assert_allclose(found.sd(name).numpy(), sd, atol=2e-4)
-        assert_allclose(found.marginal(name).numpy(), marginal, atol=5e-4)
-        low, high = (x.numpy() for x in found.interval(name))
+        assert_allclose(posterior.mean(name).numpy(), mean, atol=2e-4)
+        assert_allclose(posterior.sd(name).numpy(), sd, atol=2e-4)
+        assert_allclose(posterior.marginal(name).numpy(), marginal, atol=5e-4)
+        low, high = (x.numpy() for x in posterior.interval(name))
         for t in range(TEXELS):
             inside = (middle >= low[t]) & (middle <= high[t])
             assert masses[t, inside].sum() > 0.899
-    drawn = found.draw(2)
+    drawn = posterior.draw(2)
     assert drawn["specular"].shape == (2, TEXELS)
 
 

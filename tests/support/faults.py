@@ -124,10 +124,10 @@ def drawn(count: int, seed: int, tree: Path) -> tuple[list[Fault], list[str]]:
     places = [sorted((ROOT / "svu_mi" / package).rglob("*.py")) for package in PACKAGES]
     for number in range(count):
         operator = OPERATORS[number % 6]
-        found = [fault for file in places[number % 4] for fault in sites(file, operator)]
-        if len(found) < SPARE:  # there are few: those of all packages
-            found = [fault for files in places for file in files for fault in sites(file, operator)]
-        chosen.append(random.Random(f"{seed} {number}").sample(found, min(SPARE, len(found))))
+        spots = [fault for file in places[number % 4] for fault in sites(file, operator)]
+        if len(spots) < SPARE:  # there are few: those of all packages
+            spots = [fault for files in places for file in files for fault in sites(file, operator)]
+        chosen.append(random.Random(f"{seed} {number}").sample(spots, min(SPARE, len(spots))))
     watched = [f"{fault.file}:{fault.line}" for some in chosen for fault in some]
     (tree / "watched.json").write_text(json.dumps(watched))
     broken = failures(tree, [], "-p", "support.faults", "--maxfail", "1000")
@@ -198,8 +198,8 @@ def failures(tree: Path, tests: list[str], *options: str) -> list[str]:
         cwd=tree, env={**os.environ, "PYTHONPATH": paths, "DRJIT_CACHE_DIR": kernels},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    found = FAILED.findall(run.stdout)
-    return found or ([] if run.returncode in (0, 5) else [(run.stdout + run.stderr)[-200:]])
+    failed = FAILED.findall(run.stdout)
+    return failed or ([] if run.returncode in (0, 5) else [(run.stdout + run.stderr)[-200:]])
 
 
 def tried(fault: Fault, tree: Path, broken: list[str]) -> str:

@@ -97,15 +97,15 @@ def mesh(folder: Path, out: Path) -> None:
 
 def source(folder: Path, out: Path, *, place: str = ".") -> None:
     """Read poses, make their sensors, and straighten a photograph of a distorted lens."""
-    found = read_source(folder / place)
-    for frame in found.frames:
+    source = read_source(folder / place)
+    for frame in source.frames:
         frame = with_size(frame, open_picture(frame.image).size)
         made, scale = square_pixel_frame(frame)
         made.sensor()
         if frame.lens is not None:
             convert_photograph(frame, out / "view.exr", scale)
-    if found.light is not None:
-        write_environment(found.light, out / "environment.exr")
+    if source.light is not None:
+        write_environment(source.light, out / "environment.exr")
 
 
 def exposures(folder: Path, out: Path) -> None:
@@ -147,8 +147,8 @@ def kept_uvs(folder: Path, out: Path) -> None:
     with contextlib.suppress(OSError):  # a folder or a link in its place
         shutil.copy(folder / UNWRAPPED, out)
     said: list[str] = []
-    found = capture_mesh.arrays(_made_again(out, said))
-    assert found.uvs.min() >= 0 and found.uvs.max() <= 1 and np.isfinite(found.normals).all()
+    mesh = capture_mesh.arrays(_made_again(out, said))
+    assert mesh.uvs.min() >= 0 and mesh.uvs.max() <= 1 and np.isfinite(mesh.normals).all()
     if said:
         raise SvuError(*said)
 

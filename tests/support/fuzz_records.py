@@ -70,10 +70,10 @@ def read_reference(folder: Path, out: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", SvuWarning)
         try:
-            found = reference_cache.load(folder / REFERENCE, OPTIONS)
+            reference = reference_cache.load(folder / REFERENCE, OPTIONS)
         except SvuWarning as warning:
             raise SvuError(str(warning)) from warning
-    assert found is None or found.entropy.shape == found.subset.shape
+    assert reference is None or reference.entropy.shape == reference.subset.shape
 
 
 def write_result(folder: str | os.PathLike[str]) -> None:
@@ -87,7 +87,7 @@ def write_result(folder: str | os.PathLike[str]) -> None:
 
 def read_result(folder: Path, out: Path) -> None:
     """Write another result over one; no file that it does not own is lost."""
-    found = entry_of(folder / "run.json")
+    entry = entry_of(folder / "run.json")
     target = out / "result"
     for name in ("result", "result.before"):
         shutil.rmtree(out / name, ignore_errors=True)
@@ -100,7 +100,7 @@ def read_result(folder: Path, out: Path) -> None:
             warnings.simplefilter("ignore", SvuWarning)
             write_result(place)
         assert (out / "result.before" / "others.txt").is_file()
-    if found is None:
+    if entry is None:
         raise SvuError(f"{folder}: there is no result.")
 
 
@@ -109,11 +109,11 @@ def write_found_light(folder: Path) -> None:
 
 
 def read_found_light(folder: Path, out: Path) -> None:
-    found = load_light(folder)
-    for image in (found.radiance, found.sd, found.known):
+    light = load_light(folder)
+    for image in (light.radiance, light.sd, light.known):
         assert np.isfinite(image).all()
-    assert found.radiance.min() >= 0 and 0 <= found.known_part <= 1
-    save_light(found, out / "again")  # all of it can be written
+    assert light.radiance.min() >= 0 and 0 <= light.known_part <= 1
+    save_light(light, out / "again")  # all of it can be written
 
 
 def rebuilt_npz(data: bytes, draw: random.Random) -> bytes:

@@ -195,12 +195,12 @@ def _prepared(kind: Format, folder: Path) -> dict[str, bytes]:
 
 def _tree(folder: Path) -> list[tuple[str, int, int]]:
     """Return name, size and time of all files, links not followed."""
-    found = []
+    entries = []
     for root, folders, files in os.walk(folder):
         for name in folders + files:
             status = os.lstat(os.path.join(root, name))
-            found.append((f"{root}/{name}", status.st_size, status.st_mtime_ns))
-    return found
+            entries.append((f"{root}/{name}", status.st_size, status.st_mtime_ns))
+    return entries
 
 
 def _peak() -> int:

@@ -136,13 +136,13 @@ def killed(place: Place, chance: random.Random, at: Path, atomic: bool) -> str:
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    found = "old" if place.run(at) == place.older else "new"
+    kept = "old" if place.run(at) == place.older else "new"
     resumes = place.name == "recover" and list(at.glob(f".out*/{CHECKPOINT}"))
     svu(*place.words("b", at), *(["--resume"] if resumes else []))
     assert place.run(at) != place.older
     left = [path for path in at.rglob(".*") if path.name != ".svu-lock"]
     assert not left and names(at) == ["out"], left
-    return found
+    return kept
 
 
 def met(place: Place, at: Path) -> str:
@@ -176,7 +176,7 @@ def main() -> None:
         at = Path(folder)
         prepare(at)
         places = [Place(name, at).begin() for name in COMMANDS]
-        found: dict[str, Counter[str]] = {name: Counter() for name in COMMANDS}
+        tally: dict[str, Counter[str]] = {name: Counter() for name in COMMANDS}
         for index in range(options.kills + options.pairs):
             place, again = places[index % count], at / "again" / places[index % count].name
             try:
@@ -186,8 +186,8 @@ def main() -> None:
             except Exception as error:  # whatever it is, it is counted
                 print(f"{place.name}: {type(error).__name__}: {error}", file=sys.stderr)
                 left = "wrong"
-            found[place.name][left] += 1
-    for name, counts in found.items():
+            tally[place.name][left] += 1
+    for name, counts in tally.items():
         print(name, *(f"{left}: {times}" for left, times in sorted(counts.items())))
 
 

@@ -25,7 +25,7 @@ def write(
 
 def contents(folder: Path) -> dict[str, str]:
     """Return the letter in each file of a folder but the record, and the record's."""
-    found = {name: (folder / name).read_text().strip() for name in files_in(folder)}
-    if "run.json" in found:
-        found["run.json"] = json.loads(found["run.json"])["letter"]
-    return found
+    texts = {name: (folder / name).read_text().strip() for name in files_in(folder)}
+    if "run.json" in texts:
+        texts["run.json"] = json.loads(texts["run.json"])["letter"]
+    return texts

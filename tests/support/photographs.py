@@ -80,11 +80,11 @@ def in_integers(
     images, clipped = [], []
     for image in capture.images:
         encoded = np.round(last * srgb(np.nan_to_num(image) * exposure)) / last
-        found = Clipped.of(encoded > SATURATED[bits], limit / exposure)
+        saturated = Clipped.of(encoded > SATURATED[bits], limit / exposure)
         linear = (decoded(encoded.astype(np.float32)) / exposure).astype(np.float32)
-        linear[found.flags] = np.nan
+        linear[saturated.flags] = np.nan
         images.append(np.ascontiguousarray(linear))
-        clipped.append(found)
+        clipped.append(saturated)
     steps = (Rounding.of(bits).divided(exposure),) * len(images)
     stored = replace(capture, images=tuple(images), clipped=tuple(clipped), rounding=steps)
     return stored, float((most * exposure > limit).mean())

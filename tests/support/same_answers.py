@@ -50,34 +50,34 @@ def estimates(capture: Any, texels: Any) -> Iterator[tuple[str, Any]]:
     """Yield entropy, moments and intervals of the presets."""
     rows: Any = (("angular", "default"), ("angular", "fast"), ("spectrum", "paper"))
     for method, preset in rows:
-        found = svu.estimate(capture, texels, method, preset)
+        estimate = svu.estimate(capture, texels, method, preset)
         label = f"{method} {preset}"
-        yield f"{label}: entropy", found.image("entropy")
-        yield f"{label}: coverage", found.image("coverage")
+        yield f"{label}: entropy", estimate.image("entropy")
+        yield f"{label}: coverage", estimate.image("coverage")
         for name in PARAMETERS if method == "angular" else ("roughness",):
             ends = ("low", "high") if method == "angular" else ()
             for what in ("mean", "sd", *ends):
-                yield f"{label}: {name} {what}", found.image(f"{name}_{what}")
+                yield f"{label}: {name} {what}", estimate.image(f"{name}_{what}")
 
 
 def textures(capture: Any, texels: Any) -> Iterator[tuple[str, Any]]:
     """Yield textures by the SH model, with and without sharing, and how sure they are."""
     for sharing in (False, True):
-        found = svu.recover(capture, texels, "sh", sharing=sharing)
+        recovery = svu.recover(capture, texels, "sh", sharing=sharing)
         label = "sharing" if sharing else "sh"
         for name in PARAMETERS:
-            yield f"{label}: {name}", found.image(name)
+            yield f"{label}: {name}", recovery.image(name)
         if not sharing:
-            field = svu.texture_field(found)
+            field = svu.texture_field(recovery)
             for name in PARAMETERS:
                 yield f"texture field: {name} sd", field.sd(name)
 
 
 def choices(capture: Any, texels: Any) -> Iterator[tuple[str, Any]]:
     """Yield the candidates that guidance chooses, by two strategies."""
-    found = svu.estimate(capture, texels)
+    estimate = svu.estimate(capture, texels)
     for strategy in ("entropy", "error"):
-        guidance = svu.next_best_view(found, count=3, strategy=strategy, texels=512)
+        guidance = svu.next_best_view(estimate, count=3, strategy=strategy, texels=512)
         names = [proposal.name for proposal in guidance.proposals]
         yield f"choices: {strategy}", np.array(names)
         yield f"guidance {strategy}: gains", guidance.scores
@@ -86,13 +86,13 @@ def choices(capture: Any, texels: Any) -> Iterator[tuple[str, Any]]:
 def light(capture: Any, texels: Any, *, gains: bool) -> Iterator[tuple[str, Any]]:
     """Yield the light found in the photographs, and their gains."""
     options = svu.LightOptions(texels=200, depths=((256, 4),), gains=gains)
-    found = svu.estimate_light(capture, texels, options)
-    yield "light: logarithm", found.logarithm
-    yield "light: sd", found.cell_sd
-    yield "light: widening", np.array([found.widening])
-    if found.gains is not None:
-        yield "light: gains", found.gains.factor
-    under = svu.estimate(svu.with_light(capture, found), texels)
+    estimated = svu.estimate_light(capture, texels, options)
+    yield "light: logarithm", estimated.logarithm
+    yield "light: sd", estimated.cell_sd
+    yield "light: widening", np.array([estimated.widening])
+    if estimated.gains is not None:
+        yield "light: gains", estimated.gains.factor
+    under = svu.estimate(svu.with_light(capture, estimated), texels)
     yield "under found light: entropy", under.image("entropy")
     yield "under found light: roughness mean", under.image("roughness_mean")
 
@@ -110,16 +110,16 @@ def answers(capture: Any) -> Iterator[tuple[str, Any]]:
 def measure(folder: Path, target: Path, real: Path | None) -> None:
     """Compute all answers and keep them in an npz file."""
     print("measuring", svu.__file__, flush=True)
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for path in sorted(folder.iterdir()):
         for name, values in answers(svu.load_capture(path)):
-            found[f"{path.name}|{name}"] = np.asarray(values)
+            results[f"{path.name}|{name}"] = np.asarray(values)
         print("measured", path.name, flush=True)
     if real is not None:
         capture = svu.load_capture(real, light="optional")
         for name, values in light(capture, svu.texels(capture.mesh, RESOLUTION), gains=True):
-            found[f"real|{name}"] = np.asarray(values)
-    np.savez_compressed(target, **found)
+            results[f"real|{name}"] = np.asarray(values)
+    np.savez_compressed(target, **results)
 
 
 def difference(before: np.ndarray, after: np.ndarray) -> float:

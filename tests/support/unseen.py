@@ -39,10 +39,10 @@ def assert_unseen_have_the_prior(posterior: Any, weights: np.ndarray) -> None:
     drawn, count = posterior.draw(1500, seed=3), 1500 * int(unseen.sum())
     for axis, name in enumerate(names):
         marginal, nodes = truth.marginal(axis), truth.nodes[axis]
-        for found, value in (
+        for result, value in (
             (posterior.mean(name), truth.mean(axis)), (posterior.sd(name), truth.sd(axis)),
         ):  # fmt: skip
-            np.testing.assert_allclose(np.array(found)[unseen], value, rtol=1e-5, atol=1e-7)
+            np.testing.assert_allclose(np.array(result)[unseen], value, rtol=1e-5, atol=1e-7)
         own = np.array(posterior.marginal(name))[unseen]
         own = own.reshape(len(own), len(nodes), -1)
         np.testing.assert_allclose(own, np.broadcast_to(marginal[:, None], own.shape), rtol=1e-6)
@@ -55,10 +55,10 @@ def assert_unseen_have_the_prior(posterior: Any, weights: np.ndarray) -> None:
         for node, q in zip(nodes, marginal, strict=True):
             share = np.isclose(values, node, atol=1e-6).mean()
             assert abs(share - q) <= 5 * np.sqrt(q * (1 - q) / count) + 1e-12
-    found = [np.array(posterior.map()[name])[unseen] for name in names]
+    best = [np.array(posterior.map()[name])[unseen] for name in names]
     cells = [
         np.abs(np.asarray(axis)[:, None] - x.reshape(len(x), -1)[:, 0]).argmin(axis=0)
-        for axis, x in zip(truth.nodes, found, strict=True)
+        for axis, x in zip(truth.nodes, best, strict=True)
     ]
     assert (truth.p[tuple(cells)] >= (1 - 1e-5) * truth.p.max()).all()
     if np.ptp(truth.p) <= 1e-5 * truth.p.max():  # none is more likely: the middle

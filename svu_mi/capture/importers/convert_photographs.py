@@ -97,7 +97,7 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
     Args:
         frame: the photograph with its mask; its size is that of the file.
         path: the EXR file.
-        scale: of width and height, as ``squared`` returns it.
+        scale: of width and height, as ``square_pixel_frame`` returns it.
     """
     picture = open_picture(frame.image)
     if _can_be_copied(picture, frame, scale):

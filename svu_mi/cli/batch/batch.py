@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli.base_command import BaseCommand, interruptible
-from svu_mi.cli.shared_options import Output, pair, require_range
+from svu_mi.cli.shared_options import Output, parse_size, require_range
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.progress import Progress
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Address = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
 FAILED = 1  # exit status if a capture failed
-Step = Literal["entropy", "recover", "report", "export"]
+StepName = Literal["entropy", "recover", "report", "export"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,12 +35,12 @@ class Batch(BaseCommand):
     interruption, and makes again what has changed. Exit status 1 if a capture failed.
     """
 
-    draws: ClassVar[bool] = False
+    uses_matplotlib: ClassVar[bool] = False
     captures: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER | LIST.csv")]
     """Folder of capture folders; or a table with the column capture, and those of name, resolution,
     preset, light, images and shape that are needed."""
     output: Output = Path("out/batch")
-    steps: tuple[Step, ...] = ("entropy", "recover", "report", "export")
+    steps: tuple[StepName, ...] = ("entropy", "recover", "report", "export")
     """What to do; export needs recover."""
     workers: int = 1
     """Captures at a time, which share threads and memory."""
@@ -55,10 +55,10 @@ class Batch(BaseCommand):
     def run(self, console: Console) -> int:
         """Work on all captures, and write the page after each."""
         from svu_mi.cli.batch.batch_page import write_index
-        from svu_mi.cli.batch.capture_list import read_list, require_apart
+        from svu_mi.cli.batch.capture_list import read_list, require_separate
 
         runner, items = self._runner(), read_list(self.captures)
-        require_apart(self.output, items)
+        require_separate(self.output, items)
         self.output.mkdir(parents=True, exist_ok=True)
         outcomes: list[Outcome] = []
 
@@ -70,7 +70,7 @@ class Batch(BaseCommand):
 
         with locked(self.output.resolve()):
             progress = Progress(console)
-            work = partial(runner.run_on, self.scheduler) if self.scheduler else runner.run
+            work = partial(runner.run_on_cluster, self.scheduler) if self.scheduler else runner.run
             with interruptible(stopped), progress.stage("Working on captures", len(items)) as stage:
                 for outcome in work(items):
                     outcomes.append(outcome)
@@ -95,7 +95,7 @@ class Batch(BaseCommand):
             raise OptionError("--steps export needs recover, too, whose textures it exports.")
         options: dict[str, str] = {} if self.preset is None else {"preset": self.preset}
         if self.resolution:
-            width, height = pair(self.resolution, "--resolution")
+            width, height = parse_size(self.resolution, "--resolution")
             options["resolution"] = f"{width} {height}"
         from svu_mi.core.threads import FEWEST_THREADS
 

@@ -22,7 +22,7 @@ LONGEST = 80
 
 
 @dataclass(frozen=True)
-class Item:
+class BatchItem:
     """A capture of a batch.
 
     Attributes:
@@ -36,7 +36,7 @@ class Item:
     options: dict[str, str] = field(default_factory=dict)
 
 
-def read_list(path: Path) -> list[Item]:
+def read_list(path: Path) -> list[BatchItem]:
     """Read a folder of captures, or a table (CSV).
 
     A subfolder is a capture if it has a ``capture.json``, or one Mitsuba scene. A table has the
@@ -55,44 +55,44 @@ def read_list(path: Path) -> list[Item]:
     return items
 
 
-def require_apart(output: Path, items: Sequence[Item]) -> None:
+def require_separate(output: Path, items: Sequence[BatchItem]) -> None:
     """Refuse to write results among the files of captures."""
-    captures = {real(item.capture) for item in items if item.capture.is_dir()}
-    places = {place for item in items for place in places_of(item)}
+    captures = {real_path(item.capture) for item in items if item.capture.is_dir()}
+    places = {place for item in items for place in capture_paths(item)}
     for item in items:
-        results = real(output / item.name)
-        if found := captures & {results, *results.parents} or places & {results}:
+        results = real_path(output / item.name)
+        if overlap := captures & {results, *results.parents} or places & {results}:
             raise OutputError(
                 f"{output}: results of {excerpt(item.name, LONGEST)} would lie among the files of "
-                f"the capture {excerpt(min(found))}; choose another folder with -o."
+                f"the capture {excerpt(min(overlap))}; choose another folder with -o."
             )
 
 
-def places_of(item: Item) -> list[Path]:
+def capture_paths(item: BatchItem) -> list[Path]:
     """Return the files and folders of a capture, except a scene that its folder only names."""
     capture = item.capture if item.capture.is_dir() else item.capture.parent
     given = [Path(item.options[name]) for name in PATHS if name in item.options]
-    return [real(path) for path in (capture, *given)]
+    return [real_path(path) for path in (capture, *given)]
 
 
-def real(path: Path) -> Path:
+def real_path(path: Path) -> Path:
     """Return a path without links; ``Path.resolve`` raises on those to themselves."""
     return Path(os.path.realpath(path))
 
 
-def _in_folder(folder: Path) -> list[Item]:
+def _in_folder(folder: Path) -> list[BatchItem]:
     items = []
     for path in sorted(folder.iterdir()):
         if path.is_dir() and not path.name.startswith("."):
             scenes = list(path.glob("*.xml"))
             if (path / FILE).is_file():
-                items.append(Item(path.name, path))
+                items.append(BatchItem(path.name, path))
             elif len(scenes) == 1:
-                items.append(Item(path.name, scenes[0]))
+                items.append(BatchItem(path.name, scenes[0]))
     return items
 
 
-def _in_table(path: Path) -> list[Item]:
+def _in_table(path: Path) -> list[BatchItem]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = [[word.strip() for word in row] for row in csv.reader(stream)]
@@ -101,9 +101,9 @@ def _in_table(path: Path) -> list[Item]:
     head = rows[0] if rows else []
     unknown = [word for word in head if word not in ("capture", "name", *OPTIONS)]
     if "capture" not in head or unknown or len(set(head)) < len(head):
-        found = f"the column {excerpt(unknown[0], LONGEST)!r}" if unknown else "other columns"
+        cause = f"the column {excerpt(unknown[0], LONGEST)!r}" if unknown else "other columns"
         raise OptionError(
-            f"{path}: has {found}; its first line names columns, once each: capture, and of name, "
+            f"{path}: has {cause}; its first line names columns, once each: capture, and of name, "
             f"{', '.join(OPTIONS)} those that are needed."
         )
     return [
@@ -113,7 +113,7 @@ def _in_table(path: Path) -> list[Item]:
     ]
 
 
-def _item(table: Path, line: int, row: dict[str, str]) -> Item:
+def _item(table: Path, line: int, row: dict[str, str]) -> BatchItem:
     def require(fine: object, value: str, problem: str) -> None:
         if not fine:
             raise OptionError(f"{table}, line {line}: {excerpt(value, LONGEST)!r} {problem}")
@@ -138,10 +138,10 @@ def _item(table: Path, line: int, row: dict[str, str]) -> Item:
         "is no resolution; give one or two whole numbers, such as 512 or 1024 512.",
     )  # fmt: skip
     paths = {key: str(table.parent / options[key]) for key in PATHS if key in options}
-    return Item(name, capture, options | paths)
+    return BatchItem(name, capture, options | paths)
 
 
-def _require_names(path: Path, items: Sequence[Item]) -> None:
+def _require_names(path: Path, items: Sequence[BatchItem]) -> None:
     names = [item.name.casefold() for item in items]  # of folders, on some systems
     for number, name in enumerate(names):
         if name in (INDEX, TABLE):

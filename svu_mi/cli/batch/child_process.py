@@ -19,7 +19,7 @@ from svu_mi.core.memory import allow
 PR_SET_PDEATHSIG = 1  # of prctl, on Linux
 
 
-def end_with(parent: int) -> None:
+def end_with_parent(parent: int) -> None:
     """Have this process killed when its parent ends (Linux only)."""
     if sys.platform != "linux":
         return
@@ -30,7 +30,7 @@ def end_with(parent: int) -> None:
 
 
 if __name__ == "__main__":
-    end_with(int(sys.argv.pop(1)))
+    end_with_parent(int(sys.argv.pop(1)))
     if size := int(sys.argv.pop(1)):
         allow(size)
     runpy.run_module("svu_mi", run_name="__main__", alter_sys=True)

@@ -19,8 +19,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from svu_mi.cli.batch.capture_list import PATHS, Item
-from svu_mi.cli.batch.steps import STEPS, inputs_key, key_of, read_done, words_of, write_done
+from svu_mi.cli.batch.capture_list import PATHS, BatchItem
+from svu_mi.cli.batch.steps import STEPS, command_words, inputs_key, read_done, step_key, write_done
 from svu_mi.core.io.files import prepare_folder, read_json
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.memory import free_memory
@@ -40,7 +40,7 @@ class ProcessResult(NamedTuple):
     """Exit status of a process, its last sentence, and bytes at its peak."""
 
     status: int
-    said: str
+    message: str
     peak: int
 
 
@@ -80,7 +80,7 @@ class BatchRunner:
         variant: of Mitsuba, which results depend on.
         words: more words of every command, which do not change results, such as ``-t 2``.
         patience: seconds to wait for others that work on the same capture.
-        options: of all captures (``Item.options``), where they have none of their own.
+        options: of all captures (``BatchItem.options``), where they have none of their own.
     """
 
     output: Path
@@ -91,7 +91,7 @@ class BatchRunner:
     patience: float = 0
     options: dict[str, str] = field(default_factory=dict)
 
-    def run(self, items: Sequence[Item]) -> Iterator[Outcome]:
+    def run(self, items: Sequence[BatchItem]) -> Iterator[Outcome]:
         """Work on captures on this machine; yield their outcomes as they end.
 
         Closing the iterator, or an exception such as Ctrl-C, ends the commands that are running.
@@ -108,12 +108,12 @@ class BatchRunner:
                     future.cancel()
                 commands.end()
 
-    def run_on(self, address: str, items: Sequence[Item]) -> Iterator[Outcome]:
+    def run_on_cluster(self, address: str, items: Sequence[BatchItem]) -> Iterator[Outcome]:
         """Work on captures by the workers of a Dask scheduler, which see the same files.
 
         A worker that ends costs the command it was at: another one continues.
         """
-        with connected(address) as client:
+        with dask_client(address) as client:
             from distributed import KilledWorker, as_completed
 
             if not client.scheduler_info().get("workers"):
@@ -123,7 +123,7 @@ class BatchRunner:
             # Workers finish their capture after a batch was stopped: wait for them.
             there = replace(self, output=self.output.absolute(), patience=DAY)
             futures = {
-                client.submit(work_there, there, _absolute(item), pure=False): item
+                client.submit(work_on_cluster, there, _absolute(item), pure=False): item
                 for item in items
             }
             try:
@@ -137,7 +137,7 @@ class BatchRunner:
             finally:
                 client.cancel(list(futures))
 
-    def work(self, item: Item, commands: CommandPool) -> Outcome:
+    def work(self, item: BatchItem, commands: CommandPool) -> Outcome:
         """Take the steps of one capture that are not done; errors become its sentence."""
         item = replace(item, options=self.options | item.options)
         folder = self.output / item.name
@@ -146,7 +146,7 @@ class BatchRunner:
             prepare_folder(folder)
             with locked(folder.resolve(), wait=self.patience):
                 done = read_done(folder)
-                for reached in self._taken(item, folder, done, commands):
+                for reached in self._run_steps(item, folder, done, commands):
                     outcome = reached
         except SvuError as error:
             outcome = replace(outcome, sentence=error.shell)
@@ -161,24 +161,24 @@ class BatchRunner:
             figures=_figures_of(folder) if "entropy" in outcome.done else {},
         )  # fmt: skip
 
-    def _taken(
-        self, item: Item, folder: Path, done: dict[str, dict[str, Any]], commands: CommandPool
+    def _run_steps(
+        self, item: BatchItem, folder: Path, done: dict[str, dict[str, Any]], commands: CommandPool
     ) -> Iterator[Outcome]:
         """Yield the outcome after each step, up to the first that fails."""
         outcome, key = Outcome(item.name, folder), inputs_key(item, self.output)
         for name, step in STEPS.items():
             if name not in self.steps:
                 continue
-            words = words_of(step, item, folder, self.steps)
+            words = command_words(step, item, folder, self.steps)
             words += ["-m", self.variant]
-            key = key_of(words, key)
+            key = step_key(words, key)
             # A result is put in place in one step: what has its last file is complete.
             if done.get(name, {}).get("key") != key or not (folder / step.proof).is_file():
                 left = folder / step.checkpoint if step.checkpoint else None
                 start = time.perf_counter()
-                ended = _tried(commands, [*words, *self.words], left)
+                ended = _run_command(commands, [*words, *self.words], left)
                 if ended.status:
-                    said = ended.said or f"ended with status {ended.status}"
+                    said = ended.message or f"ended with status {ended.status}"
                     yield replace(outcome, sentence=f"{step.command}: {said}")
                     return
                 seconds = round(time.perf_counter() - start, 2)
@@ -189,7 +189,7 @@ class BatchRunner:
             yield outcome
 
 
-def work_there(runner: BatchRunner, item: Item) -> Outcome:
+def work_on_cluster(runner: BatchRunner, item: BatchItem) -> Outcome:
     """Take the steps of one capture, in a worker of a cluster, with its threads and its memory."""
     from distributed import get_worker
 
@@ -203,7 +203,7 @@ def work_there(runner: BatchRunner, item: Item) -> Outcome:
         return replace(runner, words=words).work(item, CommandPool(memory))
 
 
-def _absolute(item: Item) -> Item:
+def _absolute(item: BatchItem) -> BatchItem:
     """Return an item whose paths are valid in every working directory."""
     paths = {
         name: str(Path(item.options[name]).absolute()) for name in PATHS if name in item.options
@@ -212,7 +212,7 @@ def _absolute(item: Item) -> Item:
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Any]:
+def dask_client(address: str) -> Iterator[Any]:
     """Connect to the Dask scheduler at an address, such as ``tcp://10.0.0.5:8786``.
 
     Yields:
@@ -245,7 +245,7 @@ def connected(address: str) -> Iterator[Any]:
             client.close()
 
 
-def _tried(commands: CommandPool, words: Sequence[str], left: Path | None) -> ProcessResult:
+def _run_command(commands: CommandPool, words: Sequence[str], left: Path | None) -> ProcessResult:
     """Run a command, again if it is killed from outside; resume from its checkpoint if possible."""
     for _ in range(TRIES):
         resumes = left is not None and left.is_file()
@@ -255,7 +255,7 @@ def _tried(commands: CommandPool, words: Sequence[str], left: Path | None) -> Pr
             ended = commands.run(words)
         if ended.status >= 0:
             return ended
-    return ended._replace(said=f"was killed {TRIES} times (signal {-ended.status})")
+    return ended._replace(message=f"was killed {TRIES} times (signal {-ended.status})")
 
 
 class CommandPool:
@@ -282,13 +282,13 @@ class CommandPool:
         try:
             assert process.stderr is not None
             said = process.stderr.read().decode("utf-8", "replace").strip()
-            status, peak = _waited(process)
+            status, peak = _wait_for(process)
         finally:
             with self._lock:
                 self._running.discard(process)
         if status and self._over:  # killed by ``end``
             status = INTERRUPTED
-        return ProcessResult(status, sentence_of(said), peak)
+        return ProcessResult(status, last_sentence(said), peak)
 
     def end(self) -> None:
         """Kill what is running; results are put in place in one step, so none is half-written."""
@@ -298,7 +298,7 @@ class CommandPool:
                 process.kill()
 
 
-def sentence_of(said: str) -> str:
+def last_sentence(said: str) -> str:
     """Return the last sentence of a command: its last line with words, or the text of a box at
     the end, which wraps an error of options and ends with a hint below a rule."""
     said = said.rstrip()
@@ -309,7 +309,7 @@ def sentence_of(said: str) -> str:
     return next(filter(None, reversed(texts)), "").removeprefix("svu: ")
 
 
-def _waited(process: subprocess.Popen[bytes]) -> tuple[int, int]:
+def _wait_for(process: subprocess.Popen[bytes]) -> tuple[int, int]:
     """Return the exit status of a process, and bytes at its peak; 0 if unknown."""
     if not hasattr(os, "wait4"):  # Windows
         return process.wait(), 0
@@ -322,10 +322,10 @@ def _waited(process: subprocess.Popen[bytes]) -> tuple[int, int]:
 def _figures_of(folder: Path) -> dict[str, float]:
     """Read the figures of ``svu entropy``; empty if they are missing."""
     try:
-        found = read_json(folder / "entropy" / "run.json")["result"]
-        intervals = found["intervals"]
+        result = read_json(folder / "entropy" / "run.json")["result"]
+        intervals = result["intervals"]
         values = {
-            "seen": intervals["seen_part"], "entropy": found["mean_entropy_of_seen"],
+            "seen": intervals["seen_part"], "entropy": result["mean_entropy_of_seen"],
             "known": intervals["all_known_part"],
         }  # fmt: skip
         return {name: float(value) for name, value in values.items()}

@@ -10,7 +10,7 @@ from typing import Any
 
 from svu_mi import __version__
 from svu_mi.capture.capture_folder import FILE, read, stamps
-from svu_mi.cli.batch.capture_list import OPTIONS, Item, places_of, real
+from svu_mi.cli.batch.capture_list import OPTIONS, BatchItem, capture_paths, real_path
 from svu_mi.core.io.files import read_json, write_json
 from svu_mi.core.io.folder_exchange import DRAFT
 from svu_mi.core.io.hashes import Key
@@ -54,7 +54,7 @@ STEPS = {
 }  # fmt: skip
 
 
-def words_of(step: Step, item: Item, folder: Path, steps: Sequence[str]) -> list[str]:
+def command_words(step: Step, item: BatchItem, folder: Path, steps: Sequence[str]) -> list[str]:
     """Return the words of a command."""
     recovered, output = str(folder / STEPS["recover"].output), str(folder / step.output)
     if step.command == "export":
@@ -70,14 +70,14 @@ def words_of(step: Step, item: Item, folder: Path, steps: Sequence[str]) -> list
     return words
 
 
-def key_of(words: Sequence[str], before: str) -> str:
+def step_key(words: Sequence[str], before: str) -> str:
     """Return the key of a step: version, words, and key of the step before (or of the inputs)."""
     return Key(__version__, list(words), before).digest()
 
 
-def inputs_key(item: Item, output: Path | None = None) -> str:
+def inputs_key(item: BatchItem, output: Path | None = None) -> str:
     """Return a digest of the files of a capture and of its scene, by their sizes and times."""
-    places, own = places_of(item), None if output is None else real(output)
+    places, own = capture_paths(item), None if output is None else real_path(output)
     folders = {place for place in places if place.is_dir()}
     described = [read(folder) for folder in places if folder in folders]
     scenes = [each.scene for each in described if each is not None and each.scene is not None]

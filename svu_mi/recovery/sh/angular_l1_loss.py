@@ -19,7 +19,7 @@ import numpy as np
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.frequency.fit_samples import MirroredLight
-from svu_mi.frequency.sh_lobes import Convolved
+from svu_mi.frequency.sh_lobes import ConvolvedLight
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
@@ -33,7 +33,7 @@ from svu_mi.recovery.sh.quadratic_error import carry, look_up
 from svu_mi.reflection.lobes import view_albedo
 from svu_mi.reflection.mix_columns import Parts, combine_parts, diffuse_shading, dot, mixed_radiance
 from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture, mixture_derivative
-from svu_mi.statistics.gather_statistics import GRAZING, Values, mixed_of
+from svu_mi.statistics.gather_statistics import GRAZING, Values, mixing_values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class AngularObjective:
 
     def _sums(self, values: Values) -> tuple[Any, Values]:
         """Loss and its derivatives for all parameters, summed per texel."""
-        lobes = Convolved.of(self.light, values["roughness"][0])
+        lobes = ConvolvedLight.of(self.light, values["roughness"][0])
 
         def consume(seen: ViewSample, _: Any, *sums: Any) -> tuple[Any, ...]:
             def add(values: Values, loss: Any, slopes: Values) -> tuple[Any, Values]:
@@ -93,9 +93,11 @@ class AngularObjective:
         loss, slopes = self.visibility.over_views(self.views, self.surface, consume, (zero(), none))
         return loss, slopes
 
-    def _sample(self, seen: ViewSample, lobes: Convolved, values: Values) -> tuple[Any, Values]:
+    def _sample(
+        self, seen: ViewSample, lobes: ConvolvedLight, values: Values
+    ) -> tuple[Any, Values]:
         """What one sample of every texel adds to the loss and its derivatives."""
-        base_color, mixed = values["base_color"], mixed_of(values)
+        base_color, mixed = values["base_color"], mixing_values(values)
         with dr.resume_grad():
             roughness = mi.Float(values["roughness"][0])
             dr.enable_grad(roughness)
@@ -119,11 +121,11 @@ class AngularObjective:
                 added[name][0] += side[k] * dot(turn.at(color), x)
         return loss, added
 
-    def _shade(self, seen: ViewSample, lobes: Convolved, roughness: Any) -> list[Parts]:
+    def _shade(self, seen: ViewSample, lobes: ConvolvedLight, roughness: Any) -> list[Parts]:
         """Evaluate Eq. 6 towards the camera of every sample, with derivatives for roughness."""
         cosine = dr.maximum(seen.cosine, GRAZING)
         moved = roughness - dr.detach(roughness)  # 0, with a derivative
-        mirrored = lobes.towards(seen.direction)
+        mirrored = lobes.evaluate(seen.direction)
         light = [dr.fma(slope, moved, value) for value, slope in mirrored]
         alpha = alpha_from_roughness(roughness)
         diffuse = [

@@ -26,7 +26,7 @@ from svu_mi.recovery.regularizers.total_variation import absolute
 from svu_mi.recovery.sh.quadratic_error import carry, energy, look_up
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.statistics.cholesky_factors import Factors
-from svu_mi.statistics.gather_statistics import Values, flat
+from svu_mi.statistics.gather_statistics import Values, flatten_values
 
 SURE = 1e-2  # standard deviation below which a texel pulls no more: nothing is known better
 
@@ -110,7 +110,7 @@ class Pull:
         values = look_up(textures, self.place)
         with dr.suspend_grad():
             offsets = _each(lambda x, target: x - target, dr.detach(values), self.target)
-            loss = sum(flat(_each(lambda w, x: w * dr.square(x), self.weight, offsets)))
+            loss = sum(flatten_values(_each(lambda w, x: w * dr.square(x), self.weight, offsets)))
             slopes = _each(lambda w, x: 2 * w * x, self.weight, offsets)
             dr.eval(loss, slopes)
         return carry(loss, slopes, values, dr.opaque(mi.Float, 1 / dr.width(self.place)))

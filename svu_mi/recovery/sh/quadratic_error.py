@@ -17,8 +17,8 @@ from svu_mi.parameters import CHANNELS, MIXED
 from svu_mi.recovery.regularizers.known_gradient import known
 from svu_mi.reflection.mix_columns import dot
 from svu_mi.reflection.principled import mixture, mixture_derivative
-from svu_mi.statistics.cholesky_factors import Factors, catmull_rom, combined
-from svu_mi.statistics.gather_statistics import Values, flat, mixed_of
+from svu_mi.statistics.cholesky_factors import Factors, apply_factor, catmull_rom
+from svu_mi.statistics.gather_statistics import Values, flatten_values, mixing_values
 
 
 def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
@@ -32,19 +32,19 @@ def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
         Float (S,), squared radiance, and its derivatives by every parameter.
     """
     near = _interpolate(factors, values["roughness"][0])
-    mixed, colors, error = mixed_of(values), values["base_color"], mi.Float(0)
-    how, turns = mixture(*mixed), [mixture_derivative(mixed, k) for k in range(len(mixed))]
+    mixed, colors, error = mixing_values(values), values["base_color"], mi.Float(0)
+    mix, turns = mixture(*mixed), [mixture_derivative(mixed, k) for k in range(len(mixed))]
     by = {name: [mi.Float(0) for _ in of_name] for name, of_name in values.items()}
     for channel, c in enumerate(colors):
         # One channel stands for all where photographs and light are grey.
         U, change = near[channel % factors.channels]
-        x = how.at(c)
-        rest = combined(U, x)
+        x = mix.at(c)
+        rest = apply_factor(U, x)
         error += dot(rest, rest)
-        by["base_color"][channel] = 2 * dot(rest, combined(U, how.slope))
-        by["roughness"][0] += 2 * dot(rest, combined(change, x))
+        by["base_color"][channel] = 2 * dot(rest, apply_factor(U, mix.slope))
+        by["roughness"][0] += 2 * dot(rest, apply_factor(change, x))
         for name, turn in zip(MIXED, turns, strict=True):
-            by[name][0] += 2 * dot(rest, combined(U, turn.at(c)))
+            by[name][0] += 2 * dot(rest, apply_factor(U, turn.at(c)))
     scale = 1 / len(colors)
     return scale * error, {name: [scale * x for x in found] for name, found in by.items()}
 
@@ -58,17 +58,20 @@ def information(factors: Factors, values: Values) -> list[list[Any]]:
         all parameters, in the order of ``values``.
     """
     near = _interpolate(factors, values["roughness"][0])
-    mixed, colors = mixed_of(values), values["base_color"]
-    how, turns = mixture(*mixed), [mixture_derivative(mixed, k) for k in range(len(mixed))]
+    mixed, colors = mixing_values(values), values["base_color"]
+    mix, turns = mixture(*mixed), [mixture_derivative(mixed, k) for k in range(len(mixed))]
     places = {key: place for place, key in enumerate(
         (name, k) for name, of_name in values.items() for k in range(len(of_name)))}  # fmt: skip
     found = [[dr.zeros(mi.Float, factors.count) for _ in places] for _ in places]
     for channel, c in enumerate(colors):
         U, change = near[channel % factors.channels]
         by = {
-            ("base_color", channel): combined(U, how.slope),
-            ("roughness", 0): combined(change, how.at(c)),
-            **{(name, 0): combined(U, turn.at(c)) for name, turn in zip(MIXED, turns, strict=True)},
+            ("base_color", channel): apply_factor(U, mix.slope),
+            ("roughness", 0): apply_factor(change, mix.at(c)),
+            **{
+                (name, 0): apply_factor(U, turn.at(c))
+                for name, turn in zip(MIXED, turns, strict=True)
+            },
         }
         for one, first in by.items():
             for other, second in by.items():
@@ -96,7 +99,7 @@ def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], lis
 def _interpolate(factors: Factors, roughness: Any) -> list[tuple[list[Any], list[Any]]]:
     """Return U at a roughness, and its derivative, of every channel."""
     levels, weights, slopes = _spline(factors, roughness)
-    reader = factors.at()
+    reader = factors.reader()
     near = [reader.factor(level) for level in levels]
     return [
         (_summed(weights, of_levels), _summed(slopes, of_levels))
@@ -130,4 +133,4 @@ def look_up(textures: Mapping[str, Any], place: Any) -> Values:
 
 def carry(loss: Any, slopes: Values, values: Values, factor: Any) -> Any:
     """Return the sum of ``loss`` (S,) times an opaque factor, with known derivatives."""
-    return known(dr.sum(loss), flat(slopes), flat(values)) * factor
+    return known(dr.sum(loss), flatten_values(slopes), flatten_values(values)) * factor

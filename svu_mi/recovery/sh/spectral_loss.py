@@ -33,7 +33,7 @@ from svu_mi.reflection.principled import (
     diffuse_from_principled,
     specular_from_principled,
 )
-from svu_mi.statistics.gather_statistics import Values, mixed_of
+from svu_mi.statistics.gather_statistics import Values, mixing_values
 
 Domain = Literal["coefficients", "spectrum"]
 
@@ -74,7 +74,7 @@ class SpectralObjective:
 
     def errors(self, values: Values) -> Any:
         """Return the sum of absolute differences of every texel, (S,) Float."""
-        (roughness,), mixed = values["roughness"], mixed_of(values)
+        (roughness,), mixed = values["roughness"], mixing_values(values)
         alpha = alpha_from_roughness(roughness)
         width = dr.maximum(dr.square(alpha) - self.prefilter, 0)
         lobe, total = self._albedo(roughness), mi.Float(0)

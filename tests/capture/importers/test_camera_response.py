@@ -27,7 +27,7 @@ from svu_mi.capture.importers.source import OPENGL, Frame
 from svu_mi.capture.mesh import write_ply
 from svu_mi.capture.photographs import CLIPPED, SATURATED, SATURATION
 from svu_mi.capture.sensors import affine
-from svu_mi.cli.import_ import import_again
+from svu_mi.cli.import_ import reimport_command
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError
 
@@ -286,7 +286,7 @@ def test_an_import_decodes_by_the_response_and_says_so_again(shots, capsys):
         np.testing.assert_allclose(capture.images[view][~over], gamma(pixels[~over]), atol=1e-5)
     record = json.loads((shots.parent / "mine" / "capture.json").read_text())["import"]
     assert record["options"][-2:] == ["--response", "curve.txt"]
-    line = import_again(capture, ["camera-z180"])
+    line = reimport_command(capture, ["camera-z180"])
     assert "--response curve.txt" in line
     assert run(*shlex.split(line)[1:]) == 0
     assert run(*WORDS, "-o", "plain") == 0  # pixels differ, and so does what results are kept for
