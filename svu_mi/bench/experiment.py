@@ -120,7 +120,7 @@ class BenchRun:
 
 
 @dataclass(frozen=True)
-class Part:
+class Measurement:
     """A row that is a part of what is measured, rather than a thing to compare.
 
     Attributes:

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.captures import Truth
-from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
+from svu_mi.bench.captures import TrueTextures
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Bar, Column, columns, digits
 from svu_mi.bench.study import Selection, Study
 from svu_mi.calibration.light.estimate_light import estimate_light
@@ -42,10 +42,10 @@ TEXELS, QUICK_TEXELS = 160, 64  # per side
 
 
 @dataclass(frozen=True)
-class UnderFoundLight(CaseSubject):
+class EstimatedLightCase(CaseSubject):
     """An object under a light that is known, and not: 160 x 160 texels."""
 
-    rows = (Part("found", lambda self: self.compared()),)
+    rows = (Measurement("found", lambda self: self.compared()),)
 
     @cached_property
     def capture(self) -> Capture:
@@ -62,9 +62,9 @@ class UnderFoundLight(CaseSubject):
         return {"cell": self.title, **self._kind()}
 
     @cached_property
-    def truth(self) -> Truth:
+    def truth(self) -> TrueTextures:
         """Its true textures."""
-        return Truth.of(self.capture, self.observed.texels)
+        return TrueTextures.of(self.capture, self.observed.texels)
 
     def _kind(self) -> Record:
         seen = self.observed.coverage > 0
@@ -194,7 +194,7 @@ def bars(record: Record) -> list[Bar]:
 
 def experiment(bench: BenchRun, selection: Selection) -> Experiment:
     """Return what is measured: every case under both lights."""
-    return Experiment("light", (UnderFoundLight(bench, case) for case in selection.cases), True)
+    return Experiment("light", (EstimatedLightCase(bench, case) for case in selection.cases), True)
 
 
 STUDY = Study(title="Light from the photographs themselves", experiment=experiment, bars=bars,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.captures import Truth, chosen_views
+from svu_mi.bench.captures import TrueTextures, chosen_views
 from svu_mi.bench.cases import Case
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.guidance.guidance_tables import draw_guidance, find_bars, guidance_tables
@@ -77,7 +77,7 @@ class ViewSelectionCase(CaseSubject):
         )  # fmt: skip
 
     def head(self) -> Record:
-        """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: what ``judge`` says of it,
+        """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: what ``score`` says of it,
         and ``agreement`` of forecasts."""
         return {
             "cell": self.case.title, "object": self.case.object, "kind": self.kind,
@@ -85,10 +85,10 @@ class ViewSelectionCase(CaseSubject):
         }  # fmt: skip
 
     def measure(self, row: StrategyRow) -> Record:
-        """Return the ``order`` of a strategy, and per mark what ``judge`` says, as lists."""
+        """Return the ``order`` of a strategy, and per mark what ``score`` says, as lists."""
         order = self.order(row.label)
         marks = self.sizes.marks
-        points = [self.first, *(self.judge(self.start + order[:mark]) for mark in marks)]
+        points = [self.first, *(self.score(self.start + order[:mark]) for mark in marks)]
         return {
             "order": order,
             "psnr": [point["psnr"]["average"] for point in points],
@@ -103,8 +103,8 @@ class ViewSelectionCase(CaseSubject):
 
     @cached_property
     def first(self) -> Record:
-        """What ``judge`` says of the start."""
-        return self.judge(self.start)
+        """What ``score`` says of the start."""
+        return self.score(self.start)
 
     @cached_property
     def start(self) -> list[int]:
@@ -118,9 +118,9 @@ class ViewSelectionCase(CaseSubject):
         return [int(view) for view in np.argsort(-nearness)[: self.sizes.start]]
 
     @cached_property
-    def truth(self) -> Truth:
+    def truth(self) -> TrueTextures:
         """True textures."""
-        return Truth.of(self.capture, self.grid)
+        return TrueTextures.of(self.capture, self.grid)
 
     @cached_property
     def visible(self) -> np.ndarray:
@@ -148,7 +148,7 @@ class ViewSelectionCase(CaseSubject):
             chosen += [left[p.candidate] for p in guidance.proposals]
         return chosen[len(self.start) :]
 
-    def judge(self, views: list[int]) -> Record:
+    def score(self, views: list[int]) -> Record:
         """Return ``psnr`` of recovered textures over all visible texels, by parameter and
         ``average``, and ``entropy``, the mean over these texels, unseen ones counting as 1."""
         taken = chosen_views(self.capture, views)
@@ -197,14 +197,14 @@ def _mean_entropy(result: Estimate) -> float:
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     sizes = bench.sizes.guidance
-    chosen = few_lights(selection.cases, sizes.lights)
+    chosen = first_lights(selection.cases, sizes.lights)
     # Every case once before any twice: an interrupted run has seen them all.
     starts = itertools.product(range(sizes.starts), sizes.kinds, chosen)
     subjects = (ViewSelectionCase(bench, case, number, kind) for number, kind, case in starts)
     return Experiment("guidance", subjects, whole=True)
 
 
-def few_lights(cases: Sequence[Case], count: int) -> list[Case]:
+def first_lights(cases: Sequence[Case], count: int) -> list[Case]:
     """Return the first ``count`` cases of every object."""
     kept: list[Case] = []
     for case in cases:

@@ -21,7 +21,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi.bench.captures import Truth, uneven_views
+from svu_mi.bench.captures import TrueTextures, uneven_views
 from svu_mi.bench.experiment import CaseSubject, Record
 from svu_mi.bench.markdown import Column, columns, digits, table
 from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, RecoveryMethod
@@ -68,9 +68,9 @@ class Table2(CaseSubject):
         return texels(self.capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
 
     @cached_property
-    def truth(self) -> Truth:
+    def truth(self) -> TrueTextures:
         """True textures."""
-        return Truth.of(self.capture, self.layout)
+        return TrueTextures.of(self.capture, self.layout)
 
     @cached_property
     def entropy(self) -> dict[str, np.ndarray]:
