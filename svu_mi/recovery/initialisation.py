@@ -11,7 +11,7 @@ from svu_mi.core.progress import Progress
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
-from svu_mi.posterior.empirical_bayes import shared
+from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
@@ -40,7 +40,7 @@ def estimate_for_textures(
     if sharing:
         with progress.stage("Learning what texels have in common"):
             assert isinstance(found.posterior.kernel, CalibratedKernel)
-            found = replace(found, posterior=shared(found.posterior))
+            found = replace(found, posterior=with_empirical_prior(found.posterior))
     return found
 
 

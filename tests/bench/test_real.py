@@ -27,7 +27,7 @@ from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
 from svu_mi.evaluation.posterior_predictive import Prediction, diffuse_seen_from, shares_of
-from svu_mi.posterior.calibrated_problem import spline
+from svu_mi.posterior.calibrated_problem import spline_weights
 from svu_mi.presets import preset
 
 VIEWS, FILM = 24, 72
@@ -184,7 +184,7 @@ def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
 def test_between_levels_it_is_what_the_posterior_goes_by():
     levels = np.linspace(0, 1, 8)
     shares = np.stack([x.numpy() for x in shares_of(np.array([0.07, 0.5, 1.0]), levels)], axis=1)
-    near, weights = spline(np.array([0.07, 0.5, 1.0]), levels)
+    near, weights = spline_weights(np.array([0.07, 0.5, 1.0]), levels)
     for row, which, counts in zip(shares, near, weights, strict=True):
         expected = np.zeros(8)
         np.add.at(expected, which, counts)

@@ -188,8 +188,8 @@ def test_nothing_known_is_one_also_where_texels_share(shared: svu.Recovery) -> N
     """Entropy is a part of that of the prior, the learned one, channel by channel."""
     posterior = shared.estimate.posterior
     blind = replace(posterior.kernel.problem, scale=0 * posterior.kernel.problem.scale)
-    blind = replace(blind, least=0 * blind.least)
-    blind = replace(blind, least=kernel.least(blind, excess=True))
+    blind = replace(blind, min_energy=0 * blind.min_energy)
+    blind = replace(blind, min_energy=kernel.min_energy(blind, excess=True))
     unseen = replace(posterior, kernel=replace(posterior.kernel, problem=blind))
     entropy = np.array(unseen.entropy())
     np.testing.assert_allclose(entropy[posterior.observed], 1, atol=5e-3)
