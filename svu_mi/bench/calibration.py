@@ -66,7 +66,7 @@ class CalibrationCase(CaseSubject):
         return np.sort(np.random.default_rng(0).choice(seen, count, replace=False))
 
     @cached_property
-    def truth(self) -> dict[str, np.ndarray]:
+    def true_values(self) -> dict[str, np.ndarray]:
         """True means over these texels, (t,) or (t, 3) by parameter."""
         return {name: values[self.chosen] for name, values in self._true_means().items()}
 
@@ -93,7 +93,7 @@ class CalibrationCase(CaseSubject):
         """Return all figures of the preset ``default``, with some of its switches changed."""
         chosen = preset("default", method="angular", **switches)
         estimated = estimate(self.capture, self.layout, preset=chosen, method="angular")
-        return posterior_figures(estimated.posterior, self.truth, self.chosen)
+        return posterior_figures(estimated.posterior, self.true_values, self.chosen)
 
     def traced(self) -> Record:
         """Correlate the entropy with that of path-traced texels."""

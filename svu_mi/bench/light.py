@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.captures import TrueTextures
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Bar, Column, columns, digits
 from svu_mi.bench.study import Selection, Study
@@ -26,7 +25,7 @@ from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
 from svu_mi.evaluation.image_metrics import psnr
-from svu_mi.geometry.texels import texels
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.light.environment import read_environment
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
@@ -53,18 +52,17 @@ class EstimatedLightCase(CaseSubject):
         return self.bench.capture(self.case, **(QUICK if self.bench.quick else PHOTOGRAPHS))
 
     @cached_property
+    def layout(self) -> Texels:
+        """Texels of its object."""
+        return texels(self.capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
+
+    @cached_property
     def observed(self) -> Observed:
-        """What they show."""
-        resolution = QUICK_TEXELS if self.bench.quick else TEXELS
-        return observe(self.capture, texels(self.capture.mesh, resolution))
+        """Observations of the texels."""
+        return observe(self.capture, self.layout)
 
     def head(self) -> Record:
         return {"cell": self.title, **self._kind()}
-
-    @cached_property
-    def truth(self) -> TrueTextures:
-        """Its true textures."""
-        return TrueTextures.of(self.capture, self.observed.texels)
 
     def _kind(self) -> Record:
         seen = self.observed.coverage > 0

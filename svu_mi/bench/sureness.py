@@ -77,9 +77,7 @@ class SurenessCase(CaseSubject):
 
     def textures(self) -> Record:
         """Return ``interval_coverage`` of all texels that a photograph shows."""
-        return interval_coverage(
-            *self.textures_and_field, TrueTextures.of(self.capture, self.layout)
-        )
+        return interval_coverage(*self.textures_and_field, self.truth)
 
     def shared(self) -> Record:
         """Return the same with a prior in common, from photographs mostly from one side."""
@@ -87,12 +85,12 @@ class SurenessCase(CaseSubject):
         front, back = (max(int(scale * count), 1) for count in (FRONT_VIEWS, BACK_VIEWS))
         uneven = uneven_views(self.capture, front, back)
         recovered = _recovered(uneven, self.layout, sharing=True)
-        return interval_coverage(*recovered, TrueTextures.of(self.capture, self.layout))
+        return interval_coverage(*recovered, self.truth)
 
     def filled(self) -> Record:
         """Return what filling gains where a third of the surface is never seen: ``psnr_before``,
         ``psnr`` (dB, average texture PSNR of these texels), ``held`` by parameter, ``likeness``."""
-        layout, truth = self.layout, TrueTextures.of(self.capture, self.layout)
+        layout, truth = self.layout, self.truth
         recovery, field = _recovered(_hiding(self.capture, layout), layout)
         seen = recovery.coverage > 0
         filled = fill(field, seen)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.captures import TrueTextures, chosen_views
+from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.cases import Case
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.guidance.guidance_tables import draw_guidance, find_bars, guidance_tables
@@ -97,7 +97,7 @@ class ViewSelectionCase(CaseSubject):
         }
 
     @cached_property
-    def grid(self) -> Texels:
+    def layout(self) -> Texels:
         """Texels of the textures."""
         return texels(self.capture.mesh, self.sizes.texels)
 
@@ -118,14 +118,9 @@ class ViewSelectionCase(CaseSubject):
         return [int(view) for view in np.argsort(-nearness)[: self.sizes.start]]
 
     @cached_property
-    def truth(self) -> TrueTextures:
-        """True textures."""
-        return TrueTextures.of(self.capture, self.grid)
-
-    @cached_property
     def visible(self) -> np.ndarray:
         """(T,) bool, texels that any view sees: whoever does not look there has to guess."""
-        return np.array(estimate(self.capture, self.grid, preset="fast").coverage) > 0
+        return np.array(estimate(self.capture, self.layout, preset="fast").coverage) > 0
 
     def order(self, strategy: str) -> list[int]:
         """Return the views that a strategy adds to the start, in order.
@@ -141,7 +136,7 @@ class ViewSelectionCase(CaseSubject):
         while len(chosen) < len(self.start) + count:
             left = [v for v in range(self.capture.count) if v not in chosen]
             guidance = next_best_view(
-                estimate(chosen_views(self.capture, chosen), self.grid),
+                estimate(chosen_views(self.capture, chosen), self.layout),
                 Candidates.of([self.capture.sensors[v] for v in left]), ahead,
                 strategy=strategy, seed=self.seed, texels=self.sizes.looked_at,
             )  # fmt: skip
@@ -152,8 +147,8 @@ class ViewSelectionCase(CaseSubject):
         """Return ``psnr`` of recovered textures over all visible texels, by parameter and
         ``average``, and ``entropy``, the mean over these texels, unseen ones counting as 1."""
         taken = chosen_views(self.capture, views)
-        textures = recover(taken, self.grid, "sh").textures
-        entropy = np.array(estimate(taken, self.grid).entropy, np.float64)
+        textures = recover(taken, self.layout, "sh").textures
+        entropy = np.array(estimate(taken, self.layout).entropy, np.float64)
         return {
             "psnr": self.truth.psnr(textures, self.visible),
             "entropy": float(entropy[self.visible].mean()),
@@ -168,11 +163,11 @@ class ViewSelectionCase(CaseSubject):
         """
         left = [view for view in range(self.capture.count) if view not in self.start]
         tried = left[:: max(1, len(left) // self.sizes.asked)][: self.sizes.asked]
-        known = estimate(chosen_views(self.capture, self.start), self.grid)
+        known = estimate(chosen_views(self.capture, self.start), self.layout)
         gains = next_best_view(known, Candidates.at(self.capture, tried)).scores
         changes = [
             _mean_entropy(known) - _mean_entropy(
-                estimate(chosen_views(self.capture, [*self.start, view]), self.grid)
+                estimate(chosen_views(self.capture, [*self.start, view]), self.layout)
             )
             for view in tried
         ]  # fmt: skip

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-from svu_mi.bench.captures import TrueTextures, chosen_views
+from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.experiment import CaseSubject, Record
 from svu_mi.bench.guidance import StrategyRow
 from svu_mi.bench.guidance.guidance_tables import views_needed
@@ -86,11 +86,6 @@ class Figure9(CaseSubject):
     def visible(self) -> np.ndarray:
         """(T,) bool, texels that any view sees."""
         return np.array(estimate(self.capture, self.layout, "spectrum", "paper").coverage) > 0
-
-    @cached_property
-    def truth(self) -> TrueTextures:
-        """True textures."""
-        return TrueTextures.of(self.capture, self.layout)
 
     @cached_property
     def start(self) -> list[int]:
