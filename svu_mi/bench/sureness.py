@@ -38,7 +38,7 @@ from svu_mi.posterior.observations import observe
 from svu_mi.recovery.inpaint.fill import fill
 from svu_mi.recovery.recover import Recovery, recover
 from svu_mi.recovery.relighting import path_length, relight_draws
-from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField, texture_field
+from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField, texture_field
 
 RELIT_CASES, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
 FRONT_VIEWS, BACK_VIEWS = 18, 4
@@ -96,7 +96,7 @@ class SurenessCase(CaseSubject):
         filled = fill(field, seen)
         shares = {}
         for name in NAMES:
-            low, high = (end[~seen] for end in filled.field.interval(name, LEVEL))
+            low, high = (end[~seen] for end in filled.field.interval(name, INTERVAL_MASS))
             true = np.asarray(truth.values[name], np.float64)[~seen]
             shares[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
         return {
@@ -161,7 +161,7 @@ def interval_coverage(recovery: Recovery, field: TextureField, truth: TrueTextur
     seen = recovery.coverage > 0
     shares, sds, errors = {}, [], []
     for name in NAMES:
-        low, high = (end[seen] for end in field.interval(name, LEVEL))
+        low, high = (end[seen] for end in field.interval(name, INTERVAL_MASS))
         true = np.asarray(truth.values[name], np.float64)[seen]
         shares[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
         value = np.asarray(recovery.textures.at(field.texels, name), np.float64)[seen]

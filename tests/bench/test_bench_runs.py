@@ -28,7 +28,7 @@ from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.evaluation.image_metrics import CEILING_DB
 from svu_mi.geometry.texels import texels
 from svu_mi.recovery.recover import recover
-from svu_mi.recovery.svbrdf_textures import lay_out, uniform
+from svu_mi.recovery.svbrdf_textures import lay_out, uniform_textures
 
 CASES = own_cases(["vase"], ["window"])
 METHODS = (SH, SH_PATH, PATH, SH_PAPER)
@@ -170,13 +170,13 @@ def test_true_textures_have_no_error_and_others_do(capture, tmp_path):
     grid = texels(capture.mesh, 48)
     scorer = TextureScorer.of(capture, grid, poor=2)
     true = lay_out(grid, scorer.truth.values)
-    best, grey = scorer.score(true), scorer.score(uniform(grid))
+    best, grey = scorer.score(true), scorer.score(uniform_textures(grid))
     assert best["psnr"]["average"] > 99 and grey["psnr"]["average"] < 20
     seen = scorer.coverage > 0
     by_hand = np.mean((scorer.truth.values["roughness"][seen] - 0.5) ** 2)
     assert grey["psnr"]["roughness"] == pytest.approx(-10 * np.log10(by_hand), rel=1e-6)
     relit = RelightingScorer.of(capture, next_light_case(CASES[0], None, tmp_path), 2, 16)
-    best, grey = relit.score(true), relit.score(uniform(grid))
+    best, grey = relit.score(true), relit.score(uniform_textures(grid))
     for name in ("psnr_hdr", "psnr_ldr", "ssim"):
         assert best[name] > grey[name]
 

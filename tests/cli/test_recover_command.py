@@ -120,14 +120,14 @@ def test_a_scene_that_recover_renders_is_rendered_once(tmp_path, capsys, monkeyp
 
 def interrupt_after(monkeypatch, steps):
     """Press Ctrl-C in the middle of a step of the last descent, which ``recover`` made short."""
-    advance = adam._Run.advance
+    advance = adam._DescentRun.advance
 
     def interrupted(self):
         advance(self)
         if self._options.steps == 20 and self.step >= steps:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(adam._Run, "advance", interrupted)
+    monkeypatch.setattr(adam._DescentRun, "advance", interrupted)
 
 
 def brighter(shot, folder):

@@ -34,7 +34,7 @@ from svu_mi.core.validation import require_known
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.recovery_options import PathOptions, ShOptions
-from svu_mi.recovery.svbrdf_textures import Textures, uniform
+from svu_mi.recovery.svbrdf_textures import Textures, uniform_textures
 
 PLACE = "orb"  # folder of finished results
 
@@ -182,7 +182,9 @@ class OrbCase:
             estimated = estimate(self.capture, self.grid)
         seen = np.array(estimated.coverage) > 0
         entropy = np.array(estimated.entropy)[seen]
-        grey = uniform(self.grid, 0.5).but(metallic=uniform(self.grid, 0.0).metallic)
+        grey = uniform_textures(self.grid, 0.5).but(
+            metallic=uniform_textures(self.grid, 0.0).metallic
+        )
         return {
             "name": self.path.name,
             "film": self.sizes.film,
