@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
-from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Column, columns, digits, table
 from svu_mi.bench.study import Selection, Study
 from svu_mi.evaluation.correlation import pearson, sparsification, spearman
@@ -51,11 +51,11 @@ Truths = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Calibrated(CaseSubject):
+class CalibrationCase(CaseSubject):
     """A case whose posterior is compared with the true textures."""
 
     @property
-    def rows(self) -> tuple[Part, ...]:
+    def rows(self) -> tuple[Measurement, ...]:
         return PARTS
 
     @cached_property
@@ -66,7 +66,7 @@ class Calibrated(CaseSubject):
         return np.sort(np.random.default_rng(0).choice(seen, count, replace=False))
 
     @cached_property
-    def truth(self) -> dict[str, np.ndarray]:
+    def true_values(self) -> dict[str, np.ndarray]:
         """True means over these texels, (t,) or (t, 3) by parameter."""
         return {name: values[self.chosen] for name, values in self._true_means().items()}
 
@@ -93,7 +93,7 @@ class Calibrated(CaseSubject):
         """Return all figures of the preset ``default``, with some of its switches changed."""
         chosen = preset("default", method="angular", **switches)
         estimated = estimate(self.capture, self.layout, preset=chosen, method="angular")
-        return figures(estimated.posterior, self.truth, self.chosen)
+        return posterior_figures(estimated.posterior, self.true_values, self.chosen)
 
     def traced(self) -> Record:
         """Correlate the entropy with that of path-traced texels."""
@@ -110,16 +110,16 @@ class Calibrated(CaseSubject):
 
 
 PARTS = (
-    Part("default", Calibrated.calibration),
-    Part("tau 3", lambda subject: subject.calibration(overdispersion=3.0)),
-    Part("traced", Calibrated.traced),
+    Measurement("default", CalibrationCase.calibration),
+    Measurement("tau 3", lambda subject: subject.calibration(overdispersion=3.0)),
+    Measurement("traced", CalibrationCase.traced),
 )
 
 
 # --- figures --------------------------------------------------------------------------------
 
 
-def figures(posterior: Any, truth: Truths, chosen: np.ndarray) -> Record:
+def posterior_figures(posterior: Any, truth: Truths, chosen: np.ndarray) -> Record:
     """Return everything that is measured of a posterior.
 
     Args:
@@ -130,7 +130,7 @@ def figures(posterior: Any, truth: Truths, chosen: np.ndarray) -> Record:
     true = {name: _columns(np.asarray(truth[name], np.float64)) for name in NAMES}
     if posterior.groups == 1:
         true["base_color"] = true["base_color"].mean(axis=1, keepdims=True)
-    result = sets(np.array(posterior.probabilities_of(chosen), np.float64), true)
+    result = set_coverage(np.array(posterior.probabilities_of(chosen), np.float64), true)
     draws = posterior.draw(DRAWS, seed=1)
     errors, variances = [], []
     for name in NAMES:
@@ -161,7 +161,7 @@ def _columns(values: np.ndarray) -> np.ndarray:
     return values if values.ndim == 2 else values[:, None]
 
 
-def sets(p: np.ndarray, truth: Truths) -> Record:
+def set_coverage(p: np.ndarray, truth: Truths) -> Record:
     """Return how often sets by mass hold the truth, the last cell counted in part.
 
     Args:
@@ -237,7 +237,9 @@ def _tables(record: Record) -> list[str]:
 
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
-    return Experiment("calibration", (Calibrated(bench, case) for case in selection.cases), True)
+    return Experiment(
+        "calibration", (CalibrationCase(bench, case) for case in selection.cases), True
+    )
 
 
 STUDY = Study(title="Calibration of the posterior", experiment=_experiment, tables=_tables)

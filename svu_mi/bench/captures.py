@@ -44,7 +44,7 @@ def capture_of(case: Case, sizes: ProblemSizes, folder: Path, progress: Progress
         SceneError: the scene cannot be rendered.
         OutputError: the folder cannot be written.
     """
-    key = key_of(contents(case), case.defines, sizes.views, sizes.film, sizes.spp, sizes.seed)
+    key = key_of(scene_digests(case), case.defines, sizes.views, sizes.film, sizes.spp, sizes.seed)
     store = Store(folder)
     if store.load(MARK, key) is not None and is_as_written(folder, capture_folder.FILE):
         with progress.stage(f"Loading {case.title}"):
@@ -60,7 +60,7 @@ def capture_of(case: Case, sizes: ProblemSizes, folder: Path, progress: Progress
     return capture
 
 
-def contents(case: Case) -> list[tuple[str, str]]:
+def scene_digests(case: Case) -> list[tuple[str, str]]:
     """Return digests of the scene, of all that lies beside it, of lights and of files given."""
     folders = (case.scene.parent, case.scene.parent.parent / "lights")
     beside = sorted(path for folder in folders for path in folder.rglob("*"))
@@ -68,7 +68,7 @@ def contents(case: Case) -> list[tuple[str, str]]:
     return [(path.name, digest_of_file(path)) for path in (*beside, *given) if path.is_file()]
 
 
-def some_views(capture: Capture, count: int) -> Capture:
+def even_views(capture: Capture, count: int) -> Capture:
     """Return the capture with ``count`` of its views, evenly spread over their order."""
     return chosen_views(capture, evenly_spaced(capture.count, count))
 
@@ -85,7 +85,7 @@ def chosen_views(capture: Capture, indices: Iterable[int]) -> Capture:
 
 
 @dataclass(frozen=True)
-class Truth:
+class TrueTextures:
     """What the scene's own material is at every texel.
 
     Attributes:
@@ -97,7 +97,7 @@ class Truth:
     values: dict[str, np.ndarray]
 
     @classmethod
-    def of(cls, capture: Capture, grid: Texels) -> Truth:
+    def of(cls, capture: Capture, grid: Texels) -> TrueTextures:
         """Look it up.
 
         Raises:
@@ -122,7 +122,7 @@ class Truth:
 FRONT = (0.0, 0.3, 1.0)  # direction from the object to the middle of the crowded side
 
 
-def in_memory(scene: Any, shape: Any, sensors: Sequence[Any], images: Any) -> Capture:
+def capture_in_memory(scene: Any, shape: Any, sensors: Sequence[Any], images: Any) -> Capture:
     """Return a capture without masks, whose every pixel is used.
 
     Args:

@@ -14,7 +14,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from svu_mi.bench.captures import capture_of
+from svu_mi.bench.captures import TrueTextures, capture_of
 from svu_mi.bench.cases import Case
 from svu_mi.bench.problem_sizes import ProblemSizes
 from svu_mi.bench.result_cache import Store, code_now, key_of
@@ -120,7 +120,7 @@ class BenchRun:
 
 
 @dataclass(frozen=True)
-class Part:
+class Measurement:
     """A row that is a part of what is measured, rather than a thing to compare.
 
     Attributes:
@@ -132,24 +132,8 @@ class Part:
     measure: Callable[[Any], Record]
 
 
-class NamedAfterCase:
-    """A subject that is called what its case is."""
-
-    case: Case
-
-    @property
-    def name(self) -> str:
-        """Folder of its records."""
-        return self.case.name
-
-    @property
-    def title(self) -> str:
-        """For people."""
-        return self.case.title
-
-
 @dataclass(frozen=True)
-class CaseSubject(NamedAfterCase):
+class CaseSubject:
     """A subject that is an object under a light; its figures depend on all sizes that are shared.
 
     Attributes:
@@ -159,6 +143,16 @@ class CaseSubject(NamedAfterCase):
 
     bench: BenchRun
     case: Case
+
+    @property
+    def name(self) -> str:
+        """Folder of its records."""
+        return self.case.name
+
+    @property
+    def title(self) -> str:
+        """Object and light."""
+        return self.case.title
 
     def settings(self, row: Any | None) -> Any:
         shared = self.bench.sizes.shared
@@ -181,6 +175,11 @@ class CaseSubject(NamedAfterCase):
     def layout(self) -> Texels:
         """Texels of its object."""
         return texels(self.capture.mesh, self.bench.sizes.texels)
+
+    @cached_property
+    def truth(self) -> TrueTextures:
+        """True textures of its object."""
+        return TrueTextures.of(self.capture, self.layout)
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.captures import Truth
-from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Bar, Column, columns, digits
 from svu_mi.bench.study import Selection, Study
 from svu_mi.calibration.light.estimate_light import estimate_light
@@ -26,7 +25,7 @@ from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
 from svu_mi.evaluation.image_metrics import psnr
-from svu_mi.geometry.texels import texels
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.light.environment import read_environment
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
@@ -43,10 +42,10 @@ TEXELS, QUICK_TEXELS = 160, 64  # per side
 
 
 @dataclass(frozen=True)
-class UnderFoundLight(CaseSubject):
+class EstimatedLightCase(CaseSubject):
     """An object under a light that is known, and not: 160 x 160 texels."""
 
-    rows = (Part("found", lambda self: self.compared()),)
+    rows = (Measurement("found", lambda self: self.compared()),)
 
     @cached_property
     def capture(self) -> Capture:
@@ -54,18 +53,17 @@ class UnderFoundLight(CaseSubject):
         return self.bench.capture(self.case, **(QUICK if self.bench.quick else PHOTOGRAPHS))
 
     @cached_property
+    def layout(self) -> Texels:
+        """Texels of its object."""
+        return texels(self.capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
+
+    @cached_property
     def observed(self) -> Observed:
-        """What they show."""
-        resolution = QUICK_TEXELS if self.bench.quick else TEXELS
-        return observe(self.capture, texels(self.capture.mesh, resolution))
+        """Observations of the texels."""
+        return observe(self.capture, self.layout)
 
     def head(self) -> Record:
         return {"cell": self.title, **self._kind()}
-
-    @cached_property
-    def truth(self) -> Truth:
-        """Its true textures."""
-        return Truth.of(self.capture, self.observed.texels)
 
     def _kind(self) -> Record:
         seen = self.observed.coverage > 0
@@ -195,7 +193,7 @@ def bars(record: Record) -> list[Bar]:
 
 def experiment(bench: BenchRun, selection: Selection) -> Experiment:
     """Return what is measured: every case under both lights."""
-    return Experiment("light", (UnderFoundLight(bench, case) for case in selection.cases), True)
+    return Experiment("light", (EstimatedLightCase(bench, case) for case in selection.cases), True)
 
 
 STUDY = Study(title="Light from the photographs themselves", experiment=experiment, bars=bars,

@@ -33,7 +33,7 @@ KINDS = {
 
 
 @dataclass(frozen=True)
-class Lit(CaseSubject):
+class PathsCase(CaseSubject):
     """A case, photographed with direct light and with all light.
 
     Attributes:
@@ -107,7 +107,7 @@ def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     first = {case.object: case for case in reversed(selection.cases)}
     count, samples, objects = QUICK if bench.quick else (TEXELS, SAMPLES, OBJECTS)
     chosen = list(first.values())[::-1][:objects]
-    subjects = (Lit(bench, case, selection.variants, count, samples) for case in chosen)
+    subjects = (PathsCase(bench, case, selection.variants, count, samples) for case in chosen)
     return Experiment("paths", subjects)
 
 

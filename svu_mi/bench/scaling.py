@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.captures import chosen_views
-from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Selection, Study
 from svu_mi.bench.timing import allocated_mib, run, spread
@@ -30,7 +30,7 @@ MODEL_OF = {"angular": "default", "spectrum": "spectrum"}  # with their default 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Range:
+class ScalingSizes:
     """What is varied.
 
     Attributes:
@@ -48,25 +48,25 @@ class Range:
     repeats: int = 5
 
 
-FULL = Range()
-QUICK = Range(resolutions=(64, 128, 256), views=(15, 60, 240), resolution=96,
+FULL = ScalingSizes()
+QUICK = ScalingSizes(resolutions=(64, 128, 256), views=(15, 60, 240), resolution=96,
               photographs=(24, 128), repeats=3)  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Scaled(CaseSubject):
+class ScalingCase(CaseSubject):
     """A case that is estimated at several sizes."""
 
     @property
-    def rows(self) -> tuple[Part, ...]:
+    def rows(self) -> tuple[Measurement, ...]:
         return PARTS
 
     @property
-    def sizes(self) -> Range:
+    def sizes(self) -> ScalingSizes:
         """What is varied."""
         return QUICK if self.bench.quick else FULL
 
-    def settings(self, row: Part | None) -> Any:
+    def settings(self, row: Measurement | None) -> Any:
         return str(self.case.scene), self.case.defines, asdict(self.sizes), row and row.label
 
     def head(self) -> Record:
@@ -88,8 +88,8 @@ class Scaled(CaseSubject):
         return {"method": method, "what": what, **timings}
 
 
-def _part(method: str, what: str) -> Part:
-    return Part(f"{method}, {what}", lambda subject: subject.curve(method, what))
+def _part(method: str, what: str) -> Measurement:
+    return Measurement(f"{method}, {what}", lambda subject: subject.curve(method, what))
 
 
 PARTS = tuple(_part(method, what) for method in MODEL_OF for what in ("texels", "views"))
@@ -194,7 +194,7 @@ def _tables(record: Record) -> list[str]:
 
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
-    return Experiment("scaling", [Scaled(bench, selection.cases[0])])
+    return Experiment("scaling", [ScalingCase(bench, selection.cases[0])])
 
 
 STUDY = Study(title="Scaling of an estimate", experiment=_experiment, tables=_tables,

@@ -17,9 +17,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.bench.captures import Truth, chosen_views, nearest_to_front, some_views, uneven_views
+from svu_mi.bench.captures import (
+    TrueTextures,
+    chosen_views,
+    even_views,
+    nearest_to_front,
+    uneven_views,
+)
 from svu_mi.bench.cases import Case, chosen_cases
-from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
@@ -32,7 +38,7 @@ from svu_mi.posterior.observations import observe
 from svu_mi.recovery.inpaint.fill import fill
 from svu_mi.recovery.recover import Recovery, recover
 from svu_mi.recovery.relighting import path_length, relight_draws
-from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField, texture_field
+from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField, texture_field
 
 RELIT_CASES, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
 FRONT_VIEWS, BACK_VIEWS = 18, 4
@@ -46,7 +52,7 @@ WIDTH = 1.645  # standard deviations of a normal distribution that 90 % lie with
 
 
 @dataclass(frozen=True)
-class Sure(CaseSubject):
+class SurenessCase(CaseSubject):
     """A case whose textures are recovered, with how sure they are.
 
     Attributes:
@@ -57,10 +63,10 @@ class Sure(CaseSubject):
     others: Sequence[Case]
 
     @property
-    def rows(self) -> tuple[Part, ...]:
+    def rows(self) -> tuple[Measurement, ...]:
         return PARTS if self.others else PARTS[:-1]
 
-    def settings(self, row: Part | None) -> Any:
+    def settings(self, row: Measurement | None) -> Any:
         lights = [(str(one.scene), one.defines) for one in self.others]
         return super().settings(row), lights, RELIT_CASES, LIGHTS, VIEWS, SPP, DRAWS
 
@@ -70,8 +76,8 @@ class Sure(CaseSubject):
         return _recovered(self._some(self.capture), self.layout)
 
     def textures(self) -> Record:
-        """Return what ``held`` says of all texels that a photograph shows."""
-        return held(*self.textures_and_field, Truth.of(self.capture, self.layout))
+        """Return ``interval_coverage`` of all texels that a photograph shows."""
+        return interval_coverage(*self.textures_and_field, self.truth)
 
     def shared(self) -> Record:
         """Return the same with a prior in common, from photographs mostly from one side."""
@@ -79,22 +85,23 @@ class Sure(CaseSubject):
         front, back = (max(int(scale * count), 1) for count in (FRONT_VIEWS, BACK_VIEWS))
         uneven = uneven_views(self.capture, front, back)
         recovered = _recovered(uneven, self.layout, sharing=True)
-        return held(*recovered, Truth.of(self.capture, self.layout))
+        return interval_coverage(*recovered, self.truth)
 
     def filled(self) -> Record:
         """Return what filling gains where a third of the surface is never seen: ``psnr_before``,
         ``psnr`` (dB, average texture PSNR of these texels), ``held`` by parameter, ``likeness``."""
-        layout, truth = self.layout, Truth.of(self.capture, self.layout)
+        layout, truth = self.layout, self.truth
         recovery, field = _recovered(_hiding(self.capture, layout), layout)
         seen = recovery.coverage > 0
         filled = fill(field, seen)
-        held = {}
+        shares = {}
         for name in NAMES:
-            low, high = (end[~seen] for end in filled.field.interval(name, LEVEL))
+            low, high = (end[~seen] for end in filled.field.interval(name, INTERVAL_MASS))
             true = np.asarray(truth.values[name], np.float64)[~seen]
-            held[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
+            shares[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
         return {
-            "hidden": float((~seen).mean()), "held": held, "repeats": self.case.object in REPEATING,
+            "hidden": float((~seen).mean()), "held": shares,
+            "repeats": self.case.object in REPEATING,
             "likeness": {name: words.split(",")[0] for name, words in filled.likeness.items()},
             "psnr_before": truth.psnr(recovery.textures, ~seen)["average"],
             "psnr": truth.psnr(filled.textures, ~seen)["average"],
@@ -108,19 +115,23 @@ class Sure(CaseSubject):
         for other in self.others:
             scene = load_scene(other.scene, other.defines)
             shape = find_shape(scene, self.capture.shape.id(), str(other.scene))
-            lit = replace(some_views(self.capture, VIEWS), scene=scene, shape=shape, mesh=shape)
+            lit = replace(even_views(self.capture, VIEWS), scene=scene, shape=shape, mesh=shape)
             start = time.perf_counter()
             relit = relight_draws(lit, recovery.textures, draws, spp=SPP)
             taken = time.perf_counter() - start
-            records.append({"seconds": taken, **pixels_held(relit, _truth(lit))})
+            records.append({"seconds": taken, **pixel_coverage(relit, _truth(lit))})
         return {name: float(np.mean([one[name] for one in records])) for name in records[0]}
 
     def _some(self, capture: Capture) -> Capture:
-        return some_views(capture, min(self.bench.sizes.recovery.even_views, capture.count))
+        return even_views(capture, min(self.bench.sizes.recovery.even_views, capture.count))
 
 
-PARTS = (Part("textures", Sure.textures), Part("shared", Sure.shared),
-         Part("filled", Sure.filled), Part("pictures", Sure.pictures))  # fmt: skip
+PARTS = tuple(
+    Measurement(measure.__name__, measure)
+    for measure in (
+        SurenessCase.textures, SurenessCase.shared, SurenessCase.filled, SurenessCase.pictures,
+    )
+)  # fmt: skip
 
 
 def _hiding(capture: Capture, layout: Texels) -> Capture:
@@ -144,13 +155,13 @@ def _recovered(
     return recovery, texture_field(recovery, mesh=capture.mesh)
 
 
-def held(recovery: Recovery, field: TextureField, truth: Truth) -> Record:
+def interval_coverage(recovery: Recovery, field: TextureField, truth: TrueTextures) -> Record:
     """Return ``held``, the part of texels whose interval holds the truth, by parameter, and
     ``spearman`` of standard deviations and errors of all values together."""
     seen = recovery.coverage > 0
     shares, sds, errors = {}, [], []
     for name in NAMES:
-        low, high = (end[seen] for end in field.interval(name, LEVEL))
+        low, high = (end[seen] for end in field.interval(name, INTERVAL_MASS))
         true = np.asarray(truth.values[name], np.float64)[seen]
         shares[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
         value = np.asarray(recovery.textures.at(field.texels, name), np.float64)[seen]
@@ -168,7 +179,7 @@ def _truth(capture: Capture) -> list[np.ndarray]:
     return pictures.traced(capture.scene, integrator, everything, SPP)
 
 
-def pixels_held(views: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
+def pixel_coverage(views: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
     """Compare pictures with the truth, pixels of the object only."""
     sds, errors, inside = [], [], []
     squares = np.zeros(2)
@@ -220,11 +231,11 @@ def find_bars(record: Record) -> list[Bar]:
 def _bars_of_filling(filled: Sequence[Record]) -> list[Bar]:
     gains = [one["psnr"] - one["psnr_before"] for one in filled]
     repeating = [gain for gain, one in zip(gains, filled, strict=True) if one["repeats"]]
-    held = float(np.mean([list(one["held"].values()) for one in filled]))
+    interval_coverage = float(np.mean([list(one["held"].values()) for one in filled]))
     bars = [
         Bar("filled: texture PSNR over spreading, worst cell", min(gains), -0.1, "dB", True),
-        Bar("filled: intervals hold", held, 0.80, least=True),
-        Bar("filled: intervals hold", held, 0.97),
+        Bar("filled: intervals hold", interval_coverage, 0.80, least=True),
+        Bar("filled: intervals hold", interval_coverage, 0.97),
     ]
     if repeating:
         title = "filled: texture PSNR over spreading, mean of objects that repeat"
@@ -272,8 +283,8 @@ def tables(record: Record) -> list[str]:
     ]
 
 
-def _whole(held: dict[str, float]) -> float:
-    return float(np.mean(list(held.values())))
+def _whole(interval_coverage: dict[str, float]) -> float:
+    return float(np.mean(list(interval_coverage.values())))
 
 
 def _mean(values: Sequence[float]) -> float | None:
@@ -296,7 +307,7 @@ def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
         others: list[Case] = []
         if number % max(len(selection.cases) // RELIT_CASES, 1) == 0:
             others = _others(case, selection.data, bench.folder)
-        subjects.append(Sure(bench, case, others))
+        subjects.append(SurenessCase(bench, case, others))
     return Experiment("sureness", subjects)
 
 

@@ -42,7 +42,7 @@ class Timed:
     runs: int = 1
 
 
-def once(function: Callable[[], Any]) -> Timed:
+def time_once(function: Callable[[], Any]) -> Timed:
     """Run a function that returns a result with ``timings``."""
     dr.sync_thread()
     compiled, start = compiled_kernels(), time.perf_counter()
@@ -52,19 +52,19 @@ def once(function: Callable[[], Any]) -> Timed:
     return Timed(result, seconds, dict(result.timings), compiled_kernels() - compiled)
 
 
-def warm(function: Callable[[], Any], repeats: int = 1, long_s: float = math.inf) -> Timed:
+def time_warm(function: Callable[[], Any], repeats: int = 1, long_s: float = math.inf) -> Timed:
     """Time a function whose kernels are compiled: it runs again if it had to compile some.
 
     Args:
-        function: as for ``once``.
+        function: as for ``time_once``.
         repeats: runs that count.
         long_s: a function that takes longer, in seconds, runs once, whatever it compiles.
     """
-    runs = [once(function)]
+    runs = [time_once(function)]
     if runs[0].compiled and runs[0].seconds < long_s:
-        runs = [once(function)]
+        runs = [time_once(function)]
     while len(runs) < repeats and runs[0].seconds < long_s:
-        runs.append(once(function))
+        runs.append(time_once(function))
     stages = runs[0].timings
     return Timed(
         result=runs[-1].result,

@@ -65,11 +65,11 @@ class Compare(ResultCommand):
         """Compare, write the page, and summarise it."""
         from svu_mi.capture.crop import Detail
         from svu_mi.output.compare.compare_page import write_comparison
-        from svu_mi.output.compare.differences import plan_comparison
+        from svu_mi.output.compare.differences import ComparisonPlan
 
         preset = self.preset[0] if len(self.preset) == 1 else self.preset
         size = parse_resolution(self.resolution) if self.resolution else None
-        plan = plan_comparison(
+        plan = ComparisonPlan(
             self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance
         )
         # Of the one of the two estimates that takes more.

@@ -86,7 +86,7 @@ class Import(BaseCommand):
 
     @property
     def words(self) -> list[str]:
-        """What was asked for as words of this command, but for the folder of the result."""
+        """Arguments of this command, without its output folder."""
         light = self.conversion.environment
         asked = {
             "undistort": self.undistort, **_changed_options(self.reading),

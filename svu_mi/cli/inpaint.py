@@ -81,7 +81,7 @@ class Inpaint(CaptureCommand, ResultCommand):
         from svu_mi.output.write_fill import fill_sentences, write_filled
         from svu_mi.parameters import NAMES
         from svu_mi.pipeline import estimate
-        from svu_mi.recovery.uncertainty.texture_field import field_around, weights_of
+        from svu_mi.recovery.uncertainty.texture_field import field_around, tv_weights
 
         textures, model = read_textures(self.recovered), self._model(progress)
         size = textures.resolution
@@ -92,7 +92,7 @@ class Inpaint(CaptureCommand, ResultCommand):
         with progress.stage("How sure the textures are"):
             used, around = recovery_settings(self.recovered), neighbors(texels, capture.mesh)
             names = used.get("parameters", NAMES)
-            field = field_around(textures, known, around, names, weights_of(used))
+            field = field_around(textures, known, around, names, tv_weights(used))
         filled = self._fill(progress, model, capture, field, known.posterior.observed)
         with progress.stage("Writing the results"):
             run = self.run_info(progress)

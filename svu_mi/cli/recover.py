@@ -17,7 +17,7 @@ from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.recovery_options import PRINTED_PRESETS
+from svu_mi.recovery.recovery_options import PAPER_PRESETS
 
 if TYPE_CHECKING:
     from svu_mi.output.interval_summary import IntervalSummary
@@ -91,7 +91,7 @@ class Recover(CaptureCommand, ResultCommand):
         opt.require_range("--seed", self.seed, 0)
         opt.require_range("--draws", self.drawn, 0, MOST_DRAWS)
         opt.require_range("--checkpoint-seconds", self.checkpoint_seconds, 0)
-        if self.drawn and self.preset in PRINTED_PRESETS:
+        if self.drawn and self.preset in PAPER_PRESETS:
             raise OptionError(
                 f"--draws needs the noise of the photographs, which --preset {self.preset} does "
                 "not estimate; omit one of them."
@@ -115,7 +115,7 @@ class Recover(CaptureCommand, ResultCommand):
         from svu_mi.output.write_recovery import DrawOptions, write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.posterior.observations import observe
-        from svu_mi.recovery.initialisation import has_field
+        from svu_mi.recovery.initialisation import supports_texture_field
         from svu_mi.recovery.recover import recover
         from svu_mi.recovery.uncertainty.texture_field import texture_field
 
@@ -132,11 +132,11 @@ class Recover(CaptureCommand, ResultCommand):
             **options,
         )  # fmt: skip
         # Beside textures by the paper's losses, the posterior of the model that they come from.
-        model = "paper" if self.preset in PRINTED_PRESETS else "default"
+        model = "paper" if self.preset in PAPER_PRESETS else "default"
         known = recovery.estimate or estimate(seen, preset=model, progress=progress)
         warn_if_too_bright(known)
         field = None
-        if has_field(known):
+        if supports_texture_field(known):
             field = texture_field(recovery, known, capture.mesh, progress=progress)
         with progress.stage("Writing the results") as stage:
             run = self.run_info(progress, progress=stage.update)
@@ -149,12 +149,12 @@ class Recover(CaptureCommand, ResultCommand):
 
     def _options(self) -> dict[str, Any]:
         """Return the options of the parts of the method."""
-        from svu_mi.recovery.recovery_options import options_of
+        from svu_mi.recovery.recovery_options import method_options
 
         for option, unused in (("steps", "path"), ("epochs", "sh")):
             if self.method == unused and getattr(self, option) is not None:
                 raise OptionError(f"--{option} has no effect with --method {unused}; omit it.")
-        options = options_of(self.method, self.preset)
+        options = method_options(self.method, self.preset)
         if (sh := options.get("sh")) and self.steps is not None:
             options["sh"] = replace(sh, descent=replace(sh.descent, steps=self.steps))
         if path := options.get("path"):

@@ -250,8 +250,8 @@ class _HypothesisLanes:
     ) -> list[Any]:
         """Add a row to the measure's sums."""
         level = row // self.mixtures
-        mixed = row_entropy.nodes(mi.Float, self._mixed, row - level * self.mixtures)
-        shared = (row_entropy.node(mi.Float, self._roughness, level), *mixed)
+        mixed = row_entropy.row_values(mi.Float, self._mixed, row - level * self.mixtures)
+        shared = (row_entropy.axis_value(mi.Float, self._roughness, level), *mixed)
         energy = dr.maximum(energy, -FAR)
         return self.measure.add(sums, self._forecast.colors.row(energy, channels, row), shared)
 
@@ -265,7 +265,7 @@ class _HypothesisLanes:
 
     def _lines(self, lobes: Lobes, mixed: Any) -> list[tuple[Any, Any]]:
         """Radiance of a row as slope and value at 0 over the base colour of each channel."""
-        how = mixture(*row_entropy.nodes(mi.Float, self._mixed, mixed))
+        how = mixture(*row_entropy.row_values(mi.Float, self._mixed, mixed))
         lines = [(dot(how.slope, x), dot(how.offset, x)) for x in lobes]
         return lines if len(lines) == self.channels else lines * self.channels
 

@@ -27,7 +27,7 @@ from svu_mi.guidance.spectral_forecast import (
     SpectrumHypotheses,
     SpectrumReduction,
 )
-from svu_mi.posterior.spectrum_kernel import Products, row_distances
+from svu_mi.posterior.spectrum_kernel import SpectrumProducts, row_distances
 
 Relight = Callable[[int], tuple[Responses, float]]
 """Number of views -> responses of all views in light band-limited for so many, and its alpha'."""
@@ -106,7 +106,7 @@ class _WeightedHypotheses(SpectrumHypotheses):
         light, both = kept[:degree], kept[degree : 2 * degree]
         super().__init__(forecast, texel, light)
         seen = dr.gather(mi.Bool, forecast.observed, texel)
-        self._known = Products(
+        self._known = SpectrumProducts(
             [dr.select(seen, x, 0) for x in light],
             [dr.select(seen, x, 0) for x in both],
             dr.select(seen, kept[-1], 0),

@@ -29,7 +29,7 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import cell_edges, cell_widths
 from svu_mi.posterior.spectrum import SpectrumKernel
-from svu_mi.posterior.tables import color_of_rows
+from svu_mi.posterior.tables import row_colors
 from svu_mi.presets import AngularPreset, AnyPreset, Preset
 
 CollectFunction = Callable[[TexelLanes, ResponseFunction, int], Responses]
@@ -131,7 +131,7 @@ def _row_truths(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarr
     prior = posterior.prior.astype(np.float32).reshape(1, -1, len(nodes), 1)
     masses = np.repeat(prior[..., 0].sum(axis=2, dtype=np.float64), len(texels), axis=0)
     colors = np.empty((*masses.shape, kernel.problem.factors.channels))
-    colors[:] = color_of_rows(prior, kernel.problem.edges)
+    colors[:] = row_colors(prior, kernel.problem.edges)
     seen = np.flatnonzero(posterior.observed[texels])
     for span in kernel.chunks(len(seen)):
         masses[seen[span]], colors[seen[span]] = kernel.rows(texels[seen[span]])

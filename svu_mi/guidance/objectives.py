@@ -20,7 +20,7 @@ import numpy as np
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior.row_entropy import nats
-from svu_mi.posterior.truncated_normal import Channel, Integrals
+from svu_mi.posterior.truncated_normal import ChannelLikelihood, ColorIntegrals
 
 UNLIKELY = 1e4  # -log of what a prior excludes: a number that float32 still adds to
 FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is about exp(0)
@@ -137,15 +137,15 @@ class VarianceMeasure:
 
 
 ChannelFields = tuple[Any, Any, Any, Any]
-"""A ``Channel``, as what Dr.Jit can carry through a branch."""
+"""A ``ChannelLikelihood``, as what Dr.Jit can carry through a branch."""
 
 
-def _channel(A: Any, B: Any, C: Any, truth: Any) -> Channel:
+def _channel(A: Any, B: Any, C: Any, truth: Any) -> ChannelLikelihood:
     """Complete the square: E = A (c - mu)^2 + C - B^2 / A."""
     A = dr.maximum(A, 1e-20)
     shift = B / A
     a = dr.sqrt(2 * A)
-    return Channel.of([a], [-a * (truth + shift)], 2 * dr.maximum(C - B * shift, 0))
+    return ChannelLikelihood.of([a], [-a * (truth + shift)], 2 * dr.maximum(C - B * shift, 0))
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,8 @@ class Colors:
             return self.copies * sum(sums[2::3]), []
         thirds = zip(sums[::3], sums[1::3], sums[2::3], truth, strict=True)
         likelihoods = [_channel(*one) for one in thirds]
-        parts = [(one.least, one.mirrored, one.mu, one.s) for one in likelihoods]
-        return self.copies * sum(one.least for one in likelihoods), parts
+        parts = [(one.min_energy, one.mirrored, one.mu, one.s) for one in likelihoods]
+        return self.copies * sum(one.min_energy for one in likelihoods), parts
 
     def row(self, energy: Any, channels: list[ChannelFields], place: Any) -> ColorMarginal:
         """Integrate over all colours of row ``place``, whose best ones have an energy."""
@@ -178,14 +178,14 @@ class Colors:
         if not channels:
             c = dr.opaque(mi.Float, float(self.edges[0]))
             return ColorMarginal(weight, mi.Float(0), [c], [mi.Float(0)])
-        integrals = [self._integrate(Channel(*one), place) for one in channels]
+        integrals = [self._integrate(ChannelLikelihood(*one), place) for one in channels]
         for mass, *_ in integrals:
             for _ in range(self.copies):
                 weight *= mass
         _, entropies, means, variances = zip(*integrals, strict=True)
         return ColorMarginal(weight, sum(entropies) / len(integrals), list(means), list(variances))
 
-    def _integrate(self, channel: Channel, place: Any) -> tuple[Any, Any, Any, Any]:
+    def _integrate(self, channel: ChannelLikelihood, place: Any) -> tuple[Any, Any, Any, Any]:
         """Mass, entropy of cells, mean and variance of a channel's colour."""
         edges, K = self.edges.tolist(), len(self.edges) - 1
         density = None
@@ -197,17 +197,19 @@ class Colors:
         elif density is None:
             # Mean and variance in double precision, which is left out where nobody asks for them.
             integrals = channel.integrate(edges)
-            mass, cells = channel.masses(edges)
+            mass, cells = channel.integrate_masses(edges)
             integrals = replace(integrals, mass=mass, cells=cells)
         else:
-            log_mass, integrals = channel.under(edges, density)
+            log_mass, integrals = channel.integrate_with_prior(edges, density)
             mass = dr.exp(log_mass)
         nats = -sum(p * dr.log(dr.maximum(p, 1e-30)) for p in integrals.cells)
         return mass, nats, integrals.mean, integrals.variance
 
 
-def _sum_over_nodes(channel: Channel, nodes: list[float], density: list[Any]) -> Integrals:
-    """Sum over some colours alone, where ``Channel.integrate`` takes all."""
+def _sum_over_nodes(
+    channel: ChannelLikelihood, nodes: list[float], density: list[Any]
+) -> ColorIntegrals:
+    """Sum over some colours alone, where ``ChannelLikelihood.integrate`` takes all."""
     best = dr.maximum(channel.mu, 0)
     p = []
     for node, prior in zip(nodes, density, strict=True):
@@ -218,7 +220,7 @@ def _sum_over_nodes(channel: Channel, nodes: list[float], density: list[Any]) ->
     cells = [x / mass for x in p]
     mean = sum(x * node for x, node in zip(cells, nodes, strict=True))
     variance = sum(x * dr.square(node - mean) for x, node in zip(cells, nodes, strict=True))
-    return Integrals(mass, cells, mean, variance)
+    return ColorIntegrals(mass, cells, mean, variance)
 
 
 def prior_tables(prior: np.ndarray, usual: np.ndarray) -> tuple[Any, Any | None]:

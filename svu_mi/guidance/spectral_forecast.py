@@ -30,7 +30,7 @@ from svu_mi.light.band_limited import Lighting
 from svu_mi.light.light_visibility import trace_mirror
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import decay
-from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
+from svu_mi.posterior.spectrum_kernel import SpectrumProducts, falloff, row_distances
 from svu_mi.presets import Preset
 
 NEGLIGIBLE = 1e-9  # probability of a truth that nothing depends on
@@ -180,7 +180,7 @@ class SpectrumHypotheses:
         """d / (2 sigma^2) - log prior of the cells of a roughness, less the truth's: Float."""
         both = [t * S for t, S in zip(truth, self._light, strict=True)]
         observed = sum(t * x for t, x in zip(truth, both, strict=True))
-        products = Products(self._light, both, observed)
+        products = SpectrumProducts(self._light, both, observed)
         energies = []
         for j, x in enumerate(row_distances(self._squares, products, self._falloff(level))):
             if self._prior is not None:

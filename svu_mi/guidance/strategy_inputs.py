@@ -23,7 +23,7 @@ from svu_mi.guidance.strategies import TABLE
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
-from svu_mi.posterior.tables import marginals_of
+from svu_mi.posterior.tables import marginals
 
 LEAST_VARIANCE = 1e-4  # of a parameter's variance that others are compared with
 
@@ -84,7 +84,7 @@ class StrategyInputs:
             # No candidate tells how bright the light is.
             posterior = replace(posterior, kernel=posterior.kernel.apart())
         present, prior = [], []
-        for name, p in marginals_of(posterior.prior, list(posterior.axes)).items():
+        for name, p in marginals(posterior.prior, list(posterior.axes)).items():
             nodes = posterior.axes[name]
             spread = np.array(posterior.sd(name), np.float64)[seen] ** 2
             # A parameter that is known has no error to lower.

@@ -14,5 +14,6 @@ a browser          ``viewer/viewer.py``            ``svu view``
 
 PNG pages are blocks of panels (``style.write_page``), drawn by ``panels.py``, also for notebooks.
 HTML pages extend ``templates/base.html`` and use the macros of ``templates/parts.html``;
-``html.py`` writes them. Report and viewer show the maps of ``surface_maps.py``.
+``html.py`` writes them. Report and viewer show the maps of ``surface_maps.py``, and ``svu compare``
+those of ``result_maps.py``.
 """

@@ -14,7 +14,7 @@ from svu_mi.errors import CaptureError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.parameters import CHANNELS
 from svu_mi.posterior.estimate import Estimate
-from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField
+from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField
 
 ENTROPY, COVERAGE, UNCERTAINTY = "entropy.exr", "coverage.exr", "uncertainty.exr"
 GUTTER = 4  # texels; enough for bilinear lookups down to a quarter of the resolution
@@ -57,10 +57,10 @@ def write_field(field: TextureField, folder: Path, attributes: Mapping[str, Any]
     """
     channels: dict[str, np.ndarray] = {}
     for name in field.names:
-        low, high = field.interval(name, LEVEL)
+        low, high = field.interval(name, INTERVAL_MASS)
         for kind, values in (("sd", field.sd(name)), ("low", low), ("high", high)):
             channels |= _channels(field, f"{name}.{kind}", values)
-    about = {**attributes, "svu:level": LEVEL, "svu:gutter": GUTTER}
+    about = {**attributes, "svu:level": INTERVAL_MASS, "svu:gutter": GUTTER}
     write_exr(folder / UNCERTAINTY, channels, about)
 
 

@@ -18,7 +18,7 @@ from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP,
 from svu_mi.parameters import PARAMETERS
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
-from svu_mi.recovery.uncertainty.texture_field import LEVEL, TextureField
+from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField
 
 ENDS = {"specular": ("0: no gloss", "1: mirror of all light")}  # Ks of a ``ParameterGrid``
 ENDS |= {p.name: p.ends for p in PARAMETERS.values()}
@@ -169,10 +169,10 @@ def field_maps(field: TextureField, estimate: Estimate) -> list[SurfaceMap]:
     """Return maps of how sure recovered textures are: half the widths of their intervals."""
 
     def half_width(name: str) -> np.ndarray:
-        low, high = field.interval(name, LEVEL)
+        low, high = field.interval(name, INTERVAL_MASS)
         return np.asarray((high - low).reshape(len(low), -1).max(axis=1) / 2)
 
-    label = f"half the width of the {100 * LEVEL:g} % interval"
+    label = f"half the width of the {100 * INTERVAL_MASS:g} % interval"
     return [
         SurfaceMap(
             name=f"uncertainty of recovered {label_of(name)}", estimate=estimate,

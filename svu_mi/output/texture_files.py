@@ -156,9 +156,8 @@ def require_textures_of(capture: Capture, folder: str | Path) -> None:
 
 def find_textures(folder: Path) -> dict[str, Path]:
     """Return the textures of a folder, whoever wrote them, by parameter: EXR before PNG."""
-    places = {name: [folder / f"{name}{kind}" for kind in KINDS] for name in NAMES}
-    files = {name: next(filter(Path.is_file, paths), None) for name, paths in places.items()}
-    return {name: path for name, path in files.items() if path is not None}
+    files = {name: [folder / f"{name}{kind}" for kind in KINDS] for name in NAMES}
+    return {name: file for name in NAMES for file in reversed(files[name]) if file.is_file()}
 
 
 def read_texture(path: Path, name: str) -> tuple[np.ndarray, str]:

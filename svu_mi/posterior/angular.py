@@ -32,7 +32,7 @@ HOPELESS = 1e30  # an energy beyond single precision would be infinite, its diff
 
 
 @dataclass(frozen=True)
-class Problem:
+class AngularProblem:
     """Inputs of the energy.
 
     Attributes:
@@ -67,7 +67,7 @@ class AngularKernel(CellKernel):
 
     grid: ParameterGrid | PrincipledGrid
     count: int
-    problem: Problem
+    problem: AngularProblem
 
     @property
     def groups(self) -> int:
@@ -77,7 +77,7 @@ class AngularKernel(CellKernel):
     @cached_property
     def prior(self) -> Prior:
         """The prior, the same of each channel."""
-        return Prior(row_entropy.prior_of(self.problem.prior, self.grid.shape), self.grid.axes)
+        return Prior(row_entropy.prior_table(self.problem.prior, self.grid.shape), self.grid.axes)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
         """Return the normalised entropy (see ``Kernel``)."""
@@ -87,7 +87,7 @@ class AngularKernel(CellKernel):
         """Return p of every cell and the best nodes (see ``CellKernel``)."""
         rows = self.problem.total // len(self.problem.cells)
         energies = partial(_row_energies, self.problem)
-        base, offsets = row_entropy.tables(energies, self._lane[texels], rows)
+        base, offsets = row_entropy.energy_tables(energies, self._lane[texels], rows)
         return row_entropy.probabilities(base, offsets, self.grid.shape)
 
     @cached_property
@@ -103,11 +103,11 @@ class AngularKernel(CellKernel):
 
 def angular_grid(grid: Any | None, switches: AngularPreset) -> ParameterGrid | PrincipledGrid:
     """Return the grid of a preset's parameters; default: 8 nodes each, dielectric Ks."""
-    wanted = PrincipledGrid if switches.parameters == "principled" else ParameterGrid
-    grid = wanted() if grid is None else grid
-    if not isinstance(grid, wanted):
+    kind = PrincipledGrid if switches.parameters == "principled" else ParameterGrid
+    grid = kind() if grid is None else grid
+    if not isinstance(grid, kind):
         raise OptionError(
-            f"parameters={switches.parameters!r} need a {wanted.__name__}, got {grid!r}."
+            f"parameters={switches.parameters!r} need a {kind.__name__}, got {grid!r}."
         )
     if isinstance(grid, ParameterGrid) and grid.spacing is None:
         return replace(grid, spacing="dielectric")
@@ -161,7 +161,7 @@ def angular_posterior(
     require_scale("angular_posterior()", scale)
     observed = observed_by("angular_posterior()", factors, copies, texels)
     tables = row_entropy.log_prior(prior, grid.shape, "angular_posterior()")
-    problem = Problem(
+    problem = AngularProblem(
         factors=factors,
         copies=copies,
         slots=to_drjit(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
@@ -203,7 +203,7 @@ def _listed(values: np.ndarray) -> str:
     return ", ".join(f"{value:.4g}" for value in values)
 
 
-def _row_energies(problem: Problem, lane: Any) -> row_entropy.RowEnergies:
+def _row_energies(problem: AngularProblem, lane: Any) -> row_entropy.RowEnergies:
     factors = problem.factors
     reader = factors.reader(lane)
     square = reader.weight / 2  # errors are per unit of weight
@@ -224,19 +224,19 @@ def _row_energies(problem: Problem, lane: Any) -> row_entropy.RowEnergies:
     return energies
 
 
-def _cells(problem: Problem, column: Any, U: list[Any]) -> list[Any]:
+def _cells(problem: AngularProblem, column: Any, U: list[Any]) -> list[Any]:
     """Mean squared error of every cell of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
-    nodes = [mi.Float(node) for node in row_entropy.cells(problem.cells)]
+    nodes = [mi.Float(node) for node in row_entropy.cell_values(problem.cells)]
     if problem.mixed is None:
-        return [_over_diffuse(U, paper_mixture(Ks)) for Ks in nodes]
-    how = mixture(*row_entropy.nodes(mi.Float, problem.mixed, column))
-    u, v = (apply_factor(U, x)[:-1] for x in (how.slope, how.offset))
+        return [_error_at_best_diffuse(U, paper_mixture(Ks)) for Ks in nodes]
+    mix = mixture(*row_entropy.row_values(mi.Float, problem.mixed, column))
+    u, v = (apply_factor(U, x)[:-1] for x in (mix.slope, mix.offset))
     return [_square([dr.fma(a, c, b) for a, b in zip(u, v, strict=True)], U[FLOOR]) for c in nodes]
 
 
-def _over_diffuse(U: list[Any], how: Mixture) -> Any:
-    """The same at the best Kd in [0, 1], which only the first component depends on."""
-    first, *others = apply_factor(U, how.offset)[:-1]
+def _error_at_best_diffuse(U: list[Any], mix: Mixture) -> Any:
+    """Return the error at the best Kd in [0, 1]; only the first component depends on it."""
+    first, *others = apply_factor(U, mix.offset)[:-1]
     slope = U[0]
     inverse = dr.select(slope > 0, dr.rcp(dr.select(slope > 0, slope, 1)), 0)
     first = dr.fma(slope, dr.clip(-first * inverse, 0, 1), first)

@@ -2,7 +2,7 @@
 
     log p(psi | B, L) = -sum_i w_i |r_i(psi) - b_i|^2 / (2 s^2 tau) + log p(psi)
 
-Base colour is integrated in closed form (``truncated``), all others on fine nodes (``nodes``).
+Base colour is integrated in closed form (``truncated_normal``), others on nodes (``quadrature``).
 Probabilities and entropy (Eq. 5) are those of the integrated masses of a grid's cells.
 """
 
@@ -23,7 +23,7 @@ from svu_mi.errors import ShapeError
 from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import row_entropy
-from svu_mi.posterior.calibrated_problem import Problem
+from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest
 from svu_mi.posterior.kernel import Kernel, Pair, Prior, observed_by, require_scale
@@ -32,7 +32,7 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import (
     COLOR_PARTS,
     MIXED_PARTS,
-    Product,
+    ProductAxis,
     cell_edges,
     cell_widths,
     mixed_axis,
@@ -51,10 +51,10 @@ FEWEST = 4  # levels of roughness that a spline goes through
 class CalibratedPrior(Prior):
     """Prior with a density within cells."""
 
-    problem: Problem
+    problem: CalibratedProblem
 
     @staticmethod
-    def of(problem: Problem, grid: PrincipledGrid) -> CalibratedPrior:
+    def of(problem: CalibratedProblem, grid: PrincipledGrid) -> CalibratedPrior:
         """Take the mean over channels for the cells, (R, M ..., K) float64."""
         return CalibratedPrior(
             prior_tables(problem).mean(axis=3).reshape(grid.shape), grid.axes, problem
@@ -119,7 +119,7 @@ class CalibratedKernel(Kernel):
     """
 
     grid: PrincipledGrid
-    problem: Problem
+    problem: CalibratedProblem
     noise: np.ndarray
     learned: bool = False
     common: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -136,7 +136,7 @@ class CalibratedKernel(Kernel):
         return CalibratedPrior.of(self.problem, self.grid)
 
     @cached_property
-    def summary(self) -> kernel.Summary:
+    def summary(self) -> kernel.PosteriorSummary:
         """Entropy, moments and best cells of the S texels."""
         return kernel.summarize(self.problem)
 
@@ -159,14 +159,14 @@ class CalibratedKernel(Kernel):
 
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
         """Return p of every cell (see ``Kernel``)."""
-        p = kernel.tables(self.problem, self.lane[texels])
+        p = kernel.cell_probabilities(self.problem, self.lane[texels])
         p = np.repeat(p, self.problem.copies, -1) if self.problem.copies > 1 else p
         return p.reshape(len(p), *self.grid.shape, -1)
 
     def rows(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return masses and colours of cells of all other parameters (``calibrated_kernel.rows``),
         of a few texels."""
-        return kernel.rows(self.problem, self.lane[texels])
+        return kernel.row_masses_and_colors(self.problem, self.lane[texels])
 
     def best(self, texels: np.ndarray) -> np.ndarray:
         """Return the most probable nodes (see ``Kernel``)."""
@@ -199,7 +199,7 @@ class CalibratedKernel(Kernel):
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
         """Return half the widths of intervals (see ``Kernel``)."""
         problem = self.problem
-        alone = problem.factors.channels == 1 or problem.given is not None or any(self.common)
+        alone = problem.factors.channels == 1 or problem.color_prior is not None or any(self.common)
         if name != "base_color" or alone:
             return super().half_widths(name, level, texels)
         widest = self.moments(name, texels)[1].argmax(axis=1)
@@ -317,10 +317,10 @@ def _require_levels(levels: np.ndarray, nodes: np.ndarray) -> None:
 def _problem(
     factors: Factors, grid: PrincipledGrid, switches: AngularPreset, prior: Any | None,
     copies: int,
-) -> Problem:  # fmt: skip
+) -> CalibratedProblem:  # fmt: skip
     """Everything but the noise."""
     r = uniform_axis(grid.roughness_nodes, switches.parts)
-    mixed = Product(tuple(
+    mixed = ProductAxis(tuple(
         mixed_axis(grid.axes[name], MIXED_PARTS, switches.metals * PARAMETERS[name].extremes)
         for name in MIXED
     ))  # fmt: skip
@@ -334,19 +334,19 @@ def _problem(
         width = cell_widths(edges)
         given = to_drjit(mi.Float, (np.exp(-tables[1]).reshape(-1, len(width)) / width).ravel())
         possible = rows.reshape(r.cells, -1) < row_entropy.IMPOSSIBLE
-        r = r.only(np.any(possible, axis=1))
+        r = r.subset(np.any(possible, axis=1))
     empty = dr.zeros(mi.Float, factors.count)
-    return Problem(factors, copies, r, mixed, edges, rows, given, empty, empty)
+    return CalibratedProblem(factors, copies, r, mixed, edges, rows, given, empty, empty)
 
 
 def _with_noise(
-    problem: Problem, switches: AngularPreset, scale: float, rounding: np.ndarray | None
-) -> tuple[Problem, np.ndarray]:
+    problem: CalibratedProblem, switches: AngularPreset, scale: float, rounding: np.ndarray | None
+) -> tuple[CalibratedProblem, np.ndarray]:
     """Estimate the noise of every texel, and measure energies in it; returns s, too."""
     factors = problem.factors
     # Opaque: as a literal, every capture would compile a kernel of its own.
     unit = dr.opaque(mi.Float, 1 / scale, factors.count)
-    rest = np.array(kernel.least(replace(problem, scale=unit)), np.float64)  # over unit^2
+    rest = np.array(kernel.min_energy(replace(problem, scale=unit)), np.float64)  # over unit^2
     unexplained, weight = factors.residuals()
     both = 2 * rest + problem.copies * unexplained / scale**2
     variance = noise_variance(
@@ -357,21 +357,25 @@ def _with_noise(
     energy_scale = weight / (variance * switches.overdispersion)
     problem = replace(
         problem, scale=to_drjit(mi.Float, np.sqrt(energy_scale) / scale),
-        least=to_drjit(mi.Float, energy_scale * rest),
+        min_energy=to_drjit(mi.Float, energy_scale * rest),
     )  # fmt: skip
-    if problem.given is not None:  # which may contradict the likelihood by any number of nats
-        above = kernel.least(problem, excess=True)
-        problem = replace(problem, least=problem.least + above)
-        dr.eval(problem.least)
+    if problem.color_prior is not None:  # which may contradict the likelihood by any number of nats
+        above = kernel.min_energy(problem, excess=True)
+        problem = replace(problem, min_energy=problem.min_energy + above)
+        dr.eval(problem.min_energy)
     return problem, scale * np.sqrt(variance)
 
 
-def prior_tables(problem: Problem) -> np.ndarray:
+def prior_tables(problem: CalibratedProblem) -> np.ndarray:
     """Return the prior probability of every cell by channel, (R, M, K, C) float64, of sum 1."""
     shape = (*problem.shape[:2], problem.tables, problem.shape[2])
     rows = np.exp(-problem.rows).reshape(*shape[:2], 1, 1)
     width = cell_widths(problem.edges)
-    given = np.ones(shape) if problem.given is None else problem.given.numpy().reshape(shape)
+    given = (
+        np.ones(shape)
+        if problem.color_prior is None
+        else problem.color_prior.numpy().reshape(shape)
+    )
     masses = np.moveaxis(rows * given * width, 2, 3)
     masses = masses / masses.sum(axis=(0, 1, 2))
     return np.repeat(masses, problem.factors.channels // problem.tables, axis=3)

@@ -1,6 +1,6 @@
-"""Integrals over the parameters of a texel: entropy, moments, marginals, probabilities, draws.
+"""Posterior integrals of a texel: entropy, moments, marginals, probabilities, draws.
 
-Each is one walk over the nodes of all but base colour (``walk``).
+Each is one pass over the nodes of all other parameters (``node_integration``).
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ import numpy as np
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.parameters import MIXED
-from svu_mi.posterior.calibrated_problem import Problem
-from svu_mi.posterior.node_integration import Node, Walker
-from svu_mi.posterior.quadrature import Axis
-from svu_mi.posterior.tables import color_of_rows
+from svu_mi.posterior.calibrated_problem import CalibratedProblem
+from svu_mi.posterior.node_integration import Node, NodeIntegrator
+from svu_mi.posterior.quadrature import QuadratureAxis
+from svu_mi.posterior.tables import row_colors
 from svu_mi.statistics.texel_blocks import BLOCK, block_size, texel_offset
 
 
-def least(problem: Problem, *, excess: bool = False) -> Any:
-    """Return the energy of the best node, (S,) Float; or its ``excess`` over ``problem.least``."""
-    walker, columns = Walker(problem), dr.opaque(mi.UInt32, problem.mixed.count)
+def min_energy(problem: CalibratedProblem, *, excess: bool = False) -> Any:
+    """Return the energy of the best node, (S,) Float; ``excess``: over ``problem.min_energy``."""
+    integrator, columns = NodeIntegrator(problem), dr.opaque(mi.UInt32, problem.mixed.count)
     nodes = dr.opaque(mi.UInt32, problem.roughness.count)
 
     def of_row(row: Any, best: Any) -> tuple[Any, Any]:
-        U = walker.entries(row)
+        U = integrator.entries(row)
 
         def of_column(column: Any, best: Any) -> tuple[Any, Any]:
             if excess:
-                return column + 1, walker.excess(U, row, column, best)
-            return column + 1, dr.minimum(best, walker.energy(U, column))
+                return column + 1, integrator.excess(U, row, column, best)
+            return column + 1, dr.minimum(best, integrator.energy(U, column))
 
         inner = dr.while_loop((mi.UInt32(0), best), lambda k, _: k < columns, of_column)
         return row + 1, inner[1]
@@ -44,8 +44,8 @@ def least(problem: Problem, *, excess: bool = False) -> Any:
 
 
 @dataclass(frozen=True)
-class Summary:
-    """Results of one walk over all nodes of S texels.
+class PosteriorSummary:
+    """Results of one pass over all nodes of S texels.
 
     Attributes:
         entropy: (S,) Float, nats, of the masses of the cells; mean over channels.
@@ -64,17 +64,17 @@ class Summary:
 
 
 @dataclass
-class Moments:
+class MomentSums:
     """Sums of parameters and of their squares over nodes, Float64 for each parameter."""
 
     sums: list[Any]
     squares: list[Any]
 
     @staticmethod
-    def zeros(number: int, count: int) -> Moments:
-        """Begin with so many parameters of so many lanes."""
+    def zeros(number: int, count: int) -> MomentSums:
+        """Start with zero sums of ``number`` parameters in ``count`` lanes."""
         first, second = ([dr.zeros(mi.Float64, count) for _ in range(number)] for _ in range(2))
-        return Moments(first, second)
+        return MomentSums(first, second)
 
     def add(self, weight: Any, values: list[tuple[Any, Any]]) -> None:
         """Add a node, of which each parameter has a mean and a mean square."""
@@ -101,12 +101,12 @@ class BestCell:
 
     @staticmethod
     def zeros(channels: int, count: int) -> BestCell:
-        """Begin with none."""
+        """Start without a cell."""
         row, *colors = (dr.zeros(mi.UInt32, count) for _ in range(1 + channels))
         return BestCell(dr.zeros(mi.Float, count), row, colors)
 
     def add(self, mass: Any, row: Any, colors: list[Any]) -> None:
-        """Compare with another."""
+        """Replace the best cell by one of larger mass."""
         more = mass > self.mass
         self.colors = [dr.select(more, new, old)
                        for new, old in zip(colors, self.colors, strict=True)]  # fmt: skip
@@ -126,13 +126,13 @@ class CellMasses:
     logs: Any
 
     @staticmethod
-    def zeros(problem: Problem, count: int) -> CellMasses:
-        """Begin with empty cells."""
+    def zeros(problem: CalibratedProblem, count: int) -> CellMasses:
+        """Start with empty cells."""
         _, of_column, of_color = problem.shape
         number = of_column * problem.factors.channels * of_color
-        return CellMasses(cleared(number), dr.zeros(mi.Float, count))
+        return CellMasses(zeroed_memory(number), dr.zeros(mi.Float, count))
 
-    def add(self, problem: Problem, node: Node) -> None:
+    def add(self, problem: CalibratedProblem, node: Node) -> None:
         """Add a node to its cells."""
         of_color = problem.shape[2]
         of_row = problem.factors.channels * of_color
@@ -142,17 +142,17 @@ class CellMasses:
                 place = column + (channel * of_color + k)
                 self.memory[place] = self.memory[place] + node.weight * part
 
-    def finish_row(self, problem: Problem, row: Any, best: BestCell) -> tuple[Any, Any]:
-        """Empty all cells if a node of roughness is the last of its cell, and compare them."""
+    def finish_row(self, problem: CalibratedProblem, row: Any, best: BestCell) -> tuple[Any, Any]:
+        """At the last node of a cell of roughness, empty its cells and update the best one."""
         channels, of_color = problem.factors.channels, dr.opaque(mi.UInt32, problem.shape[2])
         end = dr.gather(mi.UInt32, problem.nodes.last, row)
         first = dr.gather(mi.UInt32, problem.nodes.row, row) * problem.shape[1]
 
         def of_column(column: Any, cells: CellMasses, best: BestCell) -> tuple[Any, ...]:
             places = [(column * channels + channel) * of_color for channel in range(channels)]
-            found = [cells.finish(place, of_color) for place in places]
+            finished = [cells.finish(place, of_color) for place in places]
             # All channels have the same total.
-            best.add(found[0][0], first + column, [color for _, color in found])
+            best.add(finished[0][0], first + column, [color for _, color in finished])
             return column + 1, cells, best
 
         return dr.while_loop(
@@ -160,9 +160,9 @@ class CellMasses:
         )[1:]
 
     def finish(self, place: Any, number: Any) -> tuple[Any, Any]:
-        """Empty so many cells; return the sum of their masses, and which has most."""
+        """Empty ``number`` cells; return the sum of their masses and the index of the largest."""
 
-        def take(k: Any, cells: CellMasses, total: Any, top: Any, best: Any) -> tuple[Any, ...]:
+        def add_cell(k: Any, cells: CellMasses, total: Any, top: Any, best: Any) -> tuple[Any, ...]:
             a = cells.memory[place + k]
             cells.memory[place + k] = mi.Float(0)
             cells.logs = dr.fma(a, dr.log(dr.maximum(a, 1e-37)), cells.logs)
@@ -170,36 +170,36 @@ class CellMasses:
 
         count = dr.width(self.logs)
         zero, none = dr.zeros(mi.Float, count), dr.zeros(mi.UInt32, count)
-        _, found, total, _, best = dr.while_loop(
-            (mi.UInt32(0), self, zero, zero, none), lambda k, *_: k < number, take
+        _, cells, total, _, best = dr.while_loop(
+            (mi.UInt32(0), self, zero, zero, none), lambda k, *_: k < number, add_cell
         )
-        self.memory, self.logs = found.memory, found.logs
+        self.memory, self.logs = cells.memory, cells.logs
         return total, best
 
 
 @dataclass
-class Sums:
+class SummarySums:
     """Sums of ``summarize``: of the present node and cell of roughness, and of all finished."""
 
     cells: CellMasses
     of_row: Any
     total: Any
-    roughness: Moments
-    others: Moments
+    roughness: MomentSums
+    others: MomentSums
     best: BestCell
 
     @staticmethod
-    def zeros(problem: Problem) -> Sums:
-        """Begin with nothing."""
+    def zeros(problem: CalibratedProblem) -> SummarySums:
+        """Start with zero sums."""
         count, channels = problem.factors.count, problem.factors.channels
-        others = Moments.zeros(len(problem.nodes.columns) + channels, count)
-        return Sums(
+        others = MomentSums.zeros(len(problem.nodes.columns) + channels, count)
+        return SummarySums(
             CellMasses.zeros(problem, count), dr.zeros(mi.Float, count),
-            dr.zeros(mi.Float64, count), Moments.zeros(1, count), others,
+            dr.zeros(mi.Float64, count), MomentSums.zeros(1, count), others,
             BestCell.zeros(channels, count),
         )  # fmt: skip
 
-    def add(self, problem: Problem, node: Node) -> None:
+    def add(self, problem: CalibratedProblem, node: Node) -> None:
         """Add a node."""
         self.cells.add(problem, node)
         self.of_row = self.of_row + node.weight
@@ -209,7 +209,7 @@ class Sums:
             values.append((mean, dr.fma(mean, mean, mi.Float64(color.variance))))
         self.others.add(node.weight, values)
 
-    def finish_row(self, problem: Problem, row: Any) -> None:
+    def finish_row(self, problem: CalibratedProblem, row: Any) -> None:
         """Add the mass of a node of roughness."""
         self.total = self.total + mi.Float64(self.of_row)
         self.roughness.add(self.of_row, [problem.nodes.rows.moments(row)])
@@ -217,50 +217,52 @@ class Sums:
         self.cells, self.best = self.cells.finish_row(problem, row, self.best)
 
 
-def summarize(problem: Problem) -> Summary:
-    """Walk once over all nodes of all texels."""
+def summarize(problem: CalibratedProblem) -> PosteriorSummary:
+    """Integrate once over all nodes of all texels."""
 
-    def visit(node: Node, sums: Sums) -> tuple[Sums]:
+    def visit(node: Node, sums: SummarySums) -> tuple[SummarySums]:
         sums.add(problem, node)
         return (sums,)
 
-    def row_ends(row: Any, sums: Sums) -> tuple[Sums]:
+    def end_row(row: Any, sums: SummarySums) -> tuple[SummarySums]:
         sums.finish_row(problem, row)
         return (sums,)
 
-    (sums,) = Walker(problem).over_all(visit, (Sums.zeros(problem),), row_ends)
+    (sums,) = NodeIntegrator(problem).fold_all(visit, (SummarySums.zeros(problem),), end_row)
     total = dr.select(sums.total > 0, sums.total, 1)
     roughness, others = sums.roughness.finish(total), sums.others.finish(total)
     mean, sd = (roughness[k] + others[k] for k in range(2))
     total = mi.Float(total)
     entropy = dr.log(total) - sums.cells.logs / (total * problem.factors.channels)
     dr.eval(entropy, total, mean, sd, sums.best)
-    return Summary(entropy, total, mean, sd, sums.best.row, sums.best.colors)
+    return PosteriorSummary(entropy, total, mean, sd, sums.best.row, sums.best.colors)
 
 
-def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
+def cell_probabilities(problem: CalibratedProblem, chosen: np.ndarray) -> np.ndarray:
     """Return cell masses of t texels, (t, R, M, K, C) float32, of sum 1 per texel and channel."""
     rows, of_column, of_color = problem.shape
     shape = (len(chosen), rows, of_column, problem.factors.channels, of_color)
-    found = _cell_masses(problem, chosen).numpy().reshape(shape)
-    total = found.sum(axis=(1, 2, 4), keepdims=True, dtype=np.float64)
-    found = found * (1 / np.where(total > 0, total, 1)).astype(np.float32)
-    return np.moveaxis(found, 3, 4)
+    masses = _cell_masses(problem, chosen).numpy().reshape(shape)
+    total = masses.sum(axis=(1, 2, 4), keepdims=True, dtype=np.float64)
+    masses = masses * (1 / np.where(total > 0, total, 1)).astype(np.float32)
+    return np.moveaxis(masses, 3, 4)
 
 
-def rows(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the masses of ``tables`` summed over base colour, not normalised, (t, R M) float64;
-    and the colour that stands for each (``color_of_rows``), (t, R M, C) float64."""
+def row_masses_and_colors(
+    problem: CalibratedProblem, chosen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return unnormalised masses of cells of all but base colour, (t, R M) float64, and their
+    mean colours (``row_colors``), (t, R M, C) float64."""
     shape = (len(chosen), -1, problem.factors.channels, problem.shape[2])
-    found = _cell_masses(problem, chosen).numpy().reshape(shape)
+    masses = _cell_masses(problem, chosen).numpy().reshape(shape)
     # All channels have the same masses.
-    masses = np.einsum("trk->tr", found[:, :, 0], dtype=np.float64)
-    return masses, color_of_rows(np.moveaxis(found, 2, 3), problem.edges)
+    totals = np.einsum("trk->tr", masses[:, :, 0], dtype=np.float64)
+    return totals, row_colors(np.moveaxis(masses, 2, 3), problem.edges)
 
 
-def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
+def _cell_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
     """Return the masses of all cells of some texels, not normalised: (t R M C K,) Float."""
-    masses, first = _walked(problem, chosen)
+    masses, first = _row_cell_masses(problem, chosen)
     size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
     result = dr.empty(mi.Float, len(chosen) * problem.shape[0] * size_of_row)  # all is written
     result = _write(masses, size_of_row, result, first * size_of_row)
@@ -268,27 +270,27 @@ def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
     return result
 
 
-def _walked(problem: Problem, chosen: np.ndarray) -> tuple[Any, Any]:
-    """Return masses in local memory and cell numbers of some texels; a lane per roughness cell."""
+def _row_cell_masses(problem: CalibratedProblem, chosen: np.ndarray) -> tuple[Any, Any]:
+    """Return masses in local memory and cell indices; one lane per texel and roughness cell."""
     rows, nodes = problem.shape[0], problem.nodes
     launch = dr.arange(mi.UInt32, len(chosen) * rows)
     # A packet is about one cell of roughness of many texels, which leave out the same nodes.
     number = dr.opaque(mi.UInt32, len(chosen))
     texel, cell = launch % number, launch // number
-    walker = Walker(problem, dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), texel))
+    integrator = NodeIntegrator(problem, dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), texel))
 
     def visit(node: Node, masses: CellMasses) -> tuple[CellMasses]:
         masses.add(problem, node)
         return (masses,)
 
-    (masses,) = walker.over_rows(
+    (masses,) = integrator.fold_rows(
         dr.gather(mi.UInt32, nodes.first, cell), dr.gather(mi.UInt32, nodes.first, cell + 1),
         visit, (CellMasses.zeros(problem, 1),),
     )  # fmt: skip
     return masses.memory, texel * dr.opaque(mi.UInt32, rows) + cell
 
 
-def node_masses(problem: Problem, name: str, chosen: np.ndarray) -> Any:
+def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> Any:
     """Return unnormalised masses of a parameter's N nodes: a Float in blocks, N rows, t texels."""
     number, place = problem.axis(name).count, None
     if name in MIXED:
@@ -300,19 +302,22 @@ def node_masses(problem: Problem, name: str, chosen: np.ndarray) -> Any:
         masses[k] = masses[k] + node.weight
         return (masses,)
 
-    walker = Walker(problem, to_drjit(mi.UInt32, chosen))
-    (masses,) = walker.over_all(visit, (cleared(number),))
-    return _in_blocks(masses, number, len(chosen))
+    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen))
+    (masses,) = integrator.fold_all(visit, (zeroed_memory(number),))
+    return _to_blocks(masses, number, len(chosen))
 
 
 def color_masses(
-    problem: Problem, parts: Axis, chosen: np.ndarray, channel: np.ndarray | None = None
+    problem: CalibratedProblem,
+    parts: QuadratureAxis,
+    chosen: np.ndarray,
+    channel: np.ndarray | None = None,
 ) -> list[Any]:
     """Return the masses of K parts of base colour (see ``node_masses``), for each channel, or for
     one of each texel, ``channel`` (t,) int64, where the prior leaves colours alike."""
     edges = np.append(parts.low, parts.high[-1])
     only = None if channel is None else to_drjit(mi.UInt32, channel.astype(np.uint32))
-    walker = Walker(problem, to_drjit(mi.UInt32, chosen), edges, only)
+    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen), edges, only)
     K, channels = parts.count, problem.factors.channels if only is None else 1
 
     def visit(node: Node, masses: Any) -> tuple[Any]:
@@ -321,42 +326,42 @@ def color_masses(
                 masses[number * K + k] = masses[number * K + k] + node.weight * part
         return (masses,)
 
-    (masses,) = walker.over_all(visit, (cleared(channels * K),))
-    found = [_in_blocks(masses, K, len(chosen), number * K) for number in range(channels)]
-    dr.eval(found)
-    return found
+    (masses,) = integrator.fold_all(visit, (zeroed_memory(channels * K),))
+    blocks = [_to_blocks(masses, K, len(chosen), number * K) for number in range(channels)]
+    dr.eval(blocks)
+    return blocks
 
 
 def draw(
-    problem: Problem, lanes: np.ndarray, total: Any, random: list[Any]
+    problem: CalibratedProblem, lanes: np.ndarray, total: Any, random: list[Any]
 ) -> tuple[list[Any], list[Any]]:
     """Draw roughness, the mixing parameters, and base colour by channel of t texels: Floats (t,).
 
     ``random`` are Floats (t,) in [0, 1): one, one for each mixing parameter, two per channel.
     """
-    walker = Walker(problem, to_drjit(mi.UInt32, lanes.astype(np.uint32)))
+    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, lanes.astype(np.uint32)))
     nodes, count = problem.nodes, len(lanes)
-    wanted = random[0] * total
+    target = random[0] * total
 
     def visit(node: Node, below: Any, row: Any, column: Any) -> tuple[Any, ...]:
-        here = below <= wanted
-        return (below + node.weight, dr.select(here, node.row, row),
-                dr.select(here, node.column, column))  # fmt: skip
+        at_or_below = below <= target
+        return (below + node.weight, dr.select(at_or_below, node.row, row),
+                dr.select(at_or_below, node.column, column))  # fmt: skip
 
     zero = dr.zeros(mi.UInt32, count)
-    _, row, column = walker.over_all(visit, (dr.zeros(mi.Float, count), zero, zero))
+    _, row, column = integrator.fold_all(visit, (dr.zeros(mi.Float, count), zero, zero))
     dr.eval(row, column)
     places = [(nodes.rows, row), *((values, column) for values in nodes.columns)]
-    colors = walker.colors_at(row, column, random[1 + len(places) :])
+    colors = integrator.draw_colors(row, column, random[1 + len(places) :])
     shared = [
-        values.anywhere(place, u)
+        values.sample(place, u)
         for (values, place), u in zip(places, random[1 : 1 + len(places)], strict=True)
     ]
     dr.eval(colors, shared)
     return shared, colors
 
 
-def cleared(number: int) -> Any:
+def zeroed_memory(number: int) -> Any:
     """Return zeroed local memory, written in a loop (Dr.Jit 1.5 unrolls a literal start).
 
     The loop's end is a literal: otherwise Dr.Jit 1.5 reuses a kernel of another size.
@@ -370,7 +375,7 @@ def cleared(number: int) -> Any:
     return dr.while_loop(start, lambda k, _: k < number, clear)[1]
 
 
-def _in_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:
+def _to_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:
     """Return local memory in blocks, written within the kernel that computes it."""
     target = dr.zeros(mi.Float, block_size(number, count))
     dr.eval(target)

@@ -1,4 +1,4 @@
-"""What a calibrated posterior is walked over: statistics, noise, prior, and nodes in memory."""
+"""Inputs of a calibrated posterior: statistics, noise, prior, and tables of nodes."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ import numpy as np
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.parameters import MIXED
-from svu_mi.posterior.quadrature import Axis, Product
-from svu_mi.posterior.truncated_normal import GENTLE
+from svu_mi.posterior.quadrature import ProductAxis, QuadratureAxis
+from svu_mi.posterior.truncated_normal import FULL_SUPPORT
 from svu_mi.statistics.cholesky_factors import Factors, catmull_rom
 
-NEAR = 4  # levels that a roughness is interpolated from
-NEVER = 1e30  # -log of the prior of what it excludes
+SPLINE_LEVELS = 4  # levels that a roughness is interpolated from
+NEVER = 1e30  # -log of a prior of zero
 
 
 @dataclass(frozen=True)
-class Problem:
+class CalibratedProblem:
     """Inputs of a posterior.
 
     Attributes:
         edges: (K + 1,) of the cells of base colour; two equal ones if it is known.
         rows: (R * M,) float64, -log of the prior of a row of cells, all but base colour.
-        given: (R * M * tables * K,) Float, density of base colour in a cell, given the others;
-            None: 1 everywhere.
+        color_prior: (R * M * tables * K,) Float, density of base colour in a cell, given all
+            others; None: 1 everywhere.
         scale: Float of S values or one, sqrt(W / (s^2 tau)): noise units per unit of weight.
-        least: (S,) Float, energy of the best node, less what no node explains.
-        tables: of ``given``: 1 for all channels, or one each.
+        min_energy: (S,) Float, energy of the best node, less the residual floor.
+        tables: of ``color_prior``: 1 for all channels, or one each.
     """
 
     factors: Factors
     copies: int
-    roughness: Axis
-    mixed: Product
+    roughness: QuadratureAxis
+    mixed: ProductAxis
     edges: np.ndarray
     rows: np.ndarray
-    given: Any | None
+    color_prior: Any | None
     scale: Any
-    least: Any
+    min_energy: Any
     tables: int = 1
 
     @property
@@ -50,48 +50,48 @@ class Problem:
         """Cells (R, M, K)."""
         return self.roughness.cells, self.mixed.cells, len(self.edges) - 1
 
-    def axis(self, name: str) -> Axis:
-        """Return the parts of a parameter that is walked over."""
+    def axis(self, name: str) -> QuadratureAxis:
+        """Return the quadrature axis of a parameter."""
         return self.mixed.axes[MIXED.index(name)] if name in MIXED else self.roughness
 
     @cached_property
-    def nodes(self) -> Nodes:
-        """Tables that kernels read."""
-        return Nodes.of(self)
+    def nodes(self) -> NodeTables:
+        """Node tables of the kernels."""
+        return NodeTables.of(self)
 
     @cached_property
-    def slack(self) -> float:
-        """Nats that a prior of colours may take off a node's energy, at most."""
-        if self.given is None:
+    def max_log_prior(self) -> float:
+        """Largest log prior density of the colours of a node [nats]."""
+        if self.color_prior is None:
             return 0.0
-        most = float(dr.max(self.given)[0])
+        most = float(dr.max(self.color_prior)[0])
         return self.copies * self.factors.channels * float(np.log(max(most, 1.0)))
 
     @cached_property
-    def gentle(self) -> bool:
+    def has_full_support(self) -> bool:
         """Whether the prior of colours excludes nothing (see ``Channel.weighed``)."""
-        return self.given is not None and float(dr.min(self.given)[0]) > GENTLE
+        return self.color_prior is not None and float(dr.min(self.color_prior)[0]) > FULL_SUPPORT
 
-    def subset(self, chosen: np.ndarray) -> Problem:
+    def subset(self, chosen: np.ndarray) -> CalibratedProblem:
         """Return the problem of some texels, by their numbers among S."""
         lanes = to_drjit(mi.UInt32, chosen)
         return replace(
             self, factors=self.factors.subset(chosen),
             scale=dr.gather(mi.Float, self.scale, lanes),
-            least=dr.gather(mi.Float, self.least, lanes),
+            min_energy=dr.gather(mi.Float, self.min_energy, lanes),
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class AtNodes:
+class NodeValues:
     """A parameter at nodes: (N,) Floats, the value and its variance within a node's part."""
 
     value: Any
-    spread: Any
+    variance: Any
 
     @staticmethod
-    def of(value: np.ndarray, spread: np.ndarray) -> AtNodes:
-        return AtNodes(to_drjit(mi.Float, value), to_drjit(mi.Float, spread))
+    def of(value: np.ndarray, variance: np.ndarray) -> NodeValues:
+        return NodeValues(to_drjit(mi.Float, value), to_drjit(mi.Float, variance))
 
     def at(self, node: Any) -> Any:
         """Return the value of a node: Float."""
@@ -100,16 +100,16 @@ class AtNodes:
     def moments(self, node: Any) -> tuple[Any, Any]:
         """Return mean and mean square within the part of a node: Float64."""
         mean = mi.Float64(self.at(node))
-        return mean, dr.fma(mean, mean, mi.Float64(dr.gather(mi.Float, self.spread, node)))
+        return mean, dr.fma(mean, mean, mi.Float64(dr.gather(mi.Float, self.variance, node)))
 
-    def anywhere(self, node: Any, random: Any) -> Any:
-        """Return a value within the part of a node, by a random number in [0, 1)."""
-        spread = dr.gather(mi.Float, self.spread, node)
-        return self.at(node) + (random - 0.5) * dr.sqrt(12 * spread)
+    def sample(self, node: Any, random: Any) -> Any:
+        """Sample a value within the part of a node, by a random number in [0, 1)."""
+        variance = dr.gather(mi.Float, self.variance, node)
+        return self.at(node) + (random - 0.5) * dr.sqrt(12 * variance)
 
 
 @dataclass(frozen=True)
-class Nodes:
+class NodeTables:
     """Nodes in memory: N rows of roughness, L columns of the parameters that mix.
 
     Attributes:
@@ -124,8 +124,8 @@ class Nodes:
 
     levels: Any
     weights: Any
-    rows: AtNodes
-    columns: list[AtNodes]
+    rows: NodeValues
+    columns: list[NodeValues]
     row: Any
     column: Any
     prior: Any
@@ -133,18 +133,21 @@ class Nodes:
     last: Any
 
     @staticmethod
-    def of(problem: Problem) -> Nodes:
+    def of(problem: CalibratedProblem) -> NodeTables:
         r, m = problem.roughness, problem.mixed
-        levels, weights = spline(r.value, problem.factors.roughness)
+        levels, weights = spline_weights(r.value, problem.factors.roughness)
         ends = np.diff(r.cell, append=r.cells) != 0
         inside = [axis.mass / axis.of_cells()[axis.cell] for axis in (r, m)]
         rows = problem.rows.reshape(problem.shape[:2])[r.cell][:, m.cell]
         prior = np.minimum(rows - np.log(inside[0])[:, None] - np.log(inside[1]), NEVER)
-        return Nodes(
+        return NodeTables(
             levels=to_drjit(mi.UInt32, levels.ravel().astype(np.uint32)),
             weights=to_drjit(mi.Float, weights.ravel()),
-            rows=AtNodes.of(r.value, r.spread),
-            columns=[AtNodes.of(*x) for x in zip(m.each("value"), m.each("spread"), strict=True)],
+            rows=NodeValues.of(r.value, r.bin_variance),
+            columns=[
+                NodeValues.of(*x)
+                for x in zip(m.at_all("value"), m.at_all("bin_variance"), strict=True)
+            ],
             row=to_drjit(mi.UInt32, r.cell.astype(np.uint32)),
             column=to_drjit(mi.UInt32, m.cell.astype(np.uint32)),
             prior=to_drjit(mi.Float, prior.ravel()),
@@ -153,14 +156,16 @@ class Nodes:
         )
 
 
-def spline(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def spline_weights(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return levels and weights of Catmull-Rom interpolation, (N, 4) int64 and float64.
 
     ``levels`` are (R,) ascending and uniform; values beyond them are clamped.
     """
     last = len(levels) - 1
     if last == 0:
-        return np.zeros((len(values), NEAR), int), np.tile([1.0, 0, 0, 0], (len(values), 1))
+        return np.zeros((len(values), SPLINE_LEVELS), int), np.tile(
+            [1.0, 0, 0, 0], (len(values), 1)
+        )
     place = np.clip((values - levels[0]) / (levels[-1] - levels[0]), 0, 1) * last
     begin = np.minimum(np.floor(place), last - 1)
     weights = catmull_rom(place - begin)

@@ -21,7 +21,7 @@ from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.calibrated import CalibratedKernel, prior_tables
-from svu_mi.posterior.calibrated_problem import Problem
+from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import cell_widths
 
@@ -32,7 +32,7 @@ SAMPLE = 1500  # texels that the prior is learned from
 LEAST = 1e-30  # probability that stands for 0 in a logarithm
 
 
-def shared(
+def with_empirical_prior(
     posterior: Posterior[CalibratedKernel], rounds: int = ROUNDS
 ) -> Posterior[CalibratedKernel]:
     """Return the posterior with a shared prior, learned in ``rounds`` of expectation maximisation.
@@ -47,16 +47,20 @@ def shared(
     chosen = seen[evenly_spaced(len(seen), SAMPLE)]
     sample, everyone = problem.subset(chosen), np.arange(len(chosen))
     alone = prior_tables(problem)
-    learned = _mixed(kernel.tables(sample, everyone).mean(axis=0, dtype=float), alone)
+    learned = _sharpened(
+        kernel.cell_probabilities(sample, everyone).mean(axis=0, dtype=float), alone
+    )
     for _ in range(rounds - 1):
-        under = _under(sample, learned)
-        learned = _mixed(kernel.tables(under, everyone).mean(axis=0, dtype=float), alone)
-    of_texels = replace(posterior.kernel, problem=_under(problem, learned), learned=True)
+        updated = _with_prior(sample, learned)
+        learned = _sharpened(
+            kernel.cell_probabilities(updated, everyone).mean(axis=0, dtype=float), alone
+        )
+    of_texels = replace(posterior.kernel, problem=_with_prior(problem, learned), learned=True)
     return replace(posterior, kernel=of_texels)
 
 
-def _mixed(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:
-    """Sharpen the mean (R, M, K, C) of posteriors, and leave some room for other texels."""
+def _sharpened(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:
+    """Sharpen the mean (R, M, K, C) of posteriors and mix it with the prior ``alone``."""
     sharp = mean**SHARPNESS
     result = (1 - OTHERWISE) * sharp / np.maximum(sharp.sum(axis=(0, 1, 2)), LEAST)
     result += OTHERWISE * alone
@@ -66,16 +70,16 @@ def _mixed(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:
     return given * rows.mean(axis=3, keepdims=True)
 
 
-def _under(problem: Problem, prior: np.ndarray) -> Problem:
+def _with_prior(problem: CalibratedProblem, prior: np.ndarray) -> CalibratedProblem:
     """Return the problem with a prior (R, M, K, C) of the masses of cells."""
     rows = prior.sum(axis=2).mean(axis=2).ravel()
     energies = np.where(rows > 0, -np.log(np.maximum(rows, LEAST)), row_entropy.IMPOSSIBLE)
     given = prior / np.maximum(prior.sum(axis=2, keepdims=True), LEAST)
     density = np.moveaxis(given, 3, 2) / cell_widths(problem.edges)
-    found = replace(
-        problem, rows=energies, given=to_drjit(mi.Float, density.ravel()), tables=prior.shape[-1]
-    )  # fmt: skip
-    # Energies are relative to the best node's, which the prior may have made another.
-    found = replace(found, least=found.least + kernel.least(found, excess=True))
-    dr.eval(found.least)
-    return found
+    density = to_drjit(mi.Float, density.ravel())
+    problem = replace(problem, rows=energies, color_prior=density, tables=prior.shape[-1])
+    # Energies are relative to the best node, which depends on the prior.
+    above = kernel.min_energy(problem, excess=True)
+    problem = replace(problem, min_energy=problem.min_energy + above)
+    dr.eval(problem.min_energy)
+    return problem

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.posterior.quadrature import Axis
+from svu_mi.posterior.quadrature import QuadratureAxis
 from svu_mi.statistics.texel_blocks import BLOCK, texel_offset
 
 LEVEL = 0.9  # probability that an interval holds, where nobody says another
@@ -22,7 +22,7 @@ def spread(texels: np.ndarray, most: int = ENOUGH) -> np.ndarray:
     return np.asarray(texels[np.arange(count) * len(texels) // max(count, 1)])
 
 
-def shortest(masses: Any, parts: Axis, count: int, level: float) -> tuple[Any, Any]:
+def shortest(masses: Any, parts: QuadratureAxis, count: int, level: float) -> tuple[Any, Any]:
     """Return low and high, Floats (S,), of the shortest run of parts with probability ``level``.
 
     ``masses`` is a Float in blocks: a row for each part, any sum.

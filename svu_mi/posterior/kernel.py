@@ -14,9 +14,9 @@ import numpy as np
 from svu_mi.errors import OptionError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import shortest
-from svu_mi.posterior.quadrature import cells_of
+from svu_mi.posterior.quadrature import axis_of_cells
 from svu_mi.posterior.row_entropy import entropy_of
-from svu_mi.posterior.tables import draw_cells, marginals_of
+from svu_mi.posterior.tables import draw_cells, marginals
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.texel_blocks import to_blocks
 
@@ -48,7 +48,7 @@ class Prior:
 
     def marginal(self, name: str) -> np.ndarray:
         """Return the probability of every node of a parameter."""
-        return marginals_of(self.cells, list(self.axes))[name]
+        return marginals(self.cells, list(self.axes))[name]
 
     def moments(self, name: str) -> tuple[Any, Any]:
         """Return mean and standard deviation of a parameter: numbers, or (g,) by channel."""
@@ -166,7 +166,7 @@ class CellKernel(Kernel):
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
         """Return the ends of runs of cells (see ``Kernel``)."""
-        p, parts = self._marginal(name)[texels], cells_of(self.grid.axes[name])
+        p, parts = self._marginal(name)[texels], axis_of_cells(self.grid.axes[name])
         ends = [
             shortest(to_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
             for g in range(p.shape[-1])

@@ -1,7 +1,7 @@
-"""A walk over the nodes of roughness, and over those of the parameters that mix, of every texel.
+"""Integration over nodes of roughness and the mixing parameters, for every texel.
 
-Base colour is integrated in closed form at each node, channel by channel; nodes that explain a
-texel hopelessly worse than its best one are left out. A visitor decides what is summed up.
+Base colour is integrated in closed form at each node, channel by channel. Nodes of negligible
+weight are skipped. A visitor accumulates the results.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.posterior.calibrated_problem import NEAR, Problem
-from svu_mi.posterior.truncated_normal import Channel, Integrals
+from svu_mi.posterior.calibrated_problem import SPLINE_LEVELS, CalibratedProblem
+from svu_mi.posterior.truncated_normal import ChannelLikelihood, ColorIntegrals
 from svu_mi.reflection.principled import Mixture, mixture
 from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, apply_factor
 
-FAR = 28.0  # nats, prior included, from which on a node is left out
+FAR = 28.0  # nats above the best node, prior included, from which a node is skipped
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,15 @@ class Node:
     row: Any
     column: Any
     weight: Any
-    colors: list[Integrals]
+    colors: list[ColorIntegrals]
 
 
-class Walker:
-    """Walks over nodes of texels ``lane``; ``edges`` are cells of colours (default: the grid's),
-    of the one channel of each texel in ``only`` (UInt32, not under a prior of colours) or all."""
+class NodeIntegrator:
+    """Integrator over the nodes of texels ``lane``, with colour cells ``edges`` (default: the
+    grid's), of all channels or one of each texel, ``only`` (UInt32; needs a uniform prior)."""
 
     def __init__(
-        self, problem: Problem, lane: Any | None = None, edges: np.ndarray | None = None,
+        self, problem: CalibratedProblem, lane: Any | None = None, edges: np.ndarray | None = None,
         only: Any | None = None,
     ) -> None:  # fmt: skip
         self.problem, self.nodes, self._only = problem, problem.nodes, only
@@ -52,25 +52,25 @@ class Walker:
         self.edges = problem.edges if edges is None else edges
         self._reader = problem.factors.reader(self.lane)
         self._scale = dr.gather(mi.Float, problem.scale, self.lane)
-        self._least = dr.gather(mi.Float, problem.least, self.lane)
+        self._min_energy = dr.gather(mi.Float, problem.min_energy, self.lane)
         self._columns = dr.opaque(mi.UInt32, problem.mixed.count)
-        self._slack = dr.opaque(mi.Float, problem.slack)
+        self._max_log_prior = dr.opaque(mi.Float, problem.max_log_prior)
 
-    def over_all(
+    def fold_all(
         self, visit: Callable[..., Any], state: tuple[Any, ...],
-        row_ends: Callable[..., Any] | None = None,
+        end_row: Callable[..., Any] | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Fold over all nodes of roughness (see ``over_rows``)."""
+        """Fold over all nodes of roughness (see ``fold_rows``)."""
         end = dr.opaque(mi.UInt32, self.problem.roughness.count)
-        return self.over_rows(mi.UInt32(0), end, visit, state, row_ends)
+        return self.fold_rows(mi.UInt32(0), end, visit, state, end_row)
 
-    def over_rows(
+    def fold_rows(
         self, begin: Any, end: Any, visit: Callable[..., Any], state: tuple[Any, ...],
-        row_ends: Callable[..., Any] | None = None,
+        end_row: Callable[..., Any] | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
         """Fold over nodes of roughness in [begin, end), and within each over columns.
 
-        ``visit(node, *state)`` returns the new state, only where a node matters; ``row_ends(row,
+        ``visit(node, *state)`` returns the new state, only where a node matters; ``end_row(row,
         *state)`` does after all columns. Both are traced once.
         """
 
@@ -80,7 +80,7 @@ class Walker:
             def of_column(column: Any, *state: Any) -> tuple[Any, ...]:
                 energy, parts = self._channels(U, row, column)
                 state = dr.if_stmt(
-                    args=(energy, parts, *state), cond=energy < FAR + self._slack,
+                    args=(energy, parts, *state), cond=energy < FAR + self._max_log_prior,
                     true_fn=lambda energy, parts, *state: visit(
                         self._node(row, column, energy, parts), *state
                     ),
@@ -92,7 +92,7 @@ class Walker:
                 state=(mi.UInt32(0), *state), body=of_column,
                 cond=lambda column, *_: column < self._columns,
             )[1:]  # fmt: skip
-            return (row + 1, *(row_ends(row, *state) if row_ends else state))
+            return (row + 1, *(end_row(row, *state) if end_row else state))
 
         return dr.while_loop(
             state=(mi.UInt32(begin), *state), cond=lambda row, *_: row < end, body=body
@@ -100,10 +100,10 @@ class Walker:
 
     def entries(self, row: Any) -> list[list[Any]]:
         """Return the factors of every channel at a node of roughness, in units of noise."""
-        places = [row * NEAR + k for k in range(NEAR)]
+        places = [row * SPLINE_LEVELS + k for k in range(SPLINE_LEVELS)]
         levels = [dr.gather(mi.UInt32, self.nodes.levels, place) for place in places]
         weights = [dr.gather(mi.Float, self.nodes.weights, place) for place in places]
-        found = []
+        factors = []
         for near in zip(*(self._reader.entries(level) for level in levels), strict=True):
             U = [
                 self._scale * sum(w * U[k] for w, U in zip(weights, near, strict=True))
@@ -111,15 +111,15 @@ class Walker:
             ]
             # A square; between levels the spline may swing below zero.
             U[FLOOR] = dr.maximum(U[FLOOR], 0) * self._scale
-            found.append(U)
-        return found
+            factors.append(U)
+        return factors
 
-    def channels(self, U: list[list[Any]], column: Any) -> list[Channel]:
+    def channels(self, U: list[list[Any]], column: Any) -> list[ChannelLikelihood]:
         """Return the likelihood of every channel's base colour at a node, from their factors."""
-        how = self._mixture(column)
+        mix = self._mixture(column)
         return [
-            Channel.of(
-                apply_factor(of_channel, how.slope)[:-1], apply_factor(of_channel, how.offset)[:-1],
+            ChannelLikelihood.of(
+                apply_factor(of_channel, mix.slope)[:-1], apply_factor(of_channel, mix.offset)[:-1],
                 of_channel[FLOOR],
             )
             for of_channel in U
@@ -127,105 +127,116 @@ class Walker:
 
     def energy(self, U: list[list[Any]], column: Any) -> Any:
         """Return the energy of the best colour at a column, without any prior: Float."""
-        if self._known:
-            c, how = dr.opaque(mi.Float, float(self.problem.edges[0])), self._mixture(column)
-            energies = [energy_at(of_channel, how.at(c)) for of_channel in U]
+        if self._color_is_known:
+            c, mix = dr.opaque(mi.Float, float(self.problem.edges[0])), self._mixture(column)
+            energies = [energy_at(of_channel, mix.at(c)) for of_channel in U]
         else:
-            energies = [channel.least for channel in self.channels(U, column)]
+            energies = [channel.min_energy for channel in self.channels(U, column)]
         return self.problem.copies * sum(energies)
 
     def excess(self, U: list[list[Any]], row: Any, column: Any, best: Any) -> Any:
-        """Return a node's energy above ``least``, prior included, or ``best`` if less: Float."""
+        """Return the smaller of ``best`` and a node's energy above ``min_energy``, with prior."""
         energy, parts = self._channels(U, row, column)
-        if self.problem.given is not None and not self._known:
+        if self.problem.color_prior is not None and not self._color_is_known:
             energy = dr.if_stmt(
-                args=(energy, parts, best), cond=energy - self._slack < best,
-                true_fn=lambda energy, parts, _: self._under(row, column, energy, parts)[0],
+                args=(energy, parts, best), cond=energy - self._max_log_prior < best,
+                true_fn=lambda energy, parts, _: self._integrate_colors(
+                    row, column, energy, parts
+                )[0],
                 false_fn=lambda _energy, _parts, best: best,
             )  # fmt: skip
         return dr.minimum(energy, best)
 
-    def colors_at(self, row: Any, column: Any, random: list[Any]) -> list[Any]:
+    def draw_colors(self, row: Any, column: Any, random: list[Any]) -> list[Any]:
         """Draw base colours by channel, copies included, at a node; two ``random`` Floats each."""
         problem = self.problem
         number = problem.factors.channels * problem.copies
-        if self._known:
+        if self._color_is_known:
             return [dr.opaque(mi.Float, float(problem.edges[0]), dr.width(self.lane))] * number
         channels = self.channels(self.entries(row), column)
         prior = self._color_prior(row, column)
         ends = to_drjit(mi.Float, problem.edges)
-        found = []
+        colors = []
         for k in range(number):
             channel, u, v = channels[k // problem.copies], random[2 * k], random[2 * k + 1]
             low, high = mi.Float(0), mi.Float(1)
             if prior is not None:
                 table = prior[k // problem.copies]
-                cell = _picked(channel.under(problem.edges.tolist(), table)[1].cells, v)
+                cell = _sample_index(
+                    channel.integrate_with_prior(problem.edges.tolist(), table)[1].cells, v
+                )
                 low, high = (dr.gather(mi.Float, ends, cell + step) for step in (0, 1))
-            found.append(channel.quantile(u, low, high))
-        return found
+            colors.append(channel.quantile(u, low, high))
+        return colors
 
     def _channels(self, U: list[list[Any]], row: Any, column: Any) -> tuple[Any, list[Any]]:
-        """Return a node's energy above ``least``, without the prior of colours; and channels."""
+        """Return a node's energy above ``min_energy``, without colour prior; and channels."""
         place = row * self._columns + column
-        prior = dr.gather(mi.Float, self.nodes.prior, place) - self._least
-        if self._known:
+        prior = dr.gather(mi.Float, self.nodes.prior, place) - self._min_energy
+        if self._color_is_known:
             return prior + self.energy(U, column), []
         channels = self.channels(U, column)
-        energy = self.problem.copies * sum(one.least for one in channels)
-        return prior + energy, [(c.least, c.mirrored, c.mu, c.s) for c in channels]
+        energy = self.problem.copies * sum(one.min_energy for one in channels)
+        return prior + energy, [(c.min_energy, c.mirrored, c.mu, c.s) for c in channels]
 
-    def _under(
+    def _integrate_colors(
         self, row: Any, column: Any, energy: Any, parts: list[Any]
-    ) -> tuple[Any, list[Integrals]]:
-        """Return the energy of a node under a prior of colours, and the integrals of the cells."""
+    ) -> tuple[Any, list[ColorIntegrals]]:
+        """Return the energy of a node with its colour prior, and the colour integrals."""
         density, edges = self._color_prior(row, column), self.edges.tolist()
         assert density is not None
-        way = Channel.weighed if self.problem.gentle else Channel.under
-        found = [way(Channel(*c), edges, g) for c, g in zip(parts, density, strict=True)]
-        return energy - self.problem.copies * sum(log_mass for log_mass, _ in found), [
-            integrals for _, integrals in found
-        ]
+        integrate = (
+            ChannelLikelihood.integrate_full_support if self.problem.has_full_support
+            else ChannelLikelihood.integrate_with_prior
+        )  # fmt: skip
+        log_masses, integrals = zip(
+            *(
+                integrate(ChannelLikelihood(*c), edges, g)
+                for c, g in zip(parts, density, strict=True)
+            ),
+            strict=True,
+        )
+        return energy - self.problem.copies * sum(log_masses), list(integrals)
 
     @property
-    def _known(self) -> bool:
+    def _color_is_known(self) -> bool:
         return bool(self.problem.edges[0] == self.problem.edges[-1])
 
     def _mixture(self, column: Any) -> Mixture:
         return mixture(*(values.at(column) for values in self.nodes.columns))
 
     def _node(self, row: Any, column: Any, energy: Any, parts: list[Any]) -> Node:
-        if not self._known and self.problem.given is not None:
-            energy, found = self._under(row, column, energy, parts)
-            return Node(row, column, dr.exp(-energy), found)
+        if not self._color_is_known and self.problem.color_prior is not None:
+            energy, colors = self._integrate_colors(row, column, energy, parts)
+            return Node(row, column, dr.exp(-energy), colors)
         weight = dr.exp(-energy)
-        if self._known:
+        if self._color_is_known:
             c = dr.opaque(mi.Float, float(self.problem.edges[0]))
-            one = Integrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
+            one = ColorIntegrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
             return Node(row, column, weight, [one] * self.problem.factors.channels)
         if self._only is not None:
             return self._node_of_one(row, column, weight, parts)
         edges = self.edges.tolist()
-        found = [Channel(*one).integrate(edges) for one in parts]
-        for one in found:
+        colors = [ChannelLikelihood(*one).integrate(edges) for one in parts]
+        for color in colors:
             for _ in range(self.problem.copies):
-                weight *= one.mass
-        return Node(row, column, weight, found)
+                weight *= color.mass
+        return Node(row, column, weight, colors)
 
     def _node_of_one(self, row: Any, column: Any, weight: Any, parts: list[Any]) -> Node:
-        """The same with the colours of one channel, for intervals: in single precision."""
+        """Return a node with the colours of one channel, for intervals: in single precision."""
         for one in parts:
-            weight *= Channel(*one).masses([0.0, 1.0])[0] ** self.problem.copies
+            weight *= ChannelLikelihood(*one).integrate_masses([0.0, 1.0])[0] ** self.problem.copies
         own = parts[0]
         for number, other in enumerate(parts[1:], 1):
             own = dr.select(self._only == number, other, own)
-        mass, cells = Channel(*own).masses(self.edges.tolist())
-        return Node(row, column, weight, [Integrals(mass, cells, mi.Float(0), mi.Float(0))])
+        mass, cells = ChannelLikelihood(*own).integrate_masses(self.edges.tolist())
+        return Node(row, column, weight, [ColorIntegrals(mass, cells, mi.Float(0), mi.Float(0))])
 
     def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:
         """Density of every channel's base colour in every cell of ``edges``, given a node."""
         problem, nodes = self.problem, self.nodes
-        if problem.given is None:
+        if problem.color_prior is None:
             return None
         _, columns, cells = problem.shape
         place = dr.gather(mi.UInt32, nodes.row, row) * columns
@@ -233,7 +244,10 @@ class Walker:
         middle = (self.edges[1:] + self.edges[:-1]) / 2
         own = np.searchsorted(problem.edges, middle) - 1
         tables = [
-            [dr.gather(mi.Float, problem.given, place + (table * cells + k)) for k in range(cells)]
+            [
+                dr.gather(mi.Float, problem.color_prior, place + (table * cells + k))
+                for k in range(cells)
+            ]
             for table in range(problem.tables)
         ]
         of_channels = tables if problem.tables > 1 else tables * problem.factors.channels
@@ -248,8 +262,8 @@ def energy_at(U: list[Any], x: list[Any]) -> Any:
     return 0.5 * energy
 
 
-def _picked(parts: list[Any], random: Any) -> Any:
-    """Return which of K parts of sum 1 a random number in [0, 1) falls on: UInt32."""
+def _sample_index(parts: list[Any], random: Any) -> Any:
+    """Sample an index of K probabilities by a random number in [0, 1): UInt32."""
     below, cell = mi.Float(0), dr.zeros(mi.UInt32, dr.width(random))
     for part in parts[:-1]:
         below += part

@@ -21,27 +21,28 @@ import numpy as np
 
 from svu_mi.parameters import CHANNELS
 
-SMALLEST = 1e-3  # noise, in the unit: no photograph, and no model of it, is better than that
+SMALLEST = 1e-3  # least noise, in the unit
 FITTED = sum(CHANNELS.values())  # 5 parameters, which every texel has used up
-FULL = 8  # views from which on a texel tells all that it can
+FULL = 8  # views from which a texel's own residual counts fully
 
 
 def noise_variance(
-    least: np.ndarray, views: np.ndarray, channels: int, degrees: float, assumed: float,
+    residual: np.ndarray, views: np.ndarray, channels: int, degrees: float, assumed: float,
     rounding: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """Return s^2 of every texel, (S,) float64, in squared radiance, at least ``rounding``.
 
-    ``least`` is (S,) Q_min, ``degrees`` nu, ``assumed`` s_0; ``rounding`` is the (S,) variance by
-    rounding (``gather.rounding_sums``), None for floating point photographs.
+    ``residual`` is (S,) Q_min, ``degrees`` nu, ``assumed`` s_0, ``rounding`` the (S,) variance by
+    rounding (``gather_statistics.rounding_sums``); None for floating point photographs.
     """
     samples, seen = views * channels, views > 0
     own = np.maximum(samples - FITTED, 1)
-    tells = np.clip((views - FITTED) / (FULL - FITTED), 0, 1)
+    trust = np.clip((views - FITTED) / (FULL - FITTED), 0, 1)
     usual = assumed**2
     if (enough := samples >= 2 * FITTED).any():
-        median = max(float(np.median((least / own)[enough])), SMALLEST**2)
-        usual *= (median / usual) ** (1 if median > usual else min(2 * tells[seen].mean(), 1))
-    tells = np.where(least / own > usual, 1, tells)
-    found = (degrees * usual + tells * least) / (degrees + tells * own)
-    return np.maximum(found, SMALLEST**2 if rounding is None else np.maximum(rounding, SMALLEST**2))
+        median = max(float(np.median((residual / own)[enough])), SMALLEST**2)
+        usual *= (median / usual) ** (1 if median > usual else min(2 * trust[seen].mean(), 1))
+    trust = np.where(residual / own > usual, 1, trust)
+    variance = (degrees * usual + trust * residual) / (degrees + trust * own)
+    least = SMALLEST**2 if rounding is None else np.maximum(rounding, SMALLEST**2)
+    return np.maximum(variance, least)

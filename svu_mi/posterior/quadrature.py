@@ -1,8 +1,8 @@
-"""Where a continuous posterior is integrated: nodes of all but base colour, and their prior.
+"""Quadrature nodes of all parameters but base colour, and their prior.
 
-The cells of a grid are what lies nearest to each of its nodes; the outermost are half as wide.
-Each is cut into parts of equal width, a part is a node in its middle, and probability is spread
-evenly over a part. Base colour needs no nodes: it is integrated in closed form (``truncated``).
+The cells of a grid are nearest to each of its nodes; the outermost are half as wide. Each is cut
+into parts of equal width, with a node in the middle and a uniform density. Base colour needs no
+nodes: it is integrated in closed form (``truncated_normal``).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ NEAR_ENOUGH = 0.02  # to the ends, where these have a probability: few 8-bit tex
 
 
 @dataclass(frozen=True)
-class Axis:
+class QuadratureAxis:
     """Parts of one parameter's range, ascending.
 
     Attributes:
@@ -42,8 +42,8 @@ class Axis:
         """Ends of the intervals' parts, (N,) float64; single values get a width of rounding."""
         if self.count == 1:
             return self.low, self.high
-        slack = np.where(self.low == self.high, NEAR_ENOUGH, 0)
-        return np.maximum(self.low - slack, 0), np.minimum(self.high + slack, 1)
+        margin = np.where(self.low == self.high, NEAR_ENOUGH, 0)
+        return np.maximum(self.low - margin, 0), np.minimum(self.high + margin, 1)
 
     @property
     def count(self) -> int:
@@ -56,29 +56,31 @@ class Axis:
         return np.searchsorted(self.cell, np.arange(self.cells + 1))
 
     @property
-    def spread(self) -> np.ndarray:
-        """(N,) float64, variance of a value that may lie anywhere in its part."""
+    def bin_variance(self) -> np.ndarray:
+        """(N,) float64, variance of a uniform distribution over each part."""
         return (self.high - self.low) ** 2 / 12
 
     def of_cells(self) -> np.ndarray:
         """(cells,) float64, prior probability of every cell."""
         return np.bincount(self.cell, self.mass, self.cells)
 
-    def only(self, cells: np.ndarray) -> Axis:
+    def subset(self, cells: np.ndarray) -> QuadratureAxis:
         """Return the parts of some cells, (cells,) bool."""
         kept = cells[self.cell]
-        return Axis(self.low[kept], self.high[kept], self.cell[kept], self.mass[kept], self.cells)
+        return QuadratureAxis(
+            self.low[kept], self.high[kept], self.cell[kept], self.mass[kept], self.cells
+        )
 
 
 @dataclass(frozen=True)
-class Product:
+class ProductAxis:
     """All combinations of the parts of several parameters; the last one varies fastest."""
 
-    axes: tuple[Axis, ...]
+    axes: tuple[QuadratureAxis, ...]
 
-    def each(self, what: str) -> list[np.ndarray]:
-        """Return an array of ``Axis`` at all combinations, (N,) for each parameter."""
-        of_axes = [getattr(axis, what) for axis in self.axes]
+    def at_all(self, attribute: str) -> list[np.ndarray]:
+        """Return an array of ``QuadratureAxis`` at all combinations, (N,) for each parameter."""
+        of_axes = [getattr(axis, attribute) for axis in self.axes]
         return [values.ravel() for values in np.meshgrid(*of_axes, indexing="ij")]
 
     @property
@@ -98,14 +100,14 @@ class Product:
 
     @property
     def cell(self) -> np.ndarray:
-        """(N,) int64, which of these each belongs to."""
-        places, sizes = self.each("cell"), [axis.cells for axis in self.axes]
+        """(N,) int64, the cell of each combination."""
+        places, sizes = self.at_all("cell"), [axis.cells for axis in self.axes]
         return np.asarray(np.ravel_multi_index(tuple(places), sizes))
 
     @property
     def mass(self) -> np.ndarray:
         """(N,) float64, prior probability, of sum 1."""
-        return np.asarray(np.prod(self.each("mass"), axis=0))
+        return np.asarray(np.prod(self.at_all("mass"), axis=0))
 
     def of_cells(self) -> np.ndarray:
         """(cells,) float64, prior probability of every cell."""
@@ -120,34 +122,34 @@ def cell_edges(nodes: np.ndarray) -> np.ndarray:
 
 
 def cell_widths(edges: np.ndarray) -> np.ndarray:
-    """Return what densities of cells are multiplied by, (N,); 1 for a value that is known."""
+    """Return the widths of cells, (N,); 1 for a known value."""
     return np.diff(edges) if len(edges) > 2 else np.ones(1)
 
 
-def cells_of(nodes: np.ndarray) -> Axis:
+def axis_of_cells(nodes: np.ndarray) -> QuadratureAxis:
     """Return the cells of a grid as parts, all of one probability."""
     edges, count = cell_edges(nodes), len(nodes)
-    return Axis(edges[:-1], edges[1:], np.arange(count), np.full(count, 1 / count), count)
+    return QuadratureAxis(edges[:-1], edges[1:], np.arange(count), np.full(count, 1 / count), count)
 
 
-def uniform_axis(nodes: np.ndarray, parts: int) -> Axis:
+def uniform_axis(nodes: np.ndarray, parts: int) -> QuadratureAxis:
     """Divide the cells of (N,) nodes evenly into ``parts`` or more; a single node has one part."""
     if len(nodes) == 1:
-        return Axis(nodes, nodes, np.zeros(1, np.int64), np.ones(1), 1)
+        return QuadratureAxis(nodes, nodes, np.zeros(1, np.int64), np.ones(1), 1)
     per_half = max(1, -(-parts // (2 * (len(nodes) - 1))))
     count = 2 * (len(nodes) - 1) * per_half
     edges = np.linspace(0, 1, count + 1)
     cell = (np.arange(count) // per_half + 1) // 2
-    return Axis(edges[:-1], edges[1:], cell, np.full(count, 1 / count), len(nodes))
+    return QuadratureAxis(edges[:-1], edges[1:], cell, np.full(count, 1 / count), len(nodes))
 
 
-def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> Axis:
+def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> QuadratureAxis:
     """Divide cells into ``parts`` or more; 0 and 1 share the prior probability ``extremes``."""
     between = uniform_axis(nodes, parts)
     if len(nodes) == 1 or extremes == 0:
         return between
     ends = extremes / 2
-    return Axis(
+    return QuadratureAxis(
         np.concatenate([[0.0], between.low, [1.0]]),
         np.concatenate([[0.0], between.high, [1.0]]),
         np.concatenate([[0], between.cell, [between.cell[-1]]]),

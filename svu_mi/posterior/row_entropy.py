@@ -1,8 +1,8 @@
 """Entropy of a grid, row by row in one kernel, without stored probabilities.
 
-A row is what all channel groups share (roughness, or roughness and metallic); its cells differ in
-one parameter of each group. Several groups factorise given the row: the entropy is that of (row,
-parameter of a channel), averaged over channels.
+A row is a value of the parameters that all channel groups share (roughness, or roughness and
+metallic); its cells differ in one parameter of each group. Several groups factorise given the row:
+the entropy is that of (row, parameter of a channel), averaged over channels.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def above_smallest(energies: list[Any]) -> tuple[Any, list[Any]]:
     return mi.Float64(low), [mi.Float(dr.minimum(x - low, FAR)) for x in energies]
 
 
-def tables(
+def energy_tables(
     energies_of: Callable[[Any], RowEnergies], chosen: np.ndarray, rows: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return energies of t texels: row minima (t, rows) float64, (t, rows, G, cells) above them."""
@@ -177,12 +177,12 @@ def log_prior(
 
 
 def _numbers(prior: Any, shape: tuple[int, ...], caller: str) -> np.ndarray:
-    """Return weights of cells as float64, of whatever shape they have."""
+    """Return weights of cells as float64, of any shape."""
     try:
-        found = np.asarray(prior)
-        if found.dtype.kind not in "fiub":  # NumPy would read text, and drop imaginary parts
+        weights = np.asarray(prior)
+        if weights.dtype.kind not in "fiub":  # NumPy would read text, and drop imaginary parts
             raise TypeError
-        return found.astype(np.float64)
+        return weights.astype(np.float64)
     except (TypeError, ValueError):
         raise OptionError(
             f"{caller}: the prior must be numbers, {shape} or ({shape[0]},), got a "
@@ -190,7 +190,7 @@ def _numbers(prior: Any, shape: tuple[int, ...], caller: str) -> np.ndarray:
         ) from None
 
 
-def prior_of(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.ndarray:
+def prior_table(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.ndarray:
     """Return the prior of every cell, float64 of ``shape``, of sum 1, from ``log_prior`` tables."""
     if tables is None:
         return np.full(shape, 1 / np.prod(shape))
@@ -199,24 +199,24 @@ def prior_of(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.ndarr
     return np.asarray(p / p.sum()).reshape(shape)
 
 
-def node(kind: Any, nodes: np.ndarray, index: Any) -> Any:
+def axis_value(kind: Any, nodes: np.ndarray, index: Any) -> Any:
     """Return one of evenly spaced nodes as ``kind``, Float or Float64; index UInt32."""
     if len(nodes) == 1:  # known: read, so that another value needs no kernel of its own
         return dr.gather(kind, to_drjit(kind, nodes), index)
     return dr.fma(kind(index), float(nodes[1] - nodes[0]), float(nodes[0]))
 
 
-def nodes(kind: Any, axes: list[np.ndarray], index: Any) -> list[Any]:
+def row_values(kind: Any, axes: list[np.ndarray], index: Any) -> list[Any]:
     """Return the nodes of a row of several axes, the last of which is fastest, as ``kind``."""
-    found = []
+    values = []
     for axis in axes[:0:-1]:
         index, place = index // len(axis), index % len(axis)
-        found.append(node(kind, axis, place))
-    return [node(kind, axes[0], index), *found[::-1]]
+        values.append(axis_value(kind, axis, place))
+    return [axis_value(kind, axes[0], index), *values[::-1]]
 
 
-def cells(nodes: np.ndarray) -> list[Any]:
-    """Return the nodes along a row: literals, or what is known of the only one."""
+def cell_values(nodes: np.ndarray) -> list[Any]:
+    """Return the nodes along a row: literals, or an opaque value if there is only one."""
     return nodes.tolist() if len(nodes) > 1 else [dr.opaque(mi.Float64, nodes[0])]
 
 

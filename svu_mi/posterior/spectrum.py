@@ -22,7 +22,7 @@ from svu_mi.presets import preset as find_preset
 from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import alpha_from_roughness, paper_alpha
 
-DARK = 1e-4  # part of the incident power that counts when nothing at all is reflected
+DARK = 1e-4  # part of the incident power that is the unit if all observations are black
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class SpectrumKernel(CellKernel):
 
     grid: ParameterGrid | PrincipledGrid
     count: int
-    problem: kernel.Problem
+    problem: kernel.SpectrumProblem
 
     @property
     def groups(self) -> int:
@@ -41,7 +41,7 @@ class SpectrumKernel(CellKernel):
     @cached_property
     def prior(self) -> Prior:
         """The prior, the same of each channel."""
-        return Prior(row_entropy.prior_of(self.problem.prior, self.grid.shape), self.grid.axes)
+        return Prior(row_entropy.prior_table(self.problem.prior, self.grid.shape), self.grid.axes)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
         """Return the normalised entropy (see ``Kernel``)."""
@@ -49,7 +49,7 @@ class SpectrumKernel(CellKernel):
 
     def tables(self, texels: np.ndarray) -> Pair:
         """Return p of every cell and the best nodes (see ``CellKernel``)."""
-        base, offsets = kernel.tables(self.problem, texels)
+        base, offsets = kernel.energy_tables(self.problem, texels)
         return row_entropy.probabilities(base, offsets, self.grid.shape)
 
     @cached_property
@@ -122,12 +122,12 @@ def spectrum_posterior(
 def _problem(
     spectra: tuple[Any, Any], grid: ParameterGrid | PrincipledGrid, switches: Preset, copies: int,
     falloff: np.ndarray, unit: float, tables: tuple[np.ndarray, np.ndarray] | None,
-) -> kernel.Problem:  # fmt: skip
-    """Everything but degree 0."""
+) -> kernel.SpectrumProblem:  # fmt: skip
+    """Return the inputs of the energy, without degree 0."""
     S_L, S_B = spectra
     _, degrees, channels = S_L.shape
     *_, cells = grid.axes.values()
-    return kernel.Problem(
+    return kernel.SpectrumProblem(
         incoming=S_L.array,
         outgoing=S_B.array,
         sigma=dr.opaque(mi.Float64, switches.sigma * unit),
@@ -144,7 +144,7 @@ def _problem(
 
 
 def _seen(observed: Any | None, count: int) -> np.ndarray:
-    """Return which texels are seen, (count,) bool; all if nothing is said."""
+    """Return the seen texels, (count,) bool; all by default."""
     seen = np.ones(count, bool) if observed is None else np.array(observed, bool).ravel()
     if len(seen) != count:
         raise ShapeError(
@@ -165,19 +165,19 @@ def _spectra(incoming: Any, outgoing: Any) -> tuple[Any, Any]:
 def _spectrum(name: str, values: Any) -> Any:
     """Check a spectrum and return it as an evaluated TensorXf."""
     axes = ("texels", "l* + 1", "channels")
-    found = tensor(values, "spectrum_posterior()", name, axes, copy=True)
-    if found.shape[1] < 2 or found.shape[2] < 1:
+    spectrum = tensor(values, "spectrum_posterior()", name, axes, copy=True)
+    if spectrum.shape[1] < 2 or spectrum.shape[2] < 1:
         raise ShapeError(
             f"spectrum_posterior(): {name} needs l* >= 1 and a channel, got shape "
-            f"{tuple(found.shape)}."
+            f"{tuple(spectrum.shape)}."
         )
-    if found.shape[0] and not dr.all((found.array >= 0) & dr.isfinite(found.array)):
-        bad = np.array(found)
+    if spectrum.shape[0] and not dr.all((spectrum.array >= 0) & dr.isfinite(spectrum.array)):
+        bad = np.array(spectrum)
         texel = int(np.argwhere(~(np.isfinite(bad) & (bad >= 0)))[0][0])
         raise OptionError(
             f"spectrum_posterior(): the {name} spectrum of texel {texel} is negative or not finite."
         )
-    return found
+    return spectrum
 
 
 def _groups(switches: Preset, channels: int, copies: int) -> tuple[tuple[int, ...], ...]:
@@ -234,14 +234,14 @@ def _constant(
     irradiance: Any | None,
     shape: tuple[int, int],
     unit: float,
-) -> kernel.Constant | None:
+) -> kernel.ConstantTerm | None:
     if not isinstance(grid, PrincipledGrid):
         return None
     known = tensor(irradiance, "spectrum_posterior()", "irradiance", shape, copy=True)
     if not dr.all((known.array >= 0) & dr.isfinite(known.array)):
         raise OptionError("spectrum_posterior(): the irradiance is negative or not finite.")
     sigma = switches.constant_sigma * (1.0 if switches.noise == "fixed" else unit**0.5)
-    return kernel.Constant(
+    return kernel.ConstantTerm(
         mixed=grid.mixed_nodes,
         irradiance=known.array,
         albedo=to_drjit(mi.Float64, _albedo(switches, grid)),

@@ -25,7 +25,7 @@ from svu_mi.reflection.principled import diffuse_from_principled, specular_from_
 
 
 @dataclass(frozen=True)
-class Constant:
+class ConstantTerm:
     """Degree 0: sqrt(S_B(0)) = 2 Kd E / sqrt(pi) + R0 a sqrt(S_L(0)).
 
     Attributes:
@@ -41,8 +41,8 @@ class Constant:
 
 
 @dataclass(frozen=True)
-class Products:
-    """Of one texel and group, over 2 sigma^2: sums over channels by degree, and over all."""
+class SpectrumProducts:
+    """Products of spectra of a texel and group over 2 sigma^2, summed over channels."""
 
     light: list[Any]  # S_L(l)^2
     both: list[Any]  # S_L(l) S_B(l)
@@ -50,7 +50,7 @@ class Products:
 
 
 @dataclass(frozen=True)
-class Problem:
+class SpectrumProblem:
     """Inputs of an energy, as flat Dr.Jit arrays.
 
     Attributes:
@@ -74,7 +74,7 @@ class Problem:
     albedo: Any
     cells: np.ndarray
     prior: tuple[Any, Any] | None
-    constant: Constant | None = None
+    constant: ConstantTerm | None = None
 
     @property
     def columns(self) -> int:
@@ -82,13 +82,13 @@ class Problem:
         return 1 if self.constant is None else math.prod(map(len, self.constant.mixed))
 
 
-def entropy(problem: Problem, count: int) -> Any:
+def entropy(problem: SpectrumProblem, count: int) -> Any:
     """Return the normalised entropy (T,) of Eq. 5, as if all texels were seen."""
     energies = _row_energies(problem, dr.arange(mi.UInt32, count))
     return row_entropy.entropy(energies, count, problem.rows, problem.total)
 
 
-def _row_energies(problem: Problem, texel: Any) -> row_entropy.RowEnergies:
+def _row_energies(problem: SpectrumProblem, texel: Any) -> row_entropy.RowEnergies:
     # Read once, outside of the loop over rows: strided reads would dominate it.
     products = [_products(problem, texel, group) for group in problem.groups]
     constants = _constants(problem, texel)
@@ -109,13 +109,13 @@ def _row_energies(problem: Problem, texel: Any) -> row_entropy.RowEnergies:
 
 
 def _cells(
-    problem: Problem, level: Any, column: Any, read: tuple[Any, Any, Any] | None
+    problem: SpectrumProblem, level: Any, column: Any, read: tuple[Any, Any, Any] | None
 ) -> tuple[list[Any], list[Any] | None]:
-    """R0 of every cell of a row, and what degree 0 adds to its energy."""
-    cells = row_entropy.cells(problem.cells)
+    """Return R0 of every cell of a row, and the energies of degree 0."""
+    cells = row_entropy.cell_values(problem.cells)
     if problem.constant is None or read is None:
         return cells, None
-    mixed = row_entropy.nodes(mi.Float64, problem.constant.mixed, column)
+    mixed = row_entropy.row_values(mi.Float64, problem.constant.mixed, column)
     seen, diffuse, specular = read
     specular = specular * dr.gather(mi.Float64, problem.constant.albedo, level)
     R0 = [specular_from_principled(c, *mixed) for c in cells]
@@ -126,8 +126,8 @@ def _cells(
     return R0, energies
 
 
-def _constants(problem: Problem, texel: Any) -> list[tuple[Any, Any, Any] | None]:
-    """Per group, over sqrt(2) sigma: what is seen, 2 E / sqrt(pi), sqrt(S_L(0))."""
+def _constants(problem: SpectrumProblem, texel: Any) -> list[tuple[Any, Any, Any] | None]:
+    """Per group, over sqrt(2) sigma: sqrt(S_B(0)), 2 E / sqrt(pi), sqrt(S_L(0))."""
     if problem.constant is None:
         return [None] * len(problem.groups)
     scale = math.sqrt(0.5) * dr.rcp(problem.constant.sigma)
@@ -145,7 +145,7 @@ def _constants(problem: Problem, texel: Any) -> list[tuple[Any, Any, Any] | None
     return result
 
 
-def _products(problem: Problem, texel: Any, group: tuple[int, ...]) -> Products:
+def _products(problem: SpectrumProblem, texel: Any, group: tuple[int, ...]) -> SpectrumProducts:
     """Read the spectra of l >= 1 and multiply them."""
     scale = 0.5 * dr.square(dr.rcp(problem.sigma))
     light = [mi.Float64(0)] * problem.degree
@@ -160,10 +160,10 @@ def _products(problem: Problem, texel: Any, group: tuple[int, ...]) -> Products:
             light[l] = dr.fma(L, L, light[l])
             both[l] = dr.fma(L, B, both[l])
             observed = dr.fma(B, B, observed)
-    return Products([scale * x for x in light], [scale * x for x in both], scale * observed)
+    return SpectrumProducts([scale * x for x in light], [scale * x for x in both], scale * observed)
 
 
-def _decay(problem: Problem, level: Any) -> list[Any]:
+def _decay(problem: SpectrumProblem, level: Any) -> list[Any]:
     q = dr.gather(mi.Float64, problem.decay, level)
     return falloff(q, dr.gather(mi.Float64, problem.albedo, level), problem.degree)
 
@@ -178,7 +178,7 @@ def falloff(q: Any, first: Any, degree: int) -> list[Any]:
     return result
 
 
-def row_distances(squares: list, products: Products, decay: list) -> list[Any]:
+def row_distances(squares: list, products: SpectrumProducts, decay: list) -> list[Any]:
     """d / (2 sigma^2) of every Ks^2 for one roughness (Eq. 11)."""
     slope, curve = mi.Float64(0), mi.Float64(0)
     for e, light, both in zip(decay, products.light, products.both, strict=True):
@@ -189,7 +189,7 @@ def row_distances(squares: list, products: Products, decay: list) -> list[Any]:
     return [dr.maximum(dr.fma(dr.fma(curve, K, slope), K, products.observed), 0) for K in squares]
 
 
-def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the energies of chosen texels, as ``streaming.tables`` does."""
+def energy_tables(problem: SpectrumProblem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the energies of chosen texels, as ``row_entropy.energy_tables`` does."""
     rows = problem.total // len(problem.cells)
-    return row_entropy.tables(partial(_row_energies, problem), chosen, rows)
+    return row_entropy.energy_tables(partial(_row_energies, problem), chosen, rows)

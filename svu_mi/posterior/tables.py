@@ -1,4 +1,4 @@
-"""What a table of probabilities of a grid's cells answers, in NumPy."""
+"""Marginals, draws and mean colours of tables of cell probabilities (NumPy)."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from collections.abc import Mapping
 import numpy as np
 
 
-def marginals_of(p: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
+def marginals(p: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
     """Marginals (nodes,) of probabilities of a grid, by parameter."""
     axes = range(p.ndim)
     return {name: p.sum(axis=tuple(k for k in axes if k != own)) for own, name in enumerate(names)}
 
 
-def pick(weights: np.ndarray, random: np.ndarray) -> np.ndarray:
+def sample_index(weights: np.ndarray, random: np.ndarray) -> np.ndarray:
     """Return which of N weights (..., t, N) random numbers (count, t) in [0, 1) fall on."""
     below = np.cumsum(weights, axis=-1)
     picked = (below <= random[..., None] * below[..., -1:]).sum(axis=-1)
     return np.minimum(picked, weights.shape[-1] - 1)
 
 
-def normalized(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def normalize_energies(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return p = exp(-energy) / Z, (t, *grid, 1) float32, and the best node, (t, axes, 1) int64."""
     flat = energies.reshape(len(energies), -1)
     best = flat.argmin(axis=1)
@@ -30,7 +30,7 @@ def normalized(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return p.reshape(*energies.shape, 1).astype(np.float32), node[..., None]
 
 
-def color_of_rows(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def row_colors(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Return mean colours (t, rows, C); the best cell's middle where the mean is excluded."""
     middle = (edges[1:] + edges[:-1]) / 2
     # NumPy's einsum() sums over axes before the last much faster than sum().
@@ -50,7 +50,7 @@ def draw_cells(
     """
     *shape, cells, groups = p.shape[1:]
     table = p.reshape(len(p), -1, cells, groups).astype(np.float64)
-    rows = pick(table[..., 0].sum(axis=2), random[0])
+    rows = sample_index(table[..., 0].sum(axis=2), random[0])
     *shared, (name, nodes) = axes.items()
     index = np.unravel_index(rows, shape)
     drawn = {
@@ -58,5 +58,5 @@ def draw_cells(
         for (name, nodes), k in zip(shared, index, strict=True)
     }
     given = table[np.arange(len(p)), rows]  # (count, t, cells, G)
-    picked = [pick(given[..., g], random[1 + g]) for g in range(groups)]
+    picked = [sample_index(given[..., g], random[1 + g]) for g in range(groups)]
     return drawn | {name: nodes[np.stack(picked, axis=-1)].astype(np.float32)}

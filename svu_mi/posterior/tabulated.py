@@ -10,8 +10,8 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import CellKernel, Pair, Prior
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.row_entropy import nats, prior_of
-from svu_mi.posterior.tables import normalized
+from svu_mi.posterior.row_entropy import nats, prior_table
+from svu_mi.posterior.tables import normalize_energies
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class TabulatedKernel(CellKernel):
     @property
     def prior(self) -> Prior:
         """The same for every cell."""
-        return Prior(prior_of(None, self.grid.shape), self.grid.axes)
+        return Prior(prior_table(None, self.grid.shape), self.grid.axes)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
         """Return the normalised entropy (see ``Kernel``)."""
@@ -43,7 +43,7 @@ class TabulatedKernel(CellKernel):
 
     def tables(self, texels: np.ndarray) -> Pair:
         """Return p of every cell and the best nodes (see ``CellKernel``)."""
-        return normalized(self.energies[texels])
+        return normalize_energies(self.energies[texels])
 
 
 def tabulated_posterior(

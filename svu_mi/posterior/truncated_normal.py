@@ -10,21 +10,21 @@ relative to the best colour, and mirrored so that mu <= 1/2: only tails are subt
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi, sqrt
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-FLATTEST = 1e-3  # A: a channel that hardly anything lights; energies change by less than this
+FLATTEST = 1e-3  # least A, of hardly lit channels; energies change by less than this
 HALVINGS = 24  # of [0, 1], in a search
-TINIEST = 1e-290  # what is left of a cell in double precision
+TINIEST = 1e-290  # least mass of a cell in double precision
 IMPOSSIBLE = 1e9  # nats, of a cell that the prior excludes
-GENTLE = 1e-4  # density from which on a prior of colours excludes nothing
+FULL_SUPPORT = 1e-4  # density from which a prior of colours counts as without zeros
 DIM = 0.1  # sqrt(A / 2) below which a variance is not a difference of tails in single precision
 CLEAR, FAR_BELOW = 1.0, 1.5  # s, and -mu s, from and up to which single precision is enough
-FARTHEST = 64.0  # |mu|: photographs so many times brighter than any base colour makes them
+FARTHEST = 64.0  # largest |mu|: photographs brighter than any base colour by this factor
 
 # (1 + 2 x) erfcx(x) as a polynomial in (x - 2.5) / (x + 2.5), the variable of Shepherd and
 # Laframboise (Math. Comp. 36, 1981); Chebyshev fits, relative errors 1.6e-7 and 1e-12.
@@ -52,23 +52,23 @@ def erfcx(x: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Channel:
+class ChannelLikelihood:
     """Likelihood of one channel's base colour.
 
     Attributes:
-        least: Float, energy of the best colour.
+        min_energy: Float, energy of the best colour.
         mirrored: Bool, whether y = 1 - c instead of y = c.
         mu: Float, mean of y before truncation, at most 1/2.
         s: Float, sqrt(A / 2).
     """
 
-    least: Any
+    min_energy: Any
     mirrored: Any
     mu: Any
     s: Any
 
     @staticmethod
-    def of(u: list[Any], v: list[Any], floor: Any) -> Channel:
+    def of(u: list[Any], v: list[Any], floor: Any) -> ChannelLikelihood:
         """Complete the square of components u and v; ``floor`` is the rest of |v|^2."""
         A, B = _dot(u, u), _dot(u, v)
         c = dr.clip(-B / dr.maximum(A, 1e-30), 0, 1)
@@ -76,16 +76,18 @@ class Channel:
         mirrored = -B > 0.5 * A
         slope = dr.select(mirrored, A + B, -B)  # of -E at y = 0
         A = dr.maximum(dr.maximum(A, FLATTEST), slope / -FARTHEST)
-        return Channel(0.5 * (_dot(rest, rest) + floor), mirrored, slope / A, dr.sqrt(0.5 * A))
+        return ChannelLikelihood(
+            0.5 * (_dot(rest, rest) + floor), mirrored, slope / A, dr.sqrt(0.5 * A)
+        )
 
-    def integrate(self, edges: list[float]) -> Integrals:
+    def integrate(self, edges: list[float]) -> ColorIntegrals:
         """Integrate over cells of (K + 1,) symmetric ``edges`` in [0, 1], under a uniform prior."""
-        # With x = (y - mu) s, exp(-(E - least)) is exp(x_0^2 - x^2), x_0 where it is 1.
+        # With x = (y - mu) s, exp(-(E - min_energy)) is exp(x_0^2 - x^2), x_0 where it is 1.
         inner = [self._tail(mi.Float(y)).beyond for y in edges[1:-1]]
         ends = dr.if_stmt(
             args=(self.mu, self.s), cond=(self.s < CLEAR) | (self.mu * self.s < -FAR_BELOW),
-            true_fn=lambda mu, s: Channel(self.least, self.mirrored, mu, s)._whole(mi.Float64),
-            false_fn=lambda mu, s: Channel(self.least, self.mirrored, mu, s)._whole(mi.Float),
+            true_fn=lambda mu, s: replace(self, mu=mu, s=s)._whole(mi.Float64),
+            false_fn=lambda mu, s: replace(self, mu=mu, s=s)._whole(mi.Float),
         )  # fmt: skip
         first, last, whole, mean, variance = ends
         inverse, beyond = dr.rcp(whole), [first, *inner, last]
@@ -100,7 +102,7 @@ class Channel:
         mean, variance = _moments(kind(self.mu), kind(self.s), whole, first, last)
         return tuple(mi.Float(x) for x in (first.beyond, last.beyond, whole, mean, variance))
 
-    def masses(self, edges: list[float]) -> tuple[Any, list[Any]]:
+    def integrate_masses(self, edges: list[float]) -> tuple[Any, list[Any]]:
         """Return the mass and each cell's part of it, in single precision (relative error 1e-5)."""
         beyond = [self._tail(mi.Float(y)).beyond for y in edges]
         whole = beyond[0] - beyond[-1]
@@ -109,8 +111,10 @@ class Channel:
         cells = [dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)]
         return 0.5 * sqrt(pi) * whole / self.s, cells
 
-    def weighed(self, edges: list[float], prior: list[Any]) -> tuple[Any, Integrals]:
-        """Integrate as ``under`` at a fifth of its cost, for a prior without zeros (``GENTLE``)."""
+    def integrate_full_support(
+        self, edges: list[float], prior: list[Any]
+    ) -> tuple[Any, ColorIntegrals]:
+        """``integrate_with_prior`` at a fifth of its cost, for priors above ``FULL_SUPPORT``."""
         first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
         inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
         beyond = [first.beyond, *(mi.Float64(t.beyond) for t in inner), last.beyond]
@@ -122,7 +126,7 @@ class Channel:
         s, mu = mi.Float64(self.s), mi.Float64(self.mu)
         masses, offset, around = [], mi.Float64(0), mi.Float64(0)
         for k, weight in enumerate(g):
-            # Rounding may take what is beyond one border below what is beyond the next.
+            # Rounding may make the tail beyond one border less than that beyond the next.
             masses.append(weight * dr.maximum(beyond[k] - beyond[k + 1], 0))
             offset = dr.fma(weight, density[k] - density[k + 1], offset)
             low, high = (edges[k + end] - mu for end in (0, 1))
@@ -142,8 +146,10 @@ class Channel:
         variance = dr.select(s < DIM, even, variance)
         return log_mass, self._integrals(mi.Float(1), parts, mean, variance)
 
-    def under(self, edges: list[float], prior: list[Any]) -> tuple[Any, Integrals]:
-        """Return log of the integral of exp(-(E - least)) times the prior, and cells of mass 1.
+    def integrate_with_prior(
+        self, edges: list[float], prior: list[Any]
+    ) -> tuple[Any, ColorIntegrals]:
+        """Return log of the integral of exp(min_energy - E) times the prior, and cells of mass 1.
 
         ``prior`` is K Floats, the density of c in every cell; it may contradict the likelihood.
         """
@@ -179,11 +185,11 @@ class Channel:
             dr.select(self.mirrored, 1 - low, high),
         )
         best = dr.clip(mi.Float64(self.mu), low, high)
-        wanted = part * self._between(low, high, best)[0]
+        target = part * self._between(low, high, best)[0]
 
         def halve(step: Any, a: Any, b: Any) -> tuple[Any, ...]:
             middle = 0.5 * (a + b)
-            below = self._between(low, middle, best)[0] < wanted
+            below = self._between(low, middle, best)[0] < target
             return step + 1, dr.select(below, middle, a), dr.select(below, b, middle)
 
         zero = dr.zeros(mi.Float64, dr.width(part))
@@ -213,9 +219,9 @@ class Channel:
         )  # fmt: skip
         return mass, a, b
 
-    def _integrals(self, mass: Any, parts: list[Any], mean: Any, variance: Any) -> Integrals:
+    def _integrals(self, mass: Any, parts: list[Any], mean: Any, variance: Any) -> ColorIntegrals:
         mean = mi.Float(dr.clip(mean, 0, 1))
-        return Integrals(
+        return ColorIntegrals(
             mass=mass,
             cells=[dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)],
             mean=dr.select(self.mirrored, 1 - mean, mean),
@@ -223,7 +229,7 @@ class Channel:
         )
 
     def _tail(self, y: Any, best: Any | None = None) -> _Tail:
-        """Density at y relative to that at ``best``, and what lies beyond; Float or Float64."""
+        """Return the density at y relative to ``best``, and tail integrals; Float or Float64."""
         kind = type(y)
         mu, s = kind(self.mu), kind(self.s)
         best = dr.maximum(mu, 0) if best is None else best
@@ -242,11 +248,11 @@ def _moments(mu: Any, s: Any, mass: Any, a: _Tail, b: _Tail) -> tuple[Any, Any]:
 
 
 @dataclass(frozen=True)
-class Integrals:
+class ColorIntegrals:
     """Integrals of one channel's likelihood.
 
     Attributes:
-        mass: Float, integral of exp(-(E - least)) over [0, 1].
+        mass: Float, integral of exp(-(E - min_energy)) over [0, 1].
         cells: K Floats, each cell's part of it.
         mean, variance: Floats, of c.
     """
@@ -268,7 +274,7 @@ class _Tail:
 
 
 def _dot(a: list[Any], b: list[Any]) -> Any:
-    """Sum of products of the components that both have."""
+    """Sum of products of the components of both."""
     total = mi.Float(0)
     for x, y in zip(a, b, strict=False):
         total = dr.fma(x, y, total)

@@ -24,13 +24,13 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.core.interrupts import between_steps
 from svu_mi.core.progress import Stage
 from svu_mi.errors import SvuError
-from svu_mi.recovery.checkpoint import Checkpoint, State
+from svu_mi.recovery.checkpoint import Checkpoint, DescentState
 
 if TYPE_CHECKING:
     from svu_mi.recovery.recovery_options import DescentOptions
 
 Objective = Callable[[dict[str, Any], int], Any]
-READ = 10  # steps between two looks at the losses, each of which waits for the device
+READ_EVERY = 10  # steps between two looks at the losses, each of which waits for the device
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,14 +71,14 @@ def descend(
             saves the last whole step before it is raised again.
         progress: a stage that shows steps, loss, rate and time left.
     """
-    run = _Run(objective, start, options)
+    run = _DescentRun(objective, start, options)
     if checkpoint is not None and checkpoint.resume:
         run.resume(checkpoint)
     try:
         with between_steps() as answer:
             while run.step < options.steps and not run.has_converged():
                 run.advance()
-                if run.step % READ == 0 or run.step == options.steps or run.ends_window():
+                if run.step % READ_EVERY == 0 or run.step == options.steps or run.ends_window():
                     run.read()
                     if progress is not None:
                         run.show(progress)
@@ -103,7 +103,7 @@ def rate(options: DescentOptions, step: int) -> float:
     return options.learning_rate * options.final_rate**part
 
 
-class _Run:
+class _DescentRun:
     """A descent under way.
 
     ``step`` and what belongs to it change together at the end of a step, so that an interrupt in
@@ -186,11 +186,11 @@ class _Run:
         """Return the parameters, detached."""
         return {name: mi.TensorXf(dr.detach(entry[0])) for name, entry in self._state.items()}
 
-    def state(self) -> State:
+    def state(self) -> DescentState:
         """Copy the last whole step."""
         self.read()
         entries = self._state.items()
-        return State(
+        return DescentState(
             step=self.step,
             values={name: np.array(dr.detach(entry[0])) for name, entry in entries},
             first={name: np.array(entry[3][1]) for name, entry in entries},

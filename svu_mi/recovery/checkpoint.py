@@ -31,7 +31,7 @@ HEAD = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class State:
+class DescentState:
     """A descent after a number of steps; NumPy copies, so nothing of it changes any more.
 
     Attributes:
@@ -87,7 +87,7 @@ class Checkpoint:
         """Whether ``every`` seconds have passed since a state was saved."""
         return time.monotonic() - self._saved >= self.every
 
-    def save(self, state: State) -> None:
+    def save(self, state: DescentState) -> None:
         """Replace the state that was saved before."""
         arrays: dict[str, Any] = {
             "format": FORMAT,
@@ -101,7 +101,7 @@ class Checkpoint:
         write_arrays(self.path, arrays)
         self._saved = time.monotonic()
 
-    def load(self, shapes: Mapping[str, tuple[int, ...]]) -> State | None:
+    def load(self, shapes: Mapping[str, tuple[int, ...]]) -> DescentState | None:
         """Read the state that was saved last; None when there is no file.
 
         Args:
@@ -148,7 +148,7 @@ def _canonical(settings: Mapping[str, Any]) -> str:
     return json.dumps(settings, sort_keys=True, allow_nan=False)
 
 
-def _state(stored: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> State:
+def _state(stored: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> DescentState:
     """Return what was read as a state; a ValueError if it is none of these parameters."""
     schema = {**HEAD, "losses": Field("f4", (int(stored["step"]),), LOWEST)}
     for name, shape in shapes.items():
@@ -160,7 +160,7 @@ def _state(stored: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...
         }  # fmt: skip
     require_schema(stored, schema)
     groups = {g: {name: stored[f"{g}/{name}"] for name in shapes} for g in GROUPS}
-    return State(step=int(stored["step"]), losses=stored["losses"], **groups)
+    return DescentState(step=int(stored["step"]), losses=stored["losses"], **groups)
 
 
 def _changed(mine: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
@@ -171,8 +171,8 @@ def _flat(settings: Any, prefix: str = "") -> dict[str, Any]:
     """Return nested settings as one dictionary with dotted names."""
     if not isinstance(settings, Mapping):
         raise ValueError("its settings are not a JSON object")
-    found: dict[str, Any] = {}
+    flat: dict[str, Any] = {}
     for key, value in settings.items():
         nested = isinstance(value, Mapping)
-        found |= _flat(value, f"{prefix}{key}.") if nested else {f"{prefix}{key}": value}
-    return found
+        flat |= _flat(value, f"{prefix}{key}.") if nested else {f"{prefix}{key}": value}
+    return flat

@@ -11,13 +11,13 @@ from svu_mi.core.progress import Progress
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import estimate, materialized
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
-from svu_mi.posterior.empirical_bayes import shared
+from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset, preset
-from svu_mi.recovery.sh.likelihood import moments, values_of
+from svu_mi.recovery.sh.likelihood import texel_moments, values_of
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.statistics.gather_statistics import Weighting
 
@@ -30,67 +30,71 @@ def estimate_for_textures(
     That is the given one if it is in colour and knows its noise. Another is made again, with its
     reflection model and what is known; rays are not.
     """
-    found = materialized(given or estimate(observed, whole=True, progress=progress), progress)
-    kernel = found.posterior.kernel
+    estimated = materialized(given or estimate(observed, whole=True, progress=progress), progress)
+    kernel = estimated.posterior.kernel
     sharing = sharing or (isinstance(kernel, CalibratedKernel) and kernel.learned)
-    if not has_field(found):
-        found = _in_colour(found, observed, progress)
+    if not supports_texture_field(estimated):
+        estimated = _reestimated_in_color(estimated, observed, progress)
     for _ in range(robust):
         with progress.stage("Reweighting samples"):
-            found = replace(found, posterior=_reweighted(found, observed))
+            estimated = replace(estimated, posterior=_reweighted(estimated, observed))
     if sharing:
         with progress.stage("Learning what texels have in common"):
-            assert isinstance(found.posterior.kernel, CalibratedKernel)
-            found = replace(found, posterior=shared(found.posterior))
-    return found
+            assert isinstance(estimated.posterior.kernel, CalibratedKernel)
+            estimated = replace(estimated, posterior=with_empirical_prior(estimated.posterior))
+    return estimated
 
 
-def has_field(found: Estimate) -> bool:
+def supports_texture_field(estimated: Estimate) -> bool:
     """Return whether an estimate is in colour and knows its noise, as ``texture_field`` asks."""
-    kernel = found.posterior.kernel
+    kernel = estimated.posterior.kernel
     return isinstance(kernel, CalibratedKernel) and kernel.groups == CHANNELS["base_color"]
 
 
-def _in_colour(found: Estimate, observed: Observed, progress: Progress) -> Estimate:
-    switches = found.preset if isinstance(found.preset, AngularPreset) else preset(method="angular")
-    name = f"{found.preset.name}, in colour with its noise"
+def _reestimated_in_color(estimated: Estimate, observed: Observed, progress: Progress) -> Estimate:
+    switches = (
+        estimated.preset
+        if isinstance(estimated.preset, AngularPreset)
+        else preset(method="angular")
+    )
+    name = f"{estimated.preset.name}, in colour with its noise"
     switches = replace(
         switches, name=name, channels="joint", noise="estimated", errors="mean",
         parameters="principled",
     )  # fmt: skip
-    grid, prior = found.posterior.grid, found.prior
+    grid, prior = estimated.posterior.grid, estimated.prior
     if isinstance(grid, ParameterGrid):  # of (roughness, Ks): what is said of roughness stays
-        prior = of_roughness(found)
-        grid = PrincipledGrid(roughness=grid.roughness, known=known_values(found))
+        prior = roughness_prior(estimated)
+        grid = PrincipledGrid(roughness=grid.roughness, known=known_parameters(estimated))
     assert isinstance(grid, PrincipledGrid)
     return estimate(
         observed, preset=switches, grid=grid, prior=prior, whole=True, progress=progress
     )
 
 
-def of_roughness(found: Estimate) -> np.ndarray | None:
+def roughness_prior(estimated: Estimate) -> np.ndarray | None:
     """Return the weights that an estimate was asked with, summed to one per roughness, if any."""
-    if found.prior is None:
+    if estimated.prior is None:
         return None
-    rows = found.posterior.grid.shape[0]
-    return np.asarray(found.prior, np.float64).reshape(rows, -1).sum(axis=1)
+    rows = estimated.posterior.grid.shape[0]
+    return np.asarray(estimated.prior, np.float64).reshape(rows, -1).sum(axis=1)
 
 
-def known_values(found: Estimate) -> dict[str, float]:
+def known_parameters(estimated: Estimate) -> dict[str, float]:
     """Return the parameters that are not in question, by name."""
     return {
         name: float(nodes[0])
-        for name, nodes in found.posterior.axes.items()
+        for name, nodes in estimated.posterior.axes.items()
         if len(nodes) == 1 and name in NAMES
     }
 
 
-def _reweighted(found: Estimate, observed: Observed) -> Posterior[CalibratedKernel]:
+def _reweighted(estimated: Estimate, observed: Observed) -> Posterior[CalibratedKernel]:
     """Gather again, samples counting less the more the present means are off."""
-    posterior, switches = found.posterior, found.switches
+    posterior, switches = estimated.posterior, estimated.switches
     assert isinstance(posterior.kernel, CalibratedKernel) and isinstance(switches, AngularPreset)
     factors = posterior.kernel.problem.factors
-    means, _ = moments(posterior)
+    means, _ = texel_moments(posterior)
     texels = factors.texel.numpy()
     texels = texels[observed.coverage[texels] > 0]  # clipped samples are not weighted again
     weighting = Weighting(switches.kappa(observed.unit), switches.edges, values_of(means, texels))
@@ -100,18 +104,18 @@ def _reweighted(found: Estimate, observed: Observed) -> Posterior[CalibratedKern
         posterior.kernel.grid,
         observed.unit,
         switches,
-        prior=found.prior,
+        prior=estimated.prior,
         texels=posterior.count,
         light_uncertainty=observed.capture.light_uncertainty,
     )
 
 
-def posterior_means(found: Estimate) -> Textures:
+def posterior_means(estimated: Estimate) -> Textures:
     """Return the means of a posterior in colour as textures; texels that nobody saw take the mean
     of the others."""
-    posterior: Any = found.posterior
-    means, _ = moments(posterior)
+    posterior: Any = estimated.posterior
+    means, _ = texel_moments(posterior)
     seen = posterior.observed
     for rows in means.values():
         rows[:, ~seen] = rows[:, seen].mean(axis=1, keepdims=True)
-    return lay_out(found.texels, {name: rows.T for name, rows in means.items()})
+    return lay_out(estimated.texels, {name: rows.T for name, rows in means.items()})

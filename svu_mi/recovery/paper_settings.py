@@ -20,12 +20,12 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import preset
-from svu_mi.recovery.initialisation import of_roughness
-from svu_mi.recovery.regularizers.global_sharing import PRINTED, SEEDS, GlobalSharing
+from svu_mi.recovery.initialisation import roughness_prior
+from svu_mi.recovery.regularizers.global_sharing import PAPER_SETTINGS, SEEDS, GlobalSharing
 
 
 @dataclass(frozen=True)
-class Printed:
+class PaperSettings:
     """What is printed, for one recovery.
 
     Attributes:
@@ -54,7 +54,7 @@ class Printed:
             "method": "spectrum", **asdict(self.switches("spectrum")), "grid": asdict(grid),
             "prior": None if prior is None else np.asarray(prior).tolist(),
         }  # fmt: skip
-        return {"seeds": SEEDS, **PRINTED, "posterior": posterior}
+        return {"seeds": SEEDS, **PAPER_SETTINGS, "posterior": posterior}
 
     def sharing(self, observed: Observed, around: Neighbors, progress: Progress) -> GlobalSharing:
         """Find the most certain texels by the posterior of Eq. 11."""
@@ -82,7 +82,7 @@ class Printed:
         grid = ParameterGrid(
             known={name: value for name, value in self.known.items() if name == "roughness"}
         )
-        prior = None if self.given is None else of_roughness(self.given)
+        prior = None if self.given is None else roughness_prior(self.given)
         if prior is not None and len(prior) != grid.shape[0]:
             raise OptionError(
                 f"recover(): the estimate's prior has {len(prior)} roughness nodes, but that "

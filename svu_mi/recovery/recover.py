@@ -22,8 +22,8 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.estimate import Estimate, capture_and_texels, observations_of
 from svu_mi.posterior.observations import Observed
-from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions, options_of
-from svu_mi.recovery.recovery_run import Run, require_resolution
+from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions, method_options
+from svu_mi.recovery.recovery_run import RecoveryRun, require_resolution
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.svbrdf_textures import Textures
 
@@ -127,13 +127,13 @@ def recover(
     if resume and checkpoint is None:
         raise OptionError("recover(): resume=True needs a checkpoint to resume from.")
     names = _checked(method, sharing, parameters)
-    options, progress = options_of(method, preset, sh, path, tv), progress or Progress()
+    options, progress = method_options(method, preset, sh, path, tv), progress or Progress()
     require_resolution(capture_and_texels(source, texels)[1], start)
     observed = observations_of(source, texels, progress)
     with progress.stage("Reading the light"):
         _ = observed.lighting  # refused before any work: a black light shows nothing
     given = source if isinstance(source, Estimate) else None
-    run = Run(method, observed, given, names, options, start, sharing, progress)
+    run = RecoveryRun(method, observed, given, names, options, start, sharing, progress)
     saved = None if checkpoint is None else run.checkpoint(checkpoint, resume, checkpoint_seconds)
     textures, descent = run.run(saved)
     return Recovery(

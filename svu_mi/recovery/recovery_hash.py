@@ -14,22 +14,22 @@ from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.svbrdf_textures import Textures
 
 
-def fingerprint(
+def recovery_digests(
     capture: Capture, texels: Texels, start: Textures | None, sharing: GlobalSharing | bool,
     posterior: Posterior | None,
 ) -> dict[str, str]:  # fmt: skip
     """Return digests of everything but the settings."""
     # Their normals are those of the shape, which has a digest that knows rounding.
-    found = {"layout of texels": _digest(texels.index, texels.position)}
+    digests = {"layout of texels": _digest(texels.index, texels.position)}
     if start is not None:
-        found["textures to start from"] = _digest(*(tensor for _, tensor in start.items()))
+        digests["textures to start from"] = _digest(*(tensor for _, tensor in start.items()))
     if isinstance(sharing, GlobalSharing):
-        found["seeds of sharing"] = _digest(sharing.weights, sharing.seeds, [sharing.anchored])
+        digests["seeds of sharing"] = _digest(sharing.weights, sharing.seeds, [sharing.anchored])
     if posterior is not None:
         noise = getattr(posterior.kernel, "noise", np.empty(0))
         axes = posterior.axes.values()
-        found["posterior"] = _digest(posterior.prior, *axes, noise, posterior.entropy())
-    return capture_parts(capture) | found
+        digests["posterior"] = _digest(posterior.prior, *axes, noise, posterior.entropy())
+    return capture_parts(capture) | digests
 
 
 def _digest(*arrays: Any) -> str:

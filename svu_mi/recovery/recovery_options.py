@@ -204,7 +204,7 @@ PATH_PRESETS: dict[str, PathOptions] = {
     "paper_polish": replace(_PAPER_PATH, epochs=1.0, spp=16),
 }
 
-PRINTED_PRESETS = ("paper", "coefficients", "spectrum", "paper_polish")
+PAPER_PRESETS = ("paper", "coefficients", "spectrum", "paper_polish")
 
 # Of sh+path: the presets of its two parts. After sh, the start is as good as many epochs: what is
 # left is detail, no cause for noise.
@@ -221,17 +221,17 @@ PRESETS_OF: dict[str, Mapping[str, Any]] = {
 }  # fmt: skip
 
 
-def options_of(
+def method_options(
     method: Method, preset: str, sh: ShOptions | None = None, path: PathOptions | None = None,
     tv: float | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the options of the parts of a method, by name; the preset's where none are given."""
     names = _preset(preset, method) if method == "sh+path" else (preset,)
-    found = {}
+    options = {}
     for part, name in zip(method.split("+"), names, strict=True):
         own = _preset(name, part)
-        found[part] = {"sh": sh, "path": path}[part] or own
-    return found if tv is None else {part: replace(own, tv=tv) for part, own in found.items()}
+        options[part] = {"sh": sh, "path": path}[part] or own
+    return options if tv is None else {part: replace(own, tv=tv) for part, own in options.items()}
 
 
 def _preset(name: str, method: str) -> Any:

@@ -23,33 +23,35 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.adam import Descent, Objective, descend
 from svu_mi.recovery.checkpoint import Checkpoint
-from svu_mi.recovery.initialisation import estimate_for_textures, known_values, posterior_means
-from svu_mi.recovery.paper_settings import Printed
+from svu_mi.recovery.initialisation import estimate_for_textures, known_parameters, posterior_means
+from svu_mi.recovery.paper_settings import PaperSettings
 from svu_mi.recovery.path.pixel_loss import path_objective
-from svu_mi.recovery.recovery_hash import fingerprint
+from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.regularizers.total_variation import TotalVariation
 from svu_mi.recovery.relighting import path_length
 from svu_mi.recovery.sh.angular_l1_loss import angular_objective
-from svu_mi.recovery.sh.likelihood import Likelihood, Pull, Smoothing
+from svu_mi.recovery.sh.likelihood import Likelihood, QuadraticPrior, SmoothedStart
 from svu_mi.recovery.sh.spectral_loss import spectral_objective
-from svu_mi.recovery.svbrdf_textures import Textures, lay_out, scene_textures, uniform
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out, scene_textures, uniform_textures
 
 # Chosen on our own scenes:
-GENTLE = 0.6  # part of total variation that smooths a start, whose texels must tell materials apart
-HOLD = 0.5  # weight of the pull towards posterior means, which know the prior
+START_SMOOTHING = (
+    0.6  # part of total variation that smooths a start, whose texels must tell materials apart
+)
+PRIOR_WEIGHT = 0.5  # weight of the pull towards posterior means, which know the prior
 
-Rule = Callable[[dict[str, Any]], Any]
+Regularization = Callable[[dict[str, Any]], Any]
 
 
 @dataclass
-class Run:
+class RecoveryRun:
     """One recovery: its parts are made when they are first needed.
 
     Attributes:
         method, start, sharing, progress: as for ``recover``.
-        options: of the parts of the method, by name (``options_of``).
+        options: of the parts of the method, by name (``method_options``).
         observed: the photographs.
         given: the estimate that it goes on from, if there is one.
         names: parameters to recover; those that the estimate knows leave the list.
@@ -67,7 +69,7 @@ class Run:
     progress: Progress
     asked: bool = field(default=False, init=False)
     found_neighbors: Neighbors | None = field(default=None, init=False)
-    _variations: dict[tuple[str, float], Rule] = field(default_factory=dict, init=False)
+    _variations: dict[tuple[str, float], Regularization] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self.capture, self.texels = self.observed.capture, self.observed.texels
@@ -76,8 +78,8 @@ class Run:
                 f"No texel of '{self.capture.shape.id()}' is seen with any radiance; check poses "
                 "(camera space is +X left, +Y up, +Z forward), masks and exposures."
             )
-        self.known = {} if self.given is None else known_values(self.given)
-        self.printed = Printed(self.given, self.known)
+        self.known = {} if self.given is None else known_parameters(self.given)
+        self.printed = PaperSettings(self.given, self.known)
         left = tuple(name for name in self.names if name not in self.known)
         if not left:
             raise OptionError(
@@ -89,19 +91,19 @@ class Run:
     @cached_property
     def settings(self) -> dict[str, Any]:
         """Everything that the result depends on, besides the capture, as JSON has it."""
-        found: dict[str, Any] = {"method": self.method}
-        found |= {name: asdict(own) for name, own in self.options.items()}
-        found |= {"parameters": list(self.names), "sharing": self._shares()}
+        settings: dict[str, Any] = {"method": self.method}
+        settings |= {name: asdict(own) for name, own in self.options.items()}
+        settings |= {"parameters": list(self.names), "sharing": self._shares()}
         if (given := self.given) is not None:
-            found["estimate"] = {
+            settings["estimate"] = {
                 "method": given.method, **asdict(given.preset), "known": self.known
             }  # fmt: skip
-        return found
+        return settings
 
     def checkpoint(self, path: str | Path, resume: bool, seconds: float) -> Checkpoint:
         """Return the checkpoint of this run, with digests of its inputs."""
         posterior = None if self.given is None else self.given.posterior
-        content = fingerprint(self.capture, self.texels, self.start, self.sharing, posterior)
+        content = recovery_digests(self.capture, self.texels, self.start, self.sharing, posterior)
         return Checkpoint(path, self.settings, content=content, resume=resume, every=seconds)
 
     def _shares(self) -> bool | dict[str, Any]:
@@ -113,10 +115,10 @@ class Run:
             return False
         if all(one.common_prior for one in used):
             return True
-        found = self.printed.record()
+        rule = self.printed.record()
         if any(one.common_prior for one in used):  # one part of sh+path has it so, one so
-            found["prior in common, too"] = True
-        return found
+            rule["prior in common, too"] = True
+        return rule
 
     @property
     def around(self) -> Neighbors:
@@ -170,10 +172,12 @@ class Run:
         """Return how far textures are from the photographs."""
         if options.loss == "statistics":
             likelihood = Likelihood.of(self.posterior, self.texels)
-            pull = Pull.of(self.posterior, self.texels)
+            pull = QuadraticPrior.of(self.posterior, self.texels)
             if len(self.names) + len(self.known) < len(NAMES):
                 return likelihood  # means are those of all colours, say, not of the one that stays
-            return lambda textures, step: likelihood(textures, step) + HOLD * pull(textures, step)
+            return lambda textures, step: (
+                likelihood(textures, step) + PRIOR_WEIGHT * pull(textures, step)
+            )
         with self.progress.stage("Gathering statistics"):
             if options.loss == "angular":
                 model = replace(self.printed.switches("angular"), channels="joint")
@@ -187,16 +191,16 @@ class Run:
         options = self.options["sh"]
         if not options.tv:
             return start
-        variation = GENTLE * self._tv(options), options.tv_epsilon
-        smoothing = Smoothing.of(
+        variation = START_SMOOTHING * self._tv(options), options.tv_epsilon
+        smoothing = SmoothedStart.of(
             self.posterior, self.texels, self.names, self._neighbors(options), variation
         )
         with self.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
-            found = descend(
+            descent = descend(
                 smoothing, smoothing.start(start), smoothing.options(options.smoothing),
                 progress=stage,
             )  # fmt: skip
-        return smoothing.laid_out(start, found.values)
+        return smoothing.laid_out(start, descent.values)
 
     def _neighbors(self, options: ShOptions | PathOptions) -> Neighbors:
         """Return the neighbours that total variation is taken between."""
@@ -208,12 +212,12 @@ class Run:
         in_nats = isinstance(options, ShOptions) and options.loss == "statistics"
         return options.tv * (sqrt(self.texels.count) if in_nats else 1.0)
 
-    def _variation(self, options: ShOptions | PathOptions) -> Rule:
+    def _variation(self, options: ShOptions | PathOptions) -> Regularization:
         """Return total variation; parts of a recovery with the same settings share one."""
         key = options.tv_space, options.tv_epsilon
         if key not in self._variations:
             around = self._neighbors(options)
-            self._variations[key] = each(
+            self._variations[key] = per_texture(
                 TotalVariation(self.texels, around, epsilon=options.tv_epsilon)
             )
         return self._variations[key]
@@ -235,7 +239,7 @@ class Run:
 
     def _descend(
         self, title: str, start: Textures, data: Objective, options: ShOptions | PathOptions,
-        sharing: Rule | None, checkpoint: Checkpoint | None,
+        sharing: Regularization | None, checkpoint: Checkpoint | None,
     ) -> tuple[Textures, Descent]:  # fmt: skip
         fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
         rules = [(options.sharing, sharing)] if sharing else []
@@ -247,33 +251,35 @@ class Run:
                 objective, self._free(start), options.descent,
                 checkpoint=checkpoint, progress=stage,
             )  # fmt: skip
-        found = Textures(**(fixed | descent.values))
+        textures = Textures(**(fixed | descent.values))
         # Nothing pulls gutters along where texels alone are compared.
-        return lay_out(self.texels, {name: found.at(self.texels, name) for name in NAMES}), descent
+        return lay_out(
+            self.texels, {name: textures.at(self.texels, name) for name in NAMES}
+        ), descent
 
-    def _sharing(self, options: ShOptions | PathOptions) -> Rule | None:
+    def _sharing(self, options: ShOptions | PathOptions) -> Regularization | None:
         """Return what pulls uncertain texels beside the data, if anything does."""
         if not self.sharing or not options.sharing:
             return None
         if isinstance(self.sharing, GlobalSharing):
-            return each(self.sharing)
+            return per_texture(self.sharing)
         if not options.common_prior:
-            return each(self._printed_sharing)
+            return per_texture(self._printed_sharing)
         if isinstance(options, ShOptions) and options.loss == "statistics":
             return None  # its posterior has the prior already
-        return Pull.by_trust(self.posterior, self.texels)
+        return QuadraticPrior.by_trust(self.posterior, self.texels)
 
     def _given_or_middle(self) -> Textures:
         """Return textures to start from: 0.5, what is known, and what the scene says of others."""
-        middle = uniform(self.texels)
+        middle = uniform_textures(self.texels)
         others = [n for n in NAMES if n not in self.names and n not in self.known]
         own = scene_textures(self.capture, self.texels) if others else middle
-        known = {n: uniform(self.texels, v)[n] for n, v in self.known.items()}
+        known = {n: uniform_textures(self.texels, v)[n] for n, v in self.known.items()}
         return middle.but(**{n: own[n] for n in others}, **known)
 
 
 def regularized(
-    data: Objective, rules: Sequence[tuple[float, Rule]], fixed: dict[str, Any]
+    data: Objective, rules: Sequence[tuple[float, Regularization]], fixed: dict[str, Any]
 ) -> Objective:
     """Return the objective data + sum of weight * rule(textures); ``fixed`` textures are not
     optimised."""
@@ -289,7 +295,7 @@ def regularized(
     return objective
 
 
-def each(rule: Callable[[Any], Any]) -> Rule:
+def per_texture(rule: Callable[[Any], Any]) -> Regularization:
     """Return a regulariser of one texture as one of all: the sum over them."""
     return lambda textures: sum(rule(texture) for texture in textures.values())
 

@@ -26,7 +26,7 @@ from svu_mi.recovery.svbrdf_textures import Textures
 
 MAX_DEPTH = 6  # where the scene's own integrator does not say
 COLUMNS, ROWS = 128, 65  # of the light of our own
-ROOM = 0.15  # radiance of its dark parts, relative to the lamps' fill
+ROOM_RADIANCE = 0.15  # radiance of its dark parts, relative to the lamps' fill
 # Direction (up = +Y), half of the opening angle in radians, and colour of each lamp.
 LAMPS = (
     ((0.7, 0.6, -0.4), 0.32, (9.0, 8.0, 6.5)),
@@ -34,7 +34,7 @@ LAMPS = (
     ((-0.1, 0.2, -1.0), 0.45, (2.0, 2.4, 2.2)),
     ((0.3, -0.3, 0.9), 0.25, (4.0, 3.0, 2.0)),
 )
-FEWEST = 2  # draws that a standard deviation is of
+FEWEST_DRAWS = 2  # draws that a standard deviation is of
 
 
 def relight(
@@ -68,7 +68,7 @@ def relight(
     """
     require_spp(spp, "relight(): spp")
     scene = capture.scene if textures is None else PathScene.of(capture, textures).scene
-    scene, integrator = under(scene, environment), _integrator(capture, max_depth)
+    scene, integrator = with_environment(scene, environment), _integrator(capture, max_depth)
     sensors = capture.sensors if sensors is None else sensors
     if pixels is not None:
         return Pictures(sensors).traced(scene, integrator, pixels, spp, seed)
@@ -89,10 +89,10 @@ def path_length(scene: Any) -> int:
     integrator = scene.integrator()
     if integrator is not None and integrator.class_name() == "DirectIntegrator":
         return 2
-    found = re.search(r"max_depth = (\d+)", str(integrator))  # not among its parameters
-    if found is None:
+    match = re.search(r"max_depth = (\d+)", str(integrator))  # not among its parameters
+    if match is None:
         return MAX_DEPTH
-    return int(found[1]) if int(found[1]) < 2**31 else -1
+    return int(match[1]) if int(match[1]) < 2**31 else -1
 
 
 def novel_light(capture: Capture) -> Any:
@@ -116,7 +116,7 @@ def novel_light(capture: Capture) -> Any:
 def _lamps() -> np.ndarray:
     """(ROWS, COLUMNS, 3) radiance of any unit."""
     d = directions(COLUMNS, ROWS)
-    radiance = np.repeat(ROOM * (1 + 0.5 * d[..., 1:2]), 3, axis=-1)
+    radiance = np.repeat(ROOM_RADIANCE * (1 + 0.5 * d[..., 1:2]), 3, axis=-1)
     for center, angle, color in LAMPS:
         away = np.arccos(np.clip(d @ (np.array(center) / np.linalg.norm(center)), -1, 1))
         inside = np.clip(0.5 + (angle - away) / 0.08, 0, 1)  # edges wider than a texel
@@ -124,7 +124,7 @@ def _lamps() -> np.ndarray:
     return radiance
 
 
-def under(scene: Any, environment: Any | None) -> Any:
+def with_environment(scene: Any, environment: Any | None) -> Any:
     """Return a scene of the same shapes under another light: an emitter, or a dictionary for
     ``mi.load_dict``; the scene itself without one."""
     if environment is None:
@@ -184,7 +184,10 @@ def relight_draws(
     """
     require_spp(spp, "relight_draws(): spp")
     painted = PathScene.of(capture, textures)
-    scene, integrator = under(painted.scene, environment), _integrator(capture, max_depth)
+    scene, integrator = (
+        with_environment(painted.scene, environment),
+        _integrator(capture, max_depth),
+    )
     pictures = Pictures(capture.sensors if sensors is None else sensors)
     inside = [part > 0 for part in pictures.covered(painted.scene, painted.shape)]
     middle = pictures.traced(scene, integrator, [np.ones_like(m) for m in inside], spp, seed)
@@ -194,14 +197,14 @@ def relight_draws(
     count = 0
     for count, draw in enumerate(draws, 1):  # noqa: B007
         painted.paint(dict(draw.items()))
-        found = pictures.traced(scene, integrator, inside, spp, seed)
-        for image, start, first, second in zip(found, base, total, squares, strict=True):
+        images = pictures.traced(scene, integrator, inside, spp, seed)
+        for image, start, first, second in zip(images, base, total, squares, strict=True):
             change = image.astype(np.float64) - start
             first += change
             second += change**2
         progress(count)
-    if count < FEWEST:
-        raise OptionError(f"relight_draws(): needs at least {FEWEST} draws, got {count}.")
+    if count < FEWEST_DRAWS:
+        raise OptionError(f"relight_draws(): needs at least {FEWEST_DRAWS} draws, got {count}.")
     parts = zip(middle, inside, total, squares, strict=True)
     return [_relit(*each, count) for each in parts]
 

@@ -76,7 +76,7 @@ def lay_out(texels: Texels, values: Mapping[str, Any]) -> Textures:
     return Textures.of({name: _texture(texels, values, name) for name in NAMES})
 
 
-def uniform(texels: Texels, value: float | None = None) -> Textures:
+def uniform_textures(texels: Texels, value: float | None = None) -> Textures:
     """Return textures of one value, on the grid of the texels; by default each has its own."""
     width, height = texels.resolution
     return Textures.of({

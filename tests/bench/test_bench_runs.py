@@ -18,9 +18,9 @@ from svu_mi.bench.cases import own_cases
 from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.guidance import ViewSelectionCase
-from svu_mi.bench.guidance.guidance_tables import compare, mean_gain, times_as_many, views_needed
+from svu_mi.bench.guidance.guidance_tables import compare, mean_increase, views_needed, views_ratio
 from svu_mi.bench.problem_sizes import GuidanceSizes, ProblemSizes, RecoverySizes
-from svu_mi.bench.recovery import Relit, TextureScorer, under_another_light
+from svu_mi.bench.recovery import RelightingScorer, TextureScorer, next_light_case
 from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER, SH_PATH
 from svu_mi.bench.recovery.recovery_tables import find_bars
 from svu_mi.bench.study import Selection, run_bench
@@ -28,7 +28,7 @@ from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.evaluation.image_metrics import CEILING_DB
 from svu_mi.geometry.texels import texels
 from svu_mi.recovery.recover import recover
-from svu_mi.recovery.svbrdf_textures import lay_out, uniform
+from svu_mi.recovery.svbrdf_textures import lay_out, uniform_textures
 
 CASES = own_cases(["vase"], ["window"])
 METHODS = (SH, SH_PATH, PATH, SH_PAPER)
@@ -168,22 +168,22 @@ def test_every_strategy_adds_views_that_are_judged(finished):
 
 def test_true_textures_have_no_error_and_others_do(capture, tmp_path):
     grid = texels(capture.mesh, 48)
-    judge = TextureScorer.of(capture, grid, poor=2)
-    true = lay_out(grid, judge.truth.values)
-    best, grey = judge.judge(true), judge.judge(uniform(grid))
+    scorer = TextureScorer.of(capture, grid, poor=2)
+    true = lay_out(grid, scorer.truth.values)
+    best, grey = scorer.score(true), scorer.score(uniform_textures(grid))
     assert best["psnr"]["average"] > 99 and grey["psnr"]["average"] < 20
-    seen = judge.coverage > 0
-    by_hand = np.mean((judge.truth.values["roughness"][seen] - 0.5) ** 2)
+    seen = scorer.coverage > 0
+    by_hand = np.mean((scorer.truth.values["roughness"][seen] - 0.5) ** 2)
     assert grey["psnr"]["roughness"] == pytest.approx(-10 * np.log10(by_hand), rel=1e-6)
-    relit = Relit.of(capture, under_another_light(CASES[0], None, tmp_path), 2, 16)
-    best, grey = relit.judge(true), relit.judge(uniform(grid))
+    relit = RelightingScorer.of(capture, next_light_case(CASES[0], None, tmp_path), 2, 16)
+    best, grey = relit.score(true), relit.score(uniform_textures(grid))
     for name in ("psnr_hdr", "psnr_ldr", "ssim"):
         assert best[name] > grey[name]
 
 
 def test_the_truth_under_its_own_light_is_the_photograph(capture):
     """Relit by the light of the photographs, with the same samples: the same picture."""
-    relit = Relit.of(capture, CASES[0], 6, SIZES.spp, SIZES.seed)
+    relit = RelightingScorer.of(capture, CASES[0], 6, SIZES.spp, SIZES.seed)
     for picture, photograph, mask in zip(relit.truth, capture.images, relit.masks, strict=True):
         np.testing.assert_allclose(picture[mask], photograph[mask], rtol=2e-3)  # half floats
 
@@ -233,8 +233,8 @@ def test_starts_of_an_object_are_no_independent_samples():
     first, second = (rng.normal(1, 0.2, (6, 2, 2)).tolist() for _ in range(2))
     sizes = GuidanceSizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
     (comparison,) = compare(runs_of(first, second, 2), sizes)
-    gains = [[mean_gain((1, 2), [0, *s]) for s in case] for case in first]
-    others = [[mean_gain((1, 2), [0, *s]) for s in case] for case in second]
+    gains = [[mean_increase((1, 2), [0, *s]) for s in case] for case in first]
+    others = [[mean_increase((1, 2), [0, *s]) for s in case] for case in second]
     exact = stats.ttest_rel(np.mean(gains, axis=1), np.mean(others, axis=1))
     assert comparison["p"] == pytest.approx(exact.pvalue) and comparison["objects"] == 6
     (entropy,) = compare(runs_of(first, second, 2), sizes, "entropy")
@@ -244,8 +244,8 @@ def test_starts_of_an_object_are_no_independent_samples():
 def test_who_never_gets_there_needs_at_least_all_views():
     sizes = GuidanceSizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
     runs = runs_of([[[1.0, 2.0]]], [[[0.1, 0.2]]])
-    assert times_as_many(runs, sizes, "entropy", "random") == pytest.approx(2)
-    assert np.isnan(times_as_many(runs, sizes, "random", "entropy"))
+    assert views_ratio(runs, sizes, "entropy", "random") == pytest.approx(2)
+    assert np.isnan(views_ratio(runs, sizes, "random", "entropy"))
 
 
 def test_farthest_is_the_library_s_own(finished, capture):

@@ -16,8 +16,8 @@ from PIL import Image
 
 from svu_mi import scenes
 from svu_mi.bench import BENCHMARKS, captures, experiment
-from svu_mi.bench.accuracy import judge_posterior
-from svu_mi.bench.captures import capture_of, some_views
+from svu_mi.bench.accuracy import score_posterior
+from svu_mi.bench.captures import capture_of, even_views
 from svu_mi.bench.cases import convert_glb, data_cases, own_cases
 from svu_mi.bench.experiment import BenchRun, Experiment
 from svu_mi.bench.markdown import Bar, bar_table
@@ -207,10 +207,10 @@ def test_photographs_with_other_settings_are_rendered_anew(tmp_path, monkeypatch
     (tmp_path / "capture" / "bench.json").write_text("{")  # a broken mark is no mark
     capture_of(case, replace(small, spp=2), tmp_path / "capture", Progress())
     assert len(rendered) == 3
-    half = some_views(whole, 3)  # evenly
+    half = even_views(whole, 3)  # evenly
     assert half.names == ("view_0000.exr", "view_0002.exr", "view_0005.exr")
     assert len(half.images) == len(half.masks) == half.count == 3
-    assert some_views(whole, 6).names == whole.names
+    assert even_views(whole, 6).names == whole.names
 
 
 # --- data of the user's -------------------------------------------------------------------
@@ -332,14 +332,14 @@ def test_a_posterior_at_the_truth_is_judged_perfect():
     p = np.zeros((30, 5, 5, 3))
     p[np.arange(30)[:, None], pick[0][:, None], colors, np.arange(3)] = 1
     kept = np.arange(30)
-    scores = judge_posterior(p, axes, truth, rng.random(30), kept)
+    scores = score_posterior(p, axes, truth, rng.random(30), kept)
     assert scores["credible"]["0.5"]["plain"] == 1
     assert all(figures["rmse"] == 0 for figures in scores["parameters"].values())
     assert scores["ause"] == 0
-    grey = judge_posterior(np.eye(5)[pick[0]], {"roughness": nodes}, truth, rng.random(30), kept)
+    grey = score_posterior(np.eye(5)[pick[0]], {"roughness": nodes}, truth, rng.random(30), kept)
     assert grey["parameters"]["roughness"]["mae"] == 0
     with pytest.raises(ShapeError, match="do not fit a grid of"):
-        judge_posterior(p[:, :4], axes, truth, rng.random(30), kept)
+        score_posterior(p[:, :4], axes, truth, rng.random(30), kept)
 
 
 def test_a_bar_holds_on_its_own_side():

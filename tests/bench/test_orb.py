@@ -21,8 +21,8 @@ from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.orb import (
     ROWS,
     STUDY,
+    OrbCase,
     OrbSizes,
-    Setting,
     chosen_captures,
     chosen_rows,
     dataset,
@@ -32,7 +32,7 @@ from svu_mi.bench.orb.dataset import DatasetSizes, find_captures, render_dataset
 from svu_mi.bench.orb.orb_metrics import orb_albedo_error, orb_error
 from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.bench.orb.orb_tables import GREY, orb_lines
-from svu_mi.bench.orb.orb_targets import Target, judge_pictures
+from svu_mi.bench.orb.orb_targets import Target, score_pictures
 from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.study import Selection, run_bench
 from svu_mi.capture.image_io import read_planes
@@ -314,7 +314,7 @@ def _tiny():
 @pytest.fixture(scope="module")
 def setting(data, folder):
     rows = chosen_rows(["SH (ours)"])
-    return Setting(bench_in(folder), data / "blender_HDR" / FIRST, rows, None, False)
+    return OrbCase(bench_in(folder), data / "blender_HDR" / FIRST, rows, None, False)
 
 
 def run(folder, data, captures=(FIRST,), **changes):
@@ -346,7 +346,7 @@ def test_normals_of_the_scan_are_computed_anew(setting):
 
 def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting):
     textures = true_textures()
-    scores = setting.judge(textures, "truth")
+    scores = setting.score(textures, "truth")
     assert scores["light"]["mean"]["psnr_ldr"] > 40 and scores["light"]["mean"]["psnr_hdr"] > 30
     assert scores["view"]["mean"]["psnr_ldr"] > 40 and scores["view"]["mean"]["psnr_hdr"] > 30
     assert scores["albedo"]["mean"]["psnr_ldr"] > 45
@@ -357,7 +357,7 @@ def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting)
         for target in setting.novel
     ]  # fmt: skip
     wrong = [target.picture(setting.capture, textures, 32) for target in turned_light]
-    assert judge_pictures(setting.novel, wrong, scaled=True)["mean"]["psnr_ldr"] < 27
+    assert score_pictures(setting.novel, wrong, scaled=True)["mean"]["psnr_ldr"] < 27
 
 
 @pytest.mark.slow
@@ -393,14 +393,14 @@ def test_what_is_finished_is_kept(record, data, folder):
 
 
 def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeypatch):
-    head = Setting.head
+    head = OrbCase.head
 
     def torn(self):
         if self.name == SECOND:
             raise CaptureError("torn")
         return head(self)
 
-    monkeypatch.setattr(Setting, "head", torn)
+    monkeypatch.setattr(OrbCase, "head", torn)
     with pytest.warns(SvuWarning, match="vase_scene002 is left out: torn"):
         record = run(folder, data, ())
     assert [capture["name"] for capture in record["cells"]] == [FIRST]

@@ -18,7 +18,7 @@ from svu_mi import scenes
 from svu_mi.bench.cases import own_cases
 from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.real import find_bars
-from svu_mi.bench.real.predictors import PREDICTORS, Score, Shown, gain_of, r_squared
+from svu_mi.bench.real.predictors import PREDICTORS, PredictedView, Score, fitted_gain, r_squared
 from svu_mi.bench.study import Selection, run_bench
 from svu_mi.calibration.light import resolve_light
 from svu_mi.capture.image_io import quantized, srgb
@@ -27,7 +27,7 @@ from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
 from svu_mi.evaluation.posterior_predictive import Prediction, diffuse_seen_from, shares_of
-from svu_mi.posterior.calibrated_problem import spline
+from svu_mi.posterior.calibrated_problem import spline_weights
 from svu_mi.presets import preset
 
 VIEWS, FILM = 24, 72
@@ -184,7 +184,7 @@ def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
 def test_between_levels_it_is_what_the_posterior_goes_by():
     levels = np.linspace(0, 1, 8)
     shares = np.stack([x.numpy() for x in shares_of(np.array([0.07, 0.5, 1.0]), levels)], axis=1)
-    near, weights = spline(np.array([0.07, 0.5, 1.0]), levels)
+    near, weights = spline_weights(np.array([0.07, 0.5, 1.0]), levels)
     for row, which, counts in zip(shares, near, weights, strict=True):
         expected = np.zeros(8)
         np.add.at(expected, which, counts)
@@ -233,9 +233,9 @@ def test_a_gain_is_of_no_matter():
     rng = np.random.default_rng(0)
     right = rng.uniform(0.1, 1, (400, 3))
     gain = np.array([0.5, 2.0, 1.5])
-    np.testing.assert_allclose(gain_of(right, right * gain), gain)
+    np.testing.assert_allclose(fitted_gain(right, right * gain), gain)
     score = Score.start(400)
-    score.add(np.arange(400), right * gain, np.ones(400), Shown(right[None]))
+    score.add(np.arange(400), right * gain, np.ones(400), PredictedView(right[None]))
     record = score.record()
     assert record["facing"] == pytest.approx(1) and np.isnan(record["steep"])
     assert record["r2"] == pytest.approx(1) and record["views"] == pytest.approx([1])
@@ -254,13 +254,13 @@ def test_that_photographs_differ_in_brightness_is_no_prediction():
     rng, score = np.random.default_rng(3), Score.start(400)
     for gain in np.exp(rng.normal(0, 0.7, 12)):
         shown = gain * rng.uniform(0.1, 1, (400, 3))
-        score.add(np.arange(400), shown, np.ones(400), Shown(np.ones((1, 400, 3))))
+        score.add(np.arange(400), shown, np.ones(400), PredictedView(np.ones((1, 400, 3))))
     assert -0.2 < score.record()["r2"] < 0.05
 
 
 def test_a_black_photograph_is_not_scored():
     score = Score.start(400)
-    score.add(np.arange(400), np.zeros((400, 3)), np.ones(400), Shown(np.ones((1, 400, 3))))
+    score.add(np.arange(400), np.zeros((400, 3)), np.ones(400), PredictedView(np.ones((1, 400, 3))))
     record = score.record()
     assert np.isnan(record["r2"]) and record["holds"] == {}
     rows = {way.label: record for way in PREDICTORS}
@@ -274,6 +274,9 @@ def test_intervals_hold_as_often_as_noise_is_what_it_is_said_to_be(claimed, low,
     score = Score.start(8000)
     shown = right + rng.normal(0, 0.1, right.shape)
     score.add(
-        np.arange(8000), shown, np.ones(8000), Shown(right[None], np.full((1, 8000), claimed))
+        np.arange(8000),
+        shown,
+        np.ones(8000),
+        PredictedView(right[None], np.full((1, 8000), claimed)),
     )
     assert low < score.record()["holds"]["0.9"] < high

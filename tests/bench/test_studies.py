@@ -17,7 +17,7 @@ from svu_mi.bench.paper import figure9, table2, table3
 from svu_mi.bench.problem_sizes import ProblemSizes, RecoverySizes
 from svu_mi.bench.recovery.methods import RecoveryMethod
 from svu_mi.bench.scaling import line, repeated
-from svu_mi.bench.speed import go_all_the_way, timed_kernels
+from svu_mi.bench.speed import run_from_files, timed_kernels
 from svu_mi.bench.study import Selection, study_of
 from svu_mi.bench.timing import in_new_process, run, spread
 from svu_mi.capture.scene import to_world
@@ -44,8 +44,8 @@ def _briefly(known, **words):
 TINY = {
     light: {"QUICK": {"views": 16, "film": 48, "spp": 4}, "QUICK_TEXELS": 32},
     calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 4},
-    scaling: {"QUICK": scaling.Range(resolutions=(16, 32, 48), views=(3, 6, 12), resolution=24,
-                                     photographs=(6, 32), repeats=1)},
+    scaling: {"QUICK": scaling.ScalingSizes(
+        resolutions=(16, 32, 48), views=(3, 6, 12), resolution=24, photographs=(6, 32), repeats=1)},
     table2: {"QUICK_FILM": 32, "QUICK_TEXELS": 24, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
     table3: {"QUICK": (12, 4), "_entropy_rows": lambda: ENTROPY_ROWS},
     figure9: {"QUICK_VIEWS": 12, "ADDED": (1,), "QUICK_TEXELS": 16, "recover": _briefly},
@@ -124,7 +124,7 @@ def test_the_clock_sees_kernels_and_compilation():
 def test_a_failed_process_says_why(tmp_path):
     with pytest.raises(SvuEnvironmentError, match="failed when cold: .*nowhere"):
         arguments = {"source": str(tmp_path / "nowhere"), "resolution": 8, "method": "angular"}
-        in_new_process(go_all_the_way, **arguments)
+        in_new_process(run_from_files, **arguments)
 
 
 def test_a_line_is_fitted_and_the_exponent_of_the_upper_half():
@@ -164,7 +164,7 @@ def test_figures_of_calibration_are_parts(vase):
     chosen = np.flatnonzero(np.array(vase.estimate.coverage))[::5]
     known = ground_truth(vase.capture, vase.texels)
     truth = {name: known[name][chosen] for name in calibration.NAMES}
-    figures = calibration.figures(vase.estimate.posterior, truth, chosen)
+    figures = calibration.posterior_figures(vase.estimate.posterior, truth, chosen)
     assert all(np.isfinite(value) for value in figures.values())
     assert all(
         0 <= figures[key] <= 1 for key in figures if key.startswith(("90", "50", "interval"))

@@ -44,7 +44,7 @@ from svu_mi.calibration.light.light_transport import (
 from svu_mi.calibration.light.light_uncertainty import level_of, sample_lights, widening_of
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.posterior.empirical_bayes import shared
+from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.reflection.lobes import ALBEDO_NODES, dielectric_albedo, split_sum
 
 SHINY = {"type": "principled", "roughness": 0.25, "metallic": 1.0,
@@ -225,7 +225,7 @@ def test_materials_are_eliminated_as_from_the_whole_normal_equations():
     tau = SWITCHES.overdispersion
     found = system_of(transport, np.exp(x), posterior, tau, Known(prior_of(64)))
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
-    joint = Joint(samples, x, materials_of(shared(posterior)), w)
+    joint = Joint(samples, x, materials_of(with_empirical_prior(posterior)), w)
     H, g = joint.normal()
     n = 3 * 64
     taken = np.linalg.solve(H[n:, n:], np.column_stack([H[n:, :n], g[n:]]))

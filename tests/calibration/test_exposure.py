@@ -32,7 +32,7 @@ from svu_mi.calibration.light.light_transport import Moments, Transport, columns
 from svu_mi.calibration.light.resolve_light import illuminated
 from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.posterior.empirical_bayes import shared
+from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.observations import observe
 
 ODD = (3, 11, 17)
@@ -61,7 +61,7 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
     gains = random_gains(6)
     found = system_of(transport, np.exp(x), posterior, tau, gains=gains)
 
-    materials = materials_of(shared(posterior))
+    materials = materials_of(with_empirical_prior(posterior))
     slopes, r = _slopes_and_samples(transport, np.exp(x), materials)
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
     count, n = samples.count, 3 * 6

@@ -14,7 +14,7 @@ from support.helpers import ball, memory_capture, run
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.bench.captures import some_views
+from svu_mi.bench.captures import even_views
 from svu_mi.calibration.checks.check import find_gains
 from svu_mi.calibration.checks.check_result import Finding
 from svu_mi.calibration.checks.exposure_checks import (
@@ -109,7 +109,7 @@ def test_many_gains_are_named_largest_first(vase):
 
 
 def test_of_few_photographs_no_gain_is_told(vase):
-    finding = gain_finding(some_views(vase, 5))
+    finding = gain_finding(even_views(vase, 5))
     assert finding.verdict == "unknown"
     assert finding.sentence == (
         "Whether the photographs have the same gain cannot be determined: there are fewer than 8."
@@ -130,7 +130,7 @@ def test_gains_of_our_own_scenes(name, light):
         scenes.path(name), 32, views=24, resolution=(96, 96), defines={"light": light}
     )
     for count in (24, 12, 8):
-        capture = some_views(all_of_it, count)
+        capture = even_views(all_of_it, count)
         assert gain_finding(capture).verdict == "fits"
         doubled = gain_finding(gained(capture, [2.0] * count))
         single = np.ones(count)

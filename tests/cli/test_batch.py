@@ -226,13 +226,13 @@ def test_commands_understand_paths_with_spaces_and_ids_with_dashes(tmp_path):
         words = command_words(
             STEPS[name], BatchItem("a", tmp_path / "a b", options), tmp_path, ["recover"]
         )
-        found = tyro.cli(
+        parsed = tyro.cli(
             Command, args=repeat_known(words), registry=REGISTRY,
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
         )  # fmt: skip
-        found = as_dict(found)
-        assert str(found["light"]) == given["light"] and found["shape"] == given["shape"]
-        assert str(found["images"]) == given["images"] and found["scene"] == tmp_path / "a b"
+        parsed = as_dict(parsed)
+        assert str(parsed["light"]) == given["light"] and parsed["shape"] == given["shape"]
+        assert str(parsed["images"]) == given["images"] and parsed["scene"] == tmp_path / "a b"
 
 
 def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of, tmp_path):
@@ -297,12 +297,12 @@ def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch
 
     monkeypatch.setattr("svu_mi.cli.batch.runner.write_done", written)
     monkeypatch.setattr("svu_mi.cli.batch.runner.CommandPool", lambda _: Made())
-    found = {one.name: one for one in BatchRunner(output=out).run(read_list(folder))}
-    assert "is a file, not a folder" in found["file"].sentence
-    assert found["full"].sentence.startswith("out/full/batch.json: No space left on device; ")
-    assert found["full"].done == ("entropy", "recover") and found["full"].made == 2
-    assert "capture.json: not a readable JSON" in found["odd"].sentence
-    assert not found["good"].sentence and found["good"].made == len(STEPS)
+    outcomes = {one.name: one for one in BatchRunner(output=out).run(read_list(folder))}
+    assert "is a file, not a folder" in outcomes["file"].sentence
+    assert outcomes["full"].sentence.startswith("out/full/batch.json: No space left on device; ")
+    assert outcomes["full"].done == ("entropy", "recover") and outcomes["full"].made == 2
+    assert "capture.json: not a readable JSON" in outcomes["odd"].sentence
+    assert not outcomes["good"].sentence and outcomes["good"].made == len(STEPS)
 
 
 def test_a_file_that_vanishes_while_it_is_looked_at_is_a_row(shelf_of, tmp_path, monkeypatch):
@@ -433,11 +433,11 @@ def test_an_index_without_any_result_is_written(tmp_path):
 
 
 def maps(out: Path) -> dict[str, bytes]:
-    found = {}
+    pixels = {}
     for path in sorted(out.glob("*/entropy/*.exr")) + sorted(out.glob("*/recovered/*.exr")):
         planes = read_exr(path)
-        found[str(path.relative_to(out))] = b"".join(planes[name].tobytes() for name in planes)
-    return found
+        pixels[str(path.relative_to(out))] = b"".join(planes[name].tobytes() for name in planes)
+    return pixels
 
 
 @pytest.mark.slow
@@ -462,10 +462,10 @@ def test_workers_killed_and_interrupted_runs_end_with_the_same_maps(shelf_of, tm
     def kill_workers():
         for pause in (1.9,):
             if not over.wait(pause):
-                found = subprocess.run(
+                processes = subprocess.run(
                     ["pgrep", "-P", str(process.pid)], capture_output=True, text=True
                 ).stdout.split()
-                for one in found[:1]:
+                for one in processes[:1]:
                     os.kill(int(one), signal.SIGKILL)
 
     killing = threading.Thread(target=kill_workers)

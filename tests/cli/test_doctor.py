@@ -16,37 +16,37 @@ from svu_mi.errors import OutputError
 
 
 @pytest.fixture(scope="module")
-def found():
+def diagnosis():
     return doctor.diagnose()
 
 
-def printed(found):
+def printed(diagnosis):
     console = Console(file=io.StringIO(), width=200)
-    doctor.show(*found, console)
+    doctor.show(*diagnosis, console)
     return console.file.getvalue()
 
 
-def test_this_machine_is_healthy(found):
+def test_this_machine_is_healthy(diagnosis):
     """If this fails, so will everything else; the message is the doctor's."""
-    facts, checks = found
-    assert all(check.ok for check in checks), printed(found)
+    facts, checks = diagnosis
+    assert all(check.ok for check in checks), printed(diagnosis)
     names = {check.name for check in checks}
     assert {"mitsuba", "OpenEXR", "render with llvm_ad_rgb"} <= names
     assert facts["Variants"] == ", ".join(mi.variants())
     assert {"scalar_rgb", "llvm_ad_rgb"} <= set(facts["Usable"].split(", "))
     assert facts["LLVM"].startswith(_llvm.dotted(dr.detail.llvm_version()))
-    text = printed(found)
+    text = printed(diagnosis)
     for words in ("Python", f"mitsuba {mi.__version__}", "CUDA", "OptiX", "Metal", "Threads",
                   "Kernel cache", "expected 1"):  # fmt: skip
         assert words in text
 
 
-def test_exit_status_tells_health(monkeypatch, found):
+def test_exit_status_tells_health(monkeypatch, diagnosis):
     console = Console(file=io.StringIO())
-    monkeypatch.setattr(doctor, "diagnose", lambda: found)
+    monkeypatch.setattr(doctor, "diagnose", lambda: diagnosis)
     assert doctor.Doctor().run(console) == 0
     sick = doctor.HealthCheck("OpenEXR", False, "it differs", "reinstall it")
-    monkeypatch.setattr(doctor, "diagnose", lambda: (found[0], [*found[1], sick]))
+    monkeypatch.setattr(doctor, "diagnose", lambda: (diagnosis[0], [*diagnosis[1], sick]))
     assert doctor.Doctor().run(console) == 2
     assert "Remedy for OpenEXR: reinstall it" in console.file.getvalue()
 
@@ -65,10 +65,10 @@ def test_an_abort_of_the_render_test_is_reported(monkeypatch):
 
 def test_an_abort_while_loading_mitsuba_is_reported(monkeypatch):
     monkeypatch.setattr(doctor, "CHILD", "import os; os.abort()  # {}")
-    found = doctor.diagnose()
-    assert found[0]["Usable"] == "none"
-    assert [check.name for check in found[1] if not check.ok] == ["mitsuba", "render"]
-    assert "unknown" in printed(found)
+    diagnosis = doctor.diagnose()
+    assert diagnosis[0]["Usable"] == "none"
+    assert [check.name for check in diagnosis[1] if not check.ok] == ["mitsuba", "render"]
+    assert "unknown" in printed(diagnosis)
 
 
 def test_a_test_that_hangs_is_reported(monkeypatch):

@@ -66,36 +66,36 @@ def test_guide_writes_poses_maps_and_pictures_and_prints_a_table(planned):
         "gain_0.exr", "gain_1.exr", "gain_2.exr", "guidance.json", "guidance.png", "run.json",
         "sensors.xml", "thumbnails", "transforms.json",
     ]  # fmt: skip
-    record, found = json.loads((folder / "run.json").read_text()), plan(folder)
+    record, guidance = json.loads((folder / "run.json").read_text()), plan(folder)
     assert record["settings"]["given"]["candidates"] == "20"
     assert record["settings"]["given"]["seed"] == record["settings"]["used"]["seed"] == 5
     assert record["settings"]["used"]["texels"] == 400
     assert "Writing the results" not in record["timings_s"] and record["kernels_compiled"]
-    assert len(found["candidates"]) == 20
-    gains = [p["gain"] for p in found["proposals"]]
+    assert len(guidance["candidates"]) == 20
+    gains = [p["gain"] for p in guidance["proposals"]]
     assert all(a > b > 0 for a, b in zip(gains, gains[1:], strict=False))
     head = next(k for k, line in enumerate(said) if line.split()[:2] == ["rank", "candidate"])
-    for line, proposal in zip(said[head + 1 : head + 4], found["proposals"], strict=True):
+    for line, proposal in zip(said[head + 1 : head + 4], guidance["proposals"], strict=True):
         rank, candidate, gain = line.split()[:3]
         assert (int(rank), int(candidate)) == (proposal["rank"], proposal["candidate"])
         assert float(gain) == pytest.approx(proposal["gain"], abs=6e-5)
         assert proposal["name"] in line
     assert said[-2] == f"Wrote {folder}"
-    found = r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to"
-    assert re.match(found, said[-1])
+    pattern = r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to"
+    assert re.match(pattern, said[-1])
 
 
 @pytest.mark.slow
 def test_sensors_of_the_scene_that_have_no_photograph_are_candidates(partial, tmp_path):
     assert guide(partial, tmp_path, "--candidates", "scene", "--add", 9) == 0
-    found = plan(tmp_path)
+    guidance = plan(tmp_path)
     missing = sorted(f"view_{view:04d}.exr" for view in MISSING)
-    assert sorted(p["file"] for p in found["proposals"]) == missing
-    assert found["photographs"] == 5
+    assert sorted(p["file"] for p in guidance["proposals"]) == missing
+    assert guidance["photographs"] == 5
     record = json.loads((tmp_path / "run.json").read_text())
     assert record["inputs"]["left_out"] == missing
     capture = svu.load_capture(partial, missing="leave-out")
-    for proposal in found["proposals"]:
+    for proposal in guidance["proposals"]:
         sensor = capture.sensors[MISSING[proposal["candidate"]]]
         np.testing.assert_allclose(proposal["pose"]["to_world"], to_world(sensor), atol=1e-6)
 
@@ -114,10 +114,10 @@ def test_what_cannot_be_reached_is_not_proposed(shot, tmp_path, no_page):
     (tmp_path / "some.json").write_text("[0, 3, 6, 9]")
     words = ("--candidates", 12, "--add", 9, "--reachable", tmp_path / "some.json")
     assert guide(shot, tmp_path / "out", *words, "--unreachable", 3, 4) == 0
-    found = plan(tmp_path / "out")
-    assert sorted(p["candidate"] for p in found["proposals"]) == [0, 6, 9]
-    assert sum(c["reachable"] for c in found["candidates"]) == 3
-    assert all(c["gain"] is None for c in found["candidates"] if not c["reachable"])
+    guidance = plan(tmp_path / "out")
+    assert sorted(p["candidate"] for p in guidance["proposals"]) == [0, 6, 9]
+    assert sum(c["reachable"] for c in guidance["candidates"]) == 3
+    assert all(c["gain"] is None for c in guidance["candidates"] if not c["reachable"])
 
 
 @pytest.mark.parametrize("text", ["0 3\n6\t9\n", "[0, 3, 6, 9]", "[9, 0, 3, 6, 6]",

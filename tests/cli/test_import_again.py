@@ -131,5 +131,5 @@ def test_every_option_is_known():
         original_world=True, normalized=True,
     )  # fmt: skip
     asked = Import(source=Path("s"), undistort=True, reading=reading, conversion=options)
-    found = _parse_arguments(asked.words)
-    assert found.words == asked.words and found.conversion.fixes == ("mesh-x90", "camera-inverse")
+    again = _parse_arguments(asked.words)
+    assert again.words == asked.words and again.conversion.fixes == ("mesh-x90", "camera-inverse")

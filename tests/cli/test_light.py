@@ -55,11 +55,11 @@ def made_up(monkeypatch):
     """Light is not searched for; how often it was asked for is counted."""
     asked = []
 
-    def found(capture, *_):
+    def estimate(capture, *_):
         asked.append(capture)
         return made_up_light()
 
-    monkeypatch.setattr(resolve_light, "estimate_light", found)
+    monkeypatch.setattr(resolve_light, "estimate_light", estimate)
     return asked
 
 
@@ -128,11 +128,11 @@ def test_what_is_known_of_the_world_is_passed_on(
 ):
     asked = []
 
-    def found(capture, grid, options, progress):
+    def estimate(capture, grid, options, progress):
         asked.append(options)
         return replace(made_up_light(), moves=bool(moves))
 
-    monkeypatch.setattr("svu_mi.calibration.light.estimate_light.estimate_light", found)
+    monkeypatch.setattr("svu_mi.calibration.light.estimate_light.estimate_light", estimate)
     assert run("light", around, *SMALL, *words, "--no-pictures", "-o", tmp_path / "out") == 0
     assert [(one.moves, one.background) for one in asked] == [(moves, background)]
     used = record(tmp_path / "out", "light.json")["settings"]["used"]

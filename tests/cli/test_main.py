@@ -61,9 +61,9 @@ def test_entropy_writes_four_files(shot, tmp_path, capsys):
         ("under 1 %" if 0 < part <= 0.005 else f"{100 * part:.0f} %" for part in known.values()),
         strict=True,
     )]  # fmt: skip
-    found, _, told = told.partition(". ")
+    summary, _, told = told.partition(". ")
     assert told == f"{words[0]} {words[1]}, {words[2]} (90 % intervals)."
-    assert re.fullmatch(r"\d+ % of the surface seen, mean entropy 0\.\d\d", found)
+    assert re.fullmatch(r"\d+ % of the surface seen, mean entropy 0\.\d\d", summary)
 
 
 def test_a_result_is_no_capture_and_says_which_one_it_was_made_of(tmp_path, capsys):

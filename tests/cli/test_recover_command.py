@@ -92,9 +92,9 @@ def test_textures_that_are_not_asked_for_stay(shot, tmp_path, no_pictures):
     write_textures(Textures(**{k: mi.TensorXf(v) for k, v in given.items()}), tmp_path / "given")
     words = ("--start", tmp_path / "given", "--parameters", "roughness", "base_color")
     assert recover(shot, tmp_path / "out", *words) == 0
-    found = maps(tmp_path / "out")
-    np.testing.assert_array_equal(found["metallic"], given["metallic"])
-    assert np.ptp(found["roughness"]) > 0 and np.ptp(found["base_color"]) > 0
+    textures = maps(tmp_path / "out")
+    np.testing.assert_array_equal(textures["metallic"], given["metallic"])
+    assert np.ptp(textures["roughness"]) > 0 and np.ptp(textures["base_color"]) > 0
 
 
 @pytest.mark.slow
@@ -120,14 +120,14 @@ def test_a_scene_that_recover_renders_is_rendered_once(tmp_path, capsys, monkeyp
 
 def interrupt_after(monkeypatch, steps):
     """Press Ctrl-C in the middle of a step of the last descent, which ``recover`` made short."""
-    advance = adam._Run.advance
+    advance = adam._DescentRun.advance
 
     def interrupted(self):
         advance(self)
         if self._options.steps == 20 and self.step >= steps:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(adam._Run, "advance", interrupted)
+    monkeypatch.setattr(adam._DescentRun, "advance", interrupted)
 
 
 def brighter(shot, folder):
@@ -251,9 +251,9 @@ def test_draws_are_written_and_a_picture_says_how_sure_it_is(shot, tmp_path, cap
     words = ("relight", shot, "--recovered", textures, "--views", 2, "--spp", 4)
     assert run(*words, "-o", out) == 0
     assert "Half of the object's pixels are known to" in capsys.readouterr().out
-    found = [name for name in names(out) if name.startswith("view_")]
-    assert len(found) == 4 and "relight.png" in names(out)
-    picture = read_exr(out / next(name for name in found if name.endswith(".exr")))
+    views = [name for name in names(out) if name.startswith("view_")]
+    assert len(views) == 4 and "relight.png" in names(out)
+    picture = read_exr(out / next(name for name in views if name.endswith(".exr")))
     assert set(picture) == {
         *"RGB", *(f"{kind}.{c}" for kind in ("mean", "sd") for c in "RGB")
     }  # fmt: skip

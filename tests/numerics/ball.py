@@ -14,7 +14,7 @@ from oracle.rounded_integrals import calibrated_entropies
 from oracle.rounding import Exact, angular_entropy
 
 from numerics.samples import noise_of
-from svu_mi.bench.captures import in_memory
+from svu_mi.bench.captures import capture_in_memory
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.sensors import make_sensor
@@ -94,7 +94,7 @@ class Ball:
                 np.array(mi.render(scene, sensor=sensor, spp=16, seed=k))[..., :3]
                 for k, sensor in enumerate(sensors)
             ]
-        return in_memory(scene, scene.shapes()[0], sensors, images)
+        return capture_in_memory(scene, scene.shapes()[0], sensors, images)
 
     def _scene(self, folder: Path) -> Any:
         path = folder / "ball.ply"

@@ -34,11 +34,11 @@ def recovered(tmp_path_factory):
 def painted(folder, recovered, change=0.0, scale=1):
     """Somebody's textures: 8-bit PNG with sRGB colours, rougher by ``change``, of another size."""
     folder.mkdir()
-    found = {name: read_exr(recovered / f"{name}.exr") for name in NAMES}
-    color = np.stack([found["base_color"][c] for c in "RGB"], axis=-1)
-    rough = np.clip(found["roughness"]["Y"] + change, 0, 1)
+    textures = {name: read_exr(recovered / f"{name}.exr") for name in NAMES}
+    color = np.stack([textures["base_color"][c] for c in "RGB"], axis=-1)
+    rough = np.clip(textures["roughness"]["Y"] + change, 0, 1)
     for name, image in (("base_color", srgb(color)), ("roughness", rough),
-                        ("metallic", found["metallic"]["Y"])):  # fmt: skip
+                        ("metallic", textures["metallic"]["Y"])):  # fmt: skip
         large = np.kron(quantized(image), np.ones((scale, scale) + (1,) * (image.ndim - 2), "u1"))
         Image.fromarray(large).save(folder / f"{name}.png")
     return folder
@@ -155,17 +155,17 @@ def test_entropies_of_other_meshes_are_refused_by_their_records(shot, vase, tmp_
 
 
 def test_an_estimate_does_not_differ_from_itself(vase):
-    found = svu.compare(vase.estimate, vase.estimate)
-    assert found.sentence() == (
+    comparison = svu.compare(vase.estimate, vase.estimate)
+    assert comparison.sentence() == (
         "Of the surface that both show, base colour differs certainly on 0 %, roughness differs "
         "certainly on 0 %, metallic differs certainly on 0 %, the entropy differs by +0.000 in the "
         "mean."
     )
-    assert (found.image("roughness")[found.seen] == 0).all()
-    assert found.image("base_color").shape == (48, 64, 3)
-    assert np.isnan(found.image("entropy")[~vase.texels.inside()]).all()
+    assert (comparison.image("roughness")[comparison.seen] == 0).all()
+    assert comparison.image("base_color").shape == (48, 64, 3)
+    assert np.isnan(comparison.image("entropy")[~vase.texels.inside()]).all()
     with pytest.raises(OptionError, match="no map 'entropy_deviations'"):
-        found.image("entropy_deviations")
+        comparison.image("entropy_deviations")
 
 
 @pytest.mark.slow
@@ -185,10 +185,10 @@ def test_what_is_certain():
     second[24, 24] += 0.06
     second[18:28, 4:14] += 0.06
     sd[18:28, 4:14] = 0.1
-    found = np.abs(differ(first, second, sd=sd).deviations[..., 0]) > 2
-    assert found[5:13, 6:12].all() and found[6:12, 5:13].all()
-    assert not found[15:].any()
-    assert not found[:, 15:].any()
+    certain = np.abs(differ(first, second, sd=sd).deviations[..., 0]) > 2
+    assert certain[5:13, 6:12].all() and certain[6:12, 5:13].all()
+    assert not certain[15:].any()
+    assert not certain[:, 15:].any()
 
 
 def test_noise_of_texels_is_not_certain():
@@ -209,11 +209,11 @@ def test_the_page_shows_it(recovered, tmp_path, browser, width):
     """With and without a mesh, in both widths."""
     theirs = painted(tmp_path / "theirs", recovered, change=0.1)
     for number, first in enumerate((recovered, theirs)):
-        found = svu.compare(first, theirs)
-        write_comparison(found, tmp_path / str(number))
+        comparison = svu.compare(first, theirs)
+        write_comparison(comparison, tmp_path / str(number))
         shown = browser.open(tmp_path / str(number) / "compare.html", width)
         assert shown.overflow == 0 and not shown.requests and not shown.complaints
-        assert found.sentence() in shown.evaluate("document.body.innerText")
+        assert comparison.sentence() in shown.evaluate("document.body.innerText")
         shown.close()
 
 
@@ -242,15 +242,15 @@ def test_a_change_of_one_part_is_shown_and_nothing_else(changed, tmp_path, capsy
     before, after = changed / "before", changed / "after"
     assert run("compare", before, after, "--resolution", 128, "-o", tmp_path) == 0
     assert "roughness differs certainly on 2" in capsys.readouterr().out.splitlines()[-1]
-    found = read_exr(tmp_path / "difference_roughness.exr")
-    certain = (np.abs(found["deviations"]) > 2) & (found["compared"] > 0)
+    written = read_exr(tmp_path / "difference_roughness.exr")
+    certain = (np.abs(written["deviations"]) > 2) & (written["compared"] > 0)
     column = (np.arange(128) + 0.5) / 128
     inside, elsewhere = column > 0.75, column < 0.75 - 2 / 128
-    compared = found["compared"] > 0
+    compared = written["compared"] > 0
     assert certain[:, inside].sum() > 0.75 * compared[:, inside].sum()
     assert compared[:, elsewhere].sum() > 10_000
     assert not certain[:, elsewhere].any()
-    assert np.median(found["Y"][:, inside][compared[:, inside]]) == pytest.approx(0.045, abs=0.01)
+    assert np.median(written["Y"][:, inside][compared[:, inside]]) == pytest.approx(0.045, abs=0.01)
     record = json.loads((tmp_path / "compare.json").read_text())
     for name in ("base_color", "metallic"):
         assert record["differences"][name]["all"]["certain"] == 0
@@ -258,5 +258,5 @@ def test_a_change_of_one_part_is_shown_and_nothing_else(changed, tmp_path, capsy
 
 @pytest.mark.slow
 def test_two_sets_of_photographs_of_one_object_do_not_differ(changed):
-    found = svu.compare(changed / "before", changed / "again", resolution=128)
-    assert {one.figures["certain"] for one in found.differences.values()} == {0}
+    comparison = svu.compare(changed / "before", changed / "again", resolution=128)
+    assert {one.figures["certain"] for one in comparison.differences.values()} == {0}

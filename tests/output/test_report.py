@@ -21,7 +21,7 @@ from svu_mi.output.interval_summary import Intervals, IntervalSummary
 from svu_mi.output.object_views import front_and_right, up_direction
 from svu_mi.output.report import report, report_pictures, report_plots, summary_text
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.recovery.svbrdf_textures import uniform
+from svu_mi.recovery.svbrdf_textures import uniform_textures
 
 VIEWS = 5
 NAME = '<img src=x onerror="y">.exr'
@@ -368,7 +368,9 @@ def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
     good = report_pictures.rerender_errors(
         capture, report_pictures.most_probable_textures(estimate), grey=True
     )
-    bad = report_pictures.rerender_errors(capture, uniform(estimate.texels, 0.02), grey=False)
+    bad = report_pictures.rerender_errors(
+        capture, uniform_textures(estimate.texels, 0.02), grey=False
+    )
     assert [name for name, _ in good["rows"]] == [capture.names[0], capture.names[3]]
     assert good["views"] == 4 and len(good["shown"]) == 2
     percent = [float(errors["mean"].split("\u202f")[0]) for errors in (good, bad)]
@@ -377,7 +379,7 @@ def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
 
 @pytest.mark.slow
 def test_recovered_textures_of_any_size_are_shown(capture, page):
-    text = page(textures=uniform(svu.texels(capture.mesh, 16), 0.4), compared=1)
+    text = page(textures=uniform_textures(svu.texels(capture.mesh, 16), 0.4), compared=1)
     recovered = section(text, "recovered")
     for name in ("base colour", "roughness", "metallic"):
         assert f"Recovered {name}." in recovered

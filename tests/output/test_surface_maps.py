@@ -13,7 +13,7 @@ from svu_mi.capture.sensors import scaled_sensor
 from svu_mi.capture.tonemap import shrunk
 from svu_mi.guidance.forecast import Forecast
 from svu_mi.recovery.relighting import relight
-from svu_mi.recovery.svbrdf_textures import uniform
+from svu_mi.recovery.svbrdf_textures import uniform_textures
 
 
 def test_the_most_probable_cell_is_that_of_the_table(vase):
@@ -51,7 +51,7 @@ def test_half_a_width_is_that_of_the_least_known_channel(vase):
 
 def test_pixels_that_are_asked_for_are_those_of_the_picture(vase):
     """Of 4 views in one launch and one by one: both noisy, without a bias."""
-    capture, textures = vase.capture, uniform(vase.texels, 0.5)
+    capture, textures = vase.capture, uniform_textures(vase.texels, 0.5)
     sensors = [scaled_sensor(sensor, 32) for sensor in capture.sensors]
     inside = [part == 1 for part in Pictures(sensors).covered(capture.scene, capture.shape)]
     some = relight(capture, textures, None, sensors, 256, pixels=inside)

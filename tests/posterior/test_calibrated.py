@@ -14,8 +14,8 @@ from svu_mi.posterior import empirical_bayes
 from svu_mi.posterior.calibrated import calibrated_posterior
 from svu_mi.posterior.node_integration import energy_at
 from svu_mi.posterior.noise import noise_variance
-from svu_mi.posterior.tables import color_of_rows
-from svu_mi.posterior.truncated_normal import Channel, erfcx
+from svu_mi.posterior.tables import row_colors
+from svu_mi.posterior.truncated_normal import ChannelLikelihood, erfcx
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.statistics import Statistics
 
@@ -126,7 +126,7 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     u, v = (x.astype(np.float32) for x in (np.sqrt(A), -mu * np.sqrt(A)))
     zero = mi.Float(np.zeros(2000, np.float32))
     edges = np.concatenate([[0], (np.arange(7) + 0.5) / 7, [1]])
-    likelihood = Channel.of([mi.Float(u), zero], [mi.Float(v), zero, zero], zero)
+    likelihood = ChannelLikelihood.of([mi.Float(u), zero], [mi.Float(v), zero, zero], zero)
     found = likelihood.integrate(edges.tolist())
     A, mu = u.astype(float) ** 2, -v.astype(float) / u
     best = np.clip(mu, 0, 1)
@@ -152,7 +152,7 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     assert np.abs(np.sqrt(np.array(found.variance, float)) - sd).max() < 1e-5
     cells = [integral(a, b, 0) / whole for a, b in zip(edges[:-1], edges[1:], strict=True)]
     assert np.abs(np.array([np.array(x) for x in found.cells]) - cells).max() < 1e-5
-    mass, parts = likelihood.masses(edges.tolist())
+    mass, parts = likelihood.integrate_masses(edges.tolist())
     assert np.abs(np.array(mass) / whole - 1).max() < 2e-5
     assert np.abs(np.array([np.array(x) for x in parts]) - cells).max() < 1e-5
 
@@ -340,7 +340,7 @@ def test_a_prior_in_common_is_that_of_expectation_maximisation() -> None:
         otherwise=empirical_bayes.OTHERWISE, **options,
     )  # fmt: skip
     truth = oracle.posterior(*given, prior=prior, **options)
-    found = empirical_bayes.shared(alone)
+    found = empirical_bayes.with_empirical_prior(alone)
     np.testing.assert_allclose(found.prior, prior.mean(axis=-1), atol=2e-5)
     assert np.abs(np.array(found.probabilities) - truth.cells).max() < 2e-4
     for name in ("roughness", "metallic"):
@@ -352,7 +352,7 @@ def test_a_prior_in_common_tells_materials_apart() -> None:
     """Few views say little of a texel; many texels say much of two materials."""
     samples, truth = simulate(600, 8, 0.25, materials=2)
     alone = calibrated_posterior(statistics(samples))
-    found = empirical_bayes.shared(alone)
+    found = empirical_bayes.with_empirical_prior(alone)
     for name, least in (("metallic", 0.7), ("roughness", 0.7), ("base_color", 0.9)):
         error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, found)]
         assert error[1] < least * error[0], name
@@ -363,7 +363,7 @@ def test_nothing_in_common_changes_little() -> None:
     """Truths from the prior itself: what is learned of 600 of them has some noise."""
     samples, truth = simulate(600, 12, 0.1)
     alone = calibrated_posterior(statistics(samples))
-    found = empirical_bayes.shared(alone)
+    found = empirical_bayes.with_empirical_prior(alone)
     for name in ("metallic", "roughness", "base_color"):
         error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, found)]
         assert error[1] < 1.2 * error[0], name
@@ -376,7 +376,7 @@ def test_the_colour_of_a_row_is_one_that_its_prior_allows() -> None:
     prior = rng.random((8, 8, 8)) * (rng.random((8, 8, 8)) < 0.4)
     found = calibrated_posterior(statistics(samples), prior=prior)
     p, edges = np.array(found.probabilities).reshape(7, 64, 8, 3), found.kernel.problem.edges
-    colors = color_of_rows(p, edges)
+    colors = row_colors(p, edges)
     middle = (edges[1:] + edges[:-1]) / 2
     mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(p.sum(axis=2), 1e-30)
     moved = np.abs(colors - mean) > 1e-6

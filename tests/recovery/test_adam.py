@@ -12,7 +12,7 @@ import pytest
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, SvuError
-from svu_mi.recovery.adam import READ, descend
+from svu_mi.recovery.adam import READ_EVERY, descend
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.recovery_options import DescentOptions
 
@@ -124,7 +124,7 @@ def test_a_bad_loss_is_named_with_its_step_and_leaves_the_checkpoint(tmp_path, b
         descend(objective, half(), DescentOptions(steps=40),
                 checkpoint=Checkpoint(path, {}, every=0.0))  # fmt: skip
     kept = Checkpoint(path, {}).load({"base_color": SHAPE})
-    assert kept.step == READ
+    assert kept.step == READ_EVERY
     assert np.isfinite(kept.values["base_color"]).all()
     assert np.isfinite(kept.losses).all()
 

@@ -13,7 +13,7 @@ import pytest
 
 from svu_mi.errors import OptionError, OutputError
 from svu_mi.recovery.adam import descend
-from svu_mi.recovery.checkpoint import Checkpoint, State
+from svu_mi.recovery.checkpoint import Checkpoint, DescentState
 from svu_mi.recovery.recovery_options import DescentOptions
 
 SHAPES = {"base_color": (4, 6, 3), "roughness": (4, 6, 1)}
@@ -57,7 +57,7 @@ def state(step=4):
         "roughness": rng.random((4, 6, 1), np.float32),
     }
     flat = {name: texture.ravel() for name, texture in textures.items()}
-    return State(step=step, values=textures, first=flat, second=flat,
+    return DescentState(step=step, values=textures, first=flat, second=flat,
                  losses=rng.random(step, np.float32))  # fmt: skip
 
 

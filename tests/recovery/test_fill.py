@@ -39,7 +39,7 @@ from svu_mi.recovery.recover import recover
 from svu_mi.recovery.recovery_options import ShOptions
 from svu_mi.recovery.svbrdf_textures import lay_out
 from svu_mi.recovery.uncertainty.gmrf import Smoother
-from svu_mi.recovery.uncertainty.texture_field import TextureField, field_around, weights_of
+from svu_mi.recovery.uncertainty.texture_field import TextureField, field_around, tv_weights
 
 Y = (0.0, 1.0, 0.0)
 
@@ -398,11 +398,11 @@ def test_of_a_flat_object_sides_are_hidden() -> None:
 
 
 def test_how_textures_were_recovered(tmp_path: Path) -> None:
-    assert recovery_settings(tmp_path) == {} and weights_of({}) == ShOptions()
+    assert recovery_settings(tmp_path) == {} and tv_weights({}) == ShOptions()
     used = {"parameters": ["roughness"], "sh": {"loss": "statistics", "tv": 2, "tv_epsilon": 0.5}}
     (tmp_path / "run.json").write_text(json.dumps({"settings": {"used": used}}))
     assert recovery_settings(tmp_path) == used
-    assert weights_of(used) == ShOptions(tv=2, tv_epsilon=0.5)
+    assert tv_weights(used) == ShOptions(tv=2, tv_epsilon=0.5)
     (tmp_path / "run.json").write_text("{")
     assert recovery_settings(tmp_path) == {}
 

@@ -13,7 +13,7 @@ import pytest
 import svu_mi as svu
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.sh.likelihood import Pull, Smoothing
+from svu_mi.recovery.sh.likelihood import QuadraticPrior, SmoothedStart
 from svu_mi.recovery.svbrdf_textures import Textures
 
 STRENGTH = 30.0
@@ -27,10 +27,10 @@ def random_textures(texels: Any, seed: int = 3) -> Textures:
     })  # fmt: skip
 
 
-def smoothing_of(vase: SimpleNamespace, names: tuple[str, ...], epsilon: float) -> Smoothing:
+def smoothing_of(vase: SimpleNamespace, names: tuple[str, ...], epsilon: float) -> SmoothedStart:
     around = neighbors(vase.texels, vase.capture.mesh)
     posterior = vase.estimate.posterior
-    return Smoothing.of(posterior, vase.texels, names, around, (STRENGTH, epsilon))
+    return SmoothedStart.of(posterior, vase.texels, names, around, (STRENGTH, epsilon))
 
 
 @pytest.mark.parametrize("epsilon", [0.0, 1e-2])
@@ -45,7 +45,7 @@ def test_it_is_the_pull_and_the_total_variation_of_textures(vase: SimpleNamespac
     tensors = {name: mi.TensorXf(tensor) for name, tensor in textures.items()}
     dr.enable_grad(tensors)
     variation = svu.TotalVariation(vase.texels, vase.capture.mesh, epsilon=epsilon)
-    expected = Pull.of(vase.estimate.posterior, vase.texels)(tensors)
+    expected = QuadraticPrior.of(vase.estimate.posterior, vase.texels)(tensors)
     expected += STRENGTH * sum(variation(tensor) for tensor in tensors.values())
     dr.backward(expected)
 

@@ -24,7 +24,7 @@ from svu_mi.recovery.path.pixel_batches import PixelBatches
 from svu_mi.recovery.path.pixel_loss import FLOOR, LOSSES, path_objective
 from svu_mi.recovery.path.textured_scene import PathScene
 from svu_mi.recovery.recovery_options import DescentOptions, PathOptions
-from svu_mi.recovery.svbrdf_textures import Textures, uniform
+from svu_mi.recovery.svbrdf_textures import Textures, uniform_textures
 
 
 def light():
@@ -131,7 +131,7 @@ def test_both_sides_reflect_if_they_did(tmp_path):
 @pytest.mark.slow
 def test_uniform_textures_render_as_the_uniform_material(capture, grid):
     """Same paths, same radiance: the textures stand for what they are called."""
-    target = PathScene.of(capture, uniform(grid))
+    target = PathScene.of(capture, uniform_textures(grid))
     for values in ({}, {"metallic": 0.0, "roughness": 0.8}, {"metallic": 1.0, "roughness": 0.2}):
         target.paint(textures_of(grid, **values))
         # Made of 0.5 and painted afterwards, as the textures are: all lobes are there.
@@ -151,7 +151,7 @@ def test_uniform_textures_render_as_the_uniform_material(capture, grid):
 
 
 def test_wrong_textures_are_refused(capture, grid):
-    target = PathScene.of(capture, uniform(grid))
+    target = PathScene.of(capture, uniform_textures(grid))
     with pytest.raises(ShapeError, match="roughness must have shape"):
         target.paint({"roughness": dr.full(mi.TensorXf, 0.5, shape=(6, 8, 3))})
 
@@ -351,7 +351,7 @@ def test_descent_finds_the_colour_of_a_surface(capture, grid):
     """With the rest known; all of it can hardly be told from so few paths."""
     fixed = Textures(**textures_of(grid))
     objective = path_objective(capture, grid, options(epochs=3, spp=8), fixed=fixed)
-    start = {"base_color": uniform(grid).base_color}
+    start = {"base_color": uniform_textures(grid).base_color}
     found = descend(objective, start, DescentOptions(steps=objective.steps, learning_rate=0.04))
     color = np.array(found.values["base_color"])[1:5].mean(axis=(0, 1))  # off the poles
     assert np.abs(color - (0.6, 0.4, 0.2)).max() < 0.02
@@ -362,7 +362,7 @@ def test_descent_finds_the_colour_of_a_surface(capture, grid):
 def test_resumed_in_the_middle_of_an_epoch_it_ends_as_if_uninterrupted(capture, grid, tmp_path):
     """Up to the order in which threads add gradients up, which Adam's division can enlarge."""
     settings = DescentOptions(steps=15, learning_rate=0.01)
-    start = dict(uniform(grid).items())
+    start = dict(uniform_textures(grid).items())
     whole = descend(path_objective(capture, grid, options()), start, settings)
     objective = path_objective(capture, grid, options())
 
@@ -388,7 +388,7 @@ def test_with_one_thread_it_is_the_same_to_the_last_bit(capture, grid):
     dr.set_thread_count(1)
     try:
         runs = [
-            descend(path_objective(capture, grid, options()), dict(uniform(grid).items()),
+            descend(path_objective(capture, grid, options()), dict(uniform_textures(grid).items()),
                     DescentOptions(steps=6))
             for _ in range(2)
         ]  # fmt: skip
@@ -410,7 +410,7 @@ def test_no_kernel_after_the_second_step_not_even_in_a_new_epoch(capture, grid):
         return objective(textures, step)
 
     steps = objective.batches.epoch + 2
-    descend(watched, dict(uniform(grid).items()), DescentOptions(steps=steps))
+    descend(watched, dict(uniform_textures(grid).items()), DescentOptions(steps=steps))
     assert compiled[2] == compiled[steps - 1]
 
 

@@ -20,8 +20,8 @@ from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.recovery.initialisation import posterior_means
 from svu_mi.recovery.recovery_options import SH_PRESETS, DescentOptions, ShOptions
-from svu_mi.recovery.sh.likelihood import Likelihood, Pull, moments, values_of
-from svu_mi.recovery.svbrdf_textures import Textures, lay_out, uniform
+from svu_mi.recovery.sh.likelihood import Likelihood, QuadraticPrior, texel_moments, values_of
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out, uniform_textures
 from svu_mi.statistics.gather_statistics import Weighting
 
 SIZE = 24
@@ -97,7 +97,7 @@ def alone(capture: Capture, grid: Texels) -> svu.Recovery:
 
 
 def test_textures_come_back(alone: svu.Recovery, truth: Textures, grid: Texels) -> None:
-    assert psnr(alone.textures, truth, grid) > psnr(uniform(grid), truth, grid) + 6
+    assert psnr(alone.textures, truth, grid) > psnr(uniform_textures(grid), truth, grid) + 6
     assert alone.losses[-1] < alone.losses[0]
     assert (alone.coverage > 0).mean() > 0.9
     for _, tensor in alone.textures.items():
@@ -188,8 +188,8 @@ def test_nothing_known_is_one_also_where_texels_share(shared: svu.Recovery) -> N
     """Entropy is a part of that of the prior, the learned one, channel by channel."""
     posterior = shared.estimate.posterior
     blind = replace(posterior.kernel.problem, scale=0 * posterior.kernel.problem.scale)
-    blind = replace(blind, least=0 * blind.least)
-    blind = replace(blind, least=kernel.least(blind, excess=True))
+    blind = replace(blind, min_energy=0 * blind.min_energy)
+    blind = replace(blind, min_energy=kernel.min_energy(blind, excess=True))
     unseen = replace(posterior, kernel=replace(posterior.kernel, problem=blind))
     entropy = np.array(unseen.entropy())
     np.testing.assert_allclose(entropy[posterior.observed], 1, atol=5e-3)
@@ -208,14 +208,14 @@ def test_it_starts_from_the_means_of_the_posterior(
         unseen = start.at(grid, name)[~seen]
         np.testing.assert_allclose(unseen, np.broadcast_to(mean[seen].mean(axis=0), unseen.shape),
                                    atol=1e-5)  # fmt: skip
-    assert psnr(start, truth, grid) > psnr(uniform(grid), truth, grid)
+    assert psnr(start, truth, grid) > psnr(uniform_textures(grid), truth, grid)
 
 
 def test_a_pull_is_a_squared_distance_and_its_gradient() -> None:
     rng, size, seen = np.random.default_rng(3319), 12, np.array([7, 2, 11, 5])
     target, weight = rng.uniform(size=(5, len(seen))), rng.uniform(0, 0.9, (5, len(seen)))
     parts = {"base_color": slice(0, 3), "roughness": slice(3, 4), "metallic": slice(4, 5)}
-    rule = Pull(mi.UInt32(seen.astype(np.uint32)), *(
+    rule = QuadraticPrior(mi.UInt32(seen.astype(np.uint32)), *(
         values_of({name: table[part] for name, part in parts.items()}) for table in (target, weight)
     ))  # fmt: skip
     images = {name: rng.uniform(size=(size, n)) for name, n in
@@ -266,8 +266,8 @@ def test_the_likelihood_is_that_of_the_posterior(known: svu.Estimate, grid: Texe
 
 def test_a_pull_is_that_of_the_moments(known: svu.Estimate, grid: Texels) -> None:
     posterior = known.posterior
-    means, sds = moments(posterior)
-    pull, trust = Pull.of(posterior, grid), Pull.by_trust(posterior, grid)
+    means, sds = texel_moments(posterior)
+    pull, trust = QuadraticPrior.of(posterior, grid), QuadraticPrior.by_trust(posterior, grid)
     seen = posterior.kernel.problem.factors.texel.numpy()
     for name in TRUE:
         for k, (mean, sd) in enumerate(zip(means[name][:, seen], sds[name][:, seen], strict=True)):
@@ -286,7 +286,7 @@ def test_known_parameters_stay_as_the_scene_has_them(
     for name in ("roughness", "metallic"):
         np.testing.assert_allclose(found.textures.at(grid, name), truth.at(grid, name), atol=1e-5)
     color = [((t.at(grid, "base_color") - truth.at(grid, "base_color")) ** 2).mean()
-             for t in (found.textures, uniform(grid))]  # fmt: skip
+             for t in (found.textures, uniform_textures(grid))]  # fmt: skip
     assert color[0] < 0.2 * color[1]
 
 
@@ -351,7 +351,7 @@ def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
         svu.recover(capture, grid, sharing=0.5)  # type: ignore[arg-type]
     other = svu.texels(capture.mesh, SIZE // 2)
     with pytest.raises(ShapeError, match="texels"):
-        svu.recover(capture, grid, start=uniform(other))
+        svu.recover(capture, grid, start=uniform_textures(other))
     with pytest.raises(OptionError, match="at least 2 texels"):
         svu.recover(capture, svu.texels(capture.mesh, (16, 1)))
     with pytest.raises(OptionError, match="resume"):

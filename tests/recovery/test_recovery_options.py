@@ -19,7 +19,7 @@ from svu_mi.posterior.spectrum import SpectrumKernel
 from svu_mi.presets import PRESETS, preset
 from svu_mi.recovery import recovery_run as running
 from svu_mi.recovery.path.pixel_loss import PathObjective
-from svu_mi.recovery.recovery_hash import fingerprint
+from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import (
     BOTH_PRESETS,
     PATH_PRESETS,
@@ -27,7 +27,7 @@ from svu_mi.recovery.recovery_options import (
     DescentOptions,
     PathOptions,
     ShOptions,
-    options_of,
+    method_options,
 )
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.regularizers.total_variation import TotalVariation
@@ -58,7 +58,7 @@ def test_a_preset_that_a_method_does_not_have_is_refused_and_others_are_listed()
         for name in {*SH, *PATH, "best"} - set(table):
             for given in (None, ShOptions()):
                 with pytest.raises(OptionError) as refused:
-                    options_of(method, name, given)
+                    method_options(method, name, given)
                 others = [m for m, there in tables.items() if name in there]
                 hint = f" {name!r} is one of method {others[0]!r}." if others else ""
                 assert str(refused.value) == (
@@ -279,5 +279,7 @@ def test_a_rule_of_one_s_own_is_written_down(seen, told):
 
 def test_whether_seeds_are_pulled_is_part_of_a_fingerprint(seen, capture, grid):
     rules = (GlobalSharing(seen, seeds=[3, 8], anchored=anchored) for anchored in (True, False))
-    marks = [fingerprint(capture, grid, None, rule, None)["seeds of sharing"] for rule in rules]
+    marks = [
+        recovery_digests(capture, grid, None, rule, None)["seeds of sharing"] for rule in rules
+    ]
     assert marks[0] != marks[1]

@@ -22,7 +22,7 @@ from svu_mi.recovery.sh.quadratic_error import information
 from svu_mi.recovery.uncertainty import clipped_normal
 from svu_mi.recovery.uncertainty import gmrf as smoothers
 from svu_mi.recovery.uncertainty import texture_field as module
-from svu_mi.recovery.uncertainty.field_draws import waves
+from svu_mi.recovery.uncertainty.field_draws import smooth_fields
 from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 from svu_mi.recovery.uncertainty.texture_field import TextureField, texture_field
 
@@ -84,7 +84,7 @@ def test_from_coarse_to_fine_the_same_is_found_sooner(monkeypatch, few: int) -> 
 
     iterate = Smoother._iterate
     monkeypatch.setattr(Smoother, "_iterate", counted)
-    monkeypatch.setattr(smoothers, "FEW", few)
+    monkeypatch.setattr(smoothers, "FEW_TEXELS", few)
     squares = np.stack(np.divmod(np.arange(side * side), side), axis=1)
     values = np.stack([np.sin(squares @ (0.1, 0.2)), squares[:, 0] > 20])
     known = np.random.default_rng(2).random((2, side * side)) < 0.01
@@ -112,7 +112,7 @@ def test_links_pull_at_both_ends_with_the_covariance_of_K() -> None:
     smoother, matrix = made(fields=1)
     K = matrix[0] - np.diag(smoother.precision[0])
     random = np.random.default_rng(3)
-    drawn = np.stack([smoother.pulls(random)[0] for _ in range(2000)])
+    drawn = np.stack([smoother.sample_links(random)[0] for _ in range(2000)])
     size = np.sqrt(np.outer(np.diag(K), np.diag(K)))
     apart = drawn.T @ drawn / len(drawn) / size - K / size
     noise = 1 / np.sqrt(len(drawn))
@@ -150,7 +150,7 @@ def test_waves_are_a_field_of_their_correlation() -> None:
     place[0] = np.array([0, 0.3, 0.8, 1.5, 4])
     random, found = np.random.default_rng(2), []
     for _ in range(400):
-        found.append(np.array(waves(3, to_drjit(mi.Point3f, place), random)))
+        found.append(np.array(smooth_fields(3, to_drjit(mi.Point3f, place), random)))
     values = np.concatenate(found)  # (1200, 5)
     wanted = np.exp(-0.5 * (place[0] - place[0][:, None]) ** 2)
     np.testing.assert_allclose(values.T @ values / len(values), wanted, atol=0.1)
@@ -246,8 +246,8 @@ def exact_coherent(field: TextureField, row: int, inverse: np.ndarray) -> np.nda
     D = field.smoother.precision[row]
     K -= np.diag(D)
     d = module.NARROW * np.median(np.diag(K))
-    apart = np.linalg.solve(K + d * np.eye(len(K)), d * np.abs(field.values - field.own)[row])
-    return np.sqrt((inverse @ (1 / field.deviation[row])) ** 2 + module.APART * apart**2)
+    apart = np.linalg.solve(K + d * np.eye(len(K)), d * np.abs(field.values - field.own_mean)[row])
+    return np.sqrt((inverse @ (1 / field.deviation[row])) ** 2 + module.DISAGREEMENT * apart**2)
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from svu_mi.errors import OptionError, SvuWarning
 from svu_mi.evaluation import reference_cache
 from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.recovery.recovery_hash import fingerprint
+from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import SH_PRESETS, DescentOptions
 
 # The scene has what is not accounted for, which is said.
@@ -205,7 +205,7 @@ def test_computed_normals_are_no_other_capture_to_references_and_checkpoints(sce
     for _ in range(3):
         capture = load_capture(path, shape="ball")
         layout = svu.texels(capture.mesh, (8, 8))
-        content = fingerprint(capture, layout, None, False, None)
+        content = recovery_digests(capture, layout, None, False, None)
         found.add(
             (reference_cache.locate(tmp_path, capture, layout, 5, options).name, *content.values())
         )

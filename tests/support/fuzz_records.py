@@ -29,7 +29,7 @@ from svu_mi.evaluation import reference_cache
 from svu_mi.evaluation.reference import Traced
 from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.recovery.checkpoint import Checkpoint, State
+from svu_mi.recovery.checkpoint import Checkpoint, DescentState
 
 SETTINGS = {"seed": 3, "sh": {"descent": {"steps": 9, "rate": 0.01}, "name": "ball"}, "tv": None}
 CONTENT = {"shapes": "ab" * 16, "light": "cd" * 16, "photographs": "ef" * 16}
@@ -48,7 +48,9 @@ def write_checkpoint(folder: Path) -> None:
     values = {name: rng.random(shape, np.float32) for name, shape in SHAPES.items()}
     flat = {name: value.ravel() for name, value in values.items()}
     losses = rng.random(4, np.float32)
-    _checkpoint(folder).save(State(step=4, values=values, first=flat, second=flat, losses=losses))
+    _checkpoint(folder).save(
+        DescentState(step=4, values=values, first=flat, second=flat, losses=losses)
+    )
 
 
 def read_checkpoint(folder: Path, out: Path) -> None:

@@ -20,7 +20,7 @@ from svu_mi.bench.accuracy.accuracy_tables import (
 from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.study import Selection, Study
-from svu_mi.bench.timing import Timed, warm
+from svu_mi.bench.timing import Timed, time_warm
 from svu_mi.capture.capture import Capture
 from svu_mi.errors import ShapeError
 from svu_mi.evaluation.correlation import pearson, sparsification, spearman
@@ -45,7 +45,7 @@ def reference_of(bench: BenchRun, capture: Capture, layout: Texels, **changes: A
 
 
 @dataclass(frozen=True)
-class Compared(CaseSubject):
+class AccuracyCase(CaseSubject):
     """A case whose estimators are compared with the reference and with the truth.
 
     Attributes:
@@ -71,8 +71,8 @@ class Compared(CaseSubject):
 
     def measure(self, row: Variant) -> Record:
         """Estimate, and compare."""
-        timed = warm(partial(row.estimate, self.capture, self.layout))
-        return self._traced.judge(timed)
+        timed = time_warm(partial(row.estimate, self.capture, self.layout))
+        return self._traced.score(timed)
 
     @cached_property
     def _traced(self) -> CaseReference:
@@ -117,7 +117,7 @@ class CaseReference:
             "number of views": -np.array(reference.coverage, np.float64)[seen],
         }
         posterior = np.array(reference.posterior.probabilities)[seen]
-        judged = judge_posterior(
+        judged = score_posterior(
             posterior, reference.posterior.axes, self.truth, self.entropy, self.kept
         )
         return {
@@ -135,13 +135,13 @@ class CaseReference:
             "sanity": {name: agreement(values, self.entropy) for name, values in maps.items()},
         }
 
-    def judge(self, timed: Timed) -> dict[str, Any]:
+    def score(self, timed: Timed) -> dict[str, Any]:
         """Return the figures of one estimate."""
         result = timed.result
         everywhere = np.array(result.entropy, np.float64)
         entropy = everywhere[self.kept]
         posterior = np.array(result.posterior.probabilities_of(self.kept))
-        judged = judge_posterior(posterior, result.posterior.axes, self.truth, entropy, self.kept)
+        judged = score_posterior(posterior, result.posterior.axes, self.truth, entropy, self.kept)
         return {
             **agreement(entropy, self.entropy),
             "mean_entropy": float(everywhere[np.array(result.coverage) > 0].mean()),
@@ -173,7 +173,7 @@ def agreement(entropy: np.ndarray, reference: np.ndarray) -> dict[str, float]:
     }
 
 
-def judge_posterior(
+def score_posterior(
     probabilities: np.ndarray,
     axes: Mapping[str, np.ndarray],
     truth: GroundTruth,
@@ -260,7 +260,7 @@ def _mean(parameters: Mapping[str, Mapping[str, float]], name: str) -> float:
 
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
-    subjects = (Compared(bench, case, selection.variants) for case in selection.cases)
+    subjects = (AccuracyCase(bench, case, selection.variants) for case in selection.cases)
     return Experiment("accuracy", subjects, whole=True)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.captures import Truth, chosen_views
+from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.cases import Case
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.guidance.guidance_tables import draw_guidance, find_bars, guidance_tables
@@ -78,7 +78,7 @@ class ViewSelectionCase(CaseSubject):
         )  # fmt: skip
 
     def head(self) -> Record:
-        """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: what ``judge`` says of it,
+        """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: what ``score`` says of it,
         and ``agreement`` of forecasts."""
         return {
             "cell": self.case.title, "object": self.case.object, "kind": self.kind,
@@ -86,10 +86,10 @@ class ViewSelectionCase(CaseSubject):
         }  # fmt: skip
 
     def measure(self, row: StrategyRow) -> Record:
-        """Return the ``order`` of a strategy, and per mark what ``judge`` says, as lists."""
+        """Return the ``order`` of a strategy, and per mark what ``score`` says, as lists."""
         order = self.order(row.label)
         marks = self.sizes.marks
-        points = [self.first, *(self.judge(self.start + order[:mark]) for mark in marks)]
+        points = [self.first, *(self.score(self.start + order[:mark]) for mark in marks)]
         return {
             "order": order,
             "psnr": [point["psnr"]["average"] for point in points],
@@ -98,14 +98,14 @@ class ViewSelectionCase(CaseSubject):
         }
 
     @cached_property
-    def grid(self) -> Texels:
+    def layout(self) -> Texels:
         """Texels of the textures."""
         return texels(self.capture.mesh, self.sizes.texels)
 
     @cached_property
     def first(self) -> Record:
-        """What ``judge`` says of the start."""
-        return self.judge(self.start)
+        """What ``score`` says of the start."""
+        return self.score(self.start)
 
     @cached_property
     def start(self) -> list[int]:
@@ -119,14 +119,9 @@ class ViewSelectionCase(CaseSubject):
         return [int(view) for view in np.argsort(-nearness)[: self.sizes.start]]
 
     @cached_property
-    def truth(self) -> Truth:
-        """True textures."""
-        return Truth.of(self.capture, self.grid)
-
-    @cached_property
     def visible(self) -> np.ndarray:
         """(T,) bool, texels that any view sees: whoever does not look there has to guess."""
-        return np.array(estimate(self.capture, self.grid, preset="fast").coverage) > 0
+        return np.array(estimate(self.capture, self.layout, preset="fast").coverage) > 0
 
     def order(self, strategy: str) -> list[int]:
         """Return the views that a strategy adds to the start, in order.
@@ -142,19 +137,19 @@ class ViewSelectionCase(CaseSubject):
         while len(chosen) < len(self.start) + count:
             left = [v for v in range(self.capture.count) if v not in chosen]
             guidance = next_best_view(
-                estimate(chosen_views(self.capture, chosen), self.grid),
+                estimate(chosen_views(self.capture, chosen), self.layout),
                 Candidates.of([self.capture.sensors[v] for v in left]), ahead,
                 strategy=strategy, seed=self.seed, texels=self.sizes.looked_at,
             )  # fmt: skip
             chosen += [left[p.candidate] for p in guidance.proposals]
         return chosen[len(self.start) :]
 
-    def judge(self, views: list[int]) -> Record:
+    def score(self, views: list[int]) -> Record:
         """Return ``psnr`` of recovered textures over all visible texels, by parameter and
         ``average``, and ``entropy``, the mean over these texels, unseen ones counting as 1."""
         taken = chosen_views(self.capture, views)
-        textures = recover(taken, self.grid, "sh").textures
-        entropy = np.array(estimate(taken, self.grid).entropy, np.float64)
+        textures = recover(taken, self.layout, "sh").textures
+        entropy = np.array(estimate(taken, self.layout).entropy, np.float64)
         return {
             "psnr": self.truth.psnr(textures, self.visible),
             "entropy": float(entropy[self.visible].mean()),
@@ -169,11 +164,11 @@ class ViewSelectionCase(CaseSubject):
         """
         left = [view for view in range(self.capture.count) if view not in self.start]
         tried = left[:: max(1, len(left) // self.sizes.asked)][: self.sizes.asked]
-        known = estimate(chosen_views(self.capture, self.start), self.grid)
+        known = estimate(chosen_views(self.capture, self.start), self.layout)
         gains = next_best_view(known, Candidates.at(self.capture, tried)).scores
         changes = [
             _mean_entropy(known) - _mean_entropy(
-                estimate(chosen_views(self.capture, [*self.start, view]), self.grid)
+                estimate(chosen_views(self.capture, [*self.start, view]), self.layout)
             )
             for view in tried
         ]  # fmt: skip
@@ -198,14 +193,14 @@ def _mean_entropy(result: Estimate) -> float:
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     sizes = bench.sizes.guidance
-    chosen = few_lights(selection.cases, sizes.lights)
+    chosen = first_lights(selection.cases, sizes.lights)
     # Every case once before any twice: an interrupted run has seen them all.
     starts = itertools.product(range(sizes.starts), sizes.kinds, chosen)
     subjects = (ViewSelectionCase(bench, case, number, kind) for number, kind, case in starts)
     return Experiment("guidance", subjects, whole=True)
 
 
-def few_lights(cases: Sequence[Case], count: int) -> list[Case]:
+def first_lights(cases: Sequence[Case], count: int) -> list[Case]:
     """Return the first ``count`` cases of every object."""
     kept: list[Case] = []
     for case in cases:

@@ -52,7 +52,7 @@ def views_needed(marks: tuple[int, ...], psnr: list[float], step: float) -> floa
     return float(places[last] + part * (places[last + 1] - places[last]))
 
 
-def mean_gain(marks: tuple[int, ...], values: list[float]) -> float:
+def mean_increase(marks: tuple[int, ...], values: list[float]) -> float:
     """Return the mean over added views of what a curve is above its start, by trapezoids."""
     places = np.array([0, *marks], float)
     return float(np.trapezoid(np.asarray(values) - values[0], places) / places[-1])
@@ -85,7 +85,7 @@ def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> lis
     """
     sign = -1.0 if name == "entropy" else 1.0
     gains = {
-        s: np.array([sign * mean_gain(sizes.marks, c) for c in object_curves(runs, s, name)])
+        s: np.array([sign * mean_increase(sizes.marks, c) for c in object_curves(runs, s, name)])
         for s in sizes.strategies
     }
     comparisons = []
@@ -102,7 +102,7 @@ def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> lis
     return comparisons
 
 
-def times_as_many(runs: list[Record], sizes: GuidanceSizes, first: str, other: str) -> float:
+def views_ratio(runs: list[Record], sizes: GuidanceSizes, first: str, other: str) -> float:
     """Return how many times as many views another strategy needs on the mean curve.
 
     If it does not get there at all, at least so many; NaN if the first does not.
@@ -126,7 +126,7 @@ def find_bars(record: Record) -> list[Bar]:
         for first in sizes.judged:
             what = (f"{kind} starts: views that farthest needs for +{sizes.step:g} dB, mean curve, "
                     f"over {first}'s")  # fmt: skip
-            times = times_as_many(own, sizes, first, "farthest")
+            times = views_ratio(own, sizes, first, "farthest")
             bars.append(Bar(what, times, FEWER[kind], "times", least=True))
         agreement = float(np.mean([run["agreement"]["correlation"] for run in own]))
         what = f"{kind} starts: correlation of expected and real change of entropy, mean"
@@ -187,7 +187,7 @@ def _cases(runs: list[Record], sizes: GuidanceSizes) -> list[str]:
     for case in dict.fromkeys(run["cell"] for run in runs):
         own = [run for run in runs if run["cell"] == case]
         gains = [
-            np.mean([mean_gain(sizes.marks, run["rows"][s]["psnr"]) for run in own])
+            np.mean([mean_increase(sizes.marks, run["rows"][s]["psnr"]) for run in own])
             for s in sizes.strategies
         ]
         rows.append([case, *(f"{gain:+.2f}" for gain in gains)])

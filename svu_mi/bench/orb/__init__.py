@@ -18,10 +18,10 @@ import numpy as np
 from svu_mi.bench.experiment import BenchRun, Experiment, Record, file_name
 from svu_mi.bench.orb.dataset import find_captures, own_dataset
 from svu_mi.bench.orb.orb_tables import draw_pictures, orb_lines, orb_tables, write_csv
-from svu_mi.bench.orb.orb_targets import Target, judge_albedo, judge_pictures
+from svu_mi.bench.orb.orb_targets import Target, score_albedo, score_pictures
 from svu_mi.bench.problem_sizes import RecoverySizes
-from svu_mi.bench.recovery import figures, run_warm
 from svu_mi.bench.recovery import methods as ways
+from svu_mi.bench.recovery import recover_warm, run_figures
 from svu_mi.bench.recovery.methods import RecoveryMethod
 from svu_mi.bench.result_cache import Store
 from svu_mi.bench.study import Selection, Study
@@ -34,7 +34,7 @@ from svu_mi.core.validation import require_known
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.recovery_options import PathOptions, ShOptions
-from svu_mi.recovery.svbrdf_textures import Textures, uniform
+from svu_mi.recovery.svbrdf_textures import Textures, uniform_textures
 
 PLACE = "orb"  # folder of finished results
 
@@ -87,7 +87,7 @@ QUICK = OrbSizes(film=128, texels=128, spp=64, recovery=RecoverySizes(warm=False
 
 
 @dataclass(frozen=True)
-class Setting:
+class OrbCase:
     """A capture, loaded only when a result is missing.
 
     Attributes:
@@ -123,10 +123,10 @@ class Setting:
 
     def measure(self, row: OrbRow) -> Record:
         """Recover textures, and compare pictures of them with photographs."""
-        timed = run_warm(row, self.capture, self.grid, self.sizes.recovery)
-        return {**figures(timed), **self.judge(timed.result.textures, row.label)}
+        timed = recover_warm(row, self.capture, self.grid, self.sizes.recovery)
+        return {**run_figures(timed), **self.score(timed.result.textures, row.label)}
 
-    def judge(self, textures: Textures, label: str) -> Record:
+    def score(self, textures: Textures, label: str) -> Record:
         """Return the figures of textures: ``light``, ``view`` and ``albedo``.
 
         Args:
@@ -138,12 +138,12 @@ class Setting:
             [target.picture(self.capture, textures, spp) for target in targets]
             for targets in (self.novel, self.test)
         )
-        light = judge_pictures(self.novel, relit, scaled=True)
-        view = judge_pictures(self.test, seen, scaled=False)
+        light = score_pictures(self.novel, relit, scaled=True)
+        view = score_pictures(self.test, seen, scaled=False)
         shown = [("another light", self.novel[0], relit[0], light, True),
                  ("another view", self.test[0], seen[0], view, False)]  # fmt: skip
         draw_pictures(self._folder / f"{file_name(label)}.png", label, shown)
-        albedo = judge_albedo(self.test, self.capture, textures)
+        albedo = score_albedo(self.test, self.capture, textures)
         return {"light": light, "view": view, "albedo": albedo}
 
     @cached_property
@@ -182,7 +182,9 @@ class Setting:
             estimated = estimate(self.capture, self.grid)
         seen = np.array(estimated.coverage) > 0
         entropy = np.array(estimated.entropy)[seen]
-        grey = uniform(self.grid, 0.5).but(metallic=uniform(self.grid, 0.0).metallic)
+        grey = uniform_textures(self.grid, 0.5).but(
+            metallic=uniform_textures(self.grid, 0.0).metallic
+        )
         return {
             "name": self.path.name,
             "film": self.sizes.film,
@@ -195,7 +197,7 @@ class Setting:
             "seen": int(seen.sum()),
             "entropy": float(entropy.mean()),
             "entropy_seconds": sum(estimated.timings.values()),
-            "grey": self.judge(grey, "grey"),
+            "grey": self.score(grey, "grey"),
         }
 
     @property
@@ -248,7 +250,7 @@ def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     data = own_dataset(bench) if selection.data is None else selection.data
     captures = chosen_captures(find_captures(data), selection.objects)
     own = selection.data is None
-    settings = (Setting(bench, path, rows, selection.environment_view, own) for path in captures)
+    settings = (OrbCase(bench, path, rows, selection.environment_view, own) for path in captures)
     return Experiment(PLACE, settings, whole=True)
 
 

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from svu_mi.bench.captures import contents
+from svu_mi.bench.captures import scene_digests
 from svu_mi.bench.cases import Case, own_cases
 from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
@@ -76,7 +76,7 @@ def own_dataset(bench: BenchRun) -> Path:
         render_dataset(folder, cases, sizes, bench.progress)
         return {"sizes": sizes}
 
-    settings = sizes, [(case.name, contents(case)) for case in cases]
+    settings = sizes, [(case.name, scene_digests(case)) for case in cases]
     bench.recall(store, "data", "Rendering a data set", settings, render)
     return folder
 

@@ -83,7 +83,7 @@ class Target:
         return relight(capture, textures, self.emitter(), [self.sensor], spp)[0]
 
 
-def judge_pictures(
+def score_pictures(
     targets: Sequence[Target], pictures: Sequence[np.ndarray], *, scaled: bool
 ) -> dict[str, Any]:
     """Compare pictures with photographs.
@@ -102,7 +102,7 @@ def judge_pictures(
     ])  # fmt: skip
 
 
-def judge_albedo(
+def score_albedo(
     targets: Sequence[Target], capture: Capture, textures: Textures
 ) -> dict[str, Any] | None:
     """Compare the base colour with that of the data set; None if it has none."""

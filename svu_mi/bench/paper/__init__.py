@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 from svu_mi.bench.cases import Case
 from svu_mi.bench.experiment import BenchRun, Experiment, Record, Subject
-from svu_mi.bench.guidance import few_lights
+from svu_mi.bench.guidance import first_lights
 from svu_mi.bench.paper.figure9 import Figure9, draw_figure9, figure9_tables
 from svu_mi.bench.paper.table2 import Table2, table2_tables
 from svu_mi.bench.paper.table3 import Table3, table3_tables
@@ -40,7 +40,7 @@ def _subjects(bench: BenchRun, selection: Selection) -> Iterator[Subject]:
         if part in LIGHTS and selection.data is None:
             cases = [case for case in cases if case.light in LIGHTS[part]]
         elif part in LIGHTS:
-            cases = few_lights(cases, len(LIGHTS[part]))
+            cases = first_lights(cases, len(LIGHTS[part]))
         yield from (subject(bench, case) for case in cases)
 
 

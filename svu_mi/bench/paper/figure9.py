@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-from svu_mi.bench.captures import Truth, chosen_views
+from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.experiment import CaseSubject, Record
 from svu_mi.bench.guidance import StrategyRow
 from svu_mi.bench.guidance.guidance_tables import views_needed
@@ -51,7 +51,7 @@ QUICK_FILM, QUICK_VIEWS, QUICK_SPP, QUICK_TEXELS = 32, 24, 4, 32
 START, ADDED = 10, (3, 6, 10)  # photographs; added ones after which textures are recovered
 PAPER, OURS, FARTHEST = "best view (paper)", "best view (ours)", "farthest"
 STRATEGIES = (PAPER, OURS, FARTHEST)
-WAYS = {"paper": "recovered by the SH model (paper)", "default": "recovered by ours"}
+RECOVERIES = {"paper": "recovered by the SH model (paper)", "default": "recovered by ours"}
 
 
 @dataclass(frozen=True)
@@ -89,24 +89,19 @@ class Figure9(CaseSubject):
         return np.array(estimate(self.capture, self.layout, "spectrum", "paper").coverage) > 0
 
     @cached_property
-    def truth(self) -> Truth:
-        """True textures."""
-        return Truth.of(self.capture, self.layout)
-
-    @cached_property
     def start(self) -> list[int]:
         """Views of the start."""
         return self._farthest([0], START - 1)
 
     @cached_property
     def first(self) -> Record:
-        """What ``judge`` says of the start."""
-        return self.judge(self.start)
+        """What ``score`` says of the start."""
+        return self.score(self.start)
 
     def measure(self, row: StrategyRow) -> Record:
         """Return ``views`` of a strategy, the ``points`` of its curve, ``seconds_per_view``."""
         views, seconds = self.order(row.label)
-        points = [self.first, *(self.judge(views[: START + added]) for added in ADDED)]
+        points = [self.first, *(self.score(views[: START + added]) for added in ADDED)]
         return {"views": views, "seconds_per_view": seconds, "points": points}
 
     def order(self, strategy: str) -> tuple[list[int], float]:
@@ -121,7 +116,7 @@ class Figure9(CaseSubject):
             chosen.append(left[best.candidate])
         return chosen, (time.perf_counter() - began) / ADDED[-1]
 
-    def judge(self, views: Sequence[int]) -> Record:
+    def score(self, views: Sequence[int]) -> Record:
         """Return average PSNR (dB) and mean entropy by way of recovery."""
         ours = self._estimate(views)
         paper = estimate(ours, method="spectrum", preset="paper")
@@ -154,22 +149,22 @@ def curves(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.nd
     return np.array([[point[what][way] for point in of_case] for of_case in points])
 
 
-def gains(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
+def increases(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
     """Return (cases, 1 + marks) curves above their start."""
     values = curves(cases, strategy, what, way)
     return values - values[:, :1]
 
 
-def mean_gain(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
+def mean_increase(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
     """Return (cases,) means of a curve above its start, over the added views."""
     places = np.array([0, *ADDED], float)
-    return np.trapezoid(gains(cases, strategy, what, way), places, axis=1) / places[-1]
+    return np.trapezoid(increases(cases, strategy, what, way), places, axis=1) / places[-1]
 
 
 def figure9_tables(cases: list[Record]) -> list[str]:
     """Return curves, views needed and tests."""
     sections = ["## Figure 9: views to add"]
-    for way, title in WAYS.items():
+    for way, title in RECOVERIES.items():
         start = curves(cases, FARTHEST, "psnr", way)[:, 0].mean()
         sections += [f"{len(cases)} cells, {title}; the start has {start:.2f} dB.",
                   _curve_table(cases, way)]  # fmt: skip
@@ -178,7 +173,7 @@ def figure9_tables(cases: list[Record]) -> list[str]:
 
 def _curve_table(cases: Sequence[Record], way: str) -> str:
     """Mean gains of PSNR by strategy, and the views needed for a gain."""
-    mean = {s: gains(cases, s, "psnr", way).mean(axis=0) for s in STRATEGIES}
+    mean = {s: increases(cases, s, "psnr", way).mean(axis=0) for s in STRATEGIES}
     last = float(mean[FARTHEST][-1])
     rows = [
         [s, *(f"{value:+.2f}" for value in mean[s][1:]), _needed(mean[s], 1.0),
@@ -211,9 +206,11 @@ def _paired_table(cases: Sequence[Record]) -> str:
     """What a strategy gains over farthest-point sampling in every case, and p of none."""
     rows = []
     for what, unit, sign in (("psnr", " dB", 1), ("entropy", "", -1)):
-        for way, title in WAYS.items():
+        for way, title in RECOVERIES.items():
             for strategy in (PAPER, OURS):
-                over = mean_gain(cases, strategy, what, way) - mean_gain(cases, FARTHEST, what, way)
+                over = mean_increase(cases, strategy, what, way) - mean_increase(
+                    cases, FARTHEST, what, way
+                )
                 p = "-"
                 if len(over) > 5 and over.any():
                     p = f"{scipy.stats.wilcoxon(over).pvalue:.3f}"
@@ -225,9 +222,9 @@ def _paired_table(cases: Sequence[Record]) -> str:
 
 def _case_table(cases: Sequence[Record]) -> str:
     """The gain of every case with all photographs, as recovered in the paper and by ours."""
-    both = [(way, s) for way in WAYS for s in STRATEGIES]
+    both = [(way, s) for way in RECOVERIES for s in STRATEGIES]
     rows = [
-        [case["cell"], *(f"{gains([case], s, 'psnr', way)[0, -1]:+.2f}" for way, s in both)]
+        [case["cell"], *(f"{increases([case], s, 'psnr', way)[0, -1]:+.2f}" for way, s in both)]
         for case in cases
     ]
     heads = (f"gain (dB) with {START + ADDED[-1]}", *(f"{s}, {way}" for way, s in both))
@@ -240,7 +237,7 @@ def draw_figure9(records: Record) -> Figure | None:
     if not cases:
         return None
     figure = page(13, 3.2)
-    panels = [("psnr", way, f"gain (dB), {title}") for way, title in WAYS.items()]
+    panels = [("psnr", way, f"gain (dB), {title}") for way, title in RECOVERIES.items()]
     panels += [("entropy", "paper", "entropy of spectra"), ("entropy", "default", "entropy")]
     for axes, (what, way, title) in zip(figure.subplots(1, 4), panels, strict=True):
         _draw(axes, cases, what, way)
@@ -253,7 +250,7 @@ def draw_figure9(records: Record) -> Figure | None:
 def _draw(axes: Axes, cases: Sequence[Record], what: str, way: str) -> None:
     photographs = START + np.array([0, *ADDED])
     for strategy, color, mark in zip(STRATEGIES, COLORS, MARKS, strict=False):
-        above = gains(cases, strategy, what, way)
+        above = increases(cases, strategy, what, way)
         shown = above if what == "psnr" else curves(cases, strategy, what, way)
         mean = shown.mean(axis=0)
         axes.plot(photographs, mean, f"{mark}-", color=color, ms=4, lw=1.2, label=strategy)

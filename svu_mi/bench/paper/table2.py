@@ -21,7 +21,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi.bench.captures import Truth, uneven_views
+from svu_mi.bench.captures import uneven_views
 from svu_mi.bench.experiment import CaseSubject, Record
 from svu_mi.bench.markdown import Column, columns, digits, table
 from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, RecoveryMethod
@@ -66,11 +66,6 @@ class Table2(CaseSubject):
     def layout(self) -> Texels:
         """Texels of the textures."""
         return texels(self.capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
-
-    @cached_property
-    def truth(self) -> Truth:
-        """True textures."""
-        return Truth.of(self.capture, self.layout)
 
     @cached_property
     def entropy(self) -> dict[str, np.ndarray]:

@@ -40,7 +40,7 @@ WELL_SEEN = 10  # photographs of a texel that is asked what it is made of
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class HoldoutCase:
     """A capture without some of its photographs.
 
     Attributes:
@@ -207,7 +207,7 @@ class LeftOut:
                 mine = np.flatnonzero((samples.view == view) & self.enough[samples.owner])
                 own = samples.owner[mine]
                 if len(mine):
-                    shown = predict(int(view)).some(own)
+                    shown = predict(int(view)).subset(own)
                     score.add(own, samples.radiance[mine], samples.cosine[mine], shown)
                 stage.update(done, int(self.held.sum()))
         scored = {"scored": len(score.shown), "seconds": perf_counter() - start}
@@ -224,7 +224,7 @@ HOLDS = (0.80, 0.97)  # part of the 90 % intervals that may hold
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     assert selection.capture is not None
-    return Experiment("real", [LeftOut(bench, selection.capture, selection.every)], whole=True)
+    return Experiment("real", [HoldoutCase(bench, selection.capture, selection.every)], whole=True)
 
 
 def find_bars(record: Record) -> list[Bar]:

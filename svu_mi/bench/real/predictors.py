@@ -21,7 +21,7 @@ from svu_mi.evaluation.posterior_predictive import Prediction, diffuse_seen_from
 from svu_mi.posterior.calibrated import CalibratedKernel
 
 if TYPE_CHECKING:
-    from svu_mi.bench.real import LeftOut
+    from svu_mi.bench.real import HoldoutCase
 
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)  # of intervals
@@ -30,7 +30,7 @@ FACING = 0.7  # cosine from which a texel faces the camera
 
 
 @dataclass(frozen=True)
-class Shown:
+class PredictedView:
     """What n texels should show in one photograph, but for its gain.
 
     Attributes:
@@ -41,9 +41,11 @@ class Shown:
     radiance: np.ndarray
     sd: np.ndarray | None = None
 
-    def some(self, texels: np.ndarray) -> Shown:
+    def subset(self, texels: np.ndarray) -> PredictedView:
         """Return the same for some of the texels."""
-        return Shown(self.radiance[:, texels], None if self.sd is None else self.sd[:, texels])
+        return PredictedView(
+            self.radiance[:, texels], None if self.sd is None else self.sd[:, texels]
+        )
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Score:
         return Score(np.random.default_rng(0).random(texels) < 0.5)
 
     def add(
-        self, texels: np.ndarray, radiance: np.ndarray, cosine: np.ndarray, expected: Shown
+        self, texels: np.ndarray, radiance: np.ndarray, cosine: np.ndarray, expected: PredictedView
     ) -> None:
         """Compare a photograph with what it should show.
 
@@ -82,7 +84,7 @@ class Score:
         first, mean = self.first[texels], expected.radiance.mean(axis=0, dtype=np.float64)
         if min(first.sum(), (~first).sum()) < FEWEST:
             return
-        gain = gain_of(mean[first], radiance[first])
+        gain = fitted_gain(mean[first], radiance[first])
         if not gain.min() > 0:  # black, or nothing is expected there
             return
         even = radiance[~first] / gain
@@ -124,7 +126,7 @@ class Score:
         }  # fmt: skip
 
 
-def gain_of(predicted: np.ndarray, shown: np.ndarray) -> np.ndarray:
+def fitted_gain(predicted: np.ndarray, shown: np.ndarray) -> np.ndarray:
     """Return the factors (3,) of (m, 3) that leave the least squares."""
     return np.asarray(
         (predicted * shown).sum(axis=0) / np.maximum(np.square(predicted).sum(axis=0), 1e-300)
@@ -147,7 +149,7 @@ def _those(values: Sequence[np.ndarray], chosen: Sequence[np.ndarray]) -> list[n
 
 DRAWS = 32
 ROUNDS = 20  # in which gains and means take turns
-Predict = Callable[[int], Shown]  # what a view should show of the texels
+Predict = Callable[[int], PredictedView]  # what a view should show of the texels
 
 
 @dataclass(frozen=True)
@@ -160,10 +162,10 @@ class Predictor:
     """
 
     label: str
-    of: Callable[[LeftOut], Predict]
+    of: Callable[[HoldoutCase], Predict]
 
 
-def _posterior(subject: LeftOut) -> Predict:
+def _posterior(subject: HoldoutCase) -> Predict:
     """Draws from the posterior, each with the noise that photographs around it had."""
     texels, posterior, samples = subject.texels, subject.estimate.posterior, subject.samples
     assert isinstance(posterior.kernel, CalibratedKernel)
@@ -174,15 +176,17 @@ def _posterior(subject: LeftOut) -> Predict:
     contrast = _sums(subject, samples.contrast * kept) / np.maximum(squares, 1e-300)
     kappa = subject.switches.kappa(subject.observed.unit)
 
-    def predict(view: int) -> Shown:
+    def predict(view: int) -> PredictedView:
         radiance = prediction.seen_from(subject.eye(view))
         relative = np.square(radiance.mean(axis=2) / kappa)
-        return Shown(radiance, noise * np.sqrt(1 + relative * (1 + samples.edges * contrast)))
+        return PredictedView(
+            radiance, noise * np.sqrt(1 + relative * (1 + samples.edges * contrast))
+        )
 
     return predict
 
 
-def _means(subject: LeftOut) -> Predict:
+def _means(subject: HoldoutCase) -> Predict:
     """The mean of each texel's own samples, by gains of the photographs that fit them best."""
     samples, kept = subject.samples, subject.kept
     gain = np.ones((len(samples.cameras), 3))
@@ -198,10 +202,10 @@ def _means(subject: LeftOut) -> Predict:
             gain[:, c] = np.where(square > 0, both / np.maximum(square, 1e-300), 1)
         gain = np.maximum(gain, 1e-6)
         gain /= np.exp(np.log(gain).mean(axis=0))
-    return lambda _: Shown(mean[None])
+    return lambda _: PredictedView(mean[None])
 
 
-def _diffuse(subject: LeftOut) -> Predict:
+def _diffuse(subject: HoldoutCase) -> Predict:
     """Diffuse texels under the same light, of the base colour that fits best."""
     samples, kept, gains = subject.samples, subject.kept, subject.lit[1]
     seen_from = diffuse_seen_from(subject.observed, subject.switches, subject.texels)
@@ -215,10 +219,10 @@ def _diffuse(subject: LeftOut) -> Predict:
     radiance = samples.radiance / factor[samples.view]
     both, square = _sums(subject, shading * radiance), _sums(subject, shading * shading)
     color = both / np.maximum(square, 1e-300)
-    return lambda view: Shown((color * seen_from(subject.eye(view)))[None])
+    return lambda view: PredictedView((color * seen_from(subject.eye(view)))[None])
 
 
-def _sums(subject: LeftOut, values: np.ndarray) -> np.ndarray:
+def _sums(subject: HoldoutCase, values: np.ndarray) -> np.ndarray:
     """Sum values (S, ...) over the samples of every texel that are known."""
     kept = subject.kept.reshape(-1, *[1] * (values.ndim - 1))
     return subject.samples.sum(np.where(kept, values, 0).astype(np.float64))

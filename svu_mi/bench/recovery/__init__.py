@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.captures import Truth, some_views
+from svu_mi.bench.captures import TrueTextures, even_views
 from svu_mi.bench.cases import Case, chosen_cases
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.problem_sizes import RecoverySizes
-from svu_mi.bench.recovery.methods import RecoveryMethod, choose_rows
+from svu_mi.bench.recovery.methods import RecoveryMethod, choose_methods
 from svu_mi.bench.recovery.recovery_tables import draw_recovery, find_bars, recovery_tables
 from svu_mi.bench.study import Selection, Study
-from svu_mi.bench.timing import Timed, warm
+from svu_mi.bench.timing import Timed, time_warm
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_shape, load_scene
@@ -34,7 +34,7 @@ BRIEF = 4  # steps after which all kernels are compiled
 
 
 @dataclass(frozen=True)
-class Recovered(CaseSubject):
+class RecoveryCase(CaseSubject):
     """A case, loaded only when a row is missing.
 
     Attributes:
@@ -62,16 +62,16 @@ class Recovered(CaseSubject):
         reach at this resolution under the other light."""
         return {
             "object": self.case.object, "light": self.case.light, "relit": self.other.light,
-            "views": self.capture.count, **self.judge.figures(),
-            "truth_relit": self.relit.judge(lay_out(self.layout, self.judge.truth.values)),
+            "views": self.capture.count, **self.scorer.counts(),
+            "truth_relit": self.relit.score(lay_out(self.layout, self.scorer.truth.values)),
         }  # fmt: skip
 
     def measure(self, row: RecoveryMethod) -> Record:
         """Recover, judge and relight; return the figures."""
-        timed = run_warm(row, self.capture, self.layout, self.sizes)
+        timed = recover_warm(row, self.capture, self.layout, self.sizes)
         textures = timed.result.textures
-        relit = self.relit.judge(textures)
-        return {**figures(timed), **self.judge.judge(textures), "relit": relit}
+        relit = self.relit.score(textures)
+        return {**run_figures(timed), **self.scorer.score(textures), "relit": relit}
 
     @cached_property
     def other(self) -> Case:
@@ -82,21 +82,21 @@ class Recovered(CaseSubject):
     def capture(self) -> Capture:
         """The photographs."""
         whole = self.bench.capture(self.case)
-        return some_views(whole, min(self.sizes.even_views, whole.count))
+        return even_views(whole, min(self.sizes.even_views, whole.count))
 
     @cached_property
-    def judge(self) -> TextureScorer:
+    def scorer(self) -> TextureScorer:
         """What textures are held against."""
         return TextureScorer.of(self.capture, self.layout, self.sizes.poor)
 
     @cached_property
-    def relit(self) -> Relit:
+    def relit(self) -> RelightingScorer:
         """What pictures under the other light are held against."""
         sizes = self.sizes
-        return Relit.of(self.capture, self.other, sizes.relit_views, sizes.relit_spp)
+        return RelightingScorer.of(self.capture, self.other, sizes.relit_views, sizes.relit_spp)
 
 
-def under_another_light(case: Case, data: Path | None, workspace: Path) -> Case:
+def next_light_case(case: Case, data: Path | None, workspace: Path) -> Case:
     """Return the same object under the light after the case's, in the order of all lights.
 
     Args:
@@ -117,7 +117,9 @@ def under_another_light(case: Case, data: Path | None, workspace: Path) -> Case:
     return around[(lights.index(case.light) + 1) % len(lights)]
 
 
-def run_warm(row: RecoveryMethod, capture: Capture, grid: Texels, sizes: RecoverySizes) -> Timed:
+def recover_warm(
+    row: RecoveryMethod, capture: Capture, grid: Texels, sizes: RecoverySizes
+) -> Timed:
     """Recover textures with compiled kernels.
 
     Kernels are compiled by a brief run that does not count. A row that takes longer than
@@ -125,13 +127,13 @@ def run_warm(row: RecoveryMethod, capture: Capture, grid: Texels, sizes: Recover
     """
     run = partial(row.recover, capture, grid, sizes.scale)
     if not sizes.warm:
-        return warm(run, sizes.repeats, long_s=0)
+        return time_warm(run, sizes.repeats, long_s=0)
     row.recover_in(BRIEF, capture, grid, Progress())
-    return warm(run, sizes.repeats, sizes.long_s)
+    return time_warm(run, sizes.repeats, sizes.long_s)
 
 
-def figures(timed: Timed) -> Record:
-    """Return what is kept of a run of ``run_warm`` itself."""
+def run_figures(timed: Timed) -> Record:
+    """Return what is kept of a run of ``recover_warm`` itself."""
     return {
         "seconds": timed.seconds,
         "runs": timed.runs,
@@ -152,7 +154,7 @@ class TextureScorer:
         poor: most views of a texel that counts as hardly seen.
     """
 
-    truth: Truth
+    truth: TrueTextures
     coverage: np.ndarray
     entropy: np.ndarray
     poor: int
@@ -165,7 +167,7 @@ class TextureScorer:
             SceneError: the scene does not know the true parameters.
             CaptureError: no texel is seen.
         """
-        truth, estimated = Truth.of(capture, grid), estimate(capture, grid)
+        truth, estimated = TrueTextures.of(capture, grid), estimate(capture, grid)
         coverage = np.array(estimated.coverage)
         if not (coverage > 0).any():
             raise CaptureError("No texel is seen in any photograph; there is nothing to compare.")
@@ -176,7 +178,7 @@ class TextureScorer:
             poor=poor,
         )
 
-    def figures(self) -> dict[str, Any]:
+    def counts(self) -> dict[str, Any]:
         """Return counts of texels: all, seen, hardly seen."""
         seen = self.coverage > 0
         return {
@@ -186,7 +188,7 @@ class TextureScorer:
             "mean_entropy": float(self.entropy[seen].mean()),
         }
 
-    def judge(self, textures: Textures) -> dict[str, Any]:
+    def score(self, textures: Textures) -> dict[str, Any]:
         """Return ``psnr`` of seen texels, ``psnr_hardly_seen`` (None if there are none), and
         ``entropy_correlation``, Pearson's of a texel's mean absolute error with its entropy.
         """
@@ -201,7 +203,7 @@ class TextureScorer:
 
 
 @dataclass(frozen=True)
-class Relit:
+class RelightingScorer:
     """The true pictures, and what is needed to make them with other textures.
 
     Attributes:
@@ -219,7 +221,9 @@ class Relit:
     seed: int
 
     @classmethod
-    def of(cls, capture: Capture, case: Case, count: int, spp: int, seed: int = 0) -> Relit:
+    def of(
+        cls, capture: Capture, case: Case, count: int, spp: int, seed: int = 0
+    ) -> RelightingScorer:
         """Render the true pictures.
 
         Args:
@@ -235,7 +239,7 @@ class Relit:
         """
         scene = load_scene(case.scene, case.defines)
         shape = find_shape(scene, capture.shape.id(), str(case.scene))
-        other = replace(some_views(capture, count), scene=scene, shape=shape, mesh=shape)
+        other = replace(even_views(capture, count), scene=scene, shape=shape, mesh=shape)
         masks = [object_mask(scene, shape, sensor) >= 1 for sensor in other.sensors]
         relit = cls(other, (), masks, spp, seed)
         return replace(relit, truth=relit.pictures(None))
@@ -244,7 +248,7 @@ class Relit:
         """Render the object with these textures instead of its own; None for its own."""
         return relight(self.capture, textures, spp=self.spp, seed=self.seed)
 
-    def judge(self, textures: Textures) -> dict[str, float]:
+    def score(self, textures: Textures) -> dict[str, float]:
         """Return psnr_hdr, psnr_ldr and ssim, means over the pictures (``image_error``)."""
         errors = [
             asdict(image_error(picture, true, mask))
@@ -258,10 +262,10 @@ class Relit:
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     sizes = bench.sizes.recovery
-    rows = choose_rows(selection.rows or sizes.rows)
+    rows = choose_methods(selection.rows or sizes.rows)
     subjects = (
-        Recovered(
-            bench, case, partial(under_another_light, case, selection.data, bench.folder), rows
+        RecoveryCase(
+            bench, case, partial(next_light_case, case, selection.data, bench.folder), rows
         )
         for case in selection.cases[: sizes.even_cells]
     )

@@ -110,7 +110,7 @@ ROWS = OURS + PAPER
 USUAL = (*OURS, SH_PAPER, SH_PAPER_SHARING, SPECTRUM)  # unless others are asked for: they take long
 
 
-def find_row(label: str) -> RecoveryMethod:
+def find_method(label: str) -> RecoveryMethod:
     """Return a row by its label.
 
     Raises:
@@ -121,11 +121,11 @@ def find_row(label: str) -> RecoveryMethod:
     return rows[label]
 
 
-def choose_rows(labels: Sequence[str]) -> tuple[RecoveryMethod, ...]:
+def choose_methods(labels: Sequence[str]) -> tuple[RecoveryMethod, ...]:
     """Return the rows of these labels, cheap ones first; the usual ones if there are no labels.
 
     Raises:
         OptionError: there is no such row.
     """
-    chosen = [find_row(label) for label in labels] or USUAL
+    chosen = [find_method(label) for label in labels] or USUAL
     return tuple(row for row in ROWS if row in chosen)

@@ -45,14 +45,14 @@ def paired(
     ]
 
 
-def gain(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> list[float]:
+def psnr_gaps(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> list[float]:
     """Return how many dB a row's average texture PSNR is above another's, per case."""
     return [a - b for a, b in paired(cases, row, base, lambda figures: figures["psnr"]["average"])]
 
 
-def mean_gain(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> float:
-    """Return the mean of ``gain``; NaN without any."""
-    differences = gain(cases, row, base)
+def mean_psnr_gap(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> float:
+    """Return the mean of ``psnr_gaps``; NaN without any."""
+    differences = psnr_gaps(cases, row, base)
     return float(np.mean(differences)) if differences else float("nan")
 
 
@@ -90,18 +90,18 @@ class MethodComparison:
         return Bar(what, value, self.limit, self.unit, self.least)
 
 
-def gains(row: RecoveryMethod, base: RecoveryMethod, limit: float) -> MethodComparison:
+def psnr_comparison(row: RecoveryMethod, base: RecoveryMethod, limit: float) -> MethodComparison:
     """Return the claim that a row gains so many dB at least, in the mean over cases."""
     words = "average texture PSNR, mean over cells"
-    return MethodComparison(row, base, words, mean_gain, limit, "dB", True)
+    return MethodComparison(row, base, words, mean_psnr_gap, limit, "dB", True)
 
 
 COMPARISONS = (
-    gains(SH, PATH, -0.5),
+    psnr_comparison(SH, PATH, -0.5),
     MethodComparison(SH, PATH, "time, part", time_ratio, 1 / 15),
-    gains(SH, SH_PAPER, 0.0),
+    psnr_comparison(SH, SH_PAPER, 0.0),
     MethodComparison(SH, SH_PAPER, "time, part", time_ratio, 1.0),
-    gains(SH_PATH, PATH, 0.0),
+    psnr_comparison(SH_PATH, PATH, 0.0),
     MethodComparison(SH_PATH, PATH, "time, part", time_ratio, 1 / 3),
 )
 

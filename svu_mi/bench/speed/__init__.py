@@ -13,10 +13,10 @@ import drjit as dr
 import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
-from svu_mi.bench.captures import some_views
+from svu_mi.bench.captures import even_views
 from svu_mi.bench.cases import Case
 from svu_mi.bench.compared_estimators import VARIANTS, Variant
-from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Part, Record
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Bar
 from svu_mi.bench.speed.speed_tables import scaling, speed_tables
 from svu_mi.bench.speed.timed_kernels import (
@@ -27,7 +27,7 @@ from svu_mi.bench.speed.timed_kernels import (
     measure_gather,
 )
 from svu_mi.bench.study import Selection, Study
-from svu_mi.bench.timing import WARM_UP, in_new_process, once, spread, warm
+from svu_mi.bench.timing import WARM_UP, in_new_process, spread, time_once, time_warm
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.loading import load_capture
 from svu_mi.core.memory import Need, Sizes
@@ -49,7 +49,7 @@ PLAIN_PSI, LINEAR_PSI = 512, 32  # of the path-traced posterior that is timed
 
 
 @dataclass(frozen=True)
-class Timing(CaseSubject):
+class SpeedCase(CaseSubject):
     """The case that run times are measured on.
 
     Attributes:
@@ -59,10 +59,10 @@ class Timing(CaseSubject):
     variants: Sequence[Variant]
 
     @property
-    def rows(self) -> Sequence[Part]:
+    def rows(self) -> Sequence[Measurement]:
         return PARTS
 
-    def settings(self, row: Part | None) -> Any:
+    def settings(self, row: Measurement | None) -> Any:
         timed = [(v.label, v.method, asdict(v.preset)) for v in self.variants]
         return super().settings(row), timed
 
@@ -85,7 +85,7 @@ class Timing(CaseSubject):
         """The capture and the texels that run times are measured on."""
         return timed_setting(self.bench, self.case)
 
-    def curves(self, curve: Callable[[Timing, Variant], list[Record]]) -> Record:
+    def curves(self, curve: Callable[[SpeedCase, Variant], list[Record]]) -> Record:
         """Return a curve of every variant that is scaled, by its label."""
         scaled = [v for v in self.variants if v.label.endswith((" default", " fixed"))]
         return {variant.label: curve(self, variant) for variant in scaled}
@@ -94,7 +94,7 @@ class Timing(CaseSubject):
         """Return a point of a scaling curve: ``value``, ``seconds`` and ``pearson``."""
         reference = reference or self.reference
         # Half as many as for the table of run times: there are many points.
-        timed = warm(run, (self.bench.sizes.repeats + 1) // 2)
+        timed = time_warm(run, (self.bench.sizes.repeats + 1) // 2)
         seen = np.array(reference.coverage) > 0
         entropy = np.array(timed.result.entropy)[np.array(reference.subset)[seen]]
         rho = pearson(entropy, np.array(reference.entropy)[seen])
@@ -129,11 +129,11 @@ def estimate_once(folder: str, resolution: int, label: str) -> Record:
     """
     variant = next(v for v in VARIANTS if v.label == label)
     capture = load_capture(folder)
-    timed = once(partial(variant.estimate, capture, texels(capture.mesh, resolution)))
+    timed = time_once(partial(variant.estimate, capture, texels(capture.mesh, resolution)))
     return {"timings": timed.timings, "seconds": timed.seconds, "kernels": timed.compiled}
 
 
-def time_estimators(timing: Timing) -> Record:
+def time_estimators(timing: SpeedCase) -> Record:
     """Return, by label, seconds per stage, warm (median of several) and cold (one fresh process),
     and those in kernels."""
     bench, records = timing.bench, {}
@@ -141,7 +141,7 @@ def time_estimators(timing: Timing) -> Record:
     folder = bench.folder / "cells" / timing.name / _timed_name(bench)
     for variant in timing.variants:
         with bench.progress.stage(f"Timing {variant.label}, warm"):
-            timed = warm(partial(variant.estimate, capture, layout), bench.sizes.repeats)
+            timed = time_warm(partial(variant.estimate, capture, layout), bench.sizes.repeats)
         with bench.progress.stage(f"Timing {variant.label}, cold"):
             cold = in_new_process(
                 estimate_once, folder=str(folder), resolution=bench.sizes.speed_texels,
@@ -155,7 +155,7 @@ def time_estimators(timing: Timing) -> Record:
     return records
 
 
-def by_degree(timing: Timing, variant: Variant) -> list[Record]:
+def by_degree(timing: SpeedCase, variant: Variant) -> list[Record]:
     """Time and agreement by highest degree l*; empty for an estimator without degrees."""
     if variant.method != "spectrum":
         return []
@@ -167,7 +167,7 @@ def by_degree(timing: Timing, variant: Variant) -> list[Record]:
     ]  # fmt: skip
 
 
-def by_grid(timing: Timing, variant: Variant) -> list[Record]:
+def by_grid(timing: SpeedCase, variant: Variant) -> list[Record]:
     """Time and agreement by number of nodes per axis of the posterior's grid."""
     run = partial(variant.estimate, timing.capture, timing.layout)
     shape: Any = run().posterior.grid
@@ -176,18 +176,18 @@ def by_grid(timing: Timing, variant: Variant) -> list[Record]:
     return [timing.point(n, partial(run, grid=grid)) for n, grid in grids.items()]
 
 
-def by_views(timing: Timing, variant: Variant) -> list[Record]:
+def by_views(timing: SpeedCase, variant: Variant) -> list[Record]:
     """Time and agreement by number of views, each with the reference of the same views."""
     whole, rows = timing.capture, []
     for count in sorted({min(count, whole.count) for count in VIEWS}):
-        capture = some_views(whole, count)
+        capture = even_views(whole, count)
         reference = reference_of(timing.bench, capture, timing.layout)
         run = partial(variant.estimate, capture, timing.layout)
         rows.append(timing.point(count, run, reference))
     return rows
 
 
-def by_samples(timing: Timing) -> Record:
+def by_samples(timing: SpeedCase) -> Record:
     """Time of the reference by samples per ray, and agreement with its largest number."""
     most = timing.bench.sizes.reference_spp
     counts = [spp for spp in timing.points(SAMPLES) if spp < most] + [most]
@@ -204,13 +204,13 @@ def by_samples(timing: Timing) -> Record:
     ]}  # fmt: skip
 
 
-def _references(timing: Timing, counts: Sequence[int]) -> Iterable[Any]:
+def _references(timing: SpeedCase, counts: Sequence[int]) -> Iterable[Any]:
     for spp in counts:
         with timing.bench.progress.stage(f"Reference with {spp} samples"):
             yield reference_of(timing.bench, timing.capture, timing.layout, spp=spp)
 
 
-def brute_force(timing: Timing) -> Record:
+def brute_force(timing: SpeedCase) -> Record:
     """Extrapolate the time of the path-traced posterior of all texels from a sample.
 
     seconds = (texel, view) pairs x psi x spp / (rays per second), where a ray is one camera
@@ -238,7 +238,7 @@ def brute_force(timing: Timing) -> Record:
     }
 
 
-def time_gather(timing: Timing) -> Record:
+def time_gather(timing: SpeedCase) -> Record:
     """Compare the gather with bare visibility rays, on a fine mesh."""
     sizes, (capture, _) = timing.bench.sizes, timing.timed
     if int(capture.mesh.face_count()) < MIN_TRIANGLES:
@@ -246,13 +246,13 @@ def time_gather(timing: Timing) -> Record:
     return measure_gather(capture, sizes.speed_texels, sizes.repeats)
 
 
-def time_whole_way(timing: Timing) -> Record:
+def time_from_files(timing: SpeedCase) -> Record:
     """Time the way from the files of a capture to entropy.exr.
 
     Returns:
-        By method ``warm``, ``stages`` and ``seconds`` as spreads; ``cold``, what ``go_all_the_way``
-        returns in a new process without compiled kernels, beside ``formula_mib``, the memory that
-        ``svu entropy`` announces.
+        By method ``warm``, ``stages`` and ``seconds`` as spreads; ``cold``, the result of
+        ``run_from_files`` in a new process without compiled kernels, with ``formula_mib``, the
+        memory that ``svu entropy`` announces.
     """
     bench, records = timing.bench, {}
     capture, layout = timing.timed
@@ -260,8 +260,8 @@ def time_whole_way(timing: Timing) -> Record:
     for method, model in (("angular", "default"), ("spectrum", "spectrum")):
         arguments: dict[str, Any] = {"source": str(capture.source), "method": method,
                                  "resolution": bench.sizes.speed_texels}  # fmt: skip
-        runs = [go_all_the_way(**arguments) for _ in range(WARM_UP + bench.sizes.repeats)][WARM_UP:]
-        cold = in_new_process(go_all_the_way, **arguments)
+        runs = [run_from_files(**arguments) for _ in range(WARM_UP + bench.sizes.repeats)][WARM_UP:]
+        cold = in_new_process(run_from_files, **arguments)
         pixels = sum(image.shape[0] * image.shape[1] for image in capture.images)
         need = Need("entropy", Sizes([(pixels, 1)]), (layout.count, 1), model)
         records[method] = {
@@ -275,7 +275,7 @@ def time_whole_way(timing: Timing) -> Record:
     return records
 
 
-def go_all_the_way(source: str, resolution: int, method: Any) -> Record:
+def run_from_files(source: str, resolution: int, method: Any) -> Record:
     """Return ``stages`` in seconds, ``seconds`` of all and ``kernels`` compiled, of one run from
     the files of a capture to entropy.exr."""
     progress = Progress()
@@ -312,19 +312,21 @@ def find_bars(record: Record) -> list[Bar]:
 
 
 PARTS = (
-    Part("estimators", time_estimators),
-    Part("degree", lambda timing: timing.curves(by_degree)),
-    Part("grid", lambda timing: timing.curves(by_grid)),
-    Part("views", lambda timing: timing.curves(by_views)),
-    Part("reference_spp", by_samples),
-    Part("brute", brute_force),
-    Part("gather", time_gather),
-    Part("whole_way", time_whole_way),
+    Measurement("estimators", time_estimators),
+    Measurement("degree", lambda timing: timing.curves(by_degree)),
+    Measurement("grid", lambda timing: timing.curves(by_grid)),
+    Measurement("views", lambda timing: timing.curves(by_views)),
+    Measurement("reference_spp", by_samples),
+    Measurement("brute", brute_force),
+    Measurement("gather", time_gather),
+    Measurement("whole_way", time_from_files),
 )
 
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
-    return Experiment("speed", [Timing(bench, selection.cases[0], selection.variants)], whole=True)
+    return Experiment(
+        "speed", [SpeedCase(bench, selection.cases[0], selection.variants)], whole=True
+    )
 
 
 STUDY = Study(title="Run times", experiment=_experiment, tables=speed_tables, bars=find_bars,

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 import trimesh
 
-from svu_mi.bench.captures import in_memory
+from svu_mi.bench.captures import capture_in_memory
 from svu_mi.bench.experiment import Record
 from svu_mi.bench.timing import MILLISECOND, measure_in_turns
 from svu_mi.capture import mesh as capture_mesh
@@ -141,7 +141,7 @@ def fine_capture(views: int, film: int) -> Capture:
     )
     rng = np.random.default_rng(SEED)
     noise = (rng.random((film, film, 3), np.float32) for _ in range(views))
-    return in_memory(scene, mesh, sphere_sensors(mesh, views, (film, film)), noise)
+    return capture_in_memory(scene, mesh, sphere_sensors(mesh, views, (film, film)), noise)
 
 
 @dataclass(frozen=True)

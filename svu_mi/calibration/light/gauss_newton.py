@@ -16,7 +16,7 @@ from svu_mi.calibration.light.light_samples import Samples
 from svu_mi.calibration.light.light_transport import Materials, Transport, materials_of
 from svu_mi.errors import CaptureError
 from svu_mi.posterior.calibrated import CalibratedKernel
-from svu_mi.posterior.empirical_bayes import shared
+from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.reflection.principled import mixture_derivative
 
@@ -107,7 +107,7 @@ def system_of(
     """
     samples = transport.samples
     # With the shared prior: independent uncertain texels would bias the light.
-    materials = materials_of(shared(posterior))
+    materials = materials_of(with_empirical_prior(posterior))
     slopes, found = _slopes_and_samples(transport, light, materials)
     if known is None:
         J = np.zeros((3, samples.count, 0), np.float32)

@@ -1,1 +1,1 @@
-"""``svu compare``: two results about one object, side by side."""
+"""``svu compare``: differences between two results about one object, as numbers and a page."""

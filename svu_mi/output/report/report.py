@@ -33,7 +33,7 @@ from svu_mi.output.rerender import WORST
 from svu_mi.output.run_record import environment_record
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
-from svu_mi.recovery.uncertainty.texture_field import field_of
+from svu_mi.recovery.uncertainty.texture_field import field_of_textures
 
 TEMPLATE = "report.html"
 FRAMES, SIDE = 12, 400  # of the turntable; pixels
@@ -103,7 +103,7 @@ def _pictures(
     maps, recovered = report_pictures.map_pictures(table, estimate, intervals), []
     report(2, 5)
     if textures is not None:
-        field = field_of(textures, estimate, capture.mesh)
+        field = field_of_textures(textures, estimate, capture.mesh)
         recovered = report_pictures.texture_maps(table, estimate, textures, field)
     report(3, 5)
     turned = [frame[0] for frame in frames]

@@ -28,7 +28,7 @@ from svu_mi.output.viewer.picking import Pick, Picker, draw_pick, draw_scale, te
 from svu_mi.output.viewer.viser_mesh import GAIN, Frustum, frustum, material_colors, textured_mesh
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
-from svu_mi.recovery.uncertainty.texture_field import field_of
+from svu_mi.recovery.uncertainty.texture_field import field_of_textures
 
 HOME = (2.2, 1.2, 0.8)  # in front, to the right and above, in radii: the first look at the object
 NOWHERE = "anywhere"
@@ -71,7 +71,7 @@ class Viewer:
         require_viser()  # before any work
         self._capture, self._estimate, self._recovered = capture, estimate, recovered
         intervals = Intervals(estimate.posterior)
-        field = None if recovered is None else field_of(recovered, estimate, capture.mesh)
+        field = None if recovered is None else field_of_textures(recovered, estimate, capture.mesh)
         self._maps = surface_maps(estimate, recovered, intervals, field)
         self._picker = Picker(capture, estimate, intervals)
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()

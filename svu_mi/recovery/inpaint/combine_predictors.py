@@ -37,7 +37,7 @@ def tv_predictions(
         right = trust * np.where(known, values, mean)
         for hidden in [None] if edges else [~known, *[None] * EDGE_ROUNDS]:
             smoother = graph.smoother.with_precision(trust, filled, hidden)
-            filled = np.where(known, values, smoother.fill(right, filled, border))
+            filled = np.where(known, values, smoother.solve_masked(right, filled, border))
         yield title, np.clip(filled, 0, 1)
 
 

@@ -128,7 +128,7 @@ class Fusion:
     def fused_field(self, filled: np.ndarray) -> TextureField:
         """Return the field with ``filled`` texels, (T,) bool."""
         field = self.field
-        laid = field.laid(self.values)
+        laid = field.to_textures(self.values)
         textures = field.textures.but(**{name: laid[name] for name in field.names})
-        own = np.where(filled, self.values, field.own)
-        return replace(field, textures=textures, own=own, least=self.least)
+        own = np.where(filled, self.values, field.own_mean)
+        return replace(field, textures=textures, own_mean=own, min_width=self.least)

@@ -13,7 +13,7 @@ from svu_mi.capture.mesh import unit_vectors
 from svu_mi.geometry.neighbors import connected, means, squares_of, sums
 from svu_mi.geometry.texels import Texels
 from svu_mi.recovery.inpaint.fill_result import LEAST_SD
-from svu_mi.recovery.uncertainty.gmrf import FEWER, Smoother
+from svu_mi.recovery.uncertainty.gmrf import GROUPING_LIMIT, Smoother
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 PIECE_DISTANCE = 1e3  # added distance between pieces, in extents of the object
@@ -117,7 +117,7 @@ class TexelGraph:
     @property
     def is_large(self) -> bool:
         """Whether there are too many texels and fewer groups (not if known ones are scattered)."""
-        return self.count > MOST_TEXELS and self.halved[0].count < FEWER * self.count
+        return self.count > MOST_TEXELS and self.halved[0].count < GROUPING_LIMIT * self.count
 
     @property
     def coarsest(self) -> TexelGraph:

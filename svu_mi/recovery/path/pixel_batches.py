@@ -19,7 +19,7 @@ TILE = 4  # pixels per side that stay together when the order is shuffled: paths
 
 
 @dataclass(frozen=True)
-class Batch:
+class PixelBatch:
     """N pixels.
 
     Attributes:
@@ -90,7 +90,7 @@ class PixelBatches:
         self.mean = total / (3 * self.pixels)
         self._order = lru_cache(1)(self._shuffled)  # of the last epoch
 
-    def at(self, step: int) -> Batch:
+    def at(self, step: int) -> PixelBatch:
         """Return the batch of a step."""
         epoch, number = divmod(step, self.epoch)
         chosen = np.arange(number * self.size, (number + 1) * self.size) % self.pixels
@@ -100,7 +100,7 @@ class PixelBatches:
         view = sorted_views[place]
         row, column = np.divmod(index - self._first[view], self._width[view])
         lanes = [to_drjit(mi.UInt32, x.astype(np.uint32)) for x in (index, view, row, column)]
-        return Batch(lanes[0], (lanes[1], lanes[2], lanes[3]))
+        return PixelBatch(lanes[0], (lanes[1], lanes[2], lanes[3]))
 
     def _shuffled(self, epoch: int) -> np.ndarray:
         """Return the usable pixels in the order of an epoch."""

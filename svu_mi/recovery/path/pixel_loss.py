@@ -37,11 +37,11 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.plugin_security import own_plugin
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.texels import Texels
-from svu_mi.recovery.path.pixel_batches import Batch, PixelBatches
+from svu_mi.recovery.path.pixel_batches import PixelBatch, PixelBatches
 from svu_mi.recovery.path.textured_scene import PathScene, key_of
 from svu_mi.recovery.recovery_options import PathOptions
-from svu_mi.recovery.regularizers.known_gradient import known
-from svu_mi.recovery.svbrdf_textures import Textures, uniform
+from svu_mi.recovery.regularizers.known_gradient import with_known_gradient
+from svu_mi.recovery.svbrdf_textures import Textures, uniform_textures
 
 FLOOR = 0.1  # of the relative loss: radiance, in units of the scale, that counts as dark
 
@@ -113,7 +113,9 @@ class PathObjective:
         dr.eval(gradients)
         self._follow(live, dr.disable_grad)
         return sum(
-            known(loss if index == 0 else mi.Float(0), [gradients[name]], [texture.array])
+            with_known_gradient(
+                loss if index == 0 else mi.Float(0), [gradients[name]], [texture.array]
+            )
             for index, (name, texture) in enumerate(textures.items())
         )
 
@@ -124,7 +126,7 @@ class PathObjective:
         radiance, photograph, _ = self._trace(self.batches.at(step), self._seed(step))
         return radiance, photograph
 
-    def _trace(self, batch: Batch, seed: Any) -> tuple[Any, Any, Callable[[Any], None]]:
+    def _trace(self, batch: PixelBatch, seed: Any) -> tuple[Any, Any, Callable[[Any], None]]:
         """Trace the paths of a batch: return what ``render`` does, and a function that takes the
         derivative of a loss by the radiance of every path, and passes it on to the textures."""
         count, views = len(batch.index), self.batches.views
@@ -185,7 +187,7 @@ def path_objective(
 ) -> PathObjective:
     """Make the objective of a capture."""
     return PathObjective(
-        target=PathScene.of(capture, uniform(texels) if fixed is None else fixed),
+        target=PathScene.of(capture, uniform_textures(texels) if fixed is None else fixed),
         batches=PixelBatches(capture, options.pixels_per_batch, options.seed, views),
         integrator=own_plugin({"type": "prb", "max_depth": options.max_depth}),
         options=options,

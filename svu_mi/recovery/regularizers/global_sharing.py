@@ -22,7 +22,7 @@ Divergence = Literal["forward", "reverse"]
 Seeding = Literal["spread", "least"]
 
 SEEDS, TAU = 20, 0.4  # as in the paper
-PRINTED: dict[str, Any] = {
+PAPER_SETTINGS: dict[str, Any] = {
     "tau": TAU, "seeding": "least", "divergence": "forward", "anchored": False,
 }  # fmt: skip
 
@@ -102,7 +102,7 @@ class GlobalSharing(Regularizer):
         Raises:
             OptionError: fewer than one seed.
         """
-        return cls(estimate, mesh, seeds=seeds, **PRINTED)
+        return cls(estimate, mesh, seeds=seeds, **PAPER_SETTINGS)
 
     def record(self) -> dict[str, Any]:
         """Return how texels share, for a run's settings: all but posteriors and seeds' places."""

@@ -13,7 +13,7 @@ from svu_mi.geometry.neighbors import Neighbors, neighbors
 from svu_mi.geometry.texels import Texels
 
 
-def known(value: Any, slopes: Sequence[Any], values: Sequence[Any]) -> Any:
+def with_known_gradient(value: Any, slopes: Sequence[Any], values: Sequence[Any]) -> Any:
     """Return a detached scalar with derivatives ``slopes`` for ``values``, Floats of equal widths.
 
     The backward pass is one multiplication per value and adds nothing up, so it is the same
@@ -56,7 +56,7 @@ class Regularizer:
         channels = int(shape[2]) if len(shape) == 3 else 1
         value, gradient = self._of(dr.detach(texture.array), channels)
         dr.make_opaque(gradient)  # a literal 0 would cut the dependence on the texture
-        return known(value, [gradient], [texture.array])
+        return with_known_gradient(value, [gradient], [texture.array])
 
     def _texels(self) -> Texels:
         raise NotImplementedError

@@ -28,12 +28,12 @@ def find_seeds(estimate: Estimate, around: Neighbors, count: int) -> np.ndarray:
     table = around.table()
     linked = table != np.arange(around.count)
     smooth = (entropy + np.where(linked, entropy[table], 0).sum(axis=0)) / (1 + linked.sum(axis=0))
-    found = minima(smooth, observed, around, RINGS, RESOLUTION)
-    certain = found[smooth[found] <= np.median(smooth[observed])]
-    found = certain if len(certain) else found
-    found = found[np.argsort(smooth[found], kind="stable")]
-    means = mean_parameters(estimate.posterior, found)
-    return found[spread(means, 1 - smooth[found], count)]
+    candidates = local_minima(smooth, observed, around, RINGS, RESOLUTION)
+    certain = candidates[smooth[candidates] <= np.median(smooth[observed])]
+    candidates = certain if len(certain) else candidates
+    candidates = candidates[np.argsort(smooth[candidates], kind="stable")]
+    means = mean_parameters(estimate.posterior, candidates)
+    return candidates[farthest_points(means, 1 - smooth[candidates], count)]
 
 
 def least_minima(
@@ -45,11 +45,11 @@ def least_minima(
     entropy are one plateau; it is a minimum if no neighbour of any of its texels is lower, and
     the texel of the lowest number stands for it.
     """
-    found = minima(entropy, observed, around, 1, 0.0)
-    return found[np.argsort(entropy[found], kind="stable")][:count]
+    candidates = local_minima(entropy, observed, around, 1, 0.0)
+    return candidates[np.argsort(entropy[candidates], kind="stable")][:count]
 
 
-def minima(
+def local_minima(
     values: np.ndarray, allowed: np.ndarray, around: Neighbors, rings: int, resolution: float
 ) -> np.ndarray:
     """Return one texel of every local minimum, in order of their numbers.
@@ -79,7 +79,7 @@ def mean_parameters(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
     return np.concatenate(columns, axis=1)
 
 
-def spread(points: np.ndarray, worth: np.ndarray, count: int) -> np.ndarray:
+def farthest_points(points: np.ndarray, worth: np.ndarray, count: int) -> np.ndarray:
     """Return the first point and, one by one, those whose distance to all before is worth most."""
     chosen = [0]
     nearest = np.linalg.norm(points - points[0], axis=1)

@@ -21,14 +21,14 @@ from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.recovery_options import DescentOptions
-from svu_mi.recovery.regularizers.known_gradient import known
+from svu_mi.recovery.regularizers.known_gradient import with_known_gradient
 from svu_mi.recovery.regularizers.total_variation import absolute
-from svu_mi.recovery.sh.quadratic_error import carry, energy, look_up
+from svu_mi.recovery.sh.quadratic_error import energy, look_up
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.gather_statistics import Values, flatten_values
 
-SURE = 1e-2  # standard deviation below which a texel pulls no more: nothing is known better
+SD_FLOOR = 1e-2  # standard deviation below which a texel pulls no more: nothing is known better
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,10 @@ class Likelihood:
     def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> Likelihood:
         """Take the statistics and the noise of a posterior in colour."""
         factors = posterior.kernel.problem.factors
-        place, weight = dr.gather(mi.UInt32, texels.index, factors.texel), nats(posterior)
+        place, weight = (
+            dr.gather(mi.UInt32, texels.index, factors.texel),
+            nats_per_squared_error(posterior),
+        )
         dr.eval(place)
         return Likelihood(factors, place, weight)
 
@@ -58,13 +61,17 @@ class Likelihood:
         values = look_up(textures, self.place)
         with dr.suspend_grad():
             error, slopes = energy(self.factors, dr.detach(values))
-            error, slopes = self.weight * error, _each(lambda slope: self.weight * slope, slopes)
+            error, slopes = (
+                self.weight * error,
+                _map_values(lambda slope: self.weight * slope, slopes),
+            )
             dr.eval(error, slopes)  # once: they are needed for the value and for the gradient
-        return carry(error, slopes, values, dr.opaque(mi.Float, 1 / self.factors.count))
+        loss = with_known_gradient(dr.sum(error), flatten_values(slopes), flatten_values(values))
+        return loss * dr.opaque(mi.Float, 1 / self.factors.count)
 
 
 @dataclass(frozen=True)
-class Pull:
+class QuadraticPrior:
     """Weighted squared distance of texels to what they probably are, the mean over texels.
 
     Attributes:
@@ -78,45 +85,48 @@ class Pull:
     weight: Values
 
     @staticmethod
-    def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> Pull:
+    def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> QuadraticPrior:
         """-log of a normal distribution with each parameter's posterior mean and variance.
 
         A mean hedges where a likelihood has several valleys, and its neighbours decide.
         """
-        means, sds = moments(posterior)
-        return Pull._to(posterior, texels, means, nats_of_squares(sds))
+        means, sds = texel_moments(posterior)
+        return QuadraticPrior._to(posterior, texels, means, nats_of_squares(sds))
 
     @staticmethod
-    def by_trust(posterior: Posterior[CalibratedKernel], texels: Texels) -> Pull:
+    def by_trust(posterior: Posterior[CalibratedKernel], texels: Texels) -> QuadraticPrior:
         """Squared distances to posterior means, the less the photographs have told, the less they
         count: by 1 - variance / the prior's."""
-        means, sds = moments(posterior)
+        means, sds = texel_moments(posterior)
         trust = {}
         for name, sd in sds.items():
             usual = np.reshape(posterior.prior_moments(name)[1], (-1, 1))  # of each channel, or all
-            trust[name] = np.clip(1 - (sd / np.maximum(usual, SURE)) ** 2, 0, 1)
-        return Pull._to(posterior, texels, means, trust)
+            trust[name] = np.clip(1 - (sd / np.maximum(usual, SD_FLOOR)) ** 2, 0, 1)
+        return QuadraticPrior._to(posterior, texels, means, trust)
 
     @staticmethod
     def _to(
         posterior: Posterior[CalibratedKernel], texels: Texels, means: Table, weights: Table
-    ) -> Pull:
+    ) -> QuadraticPrior:
         seen = posterior.kernel.problem.factors.texel
         place, chosen = dr.gather(mi.UInt32, texels.index, seen), seen.numpy()
-        return Pull(place, values_of(means, chosen), values_of(weights, chosen))
+        return QuadraticPrior(place, values_of(means, chosen), values_of(weights, chosen))
 
     def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
         """Return the loss, a Float of one value; arguments as for ``Likelihood``."""
         values = look_up(textures, self.place)
         with dr.suspend_grad():
-            offsets = _each(lambda x, target: x - target, dr.detach(values), self.target)
-            loss = sum(flatten_values(_each(lambda w, x: w * dr.square(x), self.weight, offsets)))
-            slopes = _each(lambda w, x: 2 * w * x, self.weight, offsets)
+            offsets = _map_values(lambda x, target: x - target, dr.detach(values), self.target)
+            loss = sum(
+                flatten_values(_map_values(lambda w, x: w * dr.square(x), self.weight, offsets))
+            )
+            slopes = _map_values(lambda w, x: 2 * w * x, self.weight, offsets)
             dr.eval(loss, slopes)
-        return carry(loss, slopes, values, dr.opaque(mi.Float, 1 / dr.width(self.place)))
+        total = with_known_gradient(dr.sum(loss), flatten_values(slopes), flatten_values(values))
+        return total * dr.opaque(mi.Float, 1 / dr.width(self.place))
 
 
-def nats(posterior: Posterior[CalibratedKernel]) -> Any:
+def nats_per_squared_error(posterior: Posterior[CalibratedKernel]) -> Any:
     """Return nats per mean squared error of a channel of S texels: Float (S,)."""
     problem = posterior.kernel.problem
     weight = 0.5 * problem.factors.channels * problem.copies * dr.square(problem.scale)
@@ -130,10 +140,10 @@ Table = dict[str, np.ndarray]
 
 def nats_of_squares(sds: Table) -> Table:
     """Return what a squared distance to the mean costs under a normal distribution, in nats."""
-    return {name: 0.5 / (sd**2 + SURE**2) for name, sd in sds.items()}
+    return {name: 0.5 / (sd**2 + SD_FLOOR**2) for name, sd in sds.items()}
 
 
-def moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]:
+def texel_moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]:
     """Return means of all T texels, and standard deviations without what they have in common,
     float64."""
     posterior = replace(posterior, kernel=posterior.kernel.apart())
@@ -153,7 +163,7 @@ def values_of(table: Table, chosen: np.ndarray | None = None) -> Values:
     }
 
 
-def _each(do: Callable[..., Any], *values: Values) -> Values:
+def _map_values(do: Callable[..., Any], *values: Values) -> Values:
     """Do something with every Float."""
     return {
         name: [do(*x) for x in zip(*(v[name] for v in values), strict=True)] for name in values[0]
@@ -161,7 +171,7 @@ def _each(do: Callable[..., Any], *values: Values) -> Values:
 
 
 @dataclass(frozen=True)
-class Smoothing:
+class SmoothedStart:
     """What is descended on, a function of every channel of T texels (``start``).
 
     Attributes:
@@ -185,27 +195,33 @@ class Smoothing:
     def of(
         posterior: Posterior[CalibratedKernel], texels: Texels, names: Sequence[str],
         around: Neighbors, variation: tuple[float, float],
-    ) -> Smoothing:  # fmt: skip
+    ) -> SmoothedStart:  # fmt: skip
         """Take means and variances of a posterior in colour."""
         keys = tuple((name, k) for name in names for k in range(CHANNELS[name]))
-        (means, sds), seen = moments(posterior), posterior.kernel.problem.factors.texel.numpy()
+        (means, sds), seen = (
+            texel_moments(posterior),
+            posterior.kernel.problem.factors.texel.numpy(),
+        )
         shown = np.zeros(texels.count)
         shown[seen] = 1 / max(len(seen), 1)
-        weights = {name: shown * nats for name, nats in nats_of_squares(sds).items()}
+        weights = {
+            name: shown * nats_per_squared_error
+            for name, nats_per_squared_error in nats_of_squares(sds).items()
+        }
         target, weight = (
             [to_drjit(mi.Float, of[name][k].astype(np.float32)) for name, k in keys]
             for of in (means, weights)
         )
         strength = dr.opaque(mi.Float, variation[0] / max(dr.width(around.pairs[0]), 1))
-        return Smoothing(texels, keys, target, weight, around.around, strength, variation[1])
+        return SmoothedStart(texels, keys, target, weight, around.around, strength, variation[1])
 
     def start(self, textures: Textures) -> dict[str, Any]:
         """Return what a descent starts from: a TensorXf (T,) of every channel, by its own key."""
-        found = {}
+        tensors = {}
         for name, k in self.keys:
             values = textures.at(self.texels, name).reshape(self.texels.count, -1)[:, k]
-            found[_key(name, k)] = mi.TensorXf(to_drjit(mi.Float, values.astype(np.float32)))
-        return found
+            tensors[_key(name, k)] = mi.TensorXf(to_drjit(mi.Float, values.astype(np.float32)))
+        return tensors
 
     def options(self, options: DescentOptions) -> DescentOptions:
         """Return how to descend, with the rates of parameters as those of their channels."""
@@ -218,7 +234,7 @@ class Smoothing:
         with dr.suspend_grad():
             loss, slopes = self._of([dr.detach(x) for x in values])
             dr.eval(loss, slopes)
-        return known(dr.sum(loss), slopes, values)
+        return with_known_gradient(dr.sum(loss), slopes, values)
 
     def laid_out(self, start: Textures, channels: Mapping[str, Any]) -> Textures:
         """Return the textures of a start with other values of the texels."""

@@ -2,7 +2,7 @@
 
 The factors of a texel are smooth functions of roughness; between levels they are interpolated
 by Catmull-Rom splines [Catmull and Rom 1974], so that the error has a derivative there, too.
-Derivatives are known per texel, and reach textures without atomic operations (``carry``).
+Derivatives are known per texel, and reach textures without atomic operations (``known_gradient``).
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.parameters import CHANNELS, MIXED
-from svu_mi.recovery.regularizers.known_gradient import known
 from svu_mi.reflection.mix_columns import dot
 from svu_mi.reflection.principled import mixture, mixture_derivative
 from svu_mi.statistics.cholesky_factors import Factors, apply_factor, catmull_rom
-from svu_mi.statistics.gather_statistics import Values, flatten_values, mixing_values
+from svu_mi.statistics.gather_statistics import Values, mixing_values
 
 
 def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
@@ -46,7 +45,7 @@ def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
         for name, turn in zip(MIXED, turns, strict=True):
             by[name][0] += 2 * dot(rest, apply_factor(U, turn.at(c)))
     scale = 1 / len(colors)
-    return scale * error, {name: [scale * x for x in found] for name, found in by.items()}
+    return scale * error, {name: [scale * x for x in of_name] for name, of_name in by.items()}
 
 
 def information(factors: Factors, values: Values) -> list[list[Any]]:
@@ -62,7 +61,7 @@ def information(factors: Factors, values: Values) -> list[list[Any]]:
     mix, turns = mixture(*mixed), [mixture_derivative(mixed, k) for k in range(len(mixed))]
     places = {key: place for place, key in enumerate(
         (name, k) for name, of_name in values.items() for k in range(len(of_name)))}  # fmt: skip
-    found = [[dr.zeros(mi.Float, factors.count) for _ in places] for _ in places]
+    matrix = [[dr.zeros(mi.Float, factors.count) for _ in places] for _ in places]
     for channel, c in enumerate(colors):
         U, change = near[channel % factors.channels]
         by = {
@@ -76,8 +75,8 @@ def information(factors: Factors, values: Values) -> list[list[Any]]:
         for one, first in by.items():
             for other, second in by.items():
                 i, j = places[one], places[other]
-                found[i][j] += dot(first, second) / len(colors)
-    return found
+                matrix[i][j] += dot(first, second) / len(colors)
+    return matrix
 
 
 def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], list[Any]]:
@@ -129,8 +128,3 @@ def look_up(textures: Mapping[str, Any], place: Any) -> Values:
         return dr.gather(mi.Float, flat, index, mode=dr.ReduceMode.NoConflicts)
 
     return {name: [take(name, n * place + k) for k in range(n)] for name, n in CHANNELS.items()}
-
-
-def carry(loss: Any, slopes: Values, values: Values, factor: Any) -> Any:
-    """Return the sum of ``loss`` (S,) times an opaque factor, with known derivatives."""
-    return known(dr.sum(loss), flatten_values(slopes), flatten_values(values)) * factor

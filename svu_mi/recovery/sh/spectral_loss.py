@@ -1,4 +1,4 @@
-"""Losses on spherical harmonics: what the fit of Eq. 12 found against Eq. 7 to 11.
+"""Losses on spherical harmonics: coefficients of the fit (Eq. 12) against Eq. 7 to 11.
 
 Photographs are looked at once, by the fit; after that a step costs the same for any number of
 views. With R the directional albedo of a lobe, 1 unless the preset says otherwise,

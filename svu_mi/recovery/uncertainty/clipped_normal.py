@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-LEAST = 1e-9  # width below which a distribution is one value
+SMALLEST_WIDTH = 1e-9  # width below which a distribution is one value
 WIDEST = 2.0  # of x: most of it is beyond the ends
 FAR = 3.0  # standard deviations from an end: clipping takes at most 2.5e-3 of one there
 STEPS = 4  # of Newton's method: to 2e-5 on average, to 1e-3 where sd is close to the most there is
-PART = 2**18  # values that are worked on at a time
+CHUNK = 2**18  # values that are worked on at a time
 ROOT = np.sqrt(2 * np.pi)
 
 
@@ -17,9 +17,9 @@ def moments(place: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """Return mean and standard deviation of min(max(x, 0), 1), where x is normal."""
     mean, sd = np.empty(place.size), np.zeros(place.size)
     places, widths = place.ravel(), width.ravel()
-    for part in _parts(place.size):
-        mean[part], variance, _ = _moments(places[part], np.maximum(widths[part], LEAST))
-        np.sqrt(np.maximum(variance, 0), out=sd[part], where=widths[part] > LEAST)
+    for part in _chunks(place.size):
+        mean[part], variance, _ = _moments(places[part], np.maximum(widths[part], SMALLEST_WIDTH))
+        np.sqrt(np.maximum(variance, 0), out=sd[part], where=widths[part] > SMALLEST_WIDTH)
     return mean.reshape(place.shape), sd.reshape(place.shape)
 
 
@@ -27,28 +27,28 @@ def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
     """Return the standard deviation of x of which that of min(max(x, 0), 1) is ``sd``, by Newton's
     method; at most ``WIDEST``, for standard deviations of more than .46."""
     width, places = np.array(sd, np.float64).ravel(), place.ravel()
-    for part in _parts(place.size):
+    for part in _chunks(place.size):
         mean, wanted = places[part], width[part]
-        near = (np.minimum(mean, 1 - mean) < FAR * wanted) & (wanted > LEAST)
+        near = (np.minimum(mean, 1 - mean) < FAR * wanted) & (wanted > SMALLEST_WIDTH)
         wanted[near] = _newton(mean[near], wanted[near])
     return width.reshape(place.shape)
 
 
 def _newton(mean: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    found = wanted.copy()
+    width = wanted.copy()
     for _ in range(STEPS):
         # The standard deviation is a concave function of the width and never above it: steps from
         # below stay below.
-        _, variance, slope = _moments(mean, found)
-        now = np.sqrt(np.maximum(variance, LEAST**2))
-        step = (wanted - now) * 2 * now / np.maximum(slope, LEAST)
-        found = np.clip(found + step, found, WIDEST)
-    return found
+        _, variance, slope = _moments(mean, width)
+        now = np.sqrt(np.maximum(variance, SMALLEST_WIDTH**2))
+        step = (wanted - now) * 2 * now / np.maximum(slope, SMALLEST_WIDTH)
+        width = np.clip(width + step, width, WIDEST)
+    return width
 
 
-def _parts(count: int) -> list[slice]:
+def _chunks(count: int) -> list[slice]:
     """Return parts of so many values: what is in between takes little memory."""
-    return [slice(first, first + PART) for first in range(0, count, PART)]
+    return [slice(first, first + CHUNK) for first in range(0, count, CHUNK)]
 
 
 def _moments(place: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

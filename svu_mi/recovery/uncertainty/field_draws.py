@@ -16,21 +16,21 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.recovery.sh.likelihood import nats, values_of
+from svu_mi.recovery.sh.likelihood import nats_per_squared_error, values_of
 from svu_mi.recovery.sh.quadratic_error import information
 
 WAVES = 96
-SUREST = 1e-3  # standard deviation that no texel is surer than
+SMALLEST_SD = 1e-3  # standard deviation that no texel is surer than
 CHUNK = 2**16  # texels whose matrices are inverted at a time
 
 
-def waves(number: int, place: Any, random: np.random.Generator) -> list[Any]:
+def smooth_fields(number: int, place: Any, random: np.random.Generator) -> list[Any]:
     """Draw fields of mean 0 and variance 1: Floats (T,) at places in units of their length."""
     frequencies = random.standard_normal((3, number * WAVES)).astype(np.float32)
     phases = random.uniform(0, 2 * np.pi, number * WAVES).astype(np.float32)
-    w, shift, found = to_drjit(mi.Vector3f, frequencies), to_drjit(mi.Float, phases), []
-    for field in range(number):
-        first = dr.opaque(mi.UInt32, field * WAVES)
+    w, shift, fields = to_drjit(mi.Vector3f, frequencies), to_drjit(mi.Float, phases), []
+    for k in range(number):
+        first = dr.opaque(mi.UInt32, k * WAVES)
 
         def add(wave: Any, total: Any, first: Any = first) -> tuple[Any, Any]:
             along = dr.dot(dr.gather(mi.Vector3f, w, first + wave), mi.Vector3f(place))
@@ -38,9 +38,9 @@ def waves(number: int, place: Any, random: np.random.Generator) -> list[Any]:
 
         start = (mi.UInt32(0), dr.zeros(mi.Float, dr.width(place)))
         total = dr.while_loop(start, lambda wave, _: wave < WAVES, add)[1]
-        found.append(float(np.sqrt(2 / WAVES)) * total)
-    dr.eval(found)
-    return found
+        fields.append(float(np.sqrt(2 / WAVES)) * total)
+    dr.eval(fields)
+    return fields
 
 
 def correlation_roots(
@@ -50,11 +50,11 @@ def correlation_roots(
     each of T texels, to second order: (T, N, N) float32, triangular L with L L^T."""
     factors = posterior.kernel.problem.factors
     chosen = factors.texel.numpy()
-    weight = 2 * np.array(nats(posterior), np.float64)
+    weight = 2 * np.array(nats_per_squared_error(posterior), np.float64)
     matrix = information(factors, values_of(values, chosen))
     dr.eval(matrix)
     rows = [[np.array(x) for x in row] for row in matrix]
-    least = np.diag(1 / np.maximum(prior_sds(posterior), SUREST) ** 2)
+    least = np.diag(1 / np.maximum(prior_sds(posterior), SMALLEST_SD) ** 2)
     roots = np.tile(np.eye(len(rows), dtype=np.float32), (posterior.count, 1, 1))
     for first in range(0, len(chosen), CHUNK):
         span = slice(first, first + CHUNK)

@@ -26,11 +26,14 @@ from svu_mi.core.local_memory import QUAD, padded_to_quads, quad_count
 from svu_mi.geometry.neighbors import grouped, lanes_of, means, over_neighbors, owners_of, sums
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
-LOOK = 8  # iterations between looks at it
-MOST = 400
-CLOSE, LONG = 5e-3, 1000  # the same of what is filled in, relative to the residual at first
-FEW = 2**14  # texels that are solved for at once
-FEWER = 0.7  # part of the texels from which on groups are no help
+CHECK_EVERY = 8  # iterations between looks at it
+MOST_ITERATIONS = 400
+MASKED_TOLERANCE, MASKED_ITERATIONS = (
+    5e-3,
+    1000,
+)  # the same of what is filled in, relative to the residual at first
+FEW_TEXELS = 2**14  # texels that are solved for at once
+GROUPING_LIMIT = 0.7  # part of the texels from which on groups are no help
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Smoother:
         own: vector, the diagonal of D, positive.
         start: vector, x0.
         diagonal: vector, of D + K.
-        blind: (T,) Bool, texels of whose values links must not know: theirs are as strong as any;
+        masked: (T,) Bool, texels of whose values links must not know: theirs are as strong as any;
             None for none.
     """
 
@@ -61,7 +64,7 @@ class Smoother:
     own: Any
     start: Any
     diagonal: Any
-    blind: Any | None = None
+    masked: Any | None = None
 
     @staticmethod
     def of(
@@ -76,12 +79,12 @@ class Smoother:
 
     def with_precision(
         self, precision: np.ndarray, values: np.ndarray | None = None,
-        blind: np.ndarray | None = None,
+        masked: np.ndarray | None = None,
     ) -> Smoother:  # fmt: skip
         """Return links of the same strength with another D."""
         start = self.start if values is None else _vector(values)
-        hidden = None if blind is None else to_drjit(mi.Bool, blind)
-        return replace(self, own=_vector(precision, 1), start=start, blind=hidden)._completed()
+        hidden = None if masked is None else to_drjit(mi.Bool, masked)
+        return replace(self, own=_vector(precision, 1), start=start, masked=hidden)._completed()
 
     def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> Smoother:
         """Return links between groups of 2 x 2 texels: two links of texels go from one group to
@@ -91,7 +94,7 @@ class Smoother:
         dr.eval(strength, epsilon)
         links = replace(
             self, around=around, lanes=lanes_of(around, quad_count(self.fields)),
-            strength=strength, epsilon=epsilon, blind=None,
+            strength=strength, epsilon=epsilon, masked=None,
         )  # fmt: skip
         return links.with_precision(precision, values)
 
@@ -120,16 +123,16 @@ class Smoother:
         x = wanted / self.diagonal if start is None else _vector(start)
         goal = TOLERANCE**2 * dr.sum(dr.square(wanted) / self.diagonal)
         dr.eval(x)
-        return self._table(self._descend(x, wanted - self @ x, mi.Float(1), goal, MOST))
+        return self._table(self._descend(x, wanted - self @ x, mi.Float(1), goal, MOST_ITERATIONS))
 
-    def fill(self, right: np.ndarray, start: np.ndarray, free: np.ndarray) -> np.ndarray:
+    def solve_masked(self, right: np.ndarray, start: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Return x with (D + K) x = right at some texels, and what it was at all others, (N, T)."""
         x, wanted = _vector(start), _vector(np.tile(free, (len(start), 1)))
         rest = wanted * (_vector(right) - self @ x)
-        goal = CLOSE**2 * dr.sum(dr.square(rest) / self.diagonal)
-        return self._table(self._descend(x, rest, wanted, goal, LONG))
+        goal = MASKED_TOLERANCE**2 * dr.sum(dr.square(rest) / self.diagonal)
+        return self._table(self._descend(x, rest, wanted, goal, MASKED_ITERATIONS))
 
-    def pulls(self, random: np.random.Generator) -> np.ndarray:
+    def sample_links(self, random: np.random.Generator) -> np.ndarray:
         """Draw from a normal distribution of covariance K, (N, T) float64: every link pulls at both
         of its ends with a force of its own."""
         seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
@@ -145,7 +148,7 @@ class Smoother:
             sign = dr.select(texel < other, mi.Float(1), mi.Float(-1))
             pull = dr.sqrt(self._weight(column)) * (sign * force)
             total = dr.select(other != texel, total + pull, total)
-        return self._table(_written(total))
+        return self._table(_write_quads(total))
 
     def __matmul__(self, x: Any) -> Any:
         """Return (D + K) x of a vector that is evaluated."""
@@ -154,7 +157,7 @@ class Smoother:
             return dr.fma(-self._weight(other), dr.gather(mi.Vector4f, x, other), total)
 
         total = self._read(self.diagonal) * self._read(x)
-        return _written(over_neighbors(self.lanes, pulled, total))
+        return _write_quads(over_neighbors(self.lanes, pulled, total))
 
     def _completed(self) -> Smoother:
         """Return the same with its diagonal."""
@@ -163,7 +166,7 @@ class Smoother:
             return total + self._weight(other)
 
         return replace(
-            self, diagonal=_written(over_neighbors(self.lanes, added, self._read(self.own)))
+            self, diagonal=_write_quads(over_neighbors(self.lanes, added, self._read(self.own)))
         )
 
     def _read(self, vector: Any) -> Any:
@@ -173,9 +176,9 @@ class Smoother:
     def _weight(self, other: Any) -> Any:
         """Return the weights of the links from all lanes to others, UInt32: Vector4f."""
         apart = self._read(self.start) - dr.gather(mi.Vector4f, self.start, other)
-        if self.blind is not None:
+        if self.masked is not None:
             groups, own = quad_count(self.fields), dr.arange(mi.UInt32, dr.width(other))
-            hidden = [dr.gather(mi.Bool, self.blind, lane // groups) for lane in (own, other)]
+            hidden = [dr.gather(mi.Bool, self.masked, lane // groups) for lane in (own, other)]
             apart = dr.select(hidden[0] | hidden[1], 0, apart)
         return self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
 
@@ -184,7 +187,7 @@ class Smoother:
         size = dr.sum(rest * step)
         dr.eval(x, rest, step, size, goal)
         for iteration in range(most):
-            if iteration % LOOK == 0 and size[0] <= goal[0]:
+            if iteration % CHECK_EVERY == 0 and size[0] <= goal[0]:
                 break
             x, rest, step, size = self._iterate(x, rest, step, size, free)
         return x
@@ -215,7 +218,7 @@ def _vector(table: np.ndarray, beyond: float = 0) -> Any:
     return to_drjit(mi.Float, rows.T.ravel())
 
 
-def _written(quads: Any) -> Any:
+def _write_quads(quads: Any) -> Any:
     """Return groups of four as a vector, evaluated."""
     vector = dr.empty(mi.Float, QUAD * dr.width(quads))
     lane = dr.arange(mi.UInt32, dr.width(quads))
@@ -248,10 +251,10 @@ class Nested:
     @staticmethod
     def of(smoother: Smoother, squares: np.ndarray) -> Nested:
         """Group texels in squares of 2 x 2, then groups, until few are left."""
-        if len(squares) <= FEW:
+        if len(squares) <= FEW_TEXELS:
             return Nested(smoother)
         wider, owner = owners_of(squares // 2)
-        if len(wider) > FEWER * len(squares):
+        if len(wider) > GROUPING_LIMIT * len(squares):
             return Nested(smoother)
         values, precision = means(smoother.values, smoother.precision, owner)
         return Nested(smoother, Nested.of(smoother.halved(owner, precision, values), wider), owner)

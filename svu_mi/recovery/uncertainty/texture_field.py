@@ -39,24 +39,29 @@ from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.recovery.initialisation import has_field
+from svu_mi.recovery.initialisation import supports_texture_field
 from svu_mi.recovery.recover import Recovery
 from svu_mi.recovery.recovery_options import ShOptions
-from svu_mi.recovery.recovery_run import HOLD
-from svu_mi.recovery.sh.likelihood import moments
+from svu_mi.recovery.recovery_run import PRIOR_WEIGHT
+from svu_mi.recovery.sh.likelihood import texel_moments
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.recovery.uncertainty import clipped_normal
-from svu_mi.recovery.uncertainty.field_draws import SUREST, correlation_roots, prior_sds, waves
+from svu_mi.recovery.uncertainty.field_draws import (
+    SMALLEST_SD,
+    correlation_roots,
+    prior_sds,
+    smooth_fields,
+)
 from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 
 # Chosen on our own scenes:
 # rho, part of a seen texel's variance that its neighbourhood has in common; and of parameters that
 # mix: what may be metal or paint is so for all of a neighbourhood, in the same light.
 COMMON, COMMON_MIXED = 0.5, 1.0
-APART = 2.4  # a
+DISAGREEMENT = 2.4  # a
 NARROW = 0.1  # d, as a part of the median of K's diagonal
 LENGTH = 0.1  # over which that varies, as a part of the object's extent
-LEVEL = 0.9
+INTERVAL_MASS = 0.9
 TINY = 1e-9
 
 
@@ -68,7 +73,7 @@ class TextureField:
         texels: T texels.
         textures: the recovered ones.
         names: parameters that were recovered; all others are what they are.
-        own: (N, T), m of the N values of all parameters, base colour first.
+        own_mean: (N, T), m of the N values of all parameters, base colour first.
         deviation: (N, T), b.
         common: (N, T), rho: 1 for texels that nobody saw, which are all as the prior has it.
         roots: what returns (T, N, N), those of the correlations of every texel's values; only draws
@@ -76,20 +81,20 @@ class TextureField:
         scale: standard deviation of the logarithm of a factor of base colour that all texels have
             in common, per channel.
         smoother: D + K.
-        least: (N, T), standard deviations before values are clipped are at least that, such as
+        min_width: (N, T), standard deviations before values are clipped are at least that, such as
             those of texels that were filled; None for none.
     """
 
     texels: Texels
     textures: Textures
     names: tuple[str, ...]
-    own: np.ndarray
+    own_mean: np.ndarray
     deviation: np.ndarray
     common: np.ndarray
     roots: Callable[[], np.ndarray]
     scale: np.ndarray
     smoother: Smoother
-    least: np.ndarray | None = None
+    min_width: np.ndarray | None = None
 
     def mean(self, name: str) -> np.ndarray:
         """Return the mean of the field, (T, C) or (T,): the texture, but where that is near 0 or 1
@@ -101,7 +106,7 @@ class TextureField:
         """Return standard deviations, (T, C) or (T,)."""
         return self._laid_out(name, self.sds[self.rows(name)])
 
-    def interval(self, name: str, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
+    def interval(self, name: str, level: float = INTERVAL_MASS) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends of the interval that holds so much in its middle, (T, C) or (T,) each.
 
         Raises:
@@ -113,7 +118,7 @@ class TextureField:
         low, high = clipped_normal.interval(self.values[rows], self.width[rows], level)
         return self._laid_out(name, low), self._laid_out(name, high)
 
-    def laid(self, values: np.ndarray) -> Textures:
+    def to_textures(self, values: np.ndarray) -> Textures:
         """Lay (N, T) values of all parameters out as textures."""
         return lay_out(self.texels, {name: values[self.rows(name)].T for name in NAMES})
 
@@ -134,17 +139,17 @@ class TextureField:
 
     def _drawn(self, random: np.random.Generator) -> Textures:
         length = dr.opaque(mi.Float, 1 / (LENGTH * self.texels.extent))
-        smooth = np.array(waves(len(self.deviation), self.texels.position * length, random))
+        smooth = np.array(smooth_fields(len(self.deviation), self.texels.position * length, random))
         forces = random.standard_normal(self.deviation.shape, np.float32)
         wave, force = (np.einsum("tij,jt->it", self.roots(), x) for x in (smooth, forces))
         together = np.sqrt(self.common) * self._coherent * wave
-        right = force / self.deviation + self.smoother.pulls(random)
+        right = force / self.deviation + self.smoother.sample_links(random)
         away = together + np.sqrt(1 - self.common) * self._nested.solve(right)
         away *= self._raised / np.maximum(self._own_sd, TINY)
         values = self.values + away
         values[:3] += values[:3] * self.scale[:, None] * random.standard_normal((3, 1))
         values = np.clip(values, 0, 1)
-        drawn = self.laid(values)
+        drawn = self.to_textures(values)
         return self.textures.but(**{name: drawn[name] for name in self.names})
 
     @cached_property
@@ -166,10 +171,10 @@ class TextureField:
         # Of a tenth of the links' strength: values do not go far, so it needs no coarse start.
         links = np.median(self.smoother.links, axis=1, keepdims=True)
         d = np.broadcast_to(np.maximum(NARROW * links, TINY), self.deviation.shape)
-        apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own))
+        apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own_mean))
         if self.texels.count > TILE:
             dr.flush_malloc_cache()  # what solving has taken, and nobody needs any more
-        return np.sqrt(left**2 + APART * np.maximum(apart, 0) ** 2)
+        return np.sqrt(left**2 + DISAGREEMENT * np.maximum(apart, 0) ** 2)
 
     @cached_property
     def sds(self) -> np.ndarray:
@@ -189,9 +194,9 @@ class TextureField:
     def _raised(self) -> np.ndarray:
         """The same without what all texels have in common."""
         width = clipped_normal.width_of(self.values, self._own_sd)
-        if self.least is None:
+        if self.min_width is None:
             return width
-        left = np.maximum(self.least**2 - self._in_common**2, 0)
+        left = np.maximum(self.min_width**2 - self._in_common**2, 0)
         return np.maximum(width, np.sqrt(left))
 
     @property
@@ -251,22 +256,22 @@ def texture_field(
         OptionError: there is no estimate in colour that knows its noise.
         ShapeError: the estimate is of texels of another resolution.
     """
-    found = recovery.estimate if estimate is None else estimate
-    if found is None or not has_field(found):
+    estimated = recovery.estimate if estimate is None else estimate
+    if estimated is None or not supports_texture_field(estimated):
         raise OptionError(
             "texture_field(): needs an estimate in colour that knows its noise; give "
             "estimate=svu.estimate(capture, texels)."
         )
-    recovery.textures.require_resolution(found.texels)
-    options = weights_of(recovery.settings)
+    recovery.textures.require_resolution(estimated.texels)
+    options = tv_weights(recovery.settings)
     with (progress or Progress()).stage("How sure the textures are"):
         around = recovery.around or neighbors(recovery.texels, mesh)
         return field_around(
-            recovery.textures, found, around, recovery.settings["parameters"], options
+            recovery.textures, estimated, around, recovery.settings["parameters"], options
         )
 
 
-def weights_of(settings: Mapping[str, Any]) -> ShOptions:
+def tv_weights(settings: Mapping[str, Any]) -> ShOptions:
     """Return options with the weights of total variation that textures were recovered with
     (``Recovery.settings``): in nats, so of other losses than ours they are our defaults."""
     used = settings.get("sh", {})
@@ -275,10 +280,10 @@ def weights_of(settings: Mapping[str, Any]) -> ShOptions:
     return ShOptions(tv=used["tv"], tv_epsilon=used["tv_epsilon"])
 
 
-def field_of(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:
+def field_of_textures(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:
     """Return the field around textures that somebody has recovered; None where the estimate does
     not say enough for one, or is of other texels."""
-    if not has_field(estimate) or textures.resolution != estimate.texels.resolution:
+    if not supports_texture_field(estimate) or textures.resolution != estimate.texels.resolution:
         return None
     return field_around(textures, estimate, neighbors(estimate.texels, mesh))
 
@@ -294,17 +299,18 @@ def field_around(
     values = {name: np.atleast_2d(textures.at(texels, name).T).astype(np.float64)
               for name in NAMES}  # fmt: skip
     x0 = np.concatenate(list(values.values()))
-    own, deviation = _own(posterior, x0)
+    own_mean, deviation = _texel_moments(posterior, x0)
     # Total variation is a mean over pairs, in nats of the mean texel that is seen.
     seen, pairs = int(posterior.observed.sum()), max(int(dr.width(around.pairs[0])), 1)
-    strength = options.tv * np.sqrt(texels.count) * seen / pairs / (1 + HOLD)
+    strength = options.tv * np.sqrt(texels.count) * seen / pairs / (1 + PRIOR_WEIGHT)
     smoother = Smoother.of(
-        1 / deviation**2, x0, around.around, strength, max(options.tv_epsilon, SUREST)
+        1 / deviation**2, x0, around.around, strength, max(options.tv_epsilon, SMALLEST_SD)
     )
     return TextureField(
-        texels=texels, textures=textures, names=tuple(names), own=own, deviation=deviation,
-        common=_common(posterior), roots=cache(partial(correlation_roots, posterior, values)),
-        scale=np.asarray(posterior.kernel.common), smoother=smoother,
+        texels=texels, textures=textures, names=tuple(names), own_mean=own_mean,
+        deviation=deviation, common=_common(posterior), smoother=smoother,
+        roots=cache(partial(correlation_roots, posterior, values)),
+        scale=np.asarray(posterior.kernel.common),
     )  # fmt: skip
 
 
@@ -316,10 +322,12 @@ def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
     return np.where(posterior.observed, parts[:, None], 1.0).astype(np.float32)
 
 
-def _own(posterior: Posterior[CalibratedKernel], x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _texel_moments(
+    posterior: Posterior[CalibratedKernel], x0: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return means and standard deviations of texels by themselves, (N, T) each; of those unseen,
     x0 and the prior's."""
-    means, sds = (np.concatenate(list(table.values())) for table in moments(posterior))
+    means, sds = (np.concatenate(list(table.values())) for table in texel_moments(posterior))
     seen = posterior.observed
-    deviation = np.maximum(np.where(seen, sds, prior_sds(posterior)[:, None]), SUREST)
+    deviation = np.maximum(np.where(seen, sds, prior_sds(posterior)[:, None]), SMALLEST_SD)
     return np.where(seen, means, x0), deviation

@@ -73,11 +73,11 @@ def random(bits, seed=SEED) -> np.ndarray:
 
 
 def converted(frame, path):
-    """Return what was found, channels (H, W, 3) as written, and what clipped ones are at least."""
-    found = convert_photograph(frame, path, (1, 1))
+    """Return the photograph, channels (H, W, 3) as written, and what clipped ones are at least."""
+    picture = convert_photograph(frame, path, (1, 1))
     layers = read_exr(path)
     header = open_picture(path).header.attributes
-    return found, np.stack([layers[name] for name in "RGB"], axis=-1), header.get(SATURATION)
+    return picture, np.stack([layers[name] for name in "RGB"], axis=-1), header.get(SATURATION)
 
 
 @pytest.mark.parametrize("bits", SATURATED)
@@ -88,15 +88,15 @@ def test_codes_become_what_was_measured(bits, largest, tmp_path):
     pixels = random(bits)
     frame = photograph(tmp_path / "a.png", pixels)
     (frame,) = with_response([frame], curve)
-    found, image, least = converted(frame, tmp_path / "a.exr")
+    picture, image, least = converted(frame, tmp_path / "a.exr")
     encoded = pixels / (2**bits - 1)
     over = encoded > SATURATED[bits]
     error = GAMMA * (GAMMA - 1) / 8 / 255**2  # of straight lines between 256 samples
     np.testing.assert_allclose(image[~over], gamma(encoded[~over]), rtol=1e-5, atol=error)
     np.testing.assert_array_equal(image[over], CLIPPED)
     assert least == pytest.approx(gamma(SATURATED[bits]), abs=1e-5)
-    assert found.saturated == 2 and found.invalid == 0
-    (note, *_) = photograph_notes([frame], [found])
+    assert picture.saturated == 2 and picture.invalid == 0
+    (note, *_) = photograph_notes([frame], [picture])
     assert f"are not HDR: of {bits} bits, decoded as curve.txt says, 2 clipped pixels" in note
 
 
@@ -135,8 +135,8 @@ def test_a_table_goes_before_what_the_source_says_and_leaves_floats_alone(tmp_pa
     given = with_response(frames, response)
     _, image, _ = converted(given[0], tmp_path / "out.exr")
     assert image[1, 1, 0] == pytest.approx(gamma(random(8)[1, 1, 0] / 255), rel=1e-4)
-    found, image, _ = converted(given[1], tmp_path / "out.exr")
-    assert found.bits == 0 and (image == 0.5).all() and found.crushed == 0
+    picture, image, _ = converted(given[1], tmp_path / "out.exr")
+    assert picture.bits == 0 and (image == 0.5).all() and picture.crushed == 0
     assert with_response(frames, None) is frames
     with pytest.raises(svu.SvuError, match=r"--response: b.exr and all other.* leave it out\."):
         with_response(frames[1:], response)
@@ -191,8 +191,8 @@ def test_files_that_are_no_text_are_a_sentence(tmp_path):
 def test_numbers_that_single_precision_cannot_hold_decode_to_numbers(tmp_path):
     path = tmp_path / "curve.txt"
     path.write_text("0 0\n1e-40 1e-300\n1e-30 1e307\n1 1.7e308\n")
-    found = linearize(np.linspace(0, 1, 256, dtype=np.float32), read_response(path), 0)
-    assert np.isfinite(found).all() and found[-1] == 1 and (np.diff(found) >= 0).all()
+    radiance = linearize(np.linspace(0, 1, 256, dtype=np.float32), read_response(path), 0)
+    assert np.isfinite(radiance).all() and radiance[-1] == 1 and (np.diff(radiance) >= 0).all()
 
 
 # --- blacks -----------------------------------------------------------------------------------
@@ -212,8 +212,8 @@ def dark(folder, part, mask=True, **fields) -> Frame:
 
 
 def blacks(frames, folder) -> list[str]:
-    found = [convert_photograph(frame, folder / "out.exr", (1, 1)) for frame in frames]
-    return [note for note in photograph_notes(frames, found) if "blacks" in note]
+    pictures = [convert_photograph(frame, folder / "out.exr", (1, 1)) for frame in frames]
+    return [note for note in photograph_notes(frames, pictures) if "blacks" in note]
 
 
 def test_crushed_blacks_are_said_and_stay_what_they_are(tmp_path):
@@ -223,8 +223,8 @@ def test_crushed_blacks_are_said_and_stay_what_they_are(tmp_path):
         "1 of 2 photographs, a.png first, have crushed blacks (25% of the object's pixels have a "
         "channel of 0): all that is darker looks the same; expose longer or use HDR."
     ]
-    found, image, _ = converted(frames[1], tmp_path / "out.exr")
-    assert found.crushed == 0.25 and found.invalid == 0
+    picture, image, _ = converted(frames[1], tmp_path / "out.exr")
+    assert picture.crushed == 0.25 and picture.invalid == 0
     assert image[0, 0].tolist() == [image[9, 9, 0], 0, image[9, 9, 2]]
 
 

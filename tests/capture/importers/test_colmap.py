@@ -76,10 +76,10 @@ def project(source, tmp_path_factory):
 
 
 def test_what_is_written_is_read(source, project):
-    found = read_colmap(project / "given")
-    assert found.format == "colmap" and (found.camera_axes == OPENCV).all()
-    assert "unit" in found.notes[0]
-    for got, wanted in zip(found.frames, source.frames, strict=True):
+    imported = read_colmap(project / "given")
+    assert imported.format == "colmap" and (imported.camera_axes == OPENCV).all()
+    assert "unit" in imported.notes[0]
+    for got, wanted in zip(imported.frames, source.frames, strict=True):
         np.testing.assert_allclose(got.to_world, wanted.to_world, atol=1e-12)
         assert (got.focal, got.center, got.size) == (wanted.focal, wanted.center, wanted.size)
         assert got.image.read_bytes() == wanted.image.read_bytes()
@@ -324,8 +324,8 @@ def test_a_bent_lens_is_straightened_with_its_masks(tmp_path):
             values = np.array(Image.open(path).convert("L"), np.float64)
             assert values.shape == frame.size[::-1]
             y, x = np.mgrid[: values.shape[0], : values.shape[1]] + 0.5
-            found = (values * x).sum() / values.sum(), (values * y).sum() / values.sum()
-            np.testing.assert_allclose(found, wanted, atol=0.2)  # the lens moves the second by 1.2
+            center = (values * x).sum() / values.sum(), (values * y).sum() / values.sum()
+            np.testing.assert_allclose(center, wanted, atol=0.2)  # the lens moves the second by 1.2
 
 
 def test_what_cannot_be_straightened_leaves_nothing_behind(tmp_path, monkeypatch):

@@ -168,8 +168,8 @@ def check(
     """Compare poses, intrinsics and entropy."""
     for sensor, frame in zip(capture.sensors, source.frames, strict=True):
         np.testing.assert_allclose(to_world(sensor), frame.to_world, atol=POSE)
-        found = describe(sensor)
-        assert tuple(found["film"]) == SIZE
-        np.testing.assert_allclose(found["principal_point_offset"], shift, atol=POSE)
-        assert found["x_fov"] == pytest.approx(describe(original.capture.sensors[0])["x_fov"])
+        record = describe(sensor)
+        assert tuple(record["film"]) == SIZE
+        np.testing.assert_allclose(record["principal_point_offset"], shift, atol=POSE)
+        assert record["x_fov"] == pytest.approx(describe(original.capture.sensors[0])["x_fov"])
     assert np.corrcoef(entropy_of(capture), original.entropy)[0, 1] > SAME

@@ -48,12 +48,12 @@ import numpy as np
 import pycolmap
 cameras = json.loads(sys.argv[1])
 points = np.array(json.loads(sys.argv[2]))
-found = []
+pairs = []
 for parameters in cameras:
     camera = pycolmap.Camera(model="FULL_OPENCV", width=180, height=120, params=parameters)
     pixels = camera.img_from_cam(np.c_[points, np.ones(len(points))])
-    found.append([np.asarray(pixels).tolist(), np.asarray(camera.cam_from_img(pixels)).tolist()])
-print(json.dumps(found))
+    pairs.append([np.asarray(pixels).tolist(), np.asarray(camera.cam_from_img(pixels)).tolist()])
+print(json.dumps(pairs))
 """
 
 
@@ -83,8 +83,8 @@ def test_pixels_are_those_of_colmaps_camera():
     for name, (pixels, back) in zip(known, json.loads(done.stdout), strict=True):
         lens = Lens(**LENSES[name])
         np.testing.assert_allclose(lens.distort(points()) * FOCAL + CENTER, pixels, atol=PIXEL)
-        found = lens.undistort((np.array(pixels) - CENTER) / FOCAL)
-        np.testing.assert_allclose(found * FOCAL, np.array(back) * FOCAL, atol=PIXEL)
+        straight = lens.undistort((np.array(pixels) - CENTER) / FOCAL)
+        np.testing.assert_allclose(straight * FOCAL, np.array(back) * FOCAL, atol=PIXEL)
 
 
 @pytest.mark.parametrize("name", LENSES)
@@ -115,10 +115,10 @@ def chequers_of(frame: Frame, field: float = 24.0) -> np.ndarray:
 def test_chequers_become_straight_again(name):
     """Between four pixels 2 max |f''| / 8 is lost at most, and more where the lens shrinks."""
     lens = Lens(**LENSES[name])
-    (found,) = undistort_planes([photograph(lens)], frame_of(lens))
+    (plane,) = undistort_planes([photograph(lens)], frame_of(lens))
     straight = undistorted_frame(frame_of(lens))
-    assert found.shape == straight.size[::-1] and found.dtype == np.float32
-    off = np.abs(found - chequers_of(straight))
+    assert plane.shape == straight.size[::-1] and plane.dtype == np.float32
+    off = np.abs(plane - chequers_of(straight))
     bound = 2 * 0.5 * (np.pi / 24) ** 2 / 8
     assert off[1:-1, 1:-1].max() < 2.5 * bound and off.mean() < bound / 2
     as_it_was = np.abs(photograph(lens) - chequers_of(frame_of(None)))
@@ -184,7 +184,7 @@ def test_photographs_of_floats_and_of_bytes_are_straightened_in_linear_light(tmp
     write_exr(tmp_path / "a.exr", {"RGB": np.stack([ramp] * 3, axis=-1)})
     frame = frame_of(lens, tmp_path / "a.exr")
     convert_photograph(frame, tmp_path / "view.exr", square_pixel_frame(frame)[1])
-    found = read_exr(tmp_path / "view.exr")["R"]
+    red = read_exr(tmp_path / "view.exr")["R"]
     wide, scale = square_pixel_frame(frame)
     x = (np.arange(wide.size[0]) + 0.5) / scale[0]  # of the straight photograph, before squaring
     y = (np.arange(wide.size[1]) + 0.5) / scale[1]
@@ -192,12 +192,12 @@ def test_photographs_of_floats_and_of_bytes_are_straightened_in_linear_light(tmp
     u, v = (np.stack(np.meshgrid(x, y), axis=-1) - straight.center).T
     bent = lens.distort(np.stack([u.T / FOCAL[0], v.T / FOCAL[1]], axis=-1))[..., 0] * FOCAL[0]
     wanted = (bent + CENTER[0] - 0.5) / (WIDTH - 1) * 8
-    np.testing.assert_allclose(found[3:-3, 3:-3], wanted[3:-3, 3:-3], atol=0.02)
+    np.testing.assert_allclose(red[3:-3, 3:-3], wanted[3:-3, 3:-3], atol=0.02)
     pixels = (srgb(ramp / 10) * 255 + 0.5).astype(np.uint8)
     Image.fromarray(np.stack([pixels] * 3, axis=-1)).save(tmp_path / "a.png")
     convert_photograph(frame_of(lens, tmp_path / "a.png"), tmp_path / "view.exr", scale)
     eight = read_exr(tmp_path / "view.exr")["R"]
-    np.testing.assert_allclose(eight[3:-3, 3:-3], found[3:-3, 3:-3] / 10, atol=0.005)
+    np.testing.assert_allclose(eight[3:-3, 3:-3], red[3:-3, 3:-3] / 10, atol=0.005)
 
 
 def test_masks_and_pixels_that_cannot_be_used_go_along(tmp_path):
@@ -209,9 +209,9 @@ def test_masks_and_pixels_that_cannot_be_used_go_along(tmp_path):
     mask[30:90, 50:130] = 255
     Image.fromarray(mask).save(tmp_path / "mask.png")
     frame = frame_of(lens, tmp_path / "a.exr", focal=(150.0, 150.0), mask=tmp_path / "mask.png")
-    found = convert_photograph(frame, tmp_path / "view.exr", square_pixel_frame(frame)[1])
+    photograph = convert_photograph(frame, tmp_path / "view.exr", square_pixel_frame(frame)[1])
     made = read_exr(tmp_path / "view.exr")
-    assert found.invalid == 1 and found.masked
+    assert photograph.invalid == 1 and photograph.masked
     rows, columns = np.nonzero(made["R"] == UNUSABLE)
     place = undistorted_frame(frame)
     seen = lens.undistort((np.array([60.5, 40.5]) - CENTER) / frame.focal)

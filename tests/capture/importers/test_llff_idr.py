@@ -121,11 +121,11 @@ def write_llff(folder: Path, rows: object = None, images: str = "images") -> Pat
 
 def matrices(cameras: list[Camera], sphere: np.ndarray | None = SPHERE) -> dict[str, np.ndarray]:
     """Arrays of IDR; others that lie among them are not read."""
-    found = {f"world_mat_{k}": camera.world_mat for k, camera in enumerate(cameras)}
-    found |= {f"world_mat_inv_{k}": np.full((4, 4), np.nan) for k in range(len(cameras))}
+    arrays = {f"world_mat_{k}": camera.world_mat for k, camera in enumerate(cameras)}
+    arrays |= {f"world_mat_inv_{k}": np.full((4, 4), np.nan) for k in range(len(cameras))}
     if sphere is not None:
-        found |= {f"scale_mat_{k}": sphere for k in range(len(cameras))}
-    return found
+        arrays |= {f"scale_mat_{k}": sphere for k in range(len(cameras))}
+    return arrays
 
 
 def write_idr(
@@ -240,8 +240,8 @@ def test_masks_of_llff_go_by_name(tmp_path, name):
     folder = write_llff(tmp_path)
     shoot(folder / name, ["a.png", "c.png.png"])  # for a.jpg and c.png
     asked = folder / name if name == "elsewhere" else None
-    found = [frame.mask for frame in read_source(folder, ReadOptions(masks=asked)).frames]
-    assert found == [folder / name / "a.png", None, folder / name / "c.png.png"]
+    masks = [frame.mask for frame in read_source(folder, ReadOptions(masks=asked)).frames]
+    assert masks == [folder / name / "a.png", None, folder / name / "c.png.png"]
 
 
 @pytest.mark.parametrize("name", ["mask", "masks", "elsewhere"])
@@ -250,8 +250,8 @@ def test_masks_of_idr_go_by_their_order(tmp_path, name):
     shoot(folder / name, ["002.png", "001.png", "000.png", "._000.png"])
     (folder / name / "readme.txt").write_text("masks")
     asked = folder / name if name == "elsewhere" else None
-    found = [frame.mask for frame in read_source(folder, ReadOptions(masks=asked)).frames]
-    assert found == [folder / name / f"00{k}.png" for k in range(3)]
+    masks = [frame.mask for frame in read_source(folder, ReadOptions(masks=asked)).frames]
+    assert masks == [folder / name / f"00{k}.png" for k in range(3)]
     (folder / name / "001.png").unlink()
     with pytest.raises(CaptureError, match=f"{name}: has 2 masks for 3 photographs; add"):
         read_idr(folder, masks=asked)
@@ -339,8 +339,8 @@ def test_poses_of_llff_that_are_none(tmp_path, case):
 
 def but(**changes: object) -> dict[str, np.ndarray]:
     """Arrays of IDR with some changed, None = left out."""
-    found = {**matrices(SHIFTED), **changes}
-    return {name: value for name, value in found.items() if value is not None}
+    arrays = {**matrices(SHIFTED), **changes}
+    return {name: value for name, value in arrays.items() if value is not None}
 
 
 def intrinsics(matrix: np.ndarray) -> np.ndarray:
@@ -400,8 +400,8 @@ def test_cameras_of_idr_that_are_none(tmp_path, case):
 
 def test_a_skew_that_does_not_matter_is_left_out(tmp_path):
     nearly = SKEWED * [[1, 0.2, 1], [1, 1, 1], [1, 1, 1]]
-    found = read_idr(write_idr(tmp_path, but(world_mat_1=intrinsics(nearly)))).frames[1]
-    np.testing.assert_allclose(found.to_world, SHIFTED[1].pose, atol=1e-9)
+    frame = read_idr(write_idr(tmp_path, but(world_mat_1=intrinsics(nearly)))).frames[1]
+    np.testing.assert_allclose(frame.to_world, SHIFTED[1].pose, atol=1e-9)
 
 
 def test_folders_that_are_not_there(tmp_path):

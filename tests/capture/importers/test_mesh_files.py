@@ -225,9 +225,9 @@ def test_eight_bits_are_decoded_and_clipped_channels_marked(tmp_path):
     pixels = np.full((4, 6, 3), 128, np.uint8)
     pixels[1, 2] = (255, 10, 10)
     photo = tmp_path / "photo.png"
-    found = convert_photograph(photograph(photo, pixels), tmp_path / "view.exr", (1, 1))
+    copy = convert_photograph(photograph(photo, pixels), tmp_path / "view.exr", (1, 1))
     image = read_exr(tmp_path / "view.exr")
-    assert found.bits == 8 and found.saturated == 1 and not found.masked and "A" not in image
+    assert copy.bits == 8 and copy.saturated == 1 and not copy.masked and "A" not in image
     assert image["R"][0, 0] == pytest.approx(0.2158605, rel=1e-3)  # half floats
     assert image["R"][1, 2] == CLIPPED
     assert image["G"][1, 2] == pytest.approx((10 / 255) / 12.92, rel=1e-3)
@@ -270,9 +270,9 @@ def test_masks_from_files_and_alpha_both_count(tmp_path):
 @pytest.mark.parametrize("scale", [(1.0, 0.5), (0.371, 0.62), (1 / 3, 1.0)])
 def test_pixels_are_averaged_over_their_area(scale):
     image = np.random.default_rng(SEED).random((12, 15, 2)).astype(np.float32)
-    found = average_area(image, scale)
+    averaged = average_area(image, scale)
     wanted = overlap(12, scale[1]) @ np.moveaxis(overlap(15, scale[0]) @ image, 2, 0)
-    np.testing.assert_allclose(found, np.moveaxis(wanted, 0, 2), atol=1e-6)
+    np.testing.assert_allclose(averaged, np.moveaxis(wanted, 0, 2), atol=1e-6)
 
 
 def overlap(count: int, scale: float) -> np.ndarray:
@@ -339,8 +339,8 @@ def test_blenders_layers(tmp_path):
     passes = {f"ViewLayer.Combined.{c}": plane for c, plane in planes.items()}
     others = {f"ViewLayer.DiffCol.{c}": np.ones((4, 6), np.float32) for c in "RGB"}
     write_exr(tmp_path / "1.exr", {**passes, **others, "ViewLayer.Depth.Z": planes["R"]})
-    found, low_range = read_planes(tmp_path / "1.exr")
-    np.testing.assert_array_equal(found, list(planes.values()))
+    channels, low_range = read_planes(tmp_path / "1.exr")
+    np.testing.assert_array_equal(channels, list(planes.values()))
     assert not low_range
     write_exr(tmp_path / "1.exr", {**others, "ViewLayer.Emit.R": planes["R"]})
     with pytest.raises(CaptureError, match="found ViewLayer.*export it as plain RGB"):
@@ -806,5 +806,5 @@ def test_the_model_that_nerfstudio_keeps(tmp_path):
     source = Source(format="test", root=tmp_path, frames=[frame])
     write_colmap(tmp_path / "data" / "colmap", source)
     (tmp_path / "data" / "colmap" / "images").rename(tmp_path / "data" / "images")
-    (found,) = read_source(tmp_path / "data").frames
-    assert found.image == tmp_path / "data" / "images" / "view_0000.png"
+    (copy,) = read_source(tmp_path / "data").frames
+    assert copy.image == tmp_path / "data" / "images" / "view_0000.png"

@@ -91,10 +91,10 @@ def test_frames_come_back_as_they_were(tmp_path):
     write_transforms(tmp_path / "transforms.json", given)
     source = read_transforms(tmp_path / "transforms.json")
     assert source.root == tmp_path and source.notes == ()
-    for found, wanted in zip(source.frames, given, strict=True):
-        np.testing.assert_allclose(found.to_world, wanted.to_world, atol=1e-12)
+    for actual, wanted in zip(source.frames, given, strict=True):
+        np.testing.assert_allclose(actual.to_world, wanted.to_world, atol=1e-12)
         for name in ("image", "mask", "focal", "center", "size", "exposure"):
-            assert getattr(found, name) == getattr(wanted, name)
+            assert getattr(actual, name) == getattr(wanted, name)
 
 
 @pytest.mark.parametrize("name", ["../a.png", "/etc/passwd", "C:\\a.png", "x/../../a.png", 3])

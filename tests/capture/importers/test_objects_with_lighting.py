@@ -49,21 +49,21 @@ def written(source, tmp_path_factory):
 
 
 def test_what_is_written_is_read(source, written):
-    found = read(written, ReadOptions())
-    assert found.format == "owl" and (found.camera_axes == OPENCV).all()
-    assert found.root == written / "test" and "not for reconstruction" in found.notes[0]
-    for got, wanted in zip(found.frames, source.frames, strict=True):
+    again = read(written, ReadOptions())
+    assert again.format == "owl" and (again.camera_axes == OPENCV).all()
+    assert again.root == written / "test" and "not for reconstruction" in again.notes[0]
+    for got, wanted in zip(again.frames, source.frames, strict=True):
         np.testing.assert_allclose(got.to_world, wanted.to_world, atol=1e-12)
         assert (got.focal, got.center, got.size) == (wanted.focal, wanted.center, wanted.size)
         assert got.exposure == 2**STOPS and got.transfer == "gamma 2.2"
         assert (got.mask is None) == (wanted.mask is None)
         if got.mask is not None:
             np.testing.assert_array_equal(Image.open(got.mask), Image.open(wanted.mask))
-    assert found.mesh.read_bytes() == source.mesh.read_bytes()
+    assert again.mesh.read_bytes() == source.mesh.read_bytes()
     box = np.loadtxt(written / "test/inputs/object_bounding_box.txt")
     np.testing.assert_allclose(box, [-1, 1] * 3, atol=1e-6)
-    np.testing.assert_allclose(found.light.to_world, TURN, atol=1e-12)
-    pixels, given = (np.stack(read_planes(light.path)[0]) for light in (found.light, source.light))
+    np.testing.assert_allclose(again.light.to_world, TURN, atol=1e-12)
+    pixels, given = (np.stack(read_planes(light.path)[0]) for light in (again.light, source.light))
     largest = given.max(axis=0)  # RGBE has one exponent for three channels, and 8 bits
     assert (np.abs(pixels - 2 * given) <= 2 * largest / 128).all()
 
@@ -107,12 +107,12 @@ def test_directions_of_the_map_are_those_of_the_readme(written, tmp_path, turned
         in_world = np.array(direction, float) @ (np.eye(3) if turned_by_data_set else TURN)
         interaction = mi.SurfaceInteraction3f()
         interaction.wi = mi.Vector3f(-in_world)
-        found = np.array(emitter.eval(interaction)).ravel()
+        radiance = np.array(emitter.eval(interaction)).ravel()
         if direction[0] == -1:  # the seam
-            found[0] = 0
+            radiance[0] = 0
         if direction[2] != 0:  # the poles
-            found[0] = 0.5
-        np.testing.assert_allclose(found[:2], wanted, atol=0.02)
+            radiance[0] = 0.5
+        np.testing.assert_allclose(radiance[:2], wanted, atol=0.02)
 
 
 def test_an_object_is_found_from_any_of_its_folders(written):

@@ -51,10 +51,10 @@ def test_a_ply_keeps_its_own_normals(tmp_path, encoding):
     own /= np.linalg.norm(own, axis=1, keepdims=True)
     ball.vertex_normals = own
     ball.export(tmp_path / "ball.ply", vertex_normal=True, encoding=encoding)
-    found = read_textured_mesh(tmp_path / "ball.ply")
-    np.testing.assert_allclose(found.mesh.positions, ball.vertices, atol=1e-6)
-    np.testing.assert_allclose(found.mesh.normals, own, atol=1e-6)
-    assert not found.notes
+    imported = read_textured_mesh(tmp_path / "ball.ply")
+    np.testing.assert_allclose(imported.mesh.positions, ball.vertices, atol=1e-6)
+    np.testing.assert_allclose(imported.mesh.normals, own, atol=1e-6)
+    assert not imported.notes
 
 
 @pytest.mark.parametrize("sides", [6, 8, 10, 32])
@@ -202,10 +202,10 @@ def test_an_open_vase_is_turned_to_the_cameras(tmp_path, inside_out):
         words = "% of what the photographs show of it is its back, where nothing can be found; "
         assert f"mesh.ply: {said[0].split(': ')[1]}" in said[0] and words in said[0]
     capture = svu.load_capture(tmp_path / "capture")  # a warning would be an error
-    found = arrays(capture.mesh)
-    outward = found.positions * [1, 0, 1]
-    assert np.einsum("ni,ni->n", found.normals, outward).mean() > 0.3
-    assert corner_cosines(found).min() > 0.5
+    imported = arrays(capture.mesh)
+    outward = imported.positions * [1, 0, 1]
+    assert np.einsum("ni,ni->n", imported.normals, outward).mean() > 0.3
+    assert corner_cosines(imported).min() > 0.5
 
 
 @pytest.mark.parametrize(("height", "turned"), [(2.0, False), (-2.0, True)])
@@ -223,9 +223,9 @@ def test_a_plate_shows_the_side_that_was_photographed(tmp_path, height, turned):
 
 def outwardness(folder: Path) -> float:
     """Mean cosine between the triangles of an imported mesh and the way from its axis."""
-    found = capture_mesh.read_ply(folder / "mesh.ply")
-    flat = np.array(trimesh.Trimesh(found.positions, found.faces, process=False).face_normals)
-    outward = found.positions[found.faces].mean(axis=1) * [1, 0, 1]
+    mesh = capture_mesh.read_ply(folder / "mesh.ply")
+    flat = np.array(trimesh.Trimesh(mesh.positions, mesh.faces, process=False).face_normals)
+    outward = mesh.positions[mesh.faces].mean(axis=1) * [1, 0, 1]
     return np.einsum("fi,fi->f", flat, outward).mean()
 
 
@@ -307,8 +307,8 @@ def test_loading_says_that_only_the_back_is_seen(tmp_path):
     """A scene of Mitsuba's, with a mesh of the user's own that nobody has turned."""
     import_capture(source_of(tmp_path / "given", open_vase(), around()), tmp_path / "capture")
     path = tmp_path / "capture" / "mesh.ply"
-    found = capture_mesh.read_ply(path)
-    turned = replace(found, faces=found.faces[:, ::-1], normals=None)
+    mesh = capture_mesh.read_ply(path)
+    turned = replace(mesh, faces=mesh.faces[:, ::-1], normals=None)
     capture_mesh.write_ply(path, "object", turned)
     sentence = (
         r"Shape 'object': \d+% of what the photographs show of it is its back, where nothing is "

@@ -34,9 +34,9 @@ def bent_photographs(folder: Path) -> Path:
         direction = np.stack([-u, -v, np.ones_like(u)], axis=-1).reshape(-1, 3) @ pose[:3, :3].T
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         ray = mi.Ray3f(mi.Point3f(pose[:3, 3]), mi.Vector3f(direction.T.astype(np.float32)))
-        found = scene.ray_intersect(ray)
-        seen = np.array(found.is_valid(), bool)
-        color = np.where(seen[:, None], 0.5 + 0.5 * np.array(found.n).T, 0.02)
+        hit = scene.ray_intersect(ray)
+        seen = np.array(hit.is_valid(), bool)
+        color = np.where(seen[:, None], 0.5 + 0.5 * np.array(hit.n).T, 0.02)
         planes = np.concatenate([color, seen[:, None]], axis=1).reshape(HEIGHT, WIDTH, 4)
         channels = dict(zip("RGBA", np.moveaxis(planes, 2, 0), strict=True))
         write_exr(folder / f"IMG_{k}.exr", channels)

@@ -92,7 +92,7 @@ class ConditioningViews:
     def input_of(self, place: int, values: np.ndarray, known: np.ndarray, seed: int) -> ModelInput:
         """Return the input of a model for one view."""
         sensor, part = self._framed(place)
-        textures = self.field.laid(values)
+        textures = self.field.to_textures(values)
         maps, usable = self._maps(sensor, textures, known), self._usable(sensor)
         if self.photographs is None:
             shown = relight(self.capture, textures, None, [sensor], SPP, seed=seed)[0]
