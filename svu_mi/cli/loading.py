@@ -77,12 +77,12 @@ class CaptureCommand(BaseCommand):
         **options: Any,
     ) -> tuple[Capture, Texels]:  # fmt: skip
         """Load the capture with a given light, its own, or one found in the photographs."""
-        from svu_mi.calibration.light.resolve_light import illuminated
+        from svu_mi.calibration.light.resolve_light import with_resolved_light
 
         need = with_light_search(need) if light is None else need
         capture, grid = self.load(progress, need, size, **options)
         gains, folder = self.capture.photographs.estimates_gains, self.side_folders[1]
-        lit = illuminated(capture, light, elsewhere=folder, gains=gains, progress=progress)
+        lit = with_resolved_light(capture, light, elsewhere=folder, gains=gains, progress=progress)
         return lit, grid
 
     def check(self) -> None:

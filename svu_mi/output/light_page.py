@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.calibration.light.light_estimate import LightEstimate
-from svu_mi.calibration.light.light_folder import COMMAND, RECORD, light_record, write_arrays_of
-from svu_mi.calibration.light.light_summary import Likeness
+from svu_mi.calibration.light.light_folder import COMMAND, RECORD, light_record, write_light_arrays
+from svu_mi.calibration.light.light_summary import LightComparison
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.tonemap import srgb
@@ -45,7 +45,7 @@ def write_light(
     run: RunInfo | None = None,
     *,
     used: Mapping[str, Any] | None = None,
-    against: Likeness | None = None,
+    against: LightComparison | None = None,
     timings: Mapping[str, float] | None = None,
     pictures: bool = True,
 ) -> None:
@@ -59,7 +59,7 @@ def write_light(
     """
     run = run or RunInfo()
     with writing(folder, COMMAND, RECORD, capture=photographs_key(capture)) as draft:
-        write_arrays_of(estimate, draft)
+        write_light_arrays(estimate, draft)
         if pictures:
             write_light_page(capture, estimate, draft.folder / PAGE, against)
         write_manifest(draft.folder / RECORD, {
@@ -71,7 +71,10 @@ def write_light(
 
 
 def write_light_page(
-    capture: Capture, estimate: LightEstimate, path: str | Path, against: Likeness | None = None
+    capture: Capture,
+    estimate: LightEstimate,
+    path: str | Path,
+    against: LightComparison | None = None,
 ) -> None:
     """Draw radiance, its logarithm, its standard deviation and what is known, as lat-long maps.
 
@@ -155,7 +158,7 @@ def known_colors(estimate: LightEstimate) -> np.ndarray:
     return style.colors(estimate.known)
 
 
-def _notes(estimate: LightEstimate, against: Likeness | None) -> list[str]:
+def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str]:
     low, high = estimate.scale_interval
     scale = f"base colours known up to a factor of {low.mean():.2f} to {high.mean():.2f}"
     notes = [

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.calibration.light.light_summary import sentences
+from svu_mi.calibration.light.light_summary import summary_sentences
 from svu_mi.capture.capture import Capture
 from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
@@ -130,7 +130,7 @@ def _light(capture: Capture) -> dict[str, Any] | None:
         return None
     return {
         "maps": report_pictures.light_maps(light),
-        "sentences": list(sentences(light, up_direction(capture))),
+        "sentences": list(summary_sentences(light, up_direction(capture))),
     }
 
 
