@@ -190,8 +190,9 @@ class Joint:
         r = self.materials.roughness
         for k in range(5):
             # Roughness as the solver has it: between two that are possible.
-            ends = (np.clip(r - ROUGHNESS_STEP, 0, 1) - r, np.clip(r + ROUGHNESS_STEP, 0, 1) - r) if k == 0 else (
-                np.full(self.texels, -0.01), np.full(self.texels, 0.01))  # fmt: skip
+            step = np.full(self.texels, 0.01)
+            ends = [np.clip(r + way * ROUGHNESS_STEP, 0, 1) - r for way in (-1, 1)]
+            ends = ends if k == 0 else [-step, step]
             low, high = (self.predicted(self.x, self.moved(k, end)) for end in ends)
             slope = (high - low) / (ends[1] - ends[0])[samples.owner, None]
             for s, t in enumerate(samples.owner):

@@ -63,15 +63,13 @@ def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
         ), current  # fmt: skip
     found = partial(found, alternatives=alternatives)
     if chosen is current:
-        sentence = (
-            f"Cameras and mesh fit the photographs ({fit}{_alternatives_text(alternatives)})."
-        )
+        sentence = f"Cameras and mesh fit the photographs ({fit}{_as_well(alternatives)})."
         return found(verdict="fits", sentence=sentence), current
     if alternatives:
         return found(
             verdict="unclear", fixes=names,
             sentence=f"Cameras and mesh do not fit the photographs ({fit}); "
-            f"{_join_alternatives((names, *alternatives))} explains them equally well ({_fit(chosen)}): the "
+            f"{_choices((names, *alternatives))} explains them equally well ({_fit(chosen)}): the "
             "object is too symmetric to tell.",
         ), chosen  # fmt: skip
     sentence = f"{_causes(names)}: {_fit(chosen)} instead of {fit}."
@@ -151,18 +149,18 @@ def decide_light(scores: Sequence[LightScore]) -> Finding:
     is_supported = _count_cues(best, current) >= 2
     if gain > LIGHT_RANGE and not is_supported:
         # An object that faces one way is as bright under any light of that side.
-        either = _join_alternatives((names, *alternatives))
+        either = _choices((names, *alternatives))
         return unknown("light", f"{either} would fit better, but only by one cue of three", table)
     if gain <= LIGHT_IMPROVEMENT or not is_supported:
         as_good = _indistinguishable(scores, current)
         others = tuple(s.hypothesis.names for s in as_good if len(s.hypothesis.fixes) == 1)
-        sentence = f"The light fits the photographs ({figures}{_alternatives_text(others)})."
+        sentence = f"The light fits the photographs ({figures}{_as_well(others)})."
         return found(verdict="fits", alternatives=others, sentence=sentence)
     if alternatives:
         return found(
             verdict="unclear", fixes=names, alternatives=alternatives,
             sentence=f"The light does not fit the photographs ({figures}); "
-            f"{_join_alternatives((names, *alternatives))} would fit equally well.",
+            f"{_choices((names, *alternatives))} would fit equally well.",
         )  # fmt: skip
     sentence = f"{_causes(names)}: {_light_figures(best)} instead of {figures}."
     return found(verdict="wrong", fixes=names, sentence=sentence)
@@ -254,9 +252,9 @@ def _causes(names: Sequence[str]) -> str:
     return text[0].upper() + text[1:]
 
 
-def _alternatives_text(alternatives: Sequence[Sequence[str]]) -> str:
-    return f"; {_join_alternatives(alternatives)} would fit as well" if alternatives else ""
+def _as_well(alternatives: Sequence[Sequence[str]]) -> str:
+    return f"; {_choices(alternatives)} would fit as well" if alternatives else ""
 
 
-def _join_alternatives(alternatives: Sequence[Sequence[str]]) -> str:
+def _choices(alternatives: Sequence[Sequence[str]]) -> str:
     return " or ".join(" + ".join(names) if names else "no correction" for names in alternatives)

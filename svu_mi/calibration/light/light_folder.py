@@ -163,8 +163,8 @@ def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:
     draws, cells, _ = arrays["draws"].shape
     if not (FEWEST_CELLS <= cells <= MOST_CELLS and 1 <= draws <= MOST_DRAWS):
         raise ValueError(f"it has {cells} cells and {draws} draws")
-    real = {name: arrays[name].astype(np.float64) for name in
-            (*GAIN_ARRAYS, "logarithm", "cell_sd", "draws", "scale_sd") if name in arrays}  # fmt: skip
+    names = (*GAIN_ARRAYS, "logarithm", "cell_sd", "draws", "scale_sd")
+    real = {name: arrays[name].astype(np.float64) for name in names if name in arrays}
     still, moving = arrays["misfit"].tolist()
     gains = None
     if has_gains:

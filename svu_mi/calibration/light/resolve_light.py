@@ -30,7 +30,7 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OutputError, SceneError
 from svu_mi.geometry.texels import texels
 
-EMITTER_ID = "found_light"  # of the emitter
+EMITTER = "found_light"  # of the emitter
 FOLDER = "light"  # in the capture's folder
 WITH_GAINS = "-gains"  # at the end of its name, for light that was found together with gains
 RESOLUTION = 256  # texels per side for the estimate of the light
@@ -70,7 +70,8 @@ def with_map(capture: Capture, path: str | Path) -> tuple[Capture, list[str]]:
 def _scene_under(capture: Capture, radiance: np.ndarray) -> Any:
     """Return a scene of the capture's shapes under a map (H, W, 3)."""
     emitter = mi.load_dict({
-        "type": "envmap", "id": EMITTER_ID, "bitmap": mi.Bitmap(np.ascontiguousarray(radiance, np.float32)),
+        "type": "envmap", "id": EMITTER,
+        "bitmap": mi.Bitmap(np.ascontiguousarray(radiance, np.float32)),
     })  # fmt: skip
     integrator = capture.scene.integrator()  # None in a scene that has none
     others = [] if integrator is None else [integrator]
