@@ -14,7 +14,7 @@ from support.helpers import ball, memory_capture, run
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.bench.captures import some_views
+from svu_mi.bench.captures import even_views
 from svu_mi.calibration.checks.check import compare_gains
 from svu_mi.calibration.checks.check_result import Finding
 from svu_mi.calibration.checks.exposure_checks import (
