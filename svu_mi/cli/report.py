@@ -56,9 +56,9 @@ class Report(EstimateCommand):
             clear_temporaries(self.output.parent)
             self.start()
             size, textures = opt.read_recovered(self.recovered, self.resolution, SIDE)
-            knowledge = self._write(Progress(console), size, textures)
+            summary = self._write(Progress(console), size, textures)
         print_line(console, f"Wrote {self.output}")
-        print_line(console, knowledge.summary())
+        print_line(console, summary.summary())
         return 0
 
     @property

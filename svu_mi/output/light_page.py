@@ -82,9 +82,9 @@ def write_light_page(
     """
     truth = None if against is None else _emitter_map(capture.environment, estimate.radiance.shape)
     tone = ToneCurve.of(estimate.radiance if truth is None else truth)
-    panels = _radiance("Radiance", estimate.radiance, tone)
+    panels = _radiance_panels("Radiance", estimate.radiance, tone)
     if truth is not None:
-        panels += _radiance("The capture's own light", truth, tone)
+        panels += _radiance_panels("The capture's own light", truth, tone)
     panels += [
         ("Standard deviation of the logarithm of radiance", partial(
             _draw_scaled, values=estimate.sd, limits=(0, UNCERTAIN), colormap=style.VIEWS_COLORMAP,
@@ -100,7 +100,7 @@ def write_light_page(
     style.write_page(path, (WIDTH, height), HEADING, _notes(estimate, against), [block])
 
 
-def _radiance(title: str, radiance: np.ndarray, tone: ToneCurve) -> list[Panel]:
+def _radiance_panels(title: str, radiance: np.ndarray, tone: ToneCurve) -> list[Panel]:
     """Return panels of a map (H, W, 3): in screen colours, and its logarithm."""
     return [
         (title, partial(_draw_colors, colors=tone.colors(radiance))),
@@ -179,7 +179,7 @@ def _emitter_map(emitter: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 def _draw_colors(axes: Axes, colors: np.ndarray) -> None:
     axes.imshow(colors, extent=(0, 1, 0, 0.5), interpolation="nearest")
-    _around(axes)
+    _label_directions(axes)
 
 
 def _draw_scaled(
@@ -189,11 +189,11 @@ def _draw_scaled(
         values, colormap, vmin=limits[0], vmax=limits[1], extent=(0, 1, 0, 0.5),
         interpolation="nearest",
     )  # fmt: skip
-    _around(axes)
+    _label_directions(axes)
     style.color_bar(axes, drawn, label, (0.0, -0.16, 1.0, 0.035))
 
 
-def _around(axes: Axes) -> None:
+def _label_directions(axes: Axes) -> None:
     """Say which way the columns of a lat-long map look."""
     style.frame_map(axes)
     axes.set_xticks([place for place, _ in AXIS], [name for _, name in AXIS])
