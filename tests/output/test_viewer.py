@@ -263,7 +263,7 @@ def test_command_line(tmp_path, monkeypatch, capsys, variant):
     assert main([*words, "--recovered", str(tmp_path / "nowhere")]) == 2
     assert "no such folder" in capsys.readouterr().err
     with monkeypatch.context() as patch:
-        patch.setattr(View, "load_lit", None)  # refused before any work
+        patch.setattr(View, "load_with_light", None)  # refused before any work
         assert main(["view", str(scene), "--port", "65536"]) == 2
     assert "--port must be" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "viser", None)
