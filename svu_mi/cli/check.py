@@ -1,4 +1,4 @@
-"""``svu check``: do poses, mesh, light and photographs belong together?"""
+"""``svu check``: consistency of poses, mesh, light and photographs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``svu light``: the light that photographs were taken under, from the photographs."""
+"""``svu light``: estimate the light from the photographs."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class FindLight(CaptureCommand, ResultCommand):
     pictures: opt.Pictures = True
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         from svu_mi.calibration.light.grey_card import require_albedo
 
         super().check()

@@ -1,4 +1,4 @@
-"""``svu report``: what photographs say, as one page to send."""
+"""``svu report``: one HTML page of results."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Report(EstimateCommand):
         return name(f"{stem}_capture"), name(f"{stem}_light")
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         super().check()
         if self.output.is_dir():
             raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")
