@@ -18,7 +18,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.tonemap import srgb
 from svu_mi.core.io.output_folder import writing
-from svu_mi.light.environment import directions, radiance_from
+from svu_mi.light.latlong import directions, radiance_from
 from svu_mi.output import style
 from svu_mi.output.interval_summary import plain_percent
 from svu_mi.output.run_record import RunInfo, environment_record, inputs_record, write_manifest

@@ -35,7 +35,8 @@ from svu_mi.calibration.checks.surface_samples import (
 from svu_mi.calibration.checks.thumbnails import Thumbnails, reduce_photographs
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.light.environment import directions, read_environment
+from svu_mi.light.environment import read_environment
+from svu_mi.light.latlong import directions
 from svu_mi.scenes import lights
 
 VIEWS, SEED = 24, 1203
