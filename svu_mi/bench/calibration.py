@@ -27,7 +27,7 @@ from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measureme
 from svu_mi.bench.markdown import Column, columns, digits, table
 from svu_mi.bench.study import Selection, Study
 from svu_mi.evaluation.correlation import pearson, sparsification, spearman
-from svu_mi.evaluation.credible_sets import credible_coverage, nearest_cells
+from svu_mi.evaluation.credible_sets import credible_coverage, nearest_bins
 from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import texels
 from svu_mi.parameters import NAMES
@@ -170,7 +170,7 @@ def set_coverage(p: np.ndarray, truth: Truths) -> Record:
     """
     p = p if p.ndim == 5 else p[..., None]
     bins = {
-        name: np.stack([nearest_cells({name: NODES}, {name: x}) for x in truth[name].T], axis=1)
+        name: np.stack([nearest_bins({name: NODES}, {name: x}) for x in truth[name].T], axis=1)
         for name in NAMES
     }
     r, m = bins["roughness"][:, 0], bins["metallic"][:, 0]

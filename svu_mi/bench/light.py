@@ -20,7 +20,7 @@ from svu_mi.bench.study import Selection, Study
 from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.calibration.light.light_options import LightOptions
-from svu_mi.calibration.light.light_summary import blurred, likeness
+from svu_mi.calibration.light.light_summary import blurred, compare_lights
 from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
@@ -112,7 +112,7 @@ class EstimatedLightCase(CaseSubject):
 
 
 def _light(capture: Capture, light: LightEstimate) -> Record:
-    against = likeness(light, capture.environment)
+    against = compare_lights(light, capture.environment)
     low, high = light.scale_interval
     scale = float(against.scale.mean())
     return {

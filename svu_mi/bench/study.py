@@ -106,10 +106,7 @@ class Study:
             record = self.summary({**measured, "sizes": bench.sizes})
             return {**record, "bars": [bar.record() for bar in self.bars(record)]}
 
-        def tell(measured: Record) -> None:
-            if report is not None:
-                report(whole(measured))
-
+        tell = report and (lambda measured: report(whole(measured)))
         return whole(self.experiment(bench, selection).run(bench, tell))
 
     def markdown(self, record: Record) -> str:

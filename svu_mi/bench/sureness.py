@@ -7,9 +7,9 @@ under two lights that nothing was recovered from, of some cases.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
@@ -231,11 +231,11 @@ def find_bars(record: Record) -> list[Bar]:
 def _bars_of_filling(filled: Sequence[Record]) -> list[Bar]:
     gains = [one["psnr"] - one["psnr_before"] for one in filled]
     repeating = [gain for gain, one in zip(gains, filled, strict=True) if one["repeats"]]
-    interval_coverage = float(np.mean([list(one["held"].values()) for one in filled]))
+    held = float(np.mean([list(one["held"].values()) for one in filled]))
     bars = [
         Bar("filled: texture PSNR over spreading, worst cell", min(gains), -0.1, "dB", True),
-        Bar("filled: intervals hold", interval_coverage, 0.80, least=True),
-        Bar("filled: intervals hold", interval_coverage, 0.97),
+        Bar("filled: intervals hold", held, 0.80, least=True),
+        Bar("filled: intervals hold", held, 0.97),
     ]
     if repeating:
         title = "filled: texture PSNR over spreading, mean of objects that repeat"
@@ -255,22 +255,21 @@ def tables(record: Record) -> list[str]:
     shown = [Column("cell", lambda line: line[0])]
     for part, title in (("textures", ""), ("shared", ", shared, one-sided")):
         shown += [
-            Column(f"{name}{title}", partial(_held, part=part, name=name), digits(2))
-            for name in NAMES
+            Column(f"{name}{title}", _figure(part, "held", name), digits(2)) for name in NAMES
         ]
-        shown.append(Column(f"Spearman{title}", partial(_value, part=part, name="spearman"),
+        shown.append(Column(f"Spearman{title}", _figure(part, "spearman"),
                             digits(2)))  # fmt: skip
     shown += [
-        Column("filled, hidden", partial(_value, part="filled", name="hidden"), digits(2)),
-        Column("before", partial(_value, part="filled", name="psnr_before"), digits(2)),
-        Column("PSNR", partial(_value, part="filled", name="psnr"), digits(2)),
-        Column("held", lambda line: _whole(line[1]["filled"]["held"]), digits(2)),
+        Column("filled, hidden", _figure("filled", "hidden"), digits(2)),
+        Column("before", _figure("filled", "psnr_before"), digits(2)),
+        Column("PSNR", _figure("filled", "psnr"), digits(2)),
+        Column("held", lambda line: _mean(line[1]["filled"]["held"].values()), digits(2)),
         Column("by", lambda line: ", ".join(dict.fromkeys(line[1]["filled"]["likeness"].values()))),
-        Column("pixels", partial(_value, part="pictures", name="held"), digits(2)),
-        Column("Spearman, pixels", partial(_value, part="pictures", name="spearman"), digits(2)),
-        Column("draws' mean", partial(_value, part="pictures", name="psnr_gain"),
+        Column("pixels", _figure("pictures", "held"), digits(2)),
+        Column("Spearman, pixels", _figure("pictures", "spearman"), digits(2)),
+        Column("draws' mean", _figure("pictures", "psnr_gain"),
                lambda value: f"{value:+.1f} dB"),
-        Column("time", partial(_value, part="pictures", name="seconds"), seconds),
+        Column("time", _figure("pictures", "seconds"), seconds),
     ]  # fmt: skip
     words = "; ".join(
         f"{part}: " + ", ".join(f"{name} {value:.3f}" for name, value in of.items() if value)
@@ -283,22 +282,13 @@ def tables(record: Record) -> list[str]:
     ]
 
 
-def _whole(interval_coverage: dict[str, float]) -> float:
-    return float(np.mean(list(interval_coverage.values())))
+def _mean(values: Collection[float]) -> float | None:
+    return float(np.mean(list(values))) if values else None
 
 
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None
-
-
-def _held(line: tuple[str, Record], part: str, name: str) -> float | None:
-    value: float | None = line[1][part]["held"][name] if part in line[1] else None
-    return value
-
-
-def _value(line: tuple[str, Record], part: str, name: str) -> float | None:
-    value: float | None = line[1][part][name] if part in line[1] else None
-    return value
+def _figure(*path: str) -> Callable[[tuple[str, Any]], Any]:
+    """Return a getter of a line's figure by a path of names; it returns None without the figure."""
+    return lambda line: reduce(lambda record, name: record and record.get(name), path, line[1])
 
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:

@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.calibration.light.gauss_newton import System, system_of
+from svu_mi.calibration.light.gauss_newton import NormalEquations, normal_equations
 from svu_mi.calibration.light.light_estimate import NINETY, FoundGains
 from svu_mi.calibration.light.light_options import LightOptions
-from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import (
     COOLING,
     HEAT,
-    Moments,
+    SampleMoments,
     Transport,
+    annealed,
     columns_of,
-    tempered,
 )
-from svu_mi.calibration.light.light_uncertainty import level_of
+from svu_mi.calibration.light.light_uncertainty import scale_of
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.scene import require_light
@@ -71,22 +71,22 @@ def estimate_gains(
     observed = observations_of(source, texels, progress)
     require_light(observed.capture)
     with progress.stage("Choosing texels"):
-        samples = Samples.of(observed, switches, options.texels)
+        samples = TexelSamples.of(observed, switches, options.texels)
     with progress.stage("Finding gains", ROUNDS) as stage:
         light = cell_radiance(observed.lighting.environment, CELLS)
         everything, gains = Transport.of(samples, CELLS), starting_gains(samples)
         columns, heat = columns_of(everything, light, switches), HEAT
-        level = level_of(samples, columns, switches)
+        level = scale_of(samples, columns, switches)
         if (np.abs(level.best) > NINETY * level.sd).any():  # probably in other units
             light = light * np.exp(level.best)
             columns = columns_of(everything, light, switches)
         for done in range(ROUNDS):
-            now, transport = tempered(switches, heat), without_gains(everything, gains)
-            posterior = Moments.of(transport.samples, columns).posterior(now)
+            now, transport = annealed(switches, heat), without_gains(everything, gains)
+            posterior = SampleMoments.of(transport.samples, columns).posterior(now)
             tau = now.overdispersion
-            system = system_of(transport, light, posterior, tau, gains=gains.logarithm)
+            system = normal_equations(transport, light, posterior, tau, gains=gains.logarithm)
             noise = posterior.kernel.noise if heat == 1 else None
-            gains, _ = updated(gains, samples, system, system.step(), noise)
+            gains, _ = step_gains(gains, samples, system, system.step(), noise)
             heat = max(heat * COOLING, 1.0)
             stage.update(done + 1, ROUNDS)
     return gains
@@ -126,7 +126,7 @@ def equalized(capture: Capture, gains: FoundGains) -> Capture:
     )  # fmt: skip
 
 
-def starting_gains(samples: Samples) -> FoundGains:
+def starting_gains(samples: TexelSamples) -> FoundGains:
     """Return gains of 1, except for photographs far brighter or darker than the others."""
     views = len(samples.cameras)
     grey = np.log(np.maximum(samples.radiance.mean(axis=1), 1e-6 * samples.unit))
@@ -145,8 +145,8 @@ def without_gains(transport: Transport, gains: FoundGains | None) -> Transport:
     return replace(transport, samples=transport.samples.without(gains.odd).divided(gains.factor))
 
 
-def updated(
-    gains: FoundGains, samples: Samples, system: System, change: np.ndarray,
+def step_gains(
+    gains: FoundGains, samples: TexelSamples, system: NormalEquations, change: np.ndarray,
     noise: np.ndarray | None,
 ) -> tuple[FoundGains, np.ndarray]:  # fmt: skip
     """Apply one step to gains, after flagging outliers anew.
@@ -170,7 +170,7 @@ def updated(
 
 
 def _with_outliers_flagged(
-    gains: FoundGains, samples: Samples, found: np.ndarray, noise: np.ndarray
+    gains: FoundGains, samples: TexelSamples, found: np.ndarray, noise: np.ndarray
 ) -> FoundGains:
     """Flag photographs that differ from predicted samples (S, 3) by more than others do."""
     logarithm, views = gains.logarithm, len(gains.odd)
@@ -188,11 +188,11 @@ def _with_outliers_flagged(
         return FoundGains(logarithm, left, gains.odd)
     grey, worse = logarithm.mean(axis=1), np.log(np.maximum(left, 1e-30))
     grey, worse = (values - np.median(values[seen]) for values in (grey, worse))
-    odd = _beyond(np.abs(grey), seen, ODD_GAIN) | _beyond(worse, seen, np.log(ODD_NOISE))
+    odd = _outliers(np.abs(grey), seen, ODD_GAIN) | _outliers(worse, seen, np.log(ODD_NOISE))
     return FoundGains(logarithm, left, odd)
 
 
-def _beyond(values: np.ndarray, seen: np.ndarray, limit: float) -> np.ndarray:
+def _outliers(values: np.ndarray, seen: np.ndarray, limit: float) -> np.ndarray:
     """Return which of ``seen`` exceed a limit and the usual spread among them."""
     spread = 1.48 * float(np.median(np.abs(values[seen])))
     return seen & (values > max(limit, SPREADS * spread))

@@ -125,7 +125,7 @@ class ResultCommand(BaseCommand):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
 
     def work(self, progress: Progress, place: Claim) -> Iterable[str]:
         """Write the result; return what to print of it."""

@@ -1,4 +1,4 @@
-"""``svu check``: do poses, mesh, light and photographs belong together?"""
+"""``svu check``: consistency of poses, mesh, light and photographs."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class CheckCapture(BaseCommand):
 
     def _run(self, progress: Progress, place: Claim) -> tuple[Capture, Check]:
         from svu_mi.calibration.checks.check import check
-        from svu_mi.calibration.light.resolve_light import found_gains
+        from svu_mi.calibration.light.resolve_light import photo_gains
         from svu_mi.capture.crop import Detail
         from svu_mi.output.check_page import write_check
 
@@ -68,7 +68,7 @@ class CheckCapture(BaseCommand):
             progress, self.source, self.photographs, need, Detail(side=SIDE), trust=self.trust
         )  # nothing is cropped: poses may be wrong
         if estimates:
-            find = partial(found_gains, capture, self.output / "light", progress)
+            find = partial(photo_gains, capture, self.output / "light", progress)
         result = check(capture, gains=find, progress=progress)
         with progress.stage("Writing the page"):
             remedy = _remedy(result, capture)
@@ -96,14 +96,14 @@ def _view_table(result: Check) -> Any:
     """Return a table of the views that fit worst, and of all of them, before and after."""
     from rich.table import Table
 
-    from svu_mi.calibration.checks.check_result import Summary
+    from svu_mi.calibration.checks.check_result import ViewMeans
 
     table = Table("", "IoU", "edges", "colour error", box=None)
     for view in result.worst[:SHOWN]:
         table.add_row(view.name, *_fit_numbers(view))
-    table.add_row(f"all {len(result.views)}", *_fit_numbers(Summary.of(result.views)))
+    table.add_row(f"all {len(result.views)}", *_fit_numbers(ViewMeans.of(result.views)))
     if result.corrected is not result.views:
-        table.add_row("all, corrected", *_fit_numbers(Summary.of(result.corrected)))
+        table.add_row("all, corrected", *_fit_numbers(ViewMeans.of(result.corrected)))
     return table
 
 

@@ -1,4 +1,4 @@
-"""``svu compare``: what differs between two results."""
+"""``svu compare``: differences between two results."""
 
 from __future__ import annotations
 
@@ -9,18 +9,9 @@ from typing import Annotated, Literal
 
 import tyro
 
+from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand
 from svu_mi.cli.loading import read_capture, with_light_search
-from svu_mi.cli.shared_options import (
-    Memory,
-    Output,
-    PhotographOptions,
-    SceneOptions,
-    Size,
-    as_dict,
-    parse_bytes,
-    parse_resolution,
-)
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import MODELS, Need
 from svu_mi.core.progress import Progress
@@ -44,22 +35,22 @@ class Compare(ResultCommand):
     b: Annotated[Result, tyro.conf.arg(metavar="B")]
     """The second, which the first is subtracted from."""
     command, page = "compare", "compare.html"
-    output: Output = Path("out/compare")
+    output: opt.Output = Path("out/compare")
     preset: Presets = ("default",)
     """Of estimates of captures: default, fixed, fast or paper; two for A and B."""
-    resolution: Size = ()
+    resolution: opt.Size = ()
     """Texels per side, or width and height; by default those of the coarser textures, or 512."""
     tolerance: float = 0.05
     """Difference that counts where it is not known how certain both are."""
-    memory: Memory = ""
+    memory: opt.Memory = ""
     """Memory that the photographs of a capture may take, such as 4G; beyond it they lie in a file.
     By default half of what is free."""
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
-        parse_bytes(self.memory, "--memory")
+        """Refuse invalid options (OptionError)."""
+        opt.parse_bytes(self.memory, "--memory")
         if self.resolution:
-            parse_resolution(self.resolution)
+            opt.parse_resolution(self.resolution)
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Compare, write the page, and summarise it."""
@@ -68,7 +59,7 @@ class Compare(ResultCommand):
         from svu_mi.output.compare.differences import ComparisonPlan
 
         preset = self.preset[0] if len(self.preset) == 1 else self.preset
-        size = parse_resolution(self.resolution) if self.resolution else None
+        size = opt.parse_resolution(self.resolution) if self.resolution else None
         plan = ComparisonPlan(
             self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance
         )
@@ -77,11 +68,11 @@ class Compare(ResultCommand):
         need = with_light_search(partial(Need, "compare", resolution=plan.size, model=model))
         for index, path in plan.captures:
             capture = read_capture(
-                progress, SceneOptions(scene=path), PhotographOptions(memory=self.memory), need,
-                Detail(texels=plan.size), trust=self.trust,
+                progress, opt.SceneOptions(scene=path), opt.PhotographOptions(memory=self.memory),
+                need, Detail(texels=plan.size), trust=self.trust,
             )  # fmt: skip
             plan.estimate(index, capture, progress)
         comparison = plan.compared()
         with progress.stage("Writing the page"):
-            write_comparison(comparison, place, settings=as_dict(self))
+            write_comparison(comparison, place, settings=opt.as_dict(self))
         return [comparison.sentence()]

@@ -1,4 +1,4 @@
-"""``svu doctor``: the installation, what can run, and remedies.
+"""``svu doctor``: installed packages, usable variants, and remedies.
 
 An unusable LLVM or GPU driver can abort a process. Child processes therefore collect the facts of
 Dr.Jit and Mitsuba and render the test picture.

@@ -38,7 +38,7 @@ class Entropy(EstimateCommand, ResultCommand):
         capture, result = self.load_and_estimate(progress, size, "entropy", skip=skip)
         warn_if_too_bright(result)
         with progress.stage("Writing the results"):
-            knowledge = IntervalSummary.of(result)
+            summary = IntervalSummary.of(result)
             run = self.run_info(progress)
-            write_outputs(capture, result, place, run, knowledge=knowledge, pictures=self.pictures)
-        return [knowledge.summary()]
+            write_outputs(capture, result, place, run, summary=summary, pictures=self.pictures)
+        return [summary.summary()]

@@ -54,7 +54,7 @@ class Export(ResultCommand):
     y, so a capture with z up is rotated in the GLB."""
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         self._options()
 
     def _options(self) -> ExportOptions:

@@ -141,7 +141,7 @@ class Guide(EstimateCommand):
         return flags
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         super().check()
         opt.require_range("--add", self.add, 1)
         self._check_sphere()

@@ -1,4 +1,4 @@
-"""``--help``: options that may be left out by their type alone, and texts that flow."""
+"""``--help``: optional values by type, and texts wrapped to the terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``svu inpaint``: fill what nobody saw of recovered textures, and say how sure that is."""
+"""``svu inpaint``: fill unseen texels of recovered textures."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Inpaint(CaptureCommand, ResultCommand):
     diffusion: DiffusionOptions = DiffusionOptions()
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         super().check()
         if not self.above > 0:
             raise OptionError(f"--above must be positive, got {self.above}.")

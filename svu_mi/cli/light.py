@@ -1,4 +1,4 @@
-"""``svu light``: the light that photographs were taken under, from the photographs."""
+"""``svu light``: estimate the light from the photographs."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class FindLight(CaptureCommand, ResultCommand):
     pictures: opt.Pictures = True
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         from svu_mi.calibration.light.grey_card import require_albedo
 
         super().check()
@@ -112,17 +112,17 @@ class FindLight(CaptureCommand, ResultCommand):
         with interruptible(lambda: "interrupted; run the same command again"):
             light = estimate_light(capture, grid, options, progress)
             light = self._scaled(progress, capture, light)
-        against = None if own is None or light.moves else summary.likeness(light, own)
+        against = None if own is None or light.moves else summary.compare_lights(light, own)
         with progress.stage("Writing the results"):
             run = self.run_info(progress)
             write_light(
                 capture, light, place, run, used=asdict(options), against=against,
                 timings=progress.timings, pictures=self.pictures,
             )  # fmt: skip
-        lines = list(summary.sentences(light, up_direction(capture)))
+        lines = list(summary.summary_sentences(light, up_direction(capture)))
         if light.gains is not None:
             lines += summary.gain_sentences(light.gains, capture)
-        return lines if against is None else [*lines, summary.likeness_sentence(against)]
+        return lines if against is None else [*lines, summary.comparison_sentence(against)]
 
     def _scaled(self, progress: Progress, capture: Capture, light: LightEstimate) -> LightEstimate:
         """Return the light as bright as is known otherwise."""

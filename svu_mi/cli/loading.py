@@ -1,4 +1,4 @@
-"""Load the capture of a command: plan, check memory, read or render photographs, find a light."""
+"""Loading of captures: plan, check memory, read or render, estimate the light."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CaptureCommand(BaseCommand):
 
     @property
     def side_folders(self) -> tuple[Path, Path]:
-        """Folders of photographs that --render makes, and of light that is found."""
+        """Folders of rendered photographs, and of the estimated light."""
         return self.output / "capture", self.output / "light"
 
     def load(
@@ -76,17 +76,17 @@ class CaptureCommand(BaseCommand):
         self, progress: Progress, need: NeedFunc, size: tuple[int, int], light: Path | None,
         **options: Any,
     ) -> tuple[Capture, Texels]:  # fmt: skip
-        """Load the capture with a given light, its own, or one found in the photographs."""
-        from svu_mi.calibration.light.resolve_light import illuminated
+        """Load the capture with a given light, its own, or one from the photographs."""
+        from svu_mi.calibration.light.resolve_light import with_resolved_light
 
         need = with_light_search(need) if light is None else need
         capture, grid = self.load(progress, need, size, **options)
         gains, folder = self.capture.photographs.estimates_gains, self.side_folders[1]
-        lit = illuminated(capture, light, elsewhere=folder, gains=gains, progress=progress)
+        lit = with_resolved_light(capture, light, elsewhere=folder, gains=gains, progress=progress)
         return lit, grid
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         self.capture.check(self.spp)
 
     def _read(
@@ -134,7 +134,7 @@ class EstimateCommand(CaptureCommand):
     resolution: opt.Size = ()
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         super().check()
         if self.resolution:
             opt.parse_resolution(self.resolution)

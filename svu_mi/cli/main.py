@@ -1,4 +1,4 @@
-"""The ``svu`` program: options in, one clear line and exit status 2 on bad input."""
+"""The ``svu`` program: parse arguments, run a command, report errors in one line."""
 
 from __future__ import annotations
 

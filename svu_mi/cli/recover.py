@@ -83,7 +83,7 @@ class Recover(CaptureCommand, ResultCommand):
             return [self._recover(progress, place).summary()]
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         super().check()
         opt.parse_resolution(self.resolution)
         if not self.parameters:

@@ -1,4 +1,4 @@
-"""``svu relight``: the object under another light, and how sure every pixel of it is."""
+"""``svu relight``: recovered object under another light, with uncertainty per pixel."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Relight(CaptureCommand, ResultCommand):
     pictures: opt.Pictures = True
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         super().check()
         opt.require_range("--side", self.side, 1, MOST_PIXELS)
         opt.require_range("--views", self.views, 1)

@@ -1,4 +1,4 @@
-"""``svu report``: what photographs say, as one page to send."""
+"""``svu report``: one HTML page of results."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ class Report(EstimateCommand):
             clear_temporaries(self.output.parent)
             self.start()
             size, textures = opt.read_recovered(self.recovered, self.resolution, SIDE)
-            knowledge = self._write(Progress(console), size, textures)
+            summary = self._write(Progress(console), size, textures)
         print_line(console, f"Wrote {self.output}")
-        print_line(console, knowledge.summary())
+        print_line(console, summary.summary())
         return 0
 
     @property
@@ -68,7 +68,7 @@ class Report(EstimateCommand):
         return name(f"{stem}_capture"), name(f"{stem}_light")
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         super().check()
         if self.output.is_dir():
             raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")

@@ -132,7 +132,7 @@ class CaptureOptions:
     rendering: Annotated[RenderOptions, tyro.conf.arg(name="")] = RenderOptions()
 
     def check(self, spp: int) -> None:
-        """Refuse options that make no sense, before any work."""
+        """Refuse invalid options (OptionError)."""
         require_spp(spp, "--spp")
         scene = self.source.scene
         _ = self.photographs.bytes, self.source.defines()
@@ -160,7 +160,7 @@ class EstimateOptions:
 
     @property
     def model(self) -> str:
-        """What memory per texel depends on (``memory.MODELS``)."""
+        """Key of ``memory.MODELS``, memory per texel."""
         return self.preset if self.method == "angular" else self.method
 
     def check(self) -> None:

@@ -1,4 +1,4 @@
-"""``svu view``: the object and all that is known of it, in a browser."""
+"""``svu view``: interactive viewer in a browser."""
 
 from __future__ import annotations
 

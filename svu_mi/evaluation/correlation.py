@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from svu_mi.errors import OptionError
-from svu_mi.evaluation.metric_inputs import pair, vector
+from svu_mi.evaluation.metric_inputs import finite_vector, two_vectors
 
 MIN_OBJECTS = 3
 CONFIDENCE = 0.95  # part of the resampled means inside an interval
@@ -31,7 +31,7 @@ def spearman(x: Any, y: Any) -> float:
 
 
 def _correlation(of: Callable[..., Any], x: Any, y: Any) -> float:
-    both = pair(x=x, y=y)
+    both = two_vectors(x=x, y=y)
     constant = any(np.ptp(values) <= ROUNDING * np.abs(values).max() for values in both)
     return 0.0 if constant else float(of(*both).statistic)
 
@@ -66,7 +66,7 @@ def mean_over_objects(values: Any, objects: Sequence[str], *, seed: int = 0) -> 
         objects: n names; cells of one name are drawn together.
         seed: of the resampling.
     """
-    cells = vector(values, "values", len(objects))
+    cells = finite_vector(values, "values", len(objects))
     names, owner = np.unique(np.array(objects, str), return_inverse=True)
     mean = float(cells.mean())
     if len(names) < MIN_OBJECTS:
@@ -127,12 +127,12 @@ def sparsification(error: Any, uncertainty: Any) -> Sparsification:
         error: (n,) non-negative errors of an estimate.
         uncertainty: (n,) what was said of them, in any unit; only its order matters.
     """
-    errors, said = pair(error=error, uncertainty=uncertainty)
+    errors, said = two_vectors(error=error, uncertainty=uncertainty)
     if (errors < 0).any():
         raise OptionError("sparsification(): an error is negative; give absolute errors.")
     count = len(errors)
     removed = np.arange(count) / count
-    curve, oracle = _remaining(_tied(errors, said)), _remaining(np.sort(errors))
+    curve, oracle = _remaining(_sorted_errors(errors, said)), _remaining(np.sort(errors))
     area = float(scipy.integrate.trapezoid(curve - oracle, removed))
     # Rounding of two equal orders, summed differently.
     area = area if abs(area) > 1e-12 else 0.0
@@ -140,7 +140,7 @@ def sparsification(error: Any, uncertainty: Any) -> Sparsification:
     return Sparsification(removed, curve, oracle, area, area / chance if chance > 1e-12 else 0.0)
 
 
-def _tied(errors: np.ndarray, said: np.ndarray) -> np.ndarray:
+def _sorted_errors(errors: np.ndarray, said: np.ndarray) -> np.ndarray:
     """Return the errors from the most certain on; equally certain ones share their mean."""
     _, group, counts = np.unique(said, return_inverse=True, return_counts=True)
     return np.repeat(np.bincount(group, errors) / counts, counts)

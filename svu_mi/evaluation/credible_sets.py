@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.evaluation.metric_inputs import require_finite, vector
+from svu_mi.evaluation.metric_inputs import finite_vector, require_finite
 
 TIE = 1e-6  # relative difference below which two float32 probabilities are equal
 
 
 @dataclass(frozen=True)
-class Coverage:
+class CredibleCoverage:
     """How often a credible set of one level holds the truth.
 
     Attributes:
@@ -35,7 +35,7 @@ class Coverage:
     count: int
 
 
-def nearest_cells(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarray:
+def nearest_bins(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarray:
     """Return the (T,) flat index of the grid cell that each true value falls into.
 
     Args:
@@ -45,12 +45,12 @@ def nearest_cells(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarr
     """
     cells: list[np.ndarray] = []
     for name, nodes in axes.items():
-        values = vector(truth[name], name, len(cells[0]) if cells else None)
+        values = finite_vector(truth[name], name, len(cells[0]) if cells else None)
         cells.append(np.abs(values[:, None] - np.asarray(nodes)).argmin(axis=1))
     return np.ravel_multi_index(cells, [len(nodes) for nodes in axes.values()])
 
 
-def credible_coverage(probabilities: Any, cells: Any, level: float) -> Coverage:
+def credible_coverage(probabilities: Any, cells: Any, level: float) -> CredibleCoverage:
     """Return how often the highest-density credible set of a level holds the truth.
 
     The set is the smallest set of cells with a mass of at least ``level``; cells as probable
@@ -58,7 +58,7 @@ def credible_coverage(probabilities: Any, cells: Any, level: float) -> Coverage:
 
     Args:
         probabilities: (T, *grid) non-negative, each texel's sum 1.
-        cells: (T,) flat index of the true cell (``nearest_cells``).
+        cells: (T,) flat index of the true cell (``nearest_bins``).
         level: in (0, 1).
     """
     if not 0 < level < 1:
@@ -73,7 +73,7 @@ def credible_coverage(probabilities: Any, cells: Any, level: float) -> Coverage:
     above = np.where(p > own * (1 + TIE), p, 0).sum(axis=1)
     tied = np.where(np.abs(p - own) <= TIE * own, p, 0).sum(axis=1)
     part = np.where(tied > 0, np.clip((level - above) / np.maximum(tied, 1e-300), 0, 1), 0)
-    return Coverage(
+    return CredibleCoverage(
         level=level, plain=float((above < level - TIE).mean()), fractional=float(part.mean()),
         size=float(_sizes(p, level).mean()), count=len(p),
     )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.core.validation import require_known
-from svu_mi.evaluation.metric_inputs import pair
+from svu_mi.evaluation.metric_inputs import two_vectors
 from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import MIXED, NAMES, ByParameter
@@ -63,7 +63,7 @@ class ErrorSummary:
 
 def error_summary(estimate: Any, truth: Any) -> ErrorSummary:
     """Return bias, MAE and RMSE of (n,) estimates."""
-    found, true = pair(estimate=estimate, truth=truth)
+    found, true = two_vectors(estimate=estimate, truth=truth)
     error = found - true
     return ErrorSummary(
         bias=float(error.mean()),

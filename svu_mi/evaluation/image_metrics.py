@@ -16,7 +16,7 @@ import scipy
 
 from svu_mi.capture.image_io import srgb
 from svu_mi.errors import ShapeError
-from svu_mi.evaluation.metric_inputs import pictures, require_finite
+from svu_mi.evaluation.metric_inputs import require_finite, two_pictures
 
 CEILING_DB = 100.0  # of a PSNR: that of an RMS error of 1e-5, and of none at all
 
@@ -103,7 +103,7 @@ def image_error(found: Any, truth: Any, mask: Any) -> ImageError:
         mask: (H, W) bool, the object's pixels.
     """
     inside = np.array(mask, bool)
-    a, b = pictures(found, truth, inside)
+    a, b = two_pictures(found, truth, inside)
     white = float(np.quantile(b[inside].max(axis=-1), WHITE)) or 1.0
     a, b = (np.where(inside[..., None], np.clip(x / white, 0, HDR_LIMIT), 0) for x in (a, b))
     low_a, low_b = srgb(np.clip(a, 0, 1)), srgb(np.clip(b, 0, 1))

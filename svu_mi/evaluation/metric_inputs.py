@@ -9,7 +9,7 @@ import numpy as np
 from svu_mi.errors import OptionError, ShapeError
 
 
-def vector(values: Any, name: str, count: int | None = None) -> np.ndarray:
+def finite_vector(values: Any, name: str, count: int | None = None) -> np.ndarray:
     """Return (n,) float64 after refusing what no metric can use.
 
     Args:
@@ -24,14 +24,14 @@ def vector(values: Any, name: str, count: int | None = None) -> np.ndarray:
     return flat
 
 
-def pair(**given: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return two (n,) float64 arrays of one length (errors as ``vector``)."""
+def two_vectors(**given: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return two (n,) float64 arrays of one length (errors as ``finite_vector``)."""
     (first, x), (second, y) = given.items()
-    found = vector(x, first)
-    return found, vector(y, second, len(found))
+    found = finite_vector(x, first)
+    return found, finite_vector(y, second, len(found))
 
 
-def pictures(found: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def two_pictures(found: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two (H, W, 3) float64 pictures that are finite in a mask."""
     a, b = np.array(found, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.shape != (*mask.shape, 3):

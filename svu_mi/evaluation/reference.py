@@ -16,7 +16,7 @@ from svu_mi.statistics.statistics import Statistics
 
 
 @dataclass(frozen=True, kw_only=True)
-class Traced:
+class TracedTables:
     """What was traced of n texels, with the mean of both halves of the samples, and with each.
 
     Attributes:
@@ -71,7 +71,7 @@ class SplitHalf:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reference(Traced):
+class Reference(TracedTables):
     """Path-traced posterior of n texels.
 
     Attributes:
@@ -79,7 +79,7 @@ class Reference(Traced):
         posterior: p(psi | B, L) on the axes of a ``PrincipledGrid``. Not observed, with
             entropy 1, is a texel that no view sees or that no ray met.
         halves: the same from the first and from the second half of the samples.
-        tables, weight: what they were made from (``Traced``).
+        tables, weight: what they were made from (``TracedTables``).
         brightness: (n,) float64, mean observed grey radiance over the views used; 0 without any.
         coverage: (n,) int64, number of views used.
         scale: mean grey radiance over all visible (texel, view) samples of the capture.
@@ -102,7 +102,7 @@ class Reference(Traced):
     method: str
 
     @staticmethod
-    def of(traced: Traced, options: ReferenceOptions, *, cached: bool) -> Reference:
+    def of(traced: TracedTables, options: ReferenceOptions, *, cached: bool) -> Reference:
         """Compute the posteriors of what was traced."""
         whole, first, second = traced.posteriors(options)
         return Reference(

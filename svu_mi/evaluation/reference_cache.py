@@ -18,7 +18,7 @@ from svu_mi.core.io.files import clear_temporaries, prepare_folder
 from svu_mi.core.io.hashes import Key
 from svu_mi.core.io.npz import Field, read_arrays, require_schema, write_arrays
 from svu_mi.errors import SvuError, SvuWarning
-from svu_mi.evaluation.reference import Reference, Traced
+from svu_mi.evaluation.reference import Reference, TracedTables
 from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.geometry.texels import Texels
 from svu_mi.statistics.cholesky_factors import PAIRS
@@ -55,7 +55,7 @@ def load(path: Path, options: ReferenceOptions) -> Reference | None:
             raise ValueError("it belongs to another capture or other options")
         _require_shapes(stored, options)
         values: dict[str, Any] = {k: x if x.ndim else x.item() for k, x in stored.items()}
-        return Reference.of(Traced(**values), options, cached=True)
+        return Reference.of(TracedTables(**values), options, cached=True)
     except (ValueError, SvuError) as error:
         warnings.warn(
             f"{path}: the cached reference cannot be read ({error}); it is traced again.",
@@ -65,7 +65,7 @@ def load(path: Path, options: ReferenceOptions) -> Reference | None:
         return None
 
 
-def store(path: Path, traced: Traced) -> None:
+def store(path: Path, traced: TracedTables) -> None:
     """Write what was traced."""
     values = {each.name: getattr(traced, each.name) for each in fields(traced)}
     stored = {name: value for name, value in values.items() if value is not None}

@@ -28,7 +28,7 @@ CORNERS = tuple({"metallic": m, "base_color": c} for m in (0.0, 1.0) for c in (0
 
 
 @dataclass(frozen=True)
-class PerTexel:
+class TexelMeans:
     """Means over the P pairs of each of n texels; a texel without pairs has 0.
 
     Attributes:
@@ -57,7 +57,9 @@ class PerTexel:
         return self.total(values) / np.maximum(self.pairs, 1)
 
 
-def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Render) -> np.ndarray:
+def render_all(
+    observed: np.ndarray, mean: TexelMeans, grid: PrincipledGrid, render: Render
+) -> np.ndarray:
     """Render every psi: (3, n, R, M ..., K) means of (b - (A + B) / 2)^2, (b - A)^2, (b - B)^2."""
     result = np.empty((KINDS, mean.count, *grid.shape))
     for cell in np.ndindex(*grid.shape):
@@ -68,7 +70,9 @@ def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Re
     return result
 
 
-def sums(observed: np.ndarray, mean: PerTexel, levels: np.ndarray, render: Render) -> np.ndarray:
+def render_sums(
+    observed: np.ndarray, mean: TexelMeans, levels: np.ndarray, render: Render
+) -> np.ndarray:
     """Render four psi per roughness: (3, R, C, P, n) sums with both halves, with A and with B.
 
     At fixed roughness, four renders with a grey base colour give e, p, q and d of every channel
@@ -89,14 +93,14 @@ def sums(observed: np.ndarray, mean: PerTexel, levels: np.ndarray, render: Rende
     return result
 
 
-def linear(
-    observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Render
+def derive_all(
+    observed: np.ndarray, mean: TexelMeans, grid: PrincipledGrid, render: Render
 ) -> np.ndarray:
-    """Derive what ``brute`` returns from four psi per roughness (``sums``)."""
+    """Derive what ``render_all`` returns from four psi per roughness (``render_sums``)."""
     found = [
         Statistics.of(table, mean.pairs, mean.pairs, grid.roughness_nodes).errors(
             *grid.mixed_nodes, grid.base_color_nodes
         )
-        for table in sums(observed[:, None], mean, grid.roughness_nodes, render)
+        for table in render_sums(observed[:, None], mean, grid.roughness_nodes, render)
     ]
     return np.stack(found)[:, :, :, 0]

@@ -18,10 +18,10 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.evaluation import reference_cache as cached
 from svu_mi.evaluation.path_trace import UniformScene, trace
-from svu_mi.evaluation.reference import Reference, Traced
+from svu_mi.evaluation.reference import Reference, TracedTables
 from svu_mi.evaluation.reference_options import Method, Noise, ReferenceOptions, check_subset
-from svu_mi.evaluation.squared_errors import PerTexel, Render, brute, linear, sums
-from svu_mi.evaluation.visible_pairs import Pairs, visible_pairs
+from svu_mi.evaluation.squared_errors import Render, TexelMeans, derive_all, render_all, render_sums
+from svu_mi.evaluation.visible_pairs import VisiblePairs, visible_pairs
 from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Visibility
 from svu_mi.posterior.estimate import Estimate, capture_and_texels, observations_of
@@ -86,7 +86,7 @@ def reference_posterior(
     if path is not None and (known := cached.load(path, options)) is not None:
         return known
     seen = observations_of(source, texels, progress)
-    chosen = _choose(wanted, seen.visibility, capture, seed)
+    chosen = _choose_texels(wanted, seen.visibility, capture, seed)
     with progress.stage("Tracing the reference") as stage:
         traced = _trace(seen, chosen, options, stage.update)
     if path is not None:
@@ -99,7 +99,7 @@ def _trace(
     chosen: np.ndarray,
     options: ReferenceOptions,
     update: Callable[[int, int], None],
-) -> Traced:
+) -> TracedTables:
     """Work through the texels in batches of bounded memory."""
     dr.sync_thread()
     start = time.perf_counter()
@@ -111,14 +111,14 @@ def _trace(
     for number, batch in enumerate(batches):
         pairs = visible_pairs(observed, to_drjit(mi.UInt32, batch.astype(np.uint32)), target)
         renderer = _renderer(target, pairs, options, number, lambda done: update(done, total))
-        mean = PerTexel(pairs.texel, len(batch))
+        mean = TexelMeans(pairs.texel, len(batch))
         weight = _weights(pairs, observed, options.noise)
         weighted = replace(mean, weight=weight)
         if estimated:
-            tables.append(sums(pairs.radiance, weighted, options.levels, renderer))
+            tables.append(render_sums(pairs.radiance, weighted, options.levels, renderer))
             weights.append(weighted.total(np.ones(pairs.count)))
         else:
-            derive = linear if options.method == "linear" else brute
+            derive = derive_all if options.method == "linear" else render_all
             tables.append(derive(pairs.observed, weighted, options.grid, renderer))
         brightness.append(mean.mean(pairs.observed))
         coverage.append(mean.pairs)
@@ -126,7 +126,7 @@ def _trace(
         dropped += pairs.dropped
     found, scale = np.concatenate(tables, axis=-1 if estimated else 1), observed.visibility.scale
     dr.sync_thread()
-    return Traced(
+    return TracedTables(
         subset=chosen, tables=found if estimated else found / (2 * (options.sigma * scale) ** 2),
         weight=np.concatenate(weights) if estimated else None,
         coverage=np.concatenate(coverage), brightness=np.concatenate(brightness), scale=scale,
@@ -134,7 +134,7 @@ def _trace(
     )  # fmt: skip
 
 
-def _weights(pairs: Pairs, observed: Observed, noise: Noise) -> np.ndarray | None:
+def _weights(pairs: VisiblePairs, observed: Observed, noise: Noise) -> np.ndarray | None:
     """(P,) weights of the squared deviations; None is 1 for all."""
     if noise == "relative":
         return None
@@ -145,7 +145,7 @@ def _weights(pairs: Pairs, observed: Observed, noise: Noise) -> np.ndarray | Non
 
 
 def _renderer(
-    target: UniformScene, pairs: Pairs, options: ReferenceOptions, batch: int,
+    target: UniformScene, pairs: VisiblePairs, options: ReferenceOptions, batch: int,
     update: Callable[[int], None],
 ) -> Render:  # fmt: skip
     """Return what renders one psi after the other for a batch of pairs."""
@@ -165,7 +165,9 @@ def _renderer(
     return render
 
 
-def _choose(wanted: int | np.ndarray, seen: Visibility, capture: Capture, seed: int) -> np.ndarray:
+def _choose_texels(
+    wanted: int | np.ndarray, seen: Visibility, capture: Capture, seed: int
+) -> np.ndarray:
     """Return (n,) int64 indices; random ones are seen, and sorted, so neighbours stay together."""
     visible = np.flatnonzero(seen.coverage.numpy())
     if len(visible) == 0:

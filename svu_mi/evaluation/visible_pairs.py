@@ -18,7 +18,7 @@ TOLERANCE = 4e-5  # of the object's extent: how far from a texel's tangent plane
 
 
 @dataclass(frozen=True)
-class Pairs:
+class VisiblePairs:
     """P visible pairs of a batch of texels, texel by texel.
 
     Attributes:
@@ -46,7 +46,7 @@ class Pairs:
         return np.asarray(self.radiance.mean(axis=1))
 
 
-def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs:
+def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> VisiblePairs:
     """Find the pairs of texels that a camera ray confirms; 100 bytes per texel and view."""
     views, texels = observed.views, observed.texels
     lane = dr.arange(mi.UInt32, dr.width(batch) * views.number)
@@ -60,10 +60,10 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
     dr.eval(found, known, hit)
     visible, kept = dr.count(known)[0], dr.compress(hit)
     if not dr.width(kept):
-        return Pairs(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), None, visible)
+        return VisiblePairs(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), None, visible)
     place, radiance, contrast, rays = (dr.gather(type(x), x, kept) for x in found)
     dr.eval(place, radiance, contrast, rays)
-    return Pairs(
+    return VisiblePairs(
         texel=place.numpy().astype(np.int64),
         # Channel by channel: together, every number of pairs would compile a kernel of its own.
         radiance=np.stack([x.numpy() for x in radiance], axis=-1).astype(np.float64),

@@ -1,4 +1,4 @@
-"""Real spherical harmonics in lanes: basis, ridge and kernel of Eq. 12, and power spectra.
+"""Real spherical harmonics in lanes: basis, ridge and kernel of Eq. 12, power spectra.
 
     S(l) = sum over m = -l ... l of c_lm^2                                        (Eq. 8)
 
@@ -24,7 +24,6 @@ from numpy.polynomial import legendre
 
 from svu_mi.core.arrays import tensor
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.frequency import harmonics
 
 MAX_DEGREE = 9
 """The highest degree of ``dr.sh_eval``."""
@@ -90,8 +89,8 @@ class FitSystem:
     @staticmethod
     def of(degree: int, channels: int, regularizer: float, penalize_constant: bool) -> FitSystem:
         """Set up the fit."""
-        ridge = harmonics.ridge(degree, penalize_constant)
-        return FitSystem(degree, channels, ridge, dr.opaque(mi.Float64, regularizer))
+        penalty = ridge(degree, penalize_constant)
+        return FitSystem(degree, channels, penalty, dr.opaque(mi.Float64, regularizer))
 
     @property
     def degrees(self) -> list[int]:
@@ -100,7 +99,7 @@ class FitSystem:
 
     def basis(self, direction: list[Any]) -> list[Any]:
         """Y_lm of a unit direction, in double precision."""
-        return harmonics.basis(mi.Vector3d(*direction), self.degree)
+        return basis(mi.Vector3d(*direction), self.degree)
 
 
 def normalized_double(direction: Any) -> Any:
@@ -111,7 +110,7 @@ def normalized_double(direction: Any) -> Any:
 def power_per_degree(coefficients: list[list[Any]]) -> list[list[Any]]:
     """Return S(l) of every lane (Eq. 8): lmax + 1 lists of C arrays, squared radiance."""
     spectrum = []
-    for l in range(harmonics.degree_of(len(coefficients)) + 1):
+    for l in range(degree_of(len(coefficients)) + 1):
         orders = coefficients[l * l : (l + 1) ** 2]  # m = -l ... l
         channels = zip(*orders, strict=True)
         spectrum.append([sum(dr.square(c) for c in channel) for channel in channels])
@@ -134,7 +133,7 @@ def power_spectrum(coefficients: Any) -> Any:
     axes = ("T", "(lmax+1)^2", "C")
     given = tensor(coefficients, "power_spectrum()", "coefficients", axes)
     texels, count, channels = given.shape
-    degree = harmonics.degree_of(count)
+    degree = degree_of(count)
     if texels * channels == 0:
         return dr.zeros(mi.TensorXf, (texels, degree + 1, channels))
     square = dr.square(given)

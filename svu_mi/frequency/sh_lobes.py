@@ -1,4 +1,4 @@
-"""Lobes by spherical harmonics of the light that every texel mirrors: the paper's SH model (Eq. 6).
+"""Lobes by spherical harmonics of each texel's mirrored light (Eq. 6).
 
     B(omega_o) = Kd / pi E + F(theta_o) G1(theta_o; alpha) [S_alpha * G1(theta_i; alpha) L](omega_o)
 

@@ -98,11 +98,9 @@ def _add_ridge(gram: list, system: FitSystem, size: int) -> None:
 
 @dr.syntax
 def _accumulate(
-    sample: ReadSample,
-    views: Any,
-    memory: tuple[list, list, list, Any],
+    sample: ReadSample, views: Any, memory: tuple[list, list, list, Any],
     basis: Callable[[list], list],
-) -> tuple[list, list, Any]:
+) -> tuple[list, list, Any]:  # fmt: skip
     """Add Y^T W^2 Y and Y^T W^2 f; return them and the lanes with samples."""
     gram, right, rows, blocks = memory
     seen = mi.Bool(False)
@@ -147,11 +145,9 @@ TakeSpectrum = Callable[[Any, list[list[Any]]], None]
 
 
 def fit_candidates(
-    known: tuple[ReadSample, Any],
-    added: tuple[ReadSample, Any],
-    system: FitSystem,
+    known: tuple[ReadSample, Any], added: tuple[ReadSample, Any], system: FitSystem,
     take: TakeSpectrum,
-) -> list[list[Any]]:
+) -> list[list[Any]]:  # fmt: skip
     """Fit the ``known`` samples and their count, then each of the ``added`` in addition.
 
     Returns the power of the known; calls ``take`` where an added sample's weight is positive.

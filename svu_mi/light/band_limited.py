@@ -12,7 +12,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import find_environment
-from svu_mi.light import environment as env
+from svu_mi.light import latlong
 from svu_mi.light.environment import Environment, lat_long, read_environment, synthesize
 
 MIN_DEGREE, MAX_DEGREE = 24, 64
@@ -120,7 +120,7 @@ def _texture(coefficients: np.ndarray) -> Any:
 
 
 def lat_long_texture(grid: np.ndarray) -> Any:
-    """Return values (H, W, C) on the grid of ``environment.directions`` as a Texture2f."""
+    """Return values (H, W, C) on the grid of ``latlong.directions`` as a Texture2f."""
     tensor = mi.TensorXf(np.ascontiguousarray(grid, np.float32))
     return mi.Texture2f(tensor, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat)
 
@@ -155,21 +155,19 @@ def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
     """Convolve the light with both cosine lobes of diffuse reflection."""
     factors = zonal_cosine(COSINE_DEGREE, 0), zonal_cosine(COSINE_DEGREE, 5)
     expanded = [environment.coefficients(COSINE_DEGREE)]
-    expanded += [
-        _times_direction(environment, axis).coefficients(COSINE_DEGREE) for axis in range(3)
-    ]
+    expanded += [_directional(environment, axis).coefficients(COSINE_DEGREE) for axis in range(3)]
     if channels == 1:
         expanded = [c.mean(axis=1, keepdims=True) for c in expanded]
     wide = [c * f[degrees(COSINE_DEGREE)][:, None] for f in factors for c in expanded]
     by_channel = np.stack(wide, axis=-1).reshape(len(wide[0]), -1)  # (lm, channel * moment)
-    grid = env.synthesize(by_channel, 2 * (COSINE_ROWS - 1), COSINE_ROWS)
+    grid = synthesize(by_channel, 2 * (COSINE_ROWS - 1), COSINE_ROWS)
     return MomentMap(lat_long_texture(grid), mi.Matrix3f(environment.to_local), channels)
 
 
-def _times_direction(environment: Environment, axis: int) -> Environment:
+def _directional(environment: Environment, axis: int) -> Environment:
     """Return the light times a component of its direction."""
     rows, columns = environment.radiance.shape[:2]
-    part = env.directions(columns, rows)[..., axis, None]
+    part = latlong.directions(columns, rows)[..., axis, None]
     return replace(
         environment,
         radiance=environment.radiance * part,

@@ -1,4 +1,4 @@
-"""Light as a function on the sphere: quadrature, spherical harmonics, synthesis (NumPy, float64).
+"""Environment light: quadrature, spherical harmonics, synthesis (NumPy, float64).
 
 Directions are in the emitter's *local* frame, where lat-long maps have their pole on +Y:
 theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical harmonics are real, orthonormal, in the
@@ -18,10 +18,8 @@ import numpy as np
 from svu_mi.capture import scene
 from svu_mi.capture.image_io import positive
 from svu_mi.errors import SceneError, SvuWarning
-from svu_mi.light.latlong import SKY_GRID, emitter_label, envmap_pixels, grid_size, sample_emitter
-from svu_mi.light.latlong import directions as directions
-from svu_mi.light.latlong import quadrature as quadrature
-from svu_mi.light.latlong import radiance_from as radiance_from
+from svu_mi.light import latlong
+from svu_mi.light.latlong import directions, emitter_label, quadrature, radiance_from
 
 GREY = 1e-6  # part of the brightest channel: smaller differences are ignored
 BAND = 2**18  # numbers of a map that are transformed at a time
@@ -71,13 +69,14 @@ def read_environment(emitter: Any) -> Environment:
         raise SceneError(
             f"Emitter '{emitter.id()}': to_world must be a rotation; remove its scale or shear."
         )
-    grid = sample_emitter(emitter, to_world, *grid_size(emitter))
+    grid = latlong.sample_emitter(emitter, to_world, *latlong.grid_size(emitter))
     disk = (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
     if emitter.class_name() == "SunskyEmitter":
-        grid, disk = _split_sun(emitter, grid, directions(*SKY_GRID), to_world)
+        grid, disk = _split_sun(emitter, grid, directions(*latlong.SKY_GRID), to_world)
     if not np.isfinite(grid).all():
         raise SceneError(f"{emitter_label(emitter)} has NaN or infinite radiance; repair its map.")
-    for note in positive(envmap_pixels(emitter, grid), emitter_label(emitter), SceneError)[1]:
+    pixels = latlong.envmap_pixels(emitter, grid)
+    for note in positive(pixels, emitter_label(emitter), SceneError)[1]:
         warnings.warn(note, SvuWarning, stacklevel=2)
     grid = np.maximum(grid, 0)
     if not (grid.max() > 0 or disk[2].max(initial=0) > 0):

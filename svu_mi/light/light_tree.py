@@ -20,7 +20,7 @@ import scipy
 
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import OptionError
-from svu_mi.light import environment as env
+from svu_mi.light import latlong
 from svu_mi.light.environment import Environment
 
 LEAF_COUNTS = (4096, 8192)  # leaves of the light of small and large maps; .06 and .04 rad apart
@@ -112,8 +112,7 @@ def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightT
     """Cluster an environment into a tree of cells."""
     if not 1 <= coarse <= fine <= LEAF_COUNTS[0]:
         raise OptionError(
-            f"build_light_tree(): needs 1 <= coarse <= fine <= {LEAF_COUNTS[0]}, "
-            f"got {coarse} and {fine}."
+            f"A light tree needs 1 <= coarse <= fine <= {LEAF_COUNTS[0]}, got {coarse} and {fine}."
         )
     nodes = environment.radiance.shape[0] * environment.radiance.shape[1]
     flux, pull = _cell_sums(environment, int(np.clip(nodes // 4, *LEAF_COUNTS)))
@@ -180,8 +179,8 @@ def _cell_sums(environment: Environment, count: int) -> tuple[np.ndarray, np.nda
     centers = fibonacci(count)
     rows, columns = environment.radiance.shape[:2]
     nearest = _nearest(columns, rows, count)
-    solid = env.quadrature(rows)[:, None] * (2 * np.pi / columns)
-    local, light = env.directions(columns, rows), environment.radiance.sum(axis=2) * solid
+    solid = latlong.quadrature(rows)[:, None] * (2 * np.pi / columns)
+    local, light = latlong.directions(columns, rows), environment.radiance.sum(axis=2) * solid
     # A column at a time: all of a large map together would be hundreds of megabytes.
     flux = [_binned(nearest, environment.radiance[..., k] * solid, count) for k in range(3)]
     pull = [_binned(nearest, local[..., k] * light, count) for k in range(3)]
@@ -208,7 +207,7 @@ def cell_radiance(environment: Environment, count: int) -> np.ndarray:
 @lru_cache(maxsize=4)
 def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
     """(columns * rows,) the cell of every node of a map; kept, as all maps of a size share it."""
-    return nearest_cells(env.directions(columns, rows).reshape(-1, 3), count)
+    return nearest_cells(latlong.directions(columns, rows).reshape(-1, 3), count)
 
 
 def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> LightCells:

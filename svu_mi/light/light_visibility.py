@@ -98,11 +98,9 @@ def trace_light_visibility(
         shaded, true = surface.normal, surface.geometric_normal
         return (dr.dot(shaded, direction) > 0) & (dr.dot(true, direction) > 0)
 
-    def trace_ray(direction: Any, active: Any) -> Any:
+    def trace_ray(toward: Any, active: Any) -> Any:
         # Neighbouring texels look in one direction: packets stay together.
-        return (
-            is_unoccluded(scene, surface, direction, active, coherent=True) if occluded else active
-        )
+        return is_unoccluded(scene, surface, toward, active, coherent=True) if occluded else active
 
     def trace_group(group: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
         start, end = (dr.gather(mi.UInt32, tree.groups, group + k) for k in (0, 1))
@@ -163,9 +161,8 @@ def trace_mirror_visibility(
         free = trace_mirror(views.scene, surface, seen, visibility.needs_work(seen.seen))
         return (bits.push(word, slot, place, free),)
 
-    visibility.over_views(
-        views, surface, trace, (dr.zeros(mi.UInt32, surface.count),), clipped=True
-    )
+    start = dr.zeros(mi.UInt32, surface.count)
+    visibility.over_views(views, surface, trace, (start,), clipped=True)
     dr.eval(bits)
     return MirrorVisibility(bits, lane)
 

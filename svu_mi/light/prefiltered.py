@@ -16,10 +16,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.light import environment as env
 from svu_mi.light.band_limited import Lighting, lat_long_texture, look_up
-from svu_mi.light.environment import Environment, lat_long
-from svu_mi.light.latlong import column_weights, row_weights
+from svu_mi.light.environment import Environment, lat_long, nearest_node
+from svu_mi.light.latlong import column_weights, quadrature, row_weights
 
 DELTA = 2e-3  # lobes narrower than this [rad] are mirrors at the resolution of any map
 NEGLIGIBLE = 1e-5  # part of a lobe's peak below which it is cut off
@@ -72,8 +71,8 @@ def rasterized(environment: Environment) -> np.ndarray:
     if not len(environment.disk_weights):
         return grid
     rows, columns = grid.shape[:2]
-    solid = env.quadrature(rows) * (2 * np.pi / columns)
-    row, column = env.nearest_node(environment.disk_directions, rows, columns)
+    solid = quadrature(rows) * (2 * np.pi / columns)
+    row, column = nearest_node(environment.disk_directions, rows, columns)
     flux = environment.disk_radiance * environment.disk_weights[:, None]
     grid = grid.copy()
     np.add.at(grid, (row, column), flux / solid[row, None])
@@ -129,7 +128,7 @@ def _reach(profile: Profile, rows: int) -> int:
 def _coarsened(grid: np.ndarray, width: float) -> np.ndarray:
     """Return flux and solid angle (H', W', C + 1) on the coarsest grid that resolves a lobe."""
     rows, columns, channels = grid.shape
-    solid, own = env.quadrature(rows), np.ones(columns)
+    solid, own = quadrature(rows), np.ones(columns)
     fewer = max(int(np.ceil(COARSE / width)) + 1, FEWEST)
     if fewer >= rows:
         flux = grid * solid[:, None, None]

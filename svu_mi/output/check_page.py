@@ -9,9 +9,14 @@ from typing import Any
 import numpy as np
 
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
-from svu_mi.calibration.checks.check_result import Check, Finding, Summary
+from svu_mi.calibration.checks.check_result import Check, Finding, ViewMeans
 from svu_mi.calibration.checks.surface_samples import emitter_of
-from svu_mi.calibration.checks.thumbnails import Frames, outline, reduced, silhouettes
+from svu_mi.calibration.checks.thumbnails import (
+    Thumbnails,
+    outline,
+    reduce_photographs,
+    silhouettes,
+)
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.importers.axis_fixes import find_fixes
@@ -94,7 +99,7 @@ def verdict(check: Check) -> str:
 
 def _numbers(check: Check) -> Iterator[tuple[str, str, str]]:
     """Yield names, means over the views, and notes: what it is when corrected, how to read it."""
-    before, after = Summary.of(check.views), Summary.of(check.corrected)
+    before, after = ViewMeans.of(check.views), ViewMeans.of(check.corrected)
     for name, (title, note, _) in MEASURES.items():
         old, new = getattr(before, name), getattr(after, name)
         if old is None and new is None:
@@ -125,10 +130,10 @@ def _views(
     capture: Capture, corrected: Capture, check: Check
 ) -> Iterator[tuple[str, PageImage, list[tuple[str, str]]]]:
     """Yield names, pictures with outlines, and numbers of the views that fit worst."""
-    frames = Frames.of(reduced(capture, THUMBNAIL))
+    frames = Thumbnails.of(reduce_photographs(capture, THUMBNAIL))
     seen = after = silhouettes(frames)
     if corrected is not capture:
-        after = silhouettes(Frames.of(reduced(corrected, THUMBNAIL)))
+        after = silhouettes(Thumbnails.of(reduce_photographs(corrected, THUMBNAIL)))
     place = {int(view): index for index, view in enumerate(np.flatnonzero(capture.used))}
     better = {one.view: one for one in check.corrected}
     for one in check.worst[:MOST]:
@@ -149,7 +154,7 @@ def _change(before: float | None, after: float | None) -> str:
     return old if old == new else f"{old} → {new}"
 
 
-def _exposed_photograph(frames: Frames, index: int, seen: np.ndarray) -> np.ndarray:
+def _exposed_photograph(frames: Thumbnails, index: int, seen: np.ndarray) -> np.ndarray:
     """Expose a photograph for the object; what is clipped is white."""
     image, mask = frames.radiance[index], frames.masks[index]
     shown = tone_mapped(image, seen if mask is None else mask)

@@ -40,7 +40,7 @@ def draw_directions(
     gains, reachable = guidance.scores, guidance.candidates.reachable
     drawn = style.scalar_mappable(color_range(gains[reachable]))
     _graticule(axes)
-    size, hollow = _dot(axes, len(gains)), ~reachable
+    size, hollow = _dot_area(axes, len(gains)), ~reachable
     axes.scatter(x[hollow], y[hollow], size, facecolors="none", edgecolors=UNSEEN, lw=1)
     colors = drawn.to_rgba(gains[reachable])
     axes.scatter(x[reachable], y[reachable], size, c=colors, lw=0)
@@ -48,7 +48,7 @@ def draw_directions(
         axes.scatter(*_hammer(used @ frame.T), 60, c=color, marker="x", lw=width, zorder=3)
     for rank, k in enumerate((one.candidate for one in guidance.proposals), 1):
         draw_numbered(axes, x[k], y[k], rank, drawn.to_rgba(gains[k]), max(size, 230))
-    _key(axes, bool(hollow.any()))
+    _legend(axes, bool(hollow.any()))
     return drawn
 
 
@@ -84,7 +84,7 @@ def _graticule(axes: Axes) -> None:
     axes.text(0, -1.02 * root, "below", size=9.5, color=FAINT, ha="center", va="top")
 
 
-def _key(axes: Axes, unreachable: bool) -> None:
+def _legend(axes: Axes, unreachable: bool) -> None:
     axes.scatter([], [], 60, c=INK, marker="x", lw=2, label="photographs so far")
     axes.scatter([], [], 90, c="white", edgecolors=INK, lw=1.6, label="proposals, by rank")
     axes.scatter([], [], 60, c=[(0.13, 0.57, 0.55)], lw=0, label="other candidates")
@@ -109,7 +109,7 @@ def draw_numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: f
     )  # fmt: skip
 
 
-def _dot(axes: Axes, count: int) -> float:
+def _dot_area(axes: Axes, count: int) -> float:
     """Area of a candidate's dot in square points: dots of an even sphere do not touch."""
     width = axes.get_position().width * axes.figure.get_size_inches()[0] * 72
     diameter = 0.62 * np.sqrt(4 * np.pi / max(count, 1)) * width / (4.04 * np.sqrt(2))

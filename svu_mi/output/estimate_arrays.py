@@ -30,7 +30,7 @@ class EstimateArrays:
     unseen: np.ndarray
 
     @property
-    def most_views(self) -> int:
+    def max_views(self) -> int:
         """Largest number of views that see one texel, 1 if none does: the end of a scale."""
         return max(int(self.coverage.max(initial=0)), 1)
 

@@ -20,7 +20,7 @@ from svu_mi.output.direction_map import color_range, draw_directions, draw_numbe
 from svu_mi.output.html import grouped
 from svu_mi.output.object_views import UP
 from svu_mi.output.panels import draw_look, draw_map, fully_seen, map_colors
-from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE, Block
+from svu_mi.output.style import INFORMATION_GAIN_COLORS, INK, LEFT, RIGHT, RULE, Block
 from svu_mi.posterior.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ CROWDED = 0.04  # part of the candidates within which two numbers would overlap
 def proposal_views(capture: Capture, guidance: Guidance) -> list[Look]:
     """Return what each proposed camera will see of the object."""
     scene = alone(capture)
-    return [Look.at(scene, _large(one.sensor)) for one in guidance.proposals]
+    return [Look.at(scene, _enlarged(one.sensor)) for one in guidance.proposals]
 
 
 def write_guidance_overview(
@@ -55,7 +55,10 @@ def write_guidance_overview(
     """
     entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
     everywhere, empty = fully_seen(guidance.texels), np.zeros(guidance.texels.count, np.float32)
-    scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
+    scale: Any = {
+        "limits": (0, information_gain_limit(maps)),
+        "colormap": information_gain_colors(),
+    }
     first = maps[0] if len(maps) else empty
     sights: list[Panel | None] = [
         ("", partial(_draw_view, look=look, colors=entropy, words=_short_name(one.name), rank=rank,
@@ -181,39 +184,41 @@ def draw_ranking(axes: Axes, guidance: Guidance) -> None:
     style.minimal_axes(axes)
 
 
-def gain_limit(maps: np.ndarray) -> float:
+def information_gain_limit(maps: np.ndarray) -> float:
     """Return the gain of a texel that has the last colour."""
     positive = maps[maps > 0]
     return max(float(np.quantile(positive, WHITE)), 1e-6) if len(positive) else 1.0
 
 
-def gain_picture(
+def information_gain_picture(
     capture: Capture, guidance: Guidance, proposal: int, maps: np.ndarray
 ) -> np.ndarray:
     """Render the object as a proposed camera will see it, (h, w, 4), grey where nothing is gained.
 
     ``maps`` (proposals, T) of ``Guidance.gain_maps`` have one scale of colours.
     """
-    look = Look.at(alone(capture), _large(guidance.proposals[proposal].sensor))
-    return gain_pictures([look], guidance, maps[proposal : proposal + 1], gain_limit(maps))[0]
+    look = Look.at(alone(capture), _enlarged(guidance.proposals[proposal].sensor))
+    return information_gain_pictures(
+        [look], guidance, maps[proposal : proposal + 1], information_gain_limit(maps)
+    )[0]
 
 
-def gain_pictures(
+def information_gain_pictures(
     looks: Sequence[Look], guidance: Guidance, maps: np.ndarray, limit: float
 ) -> list[np.ndarray]:
-    """Return gains as proposed cameras will see them (see ``gain_picture``)."""
-    everywhere, scale = fully_seen(guidance.texels), gain_colors()
+    """Return gains as proposed cameras will see them (see ``information_gain_picture``)."""
+    everywhere, scale = fully_seen(guidance.texels), information_gain_colors()
     return [
         look.painted(map_colors(everywhere, gains, limits=(0, limit), colormap=scale))
         for look, gains in zip(looks, maps, strict=True)
     ]
 
 
-def gain_colors() -> Colormap:
+def information_gain_colors() -> Colormap:
     """Return the colours of gains, from the grey of nothing."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    return LinearSegmentedColormap.from_list("gain", GAIN_COLORS)
+    return LinearSegmentedColormap.from_list("gain", INFORMATION_GAIN_COLORS)
 
 
 def _labels(
@@ -236,7 +241,7 @@ def _labels(
         last = place
 
 
-def _large(sensor: Any) -> Any:
+def _enlarged(sensor: Any) -> Any:
     """Return the sensor with a film that pictures need not be smaller than."""
     return resized_sensor(sensor, -(-SIDE // max(film_size(sensor))))
 

@@ -60,11 +60,11 @@ class CoarseIntervals(Intervals):
 
     def __init__(self, posterior: Any, some: np.ndarray, nearest: np.ndarray) -> None:
         super().__init__(posterior)
-        self._some, self._nearest = Intervals(posterior, chosen=some), nearest
+        self._subset, self._nearest = Intervals(posterior, chosen=some), nearest
 
     def half_width(self, name: str) -> np.ndarray:
         """Return half-widths (T,), repeated."""
-        return self._some.half_width(name)[self._nearest]
+        return self._subset.half_width(name)[self._nearest]
 
 
 def picture_intervals(estimate: Any, side: int) -> Intervals:
@@ -128,7 +128,7 @@ class IntervalSummary:
         half = {name: intervals.half_width(name)[seen] for name in names}
         narrow = {name: is_within(width, tolerance) for name, width in half.items()}
         every = np.logical_and.reduce(list(narrow.values())) if narrow else np.zeros(0, bool)
-        widest = {name: _widest_cell(estimate.posterior, name) for name in names}
+        widest = {name: _widest_bin(estimate.posterior, name) for name in names}
         return cls(
             level=intervals.level,
             tolerance=tolerance,
@@ -192,7 +192,7 @@ def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
     return float(values[order[np.searchsorted(below, below[-1] / 2)]])
 
 
-def _widest_cell(posterior: Any, name: str) -> float:
+def _widest_bin(posterior: Any, name: str) -> float:
     """Width of the widest cell that intervals are made of; 0 if they are finer than the grid."""
     if posterior.continuous:
         return 0.0

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.calibration.light.light_estimate import LightEstimate
-from svu_mi.calibration.light.light_folder import COMMAND, RECORD, light_record, write_arrays_of
-from svu_mi.calibration.light.light_summary import Likeness
+from svu_mi.calibration.light.light_folder import COMMAND, RECORD, light_record, write_light_arrays
+from svu_mi.calibration.light.light_summary import LightComparison
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.tonemap import srgb
 from svu_mi.core.io.output_folder import writing
-from svu_mi.light.environment import directions, radiance_from
+from svu_mi.light.latlong import directions, radiance_from
 from svu_mi.output import style
 from svu_mi.output.interval_summary import plain_percent
 from svu_mi.output.run_record import RunInfo, environment_record, inputs_record, write_manifest
@@ -45,7 +45,7 @@ def write_light(
     run: RunInfo | None = None,
     *,
     used: Mapping[str, Any] | None = None,
-    against: Likeness | None = None,
+    against: LightComparison | None = None,
     timings: Mapping[str, float] | None = None,
     pictures: bool = True,
 ) -> None:
@@ -59,7 +59,7 @@ def write_light(
     """
     run = run or RunInfo()
     with writing(folder, COMMAND, RECORD, capture=photographs_key(capture)) as draft:
-        write_arrays_of(estimate, draft)
+        write_light_arrays(estimate, draft)
         if pictures:
             write_light_page(capture, estimate, draft.folder / PAGE, against)
         write_manifest(draft.folder / RECORD, {
@@ -71,7 +71,10 @@ def write_light(
 
 
 def write_light_page(
-    capture: Capture, estimate: LightEstimate, path: str | Path, against: Likeness | None = None
+    capture: Capture,
+    estimate: LightEstimate,
+    path: str | Path,
+    against: LightComparison | None = None,
 ) -> None:
     """Draw radiance, its logarithm, its standard deviation and what is known, as lat-long maps.
 
@@ -79,9 +82,9 @@ def write_light_page(
     """
     truth = None if against is None else _emitter_map(capture.environment, estimate.radiance.shape)
     tone = ToneCurve.of(estimate.radiance if truth is None else truth)
-    panels = _radiance("Radiance", estimate.radiance, tone)
+    panels = _radiance_panels("Radiance", estimate.radiance, tone)
     if truth is not None:
-        panels += _radiance("The capture's own light", truth, tone)
+        panels += _radiance_panels("The capture's own light", truth, tone)
     panels += [
         ("Standard deviation of the logarithm of radiance", partial(
             _draw_scaled, values=estimate.sd, limits=(0, UNCERTAIN), colormap=style.VIEWS_COLORMAP,
@@ -97,7 +100,7 @@ def write_light_page(
     style.write_page(path, (WIDTH, height), HEADING, _notes(estimate, against), [block])
 
 
-def _radiance(title: str, radiance: np.ndarray, tone: ToneCurve) -> list[Panel]:
+def _radiance_panels(title: str, radiance: np.ndarray, tone: ToneCurve) -> list[Panel]:
     """Return panels of a map (H, W, 3): in screen colours, and its logarithm."""
     return [
         (title, partial(_draw_colors, colors=tone.colors(radiance))),
@@ -155,7 +158,7 @@ def known_colors(estimate: LightEstimate) -> np.ndarray:
     return style.colors(estimate.known)
 
 
-def _notes(estimate: LightEstimate, against: Likeness | None) -> list[str]:
+def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str]:
     low, high = estimate.scale_interval
     scale = f"base colours known up to a factor of {low.mean():.2f} to {high.mean():.2f}"
     notes = [
@@ -176,7 +179,7 @@ def _emitter_map(emitter: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 def _draw_colors(axes: Axes, colors: np.ndarray) -> None:
     axes.imshow(colors, extent=(0, 1, 0, 0.5), interpolation="nearest")
-    _around(axes)
+    _label_directions(axes)
 
 
 def _draw_scaled(
@@ -186,11 +189,11 @@ def _draw_scaled(
         values, colormap, vmin=limits[0], vmax=limits[1], extent=(0, 1, 0, 0.5),
         interpolation="nearest",
     )  # fmt: skip
-    _around(axes)
+    _label_directions(axes)
     style.color_bar(axes, drawn, label, (0.0, -0.16, 1.0, 0.035))
 
 
-def _around(axes: Axes) -> None:
+def _label_directions(axes: Axes) -> None:
     """Say which way the columns of a lat-long map look."""
     style.frame_map(axes)
     axes.set_xticks([place for place, _ in AXIS], [name for _, name in AXIS])

@@ -30,9 +30,9 @@ def write_maps(estimate: Estimate, folder: str | Path, *, gutter: int = GUTTER) 
     Raises:
         OutputError: a file cannot be written, or a value is NaN.
     """
-    attributes = header(estimate, preset=estimate.preset.name, gutter=gutter)
+    attributes = exr_attributes(estimate, preset=estimate.preset.name, gutter=gutter)
     for file, values, fill in ((ENTROPY, estimate.entropy, 1), (COVERAGE, estimate.coverage, 0)):
-        image = padded(estimate, np.asarray(values).astype(np.float32), gutter, fill)
+        image = padded_image(estimate, np.asarray(values).astype(np.float32), gutter, fill)
         write_exr(Path(folder) / file, {"Y": image}, attributes)
 
 
@@ -46,7 +46,7 @@ def write_uncertainty(estimate: Estimate, folder: Path) -> None:
     channels: dict[str, np.ndarray] = {}
     for name in estimate.posterior.axes:
         channels |= _channels(estimate, f"{name}.sd", estimate.posterior.sd(name))
-    attributes = header(estimate, preset=estimate.preset.name, gutter=GUTTER)
+    attributes = exr_attributes(estimate, preset=estimate.preset.name, gutter=GUTTER)
     write_exr(folder / UNCERTAINTY, channels, attributes)
 
 
@@ -70,18 +70,20 @@ def _channels(made: Any, name: str, values: Any) -> dict[str, np.ndarray]:
     columns = table.reshape(len(table), -1).T
     letters = [""] if len(columns) == 1 else [".R", ".G", ".B"]
     return {
-        f"{name}{letter}": padded(made, column, fill=0)
+        f"{name}{letter}": padded_image(made, column, fill=0)
         for letter, column in zip(letters, columns, strict=True)
     }
 
 
-def header(made: Any, **more: Any) -> dict[str, Any]:
+def exr_attributes(made: Any, **more: Any) -> dict[str, Any]:
     """Return header entries for a file of an ``Estimate``, ``Guidance`` or ``Recovery``."""
     entries = {"version": svu_mi.__version__, "method": made.method, **more}
     return {f"svu:{name}": value for name, value in entries.items()}
 
 
-def padded(made: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:
+def padded_image(
+    made: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1
+) -> np.ndarray:
     """Lay values (T,) out as an (H, W) texture with a gutter around the charts.
 
     Only texels outside the charts are filled: unseen ones keep their value.

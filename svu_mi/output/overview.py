@@ -35,21 +35,21 @@ HEADING = "What the photographs say about the reflectance"
 
 
 def write_overview(
-    capture: Capture, estimate: Estimate, path: str | Path, knowledge: IntervalSummary | None = None
+    capture: Capture, estimate: Estimate, path: str | Path, summary: IntervalSummary | None = None
 ) -> None:
     """Draw photographs, entropy, coverage and marginals on one page of 1600 x 940 pixels.
 
-    ``knowledge`` are widths of the estimate's intervals; computed if not given.
+    ``summary`` are widths of the estimate's intervals; computed if not given.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    result, knowledge = EstimateArrays.of(estimate), knowledge or IntervalSummary.of(estimate)
+    result, summary = EstimateArrays.of(estimate), summary or IntervalSummary.of(estimate)
     names = list(open_axes(estimate))
     means = mean_marginals(estimate, result) if result.seen.any() else None
     marginals = [
         (label_of(name).capitalize(), partial(
-            _marginal, estimate=estimate, name=name, means=means, knowledge=knowledge))
+            _marginal, estimate=estimate, name=name, means=means, summary=summary))
         for name in names
     ]  # fmt: skip
     style.write_page(path, SIZE, HEADING, _notes(capture, estimate, result), [
@@ -100,7 +100,7 @@ def _coverage_map(capture: Capture, estimate: Estimate, result: EstimateArrays, 
 
     label = f"views that see the texel, of {sum(capture.used)}"
     bar = draw_scaled_map(
-        axes, estimate, result.coverage, label, limits=(0, result.most_views),
+        axes, estimate, result.coverage, label, limits=(0, result.max_views),
         colormap=style.VIEWS_COLORMAP, interpolation="nearest",
     )  # fmt: skip
     bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
@@ -111,7 +111,7 @@ def _histogram(axes: Axes, result: EstimateArrays) -> None:
     style.minimal_axes(axes)
     edges, values = np.linspace(0, 1, 51), result.entropy[result.seen]
     if len(values) == 0:
-        _nothing(axes)
+        _note_nothing_seen(axes)
         return
     part = np.histogram(values, edges)[0] / len(values) * 100
     centers = (edges[1:] + edges[:-1]) / 2
@@ -129,19 +129,19 @@ def _histogram(axes: Axes, result: EstimateArrays) -> None:
 
 
 def _marginal(
-    axes: Axes, estimate: Estimate, name: str, means: Any, knowledge: IntervalSummary
+    axes: Axes, estimate: Estimate, name: str, means: Any, summary: IntervalSummary
 ) -> None:
     """Draw the mean marginal of the texels seen, and of those of the lowest entropy."""
     style.minimal_axes(axes)
     if means is None:
-        _nothing(axes)
+        _note_nothing_seen(axes)
         return
     nodes, (of_all, of_lowest) = estimate.posterior.axes[name], (mean[name] for mean in means)
     several = of_all.shape[1] == 3
     label = label_of(name).capitalize()
     style.title(axes, f"{label}: R, G, B" if several else label, pad=21)
-    share = f"±{knowledge.tolerance:g} on {plain_percent(knowledge.known_part[name])}"
-    width = knowledge.cell_width.get(name)
+    share = f"±{summary.tolerance:g} on {plain_percent(summary.known_part[name])}"
+    width = summary.cell_width.get(name)
     cells = " of the area seen" if width is None else f"; cells ±{width / 2:.2f}"
     style.subtitle(axes, share + cells)
     for k, color in enumerate(style.CHANNEL_COLORS if several else (style.INK,)):
@@ -181,6 +181,6 @@ def _hatch(axes: Axes, result: Any) -> None:
         )  # fmt: skip
 
 
-def _nothing(axes: Axes) -> None:
+def _note_nothing_seen(axes: Axes) -> None:
     axes.set(xlim=(0, 1), yticks=[])
     style.write_centered(axes, "no texel was seen")

@@ -78,13 +78,13 @@ def environment_record() -> dict[str, Any]:
 
 
 def run_record(
-    capture: Capture, estimate: Estimate, knowledge: IntervalSummary | None = None
+    capture: Capture, estimate: Estimate, summary: IntervalSummary | None = None
 ) -> dict[str, Any]:
-    """Return what a capture and its estimate say about the run; intervals are ``knowledge``."""
+    """Return what a capture and its estimate say about the run; intervals are ``summary``."""
     entropy, seen = np.asarray(estimate.entropy), is_seen(estimate)
     result = {
         "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
-        "intervals": knowledge or IntervalSummary.of(estimate),
+        "intervals": summary or IntervalSummary.of(estimate),
     }
     return _record(
         capture, estimate, _settings(estimate), result,
@@ -177,11 +177,11 @@ def write_manifest(path: str | Path, record: Mapping[str, Any]) -> None:
         OutputError: a value that JSON cannot hold, or a file that cannot be written.
     """
     path = Path(path)
-    text = json.dumps(_plain(record, path.name), indent=2, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(_json_value(record, path.name), indent=2, allow_nan=False, ensure_ascii=False)
     write_text(path, text)
 
 
-def _plain(value: Any, where: str) -> Any:
+def _json_value(value: Any, where: str) -> Any:
     """Return the JSON equivalent of a value; ``where`` names it in the error."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
@@ -194,11 +194,11 @@ def _plain(value: Any, where: str) -> Any:
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):
-        return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
+        return {str(key): _json_value(item, f"{where}.{key}") for key, item in value.items()}
     if isinstance(value, set | frozenset):
         value = sorted(value, key=str)
     if isinstance(value, list | tuple):
-        return [_plain(item, f"{where}[{index}]") for index, item in enumerate(value)]
+        return [_json_value(item, f"{where}[{index}]") for index, item in enumerate(value)]
     raise OutputError(f"{where}: a {type(value).__name__} cannot be written as JSON.")
 
 

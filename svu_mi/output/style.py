@@ -28,7 +28,13 @@ LEFT, RIGHT = 0.018, 0.985  # margins of a page
 COLORMAP, VIEWS_COLORMAP, GREY = "viridis", "magma", "gray"
 VALUES_COLORMAP = "plasma"  # of parameters: has no grey, which means unseen
 DENSITY_COLORMAP = DIFFERENCE_COLORMAP = "magma"  # of a posterior; of two pictures
-GAIN_COLORS = ("#c6c6cc", "#f6c06b", "#e8743b", "#b3243f", "#5b0f3a")  # grey: nothing gained
+INFORMATION_GAIN_COLORS = (
+    "#c6c6cc",
+    "#f6c06b",
+    "#e8743b",
+    "#b3243f",
+    "#5b0f3a",
+)  # grey: nothing gained
 CHANNEL_COLORS = ("#c23b3b", "#2f8f4e", "#3566b8")
 SETTLED_COLORS = ("#414487", "#22a884", "#e3d523")  # settled, roughly known, wide open
 MARK = (0.91, 0.27, 0.235)  # a true value, or what is meant

@@ -105,7 +105,7 @@ def surface_maps(
 def entropy_maps(estimate: Estimate) -> list[SurfaceMap]:
     """Return maps of the entropy and of the coverage."""
     result = EstimateArrays.of(estimate)
-    most = result.most_views
+    most = result.max_views
     return [
         SurfaceMap(
             name="entropy", estimate=estimate, values=lambda: result.entropy, scale=ENTROPY,

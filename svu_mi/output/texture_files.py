@@ -123,7 +123,7 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
     require_recovery(folder, list(FILES.values()), RECORD, ENTROPY)
     if one_run:
         require_one_run(folder, list(FILES.values()), RECORD, "recover")
-    images = {name: _of_exr(folder / FILES[name], CHANNELS[name]) for name in NAMES}
+    images = {name: _read_exr_texture(folder / FILES[name], CHANNELS[name]) for name in NAMES}
     sizes = {name: image.shape[:2] for name, image in images.items()}
     if len(set(sizes.values())) > 1:
         words = ", ".join(f"{FILES[name]} {size[1]} x {size[0]}" for name, size in sizes.items())
@@ -169,16 +169,16 @@ def read_texture(path: Path, name: str) -> tuple[np.ndarray, str]:
         CaptureError: it is damaged, has other channels, or holds values outside [0, 1] or NaN.
     """
     if path.suffix.lower() == ".exr":
-        return _of_exr(path, CHANNELS[name]), ""
+        return _read_exr_texture(path, CHANNELS[name]), ""
     picture = open_picture(path)
     planes = picture.planes()[:3]
     if CHANNELS[name] == 1:
-        return _grey(path, planes), ""
+        return _single_channel(path, planes), ""
     image = decoded(np.stack(planes, axis=-1))
     return image, f"{path}: {picture.bits} bits, decoded as sRGB."
 
 
-def _of_exr(path: Path, count: int) -> np.ndarray:
+def _read_exr_texture(path: Path, count: int) -> np.ndarray:
     """Return (H, W, count) float32."""
     channels = read_exr(path)
     wanted = "RGB" if count == 3 else next((c for c in "YR" if c in channels), "Y")
@@ -187,7 +187,7 @@ def _of_exr(path: Path, count: int) -> np.ndarray:
             f"{path}: expected the channels {', '.join(wanted)}, found {', '.join(channels)}."
         )
     if count == 1:
-        image = _grey(path, [channels[wanted], *channels.values()])
+        image = _single_channel(path, [channels[wanted], *channels.values()])
     else:
         image = np.stack([channels[letter] for letter in wanted], axis=-1)
     bad = int((~((image >= 0) & (image <= 1))).sum())  # NaN fails both
@@ -196,7 +196,7 @@ def _of_exr(path: Path, count: int) -> np.ndarray:
     return image
 
 
-def _grey(path: Path, planes: Sequence[np.ndarray]) -> np.ndarray:
+def _single_channel(path: Path, planes: Sequence[np.ndarray]) -> np.ndarray:
     """Return the one channel (H, W, 1) that all planes are."""
     if not all(np.array_equal(planes[0], plane) for plane in planes):
         raise CaptureError(f"{path}: a grey texture with unequal channels; export one channel.")

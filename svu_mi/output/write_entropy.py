@@ -20,22 +20,22 @@ def write_outputs(
     folder: str | os.PathLike[str],
     run: RunInfo | None = None,
     *,
-    knowledge: IntervalSummary | None = None,
+    summary: IntervalSummary | None = None,
     pictures: bool = True,
 ) -> None:
     """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json`` in one step.
 
-    ``knowledge`` is computed if not given.
+    ``summary`` is computed if not given.
 
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    knowledge = knowledge or IntervalSummary.of(estimate)
+    summary = summary or IntervalSummary.of(estimate)
     # Photographs that are in other processes have no digest here.
     key = "" if estimate.observed is None else capture_key(capture)
     with writing(folder, "entropy", RECORD, capture=key) as draft:
         write_maps(estimate, draft.folder)
         if pictures:
-            write_overview(capture, estimate, draft.folder / "overview.png", knowledge)
-        record = run_record(capture, estimate, knowledge)
+            write_overview(capture, estimate, draft.folder / "overview.png", summary)
+        record = run_record(capture, estimate, summary)
         write_run(draft, record, run or RunInfo())

@@ -20,7 +20,7 @@ from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import label_of
 from svu_mi.output.html import percent
-from svu_mi.output.maps import padded, write_field
+from svu_mi.output.maps import padded_image, write_field
 from svu_mi.output.panels import draw_look, draw_map, fully_seen, map_colors
 from svu_mi.output.run_record import RECORD, RunInfo, inputs_record, write_run
 from svu_mi.output.style import Block
@@ -58,7 +58,7 @@ def write_filled(
         write_field(result.field, draft.folder, about)
         masks = {"Y": result.filled} | ({} if model is None else {"model": model.reached})
         write_exr(draft.folder / MASK, {
-            name: padded(result.field, mask.astype(np.float32), fill=0)
+            name: padded_image(result.field, mask.astype(np.float32), fill=0)
             for name, mask in masks.items()
         }, about)  # fmt: skip
         if pictures:

@@ -23,12 +23,12 @@ from svu_mi.core.io.output_folder import writing
 from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.guidance_page import (
-    gain_limit,
-    gain_pictures,
+    information_gain_limit,
+    information_gain_pictures,
     proposal_views,
     write_guidance_overview,
 )
-from svu_mi.output.maps import GUTTER, header, padded
+from svu_mi.output.maps import GUTTER, exr_attributes, padded_image
 from svu_mi.output.object_views import UP
 from svu_mi.output.run_record import RECORD, RunInfo, guidance_record, write_manifest, write_run
 from svu_mi.posterior.estimate import Estimate
@@ -58,14 +58,16 @@ def write_guidance(
     with writing(folder, "guide", RECORD, capture=capture_key(capture)) as draft:
         target = draft.folder
         _write_poses(capture, guidance, target)
-        write_manifest(target / PLAN, plan(capture, estimate, guidance))
+        write_manifest(target / PLAN, plan_record(capture, estimate, guidance))
         run.progress(1, 4)
         maps = guidance.gain_maps()
         run.progress(2, 4)
         if pictures:
             looks = proposal_views(capture, guidance)
             write_guidance_overview(capture, estimate, guidance, maps, looks, target / PAGE, up)
-            thumbnails = gain_pictures(looks, guidance, maps, gain_limit(maps))
+            thumbnails = information_gain_pictures(
+                looks, guidance, maps, information_gain_limit(maps)
+            )
             _write_thumbnails(thumbnails, prepare_folder(target / THUMBNAILS))
         run.progress(3, 4)
         _write_maps(guidance, maps, target)
@@ -80,7 +82,7 @@ def _write_poses(capture: Capture, guidance: Guidance, folder: Path) -> None:
     write_sensors(folder / SENSORS, sensors, [Path(name).stem for name in names])
 
 
-def plan(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
+def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
     """Return what ``guidance.json`` says: proposals with poses, and all candidates, ranked."""
     ranked = enumerate(zip(guidance.proposals, file_names(capture, guidance), strict=True), 1)
     return {
@@ -101,7 +103,7 @@ def plan(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, 
             }
             for rank, (proposal, file) in ranked
         ],
-        "candidates": _ranked(guidance),
+        "candidates": _candidate_records(guidance),
     }  # fmt: skip
 
 
@@ -131,7 +133,7 @@ def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]
     scene_xml.write_document(root, Path(path))
 
 
-def _ranked(guidance: Guidance) -> list[dict[str, Any]]:
+def _candidate_records(guidance: Guidance) -> list[dict[str, Any]]:
     """All candidates, the best first, those that cannot be reached last."""
     names, reachable = guidance.candidates.names, guidance.candidates.reachable
     return [
@@ -144,8 +146,10 @@ def _ranked(guidance: Guidance) -> list[dict[str, Any]]:
 def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
     """Write one EXR per proposal, channel Y: the gain of every texel, 0 outside the charts."""
     for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
-        image = padded(guidance, gains, fill=0)
-        about = header(guidance, candidate=proposal.candidate, name=proposal.name, gutter=GUTTER)
+        image = padded_image(guidance, gains, fill=0)
+        about = exr_attributes(
+            guidance, candidate=proposal.candidate, name=proposal.name, gutter=GUTTER
+        )
         write_exr(folder / f"gain_{k}.exr", {"Y": image}, about)
 
 

@@ -18,8 +18,8 @@ from svu_mi.core.io.output_folder import writing
 from svu_mi.output import object_views
 from svu_mi.output.maps import (
     COVERAGE,
-    header,
-    padded,
+    exr_attributes,
+    padded_image,
     write_field,
     write_maps,
     write_uncertainty,
@@ -76,7 +76,7 @@ def write_recovery(
     estimate = recovery.estimate if estimate is None else estimate
     key = capture_key(capture)
     run = run or RunInfo()
-    about = header(recovery, settings=json.dumps(recovery.settings, default=str))
+    about = exr_attributes(recovery, settings=json.dumps(recovery.settings, default=str))
     with writing(folder, "recover", RECORD, capture=key) as draft:
         target = draft.folder
         write_scene(capture, recovery.textures, target, attributes=about)
@@ -113,14 +113,14 @@ def _write_uncertainty(
     recovery: Recovery, estimate: Estimate | None, field: TextureField | None, folder: Path
 ) -> None:
     if estimate is None:
-        coverage = padded(recovery, np.asarray(recovery.coverage).astype(np.float32), fill=0)
-        write_exr(folder / COVERAGE, {"Y": coverage}, header(recovery))
+        coverage = padded_image(recovery, np.asarray(recovery.coverage).astype(np.float32), fill=0)
+        write_exr(folder / COVERAGE, {"Y": coverage}, exr_attributes(recovery))
     else:
         write_maps(estimate, folder)
         if field is None:
             write_uncertainty(estimate, folder)
         else:
-            write_field(field, folder, header(recovery))
+            write_field(field, folder, exr_attributes(recovery))
 
 
 def write_losses(losses: Any, path: Path) -> None:

@@ -308,11 +308,9 @@ def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> An
 
 
 def color_masses(
-    problem: CalibratedProblem,
-    parts: QuadratureAxis,
-    chosen: np.ndarray,
+    problem: CalibratedProblem, parts: QuadratureAxis, chosen: np.ndarray,
     channel: np.ndarray | None = None,
-) -> list[Any]:
+) -> list[Any]:  # fmt: skip
     """Return the masses of K parts of base colour (see ``node_masses``), for each channel, or for
     one of each texel, ``channel`` (t,) int64, where the prior leaves colours alike."""
     edges = np.append(parts.low, parts.high[-1])

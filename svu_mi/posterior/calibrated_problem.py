@@ -138,16 +138,14 @@ class NodeTables:
         levels, weights = spline_weights(r.value, problem.factors.roughness)
         ends = np.diff(r.cell, append=r.cells) != 0
         inside = [axis.mass / axis.of_cells()[axis.cell] for axis in (r, m)]
+        values, variances = m.at_all("value"), m.at_all("bin_variance")
         rows = problem.rows.reshape(problem.shape[:2])[r.cell][:, m.cell]
         prior = np.minimum(rows - np.log(inside[0])[:, None] - np.log(inside[1]), NEVER)
         return NodeTables(
             levels=to_drjit(mi.UInt32, levels.ravel().astype(np.uint32)),
             weights=to_drjit(mi.Float, weights.ravel()),
             rows=NodeValues.of(r.value, r.bin_variance),
-            columns=[
-                NodeValues.of(*x)
-                for x in zip(m.at_all("value"), m.at_all("bin_variance"), strict=True)
-            ],
+            columns=[NodeValues.of(*x) for x in zip(values, variances, strict=True)],
             row=to_drjit(mi.UInt32, r.cell.astype(np.uint32)),
             column=to_drjit(mi.UInt32, m.cell.astype(np.uint32)),
             prior=to_drjit(mi.Float, prior.ravel()),
@@ -163,9 +161,8 @@ def spline_weights(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, 
     """
     last = len(levels) - 1
     if last == 0:
-        return np.zeros((len(values), SPLINE_LEVELS), int), np.tile(
-            [1.0, 0, 0, 0], (len(values), 1)
-        )
+        shape = len(values), SPLINE_LEVELS
+        return np.zeros(shape, int), np.broadcast_to([1.0, 0, 0, 0], shape)
     place = np.clip((values - levels[0]) / (levels[-1] - levels[0]), 0, 1) * last
     begin = np.minimum(np.floor(place), last - 1)
     weights = catmull_rom(place - begin)

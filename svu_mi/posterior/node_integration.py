@@ -140,9 +140,7 @@ class NodeIntegrator:
         if self.problem.color_prior is not None and not self._color_is_known:
             energy = dr.if_stmt(
                 args=(energy, parts, best), cond=energy - self._max_log_prior < best,
-                true_fn=lambda energy, parts, _: self._integrate_colors(
-                    row, column, energy, parts
-                )[0],
+                true_fn=lambda energy, parts, _: self._colors(row, column, energy, parts)[0],
                 false_fn=lambda _energy, _parts, best: best,
             )  # fmt: skip
         return dr.minimum(energy, best)
@@ -162,9 +160,8 @@ class NodeIntegrator:
             low, high = mi.Float(0), mi.Float(1)
             if prior is not None:
                 table = prior[k // problem.copies]
-                cell = _sample_index(
-                    channel.integrate_with_prior(problem.edges.tolist(), table)[1].cells, v
-                )
+                _, integrals = channel.integrate_with_prior(problem.edges.tolist(), table)
+                cell = _sample_index(integrals.cells, v)
                 low, high = (dr.gather(mi.Float, ends, cell + step) for step in (0, 1))
             colors.append(channel.quantile(u, low, high))
         return colors
@@ -179,7 +176,7 @@ class NodeIntegrator:
         energy = self.problem.copies * sum(one.min_energy for one in channels)
         return prior + energy, [(c.min_energy, c.mirrored, c.mu, c.s) for c in channels]
 
-    def _integrate_colors(
+    def _colors(
         self, row: Any, column: Any, energy: Any, parts: list[Any]
     ) -> tuple[Any, list[ColorIntegrals]]:
         """Return the energy of a node with its colour prior, and the colour integrals."""
@@ -189,13 +186,9 @@ class NodeIntegrator:
             ChannelLikelihood.integrate_full_support if self.problem.has_full_support
             else ChannelLikelihood.integrate_with_prior
         )  # fmt: skip
-        log_masses, integrals = zip(
-            *(
-                integrate(ChannelLikelihood(*c), edges, g)
-                for c, g in zip(parts, density, strict=True)
-            ),
-            strict=True,
-        )
+        colors = [integrate(ChannelLikelihood(*c), edges, g)
+                  for c, g in zip(parts, density, strict=True)]  # fmt: skip
+        log_masses, integrals = zip(*colors, strict=True)
         return energy - self.problem.copies * sum(log_masses), list(integrals)
 
     @property
@@ -207,7 +200,7 @@ class NodeIntegrator:
 
     def _node(self, row: Any, column: Any, energy: Any, parts: list[Any]) -> Node:
         if not self._color_is_known and self.problem.color_prior is not None:
-            energy, colors = self._integrate_colors(row, column, energy, parts)
+            energy, colors = self._colors(row, column, energy, parts)
             return Node(row, column, dr.exp(-energy), colors)
         weight = dr.exp(-energy)
         if self._color_is_known:
@@ -245,10 +238,10 @@ class NodeIntegrator:
         own = np.searchsorted(problem.edges, middle) - 1
         tables = [
             [
-                dr.gather(mi.Float, problem.color_prior, place + (table * cells + k))
-                for k in range(cells)
+                dr.gather(mi.Float, problem.color_prior, place + k)
+                for k in range(first, first + cells)
             ]
-            for table in range(problem.tables)
+            for first in range(0, problem.tables * cells, cells)
         ]
         of_channels = tables if problem.tables > 1 else tables * problem.factors.channels
         return [[density[k] for k in own] for density in of_channels]

@@ -76,9 +76,8 @@ class ChannelLikelihood:
         mirrored = -B > 0.5 * A
         slope = dr.select(mirrored, A + B, -B)  # of -E at y = 0
         A = dr.maximum(dr.maximum(A, FLATTEST), slope / -FARTHEST)
-        return ChannelLikelihood(
-            0.5 * (_dot(rest, rest) + floor), mirrored, slope / A, dr.sqrt(0.5 * A)
-        )
+        energy = 0.5 * (_dot(rest, rest) + floor)
+        return ChannelLikelihood(energy, mirrored, slope / A, dr.sqrt(0.5 * A))
 
     def integrate(self, edges: list[float]) -> ColorIntegrals:
         """Integrate over cells of (K + 1,) symmetric ``edges`` in [0, 1], under a uniform prior."""

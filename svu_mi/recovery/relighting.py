@@ -20,7 +20,8 @@ from svu_mi.capture.replace_material import scene_of
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.core.validation import require_spp
 from svu_mi.errors import OptionError
-from svu_mi.light.environment import directions, read_environment
+from svu_mi.light.environment import read_environment
+from svu_mi.light.latlong import directions
 from svu_mi.recovery.path.textured_scene import PathScene
 from svu_mi.recovery.svbrdf_textures import Textures
 

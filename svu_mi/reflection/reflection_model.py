@@ -72,9 +72,8 @@ class ReflectionModel:
         split = len(alpha) if visibility is None else int(np.searchsorted(alpha, NARROW, "right"))
         narrow, wide = None, None
         if fitted is None and split > 0:
-            narrow = NarrowLobes.of(
-                lighting, alpha[:split], switches, channels, disk=visibility is None
-            )
+            disk = visibility is None
+            narrow = NarrowLobes.of(lighting, alpha[:split], switches, channels, disk=disk)
         if visibility is not None and split < len(alpha):
             wide = WideLobes(visibility, alpha[split:], channels)
         if visibility is None:

@@ -1,4 +1,4 @@
-"""Reflection by prefiltered light at any roughness per lane, for rendering; traces nothing.
+"""Reflection of prefiltered light at any roughness per lane, for rendering; no rays.
 
 Light under the lobe, and its albedo, are interpolated linearly between two levels of roughness.
 An oblique lobe is replaced by a round one of the same solid angle, of width
@@ -66,9 +66,8 @@ def prefiltered_model(
     if switches.fresnel == "split_sum":
         table[..., :2], table[..., 2] = split_sum(lobes.alpha), dielectric_albedo(lobes.alpha)
     narrow = switches.lobe == "ggx" and switches.off_specular
-    return PrefilteredModel(
-        switches, stack_levels(lobes.levels), to_drjit(mi.Float, table.ravel()), narrow
-    )
+    albedo = to_drjit(mi.Float, table.ravel())
+    return PrefilteredModel(switches, stack_levels(lobes.levels), albedo, narrow)
 
 
 def shade(

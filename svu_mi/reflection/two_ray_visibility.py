@@ -67,10 +67,10 @@ def sample_light_visibility(
             mixed = FROM_LIGHT * pdf + FROM_LOBE * density
             weight = dr.select(mixed > 0, light * density / mixed, 0)
             specular.offer(direction, weight, sampler.next_1d(active))
-        first, second = (
-            dr.select(_is_open(scene, si, side, each.direction, active), mi.Float(1), mi.Float(0))
-            for each in (diffuse, specular)
+        is_open = (
+            _is_open(scene, si, side, each.direction, active) for each in (diffuse, specular)
         )
+        first, second = (dr.select(free, mi.Float(1), mi.Float(0)) for free in is_open)
         return dr.select(diffuse.total > 0, first, 1), second
 
 

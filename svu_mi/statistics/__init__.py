@@ -1,1 +1,1 @@
-"""Sums over the views of a texel, and their square-root form, which the posterior reads."""
+"""Sums over the views of each texel, and their square-root form."""

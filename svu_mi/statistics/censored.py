@@ -127,9 +127,8 @@ def _best_color(mean: list[list[Any]], mixed: np.ndarray) -> tuple[list[Any], An
         inside = dr.clip(-cross / dr.select(square > 0, square, 1), 0, 1)
         color = dr.select(square > 0, inside, 1)
         colors.append(color)
-        error += (
-            square * color * color + 2 * cross * color + _quadratic_form(of_channel, start, start)
-        )
+        constant = _quadratic_form(of_channel, start, start)
+        error += square * color * color + 2 * cross * color + constant
     return colors, error
 
 

@@ -148,11 +148,10 @@ class FactorReader:
 
     def factor(self, level: Any) -> list[list[Any]]:
         """Return all entries of U, in the order of ``PAIRS``, of every channel: Floats."""
+        floors = self.residual_floor
         return [
             [*entries, dr.sqrt(rest + floor)]
-            for (*entries, rest), floor in zip(
-                self.entries(level), self.residual_floor, strict=True
-            )
+            for (*entries, rest), floor in zip(self.entries(level), floors, strict=True)
         ]
 
     @property

@@ -1,4 +1,4 @@
-"""Additive statistics: sums over the views of a texel, P per level of roughness and channel.
+"""Additive statistics: sums over views, P per texel, roughness level and channel.
 
 At one roughness, the residual for base colour c and metallic m is a sum of columns
 
@@ -24,15 +24,8 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.principled import mixture
+from svu_mi.statistics import texel_blocks as blocks
 from svu_mi.statistics.cholesky_factors import PAIRS, Factors, factorize
-from svu_mi.statistics.texel_blocks import (
-    BlockReader,
-    from_blocks,
-    gather_texels,
-    scatter_texels,
-    to_blocks,
-    write_blocks,
-)
 
 EDGES = AngularPreset.edges  # eta
 PARTLY = 0.01  # tolerance of a sum of partial views that counts as a whole one
@@ -65,7 +58,7 @@ class LazyStatistics:
     def statistics(self) -> Statistics:
         """Evaluate the sums."""
         count, columns = int(dr.width(self.texel)), [*self.columns, self.weight]
-        sums = write_blocks(mi.Float64, columns, count, self.counts)
+        sums = blocks.write_blocks(mi.Float64, columns, count, self.counts)
         return Statistics(
             sums, self.counts, self.texel, self.roughness, self.channels, self.kappa, self.edges
         )
@@ -153,20 +146,20 @@ class Statistics:
 
     @cached_property
     def _factors(self) -> Factors:
-        reader = BlockReader(self.sums, self.rows, self.count)
+        reader = blocks.BlockReader(self.sums, self.rows, self.count)
         *columns, weight = (reader.read(row) for row in range(self.rows))
         return factorize(columns, weight, self.views, self.texel, self.roughness, self.channels)
 
     @property
     def weight(self) -> np.ndarray:
         """(S,) float64, the sum of the samples' weights."""
-        return from_blocks(self.sums, self.rows, self.count)[-1]
+        return blocks.from_blocks(self.sums, self.rows, self.count)[-1]
 
     def subset(self, lanes: np.ndarray) -> Statistics:
         """Return the statistics of some lanes."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return replace(
-            self, sums=gather_texels(self.sums, self.rows, chosen),
+            self, sums=blocks.gather_texels(self.sums, self.rows, chosen),
             counts=dr.gather(mi.Float, self.counts, chosen),
             texel=dr.gather(mi.UInt32, self.texel, chosen),
         )  # fmt: skip
@@ -177,13 +170,12 @@ class Statistics:
         counts = mi.Float(self.counts)
         dr.scatter(counts, others.counts, chosen)
         dr.eval(counts)
-        return replace(
-            self, sums=scatter_texels(self.sums, self.rows, chosen, others.sums), counts=counts
-        )
+        sums = blocks.scatter_texels(self.sums, self.rows, chosen, others.sums)
+        return replace(self, sums=sums, counts=counts)
 
     def table(self) -> np.ndarray:
         """Return the sums as (R, C, P, S) float64."""
-        rows = from_blocks(self.sums, self.rows, self.count)[:-1]
+        rows = blocks.from_blocks(self.sums, self.rows, self.count)[:-1]
         return rows.reshape(self.levels, self.channels, len(PAIRS), self.count)
 
     def errors(self, *nodes: np.ndarray) -> np.ndarray:
@@ -204,7 +196,7 @@ class Statistics:
         channels, count = table.shape[1], table.shape[-1]
         rows = np.concatenate([table.reshape(-1, count), np.reshape(weight, (1, count))])
         return Statistics(
-            sums=to_blocks(mi.Float64, rows),
+            sums=blocks.to_blocks(mi.Float64, rows),
             counts=to_drjit(mi.Float, np.asarray(views, np.float32)),
             texel=dr.arange(mi.UInt32, count),
             roughness=np.asarray(roughness, np.float64), channels=channels, kappa=kappa,

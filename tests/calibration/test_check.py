@@ -21,21 +21,26 @@ from support.written import write
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
-from svu_mi.calibration.checks.check import find_mistakes
-from svu_mi.calibration.checks.decisions import LIGHT_GAIN, judge_light, judge_poses, judge_texture
+from svu_mi.calibration.checks.check import find_axis_mistakes
+from svu_mi.calibration.checks.decisions import (
+    LIGHT_IMPROVEMENT,
+    decide_light,
+    decide_poses,
+    decide_texture,
+)
 from svu_mi.calibration.checks.envmap_orientation import LightScore, score_light
 from svu_mi.calibration.checks.pose_scores import check_views, score_poses
 from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
-    Sky,
+    DistantLight,
     emitter_of,
-    look,
     open_cosines,
     read_texture,
+    sample_photographs,
     scatter_points,
     texture_fit,
 )
-from svu_mi.calibration.checks.thumbnails import Frames, reduced, silhouettes
+from svu_mi.calibration.checks.thumbnails import Thumbnails, reduce_photographs, silhouettes
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.importers.axis_fixes import FIXES, find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
@@ -134,18 +139,18 @@ def lit(capture):
 
 def seen_by(capture):
     points = scatter_points(capture.shape, POINTS)
-    seen = look(points, Frames.of(reduced(capture, 64)))
+    seen = sample_photographs(points, Thumbnails.of(reduce_photographs(capture, 64)))
     cosines = open_cosines(capture.scene, points, DIRECTIONS)
     return points, seen, cosines, read_texture(capture, points)
 
 
 def pose_finding(capture):
-    points, small = scatter_points(capture.shape, POINTS), reduced(capture, 48)
-    return judge_poses(score_poses(small, points, read_texture(capture, points), quiet))
+    points, small = scatter_points(capture.shape, POINTS), reduce_photographs(capture, 48)
+    return decide_poses(score_poses(small, points, read_texture(capture, points), quiet))
 
 
 def light_finding(capture, lit):
-    return judge_light(score_light(Sky.of(emitter_of(capture), np.eye(3)), *lit, quiet))
+    return decide_light(score_light(DistantLight.of(emitter_of(capture), np.eye(3)), *lit, quiet))
 
 
 INVERSE = "camera-inverse"
@@ -187,7 +192,7 @@ def test_a_wrong_light_is_named(capture, lit, case):
 
 def test_a_right_capture_is_left_alone(capture):
     assert pose_finding(without_masks(capture))[0].verdict == "fits"
-    findings, _ = find_mistakes(eight_bit(before_wall(capture)))
+    findings, _ = find_axis_mistakes(eight_bit(before_wall(capture)))
     assert [one.verdict for one in findings] == ["fits", "fits", "fits"]
 
 
@@ -198,7 +203,7 @@ def test_two_mistakes_and_a_flipped_texture_are_found_together(capture):
     assert not found.fits and same(found.fixes, case.fixes)
     assert np.mean([view.overlap for view in found.views]) < 0.2
     assert np.mean([view.overlap for view in found.corrected]) > 0.9
-    right = [view.color_error for view in check_views(reduced(capture, 128))]
+    right = [view.color_error for view in check_views(reduce_photographs(capture, 128))]
     corrected = [view.color_error for view in found.corrected]
     np.testing.assert_allclose(corrected, right, rtol=0.05)
     assert np.mean(right) < 0.4
@@ -206,7 +211,7 @@ def test_two_mistakes_and_a_flipped_texture_are_found_together(capture):
 
 def test_a_wrong_mesh_leaves_the_light_with_the_cameras(capture):
     case = Case(("mesh-x90", "light-turn-180"))
-    findings, _ = find_mistakes(case.made(capture))
+    findings, _ = find_axis_mistakes(case.made(capture))
     assert outcome(findings, case) == "right"
 
 
@@ -255,7 +260,7 @@ def test_an_even_light_in_place_of_that_of_the_photographs_is_doubted(capture, l
     """It said "fits", and base colours were wrong by twice as much."""
     lit = {"type": "scene", "light": light(), "shape": capture.shape}
     placeholder = replace(capture, scene=mi.load_dict(lit, optimize=False))
-    finding = find_mistakes(placeholder)[0][1]
+    finding = find_axis_mistakes(placeholder)[0][1]
     assert finding.verdict == "unclear" and not finding.fixes
     assert re.search(r"brighter where the surface faces some sides, by a factor of [\d.]+: unless",
                      finding.sentence), finding.sentence  # fmt: skip
@@ -279,7 +284,7 @@ PAINTS = {
 @pytest.mark.few(2)
 @pytest.mark.parametrize("paint", PAINTS)
 def test_an_even_light_that_is_right_is_left_alone(paint):
-    finding = find_mistakes(photographed(cluster(), CONSTANT, PAINTS[paint]()))[0][1]
+    finding = find_axis_mistakes(photographed(cluster(), CONSTANT, PAINTS[paint]()))[0][1]
     assert finding.verdict == "unknown" and "everywhere" in finding.sentence
 
 
@@ -293,9 +298,9 @@ def test_a_light_is_wrong_if_another_way_explains_enough_more(part, verdict):
     now = next(one for one in scores if one.hypothesis is current)
     scores = [replace(one, shading=0.1) for one in scores if one is not now] + [now]
     plain = LightScore(best, 0.52, 0.52, 0.0)
-    rest = now.total + part * LIGHT_GAIN - plain.total  # that highlights explain
+    rest = now.total + part * LIGHT_IMPROVEMENT - plain.total  # that highlights explain
     scores.append(replace(plain, highlights=1 - np.exp(-rest)))
-    finding = judge_light(sorted(scores, key=lambda one: -one.total))
+    finding = decide_light(sorted(scores, key=lambda one: -one.total))
     assert finding.verdict == verdict, finding.sentence
 
 
@@ -324,7 +329,7 @@ def test_photographs_that_show_nothing_say_nothing(capture, value):
         images=tuple(np.full_like(image, value) for image in capture.images[few]),
     )  # fmt: skip
     assert pose_finding(spoil(blank, FIXES["camera-y180"]))[0].fixes == ("camera-y180",)
-    views = check_views(reduced(blank, 128))
+    views = check_views(reduce_photographs(blank, 128))
     assert all(view.color_error is None for view in views)
     assert all(np.isfinite([view.overlap, view.contrast]).all() for view in views)
     with pytest.raises(svu.SvuError, match="given can be used"):
@@ -335,7 +340,7 @@ def test_texture_without_likeness_is_not_judged(capture):
     points, seen, *_ = seen_by(capture)
     noise = np.random.default_rng(SEED).random((2, POINTS, 3))
     fits = tuple(texture_fit(seen, points, one) for one in noise)
-    assert judge_texture(*fits).verdict == "unknown"
+    assert decide_texture(*fits).verdict == "unknown"
 
 
 @pytest.mark.parametrize("name", FIXES)
@@ -366,7 +371,7 @@ def test_a_fix_undoes_its_mistake_and_changes_nothing_else(capture, name):
 
 def test_turned_cameras_see_what_a_turned_mesh_shows(capture):
     """Hypotheses about the mesh move the cameras instead; a rendered mask says the same."""
-    frames = Frames.of(reduced(capture, max(FILM)))
+    frames = Thumbnails.of(reduce_photographs(capture, max(FILM)))
     for fix in (FIXES["mesh-x90"], FIXES["mesh-mirror"], FIXES["camera-z180"]):
         hypothesis = next(h for h in pose_hypotheses() if h.fixes == (fix,))
         moved = frames.posed(hypothesis.relative_poses(frames.poses))
@@ -457,7 +462,7 @@ def test_a_mesh_that_shows_its_back_is_turned(capture):
 def test_cameras_within_a_mesh_do_not_show_its_back(capture):
     """Of a mesh that is ten times too large they see the inside; that is not a wrong winding."""
     large = apply_fixes(capture, [replace(FIXES["mesh-x180"], matrix=np.eye(3) * 10.0)])
-    findings, _ = find_mistakes(large)
+    findings, _ = find_axis_mistakes(large)
     assert findings[0].verdict == "unclear" and not findings[0].fixes
     assert "scale" in findings[0].sentence
 

@@ -21,27 +21,27 @@ from support.made_up_samples import (
 
 import svu_mi as svu
 from svu_mi.calibration.light.gauss_newton import (
-    ALIKE,
-    FREEDOM,
-    LARGEST,
-    STEP,
-    Fit,
-    Known,
-    system_of,
+    COLOR_SD,
+    MATERIAL_SD,
+    MAX_CHANGE,
+    ROUGHNESS_STEP,
+    LightFit,
+    LightPriors,
+    normal_equations,
 )
-from svu_mi.calibration.light.light_prior import SD, Looks, prior_of
-from svu_mi.calibration.light.light_samples import FACING, FEWEST, Samples
-from svu_mi.calibration.light.light_summary import likeness
+from svu_mi.calibration.light.light_prior import SD, BackgroundPixels, prior_of
+from svu_mi.calibration.light.light_samples import FACING, FEWEST, TexelSamples
+from svu_mi.calibration.light.light_summary import compare_lights
 from svu_mi.calibration.light.light_transport import (
     WIDENED,
     Columns,
     Materials,
-    Moments,
+    SampleMoments,
     Transport,
     columns_of,
     materials_of,
 )
-from svu_mi.calibration.light.light_uncertainty import level_of, sample_lights, widening_of
+from svu_mi.calibration.light.light_uncertainty import sample_lights, scale_of, widening_of
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.posterior.empirical_bayes import with_empirical_prior
@@ -51,7 +51,7 @@ SHINY = {"type": "principled", "roughness": 0.25, "metallic": 1.0,
          "base_color": {"type": "rgb", "value": [0.7, 0.6, 0.5]}}  # fmt: skip
 
 
-def of_oracle(samples: Samples, materials: Materials, number: int) -> np.ndarray:
+def of_oracle(samples: TexelSamples, materials: Materials, number: int) -> np.ndarray:
     """(S, N, 3) gains of every sample."""
     cells, normals = fibonacci(number), samples.surface.normal.numpy().T
     return np.stack([
@@ -151,14 +151,14 @@ def test_the_prior_is_a_distribution():
 # --- a step of the light ----------------------------------------------------------------------
 
 
-def fit_of(samples: Samples, x: np.ndarray) -> Fit:
+def fit_of(samples: TexelSamples, x: np.ndarray) -> LightFit:
     transport = Transport.of(samples, len(x))
-    found = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
+    found = SampleMoments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
     posterior = found.posterior(SWITCHES)
-    system = system_of(
-        transport, np.exp(x), posterior, SWITCHES.overdispersion, Known(prior_of(len(x)))
+    system = normal_equations(
+        transport, np.exp(x), posterior, SWITCHES.overdispersion, LightPriors(prior_of(len(x)))
     )
-    return Fit(transport, x, system, 0.1)
+    return LightFit(transport, x, system, 0.1)
 
 
 class Joint:
@@ -168,7 +168,7 @@ class Joint:
         self.samples, self.x, self.materials, self.w = samples, x, materials, w
         self.texels, self.number = samples.texels, len(x)
         self.precision = prior_of(self.number).precision()
-        self.freedom = np.tile(1 / np.square([*FREEDOM, *[ALIKE] * 3]), self.texels)
+        self.freedom = np.tile(1 / np.square([*MATERIAL_SD, *[COLOR_SD] * 3]), self.texels)
 
     def moved(self, k: int, by: np.ndarray) -> Materials:
         """Materials whose parameter k, of five, is another."""
@@ -190,8 +190,9 @@ class Joint:
         r = self.materials.roughness
         for k in range(5):
             # Roughness as the solver has it: between two that are possible.
-            ends = (np.clip(r - STEP, 0, 1) - r, np.clip(r + STEP, 0, 1) - r) if k == 0 else (
-                np.full(self.texels, -0.01), np.full(self.texels, 0.01))  # fmt: skip
+            step = np.full(self.texels, 0.01)
+            ends = [np.clip(r + way * ROUGHNESS_STEP, 0, 1) - r for way in (-1, 1)]
+            ends = ends if k == 0 else [-step, step]
             low, high = (self.predicted(self.x, self.moved(k, end)) for end in ends)
             slope = (high - low) / (ends[1] - ends[0])[samples.owner, None]
             for s, t in enumerate(samples.owner):
@@ -212,7 +213,7 @@ class Joint:
         g = -np.einsum("s,sci,sc->i", self.w, J, off, optimize=True)
         g[: 3 * N] += self.precision @ self.x.T.ravel()
         color = self.materials.color
-        g[3 * N :].reshape(-1, 5)[:, 2:] += (color - color.mean(axis=0)) / ALIKE**2
+        g[3 * N :].reshape(-1, 5)[:, 2:] += (color - color.mean(axis=0)) / COLOR_SD**2
         return H, g
 
 
@@ -220,10 +221,10 @@ def test_materials_are_eliminated_as_from_the_whole_normal_equations():
     samples, truth = photographed(8, 6, 64, noise=0.05)
     x = truth + 0.3 * np.random.default_rng(2).normal(size=truth.shape)
     transport = Transport.of(samples, 64)
-    found = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
+    found = SampleMoments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
     posterior = found.posterior(SWITCHES)
     tau = SWITCHES.overdispersion
-    found = system_of(transport, np.exp(x), posterior, tau, Known(prior_of(64)))
+    found = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)))
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
     joint = Joint(samples, x, materials_of(with_empirical_prior(posterior)), w)
     H, g = joint.normal()
@@ -234,7 +235,7 @@ def test_materials_are_eliminated_as_from_the_whole_normal_equations():
     np.testing.assert_allclose(found.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
     # It matters: less is known of the light where materials can follow it.
     assert np.abs(H[:n, :n] - matrix).max() > 0.02 * np.abs(matrix).max()
-    step = np.clip(np.linalg.solve(H, -g)[:n].reshape(3, 64).T, -LARGEST, LARGEST)
+    step = np.clip(np.linalg.solve(H, -g)[:n].reshape(3, 64).T, -MAX_CHANGE, MAX_CHANGE)
     np.testing.assert_allclose(found.step(), step, atol=0.02)
     for seed in range(3):  # the gradient of the energy itself
         d = np.random.default_rng(seed).normal(size=x.shape)
@@ -267,8 +268,8 @@ def test_sums_of_dimmer_light_are_those_of_its_columns():
     samples, x = photographed(12, 8, 64, noise=0.05)
     found = columns_of(Transport.of(samples, 64), np.exp(x), SWITCHES)
     dimmed = Columns(*(0.6 * part for part in found))
-    first = Moments.of(samples, found).posterior(SWITCHES, 0.6)
-    second = Moments.of(samples, dimmed).posterior(SWITCHES)
+    first = SampleMoments.of(samples, found).posterior(SWITCHES, 0.6)
+    second = SampleMoments.of(samples, dimmed).posterior(SWITCHES)
     np.testing.assert_allclose(first.kernel.noise, second.kernel.noise, rtol=1e-4)
     for one, other in zip(materials_of(first), materials_of(second), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-4)
@@ -278,7 +279,7 @@ def test_light_that_is_twice_as_bright_is_found_out():
     samples, x = photographed(80, 12, 64, noise=0.02)
     transport = Transport.of(samples, 64)
     right, double = (
-        level_of(samples, columns_of(transport, np.exp(x + added), SWITCHES), SWITCHES)
+        scale_of(samples, columns_of(transport, np.exp(x + added), SWITCHES), SWITCHES)
         for added in (0, np.log(2))
     )
     assert (abs(double.best + np.log(2)) < 1.645 * double.sd).all()
@@ -291,7 +292,7 @@ def test_light_of_another_colour_is_found_out():
     samples, x = photographed(80, 12, 64, noise=0.02)
     transport = Transport.of(samples, 64)
     right, red = (
-        level_of(samples, columns_of(transport, np.exp(x + added), SWITCHES), SWITCHES)
+        scale_of(samples, columns_of(transport, np.exp(x + added), SWITCHES), SWITCHES)
         for added in (np.zeros(3), np.array([0.3, 0, -0.15]))
     )
     tint, wrong = (one.best - one.best.mean() for one in (right, red))
@@ -314,7 +315,7 @@ def test_other_lights_are_as_bright_and_textures_less_certain():
     covariance = mean @ np.linalg.inv(fit.system.matrix) @ mean.T
     np.testing.assert_allclose(found.cell_sd, np.sqrt(np.diag(covariance)), rtol=1e-4)
     columns = columns_of(fit.transport, np.exp(x), SWITCHES)
-    right = level_of(samples, columns, SWITCHES)
+    right = scale_of(samples, columns, SWITCHES)
     several = widening_of(fit.transport, columns, found.draws, right, SWITCHES)
     same, nowhere = np.tile(x, (6, 1, 1)), replace(right, best=np.zeros(3), common=1e-6)
     sure = widening_of(fit.transport, columns, same, nowhere, SWITCHES)
@@ -353,17 +354,17 @@ def alike(a: np.ndarray, b: np.ndarray) -> float:
 def test_the_background_is_light_from_where_the_camera_looks(outdoors, moves):
     """Of a turntable, in camera space: what all photographs show is the same part of it."""
     capture = turning(outdoors, spp=16) if moves else outdoors
-    looks = Looks.of(capture, moves=moves)
+    looks = BackgroundPixels.of(capture, moves=moves)
     truth = seen_from(outdoors.environment, looks.direction)
     assert alike(looks.radiance, truth) > 0.99
     np.testing.assert_allclose(looks.radiance.mean(axis=0), truth.mean(axis=0), rtol=0.02)
-    other = Looks.of(capture, moves=not moves)  # in the frame of the other world
+    other = BackgroundPixels.of(capture, moves=not moves)  # in the frame of the other world
     assert alike(other.radiance, seen_from(outdoors.environment, other.direction)) < 0.5
 
 
 def test_cells_have_the_mean_of_the_pixels_that_show_them(outdoors):
     number = 256
-    precision, found = Looks.of(outdoors).at(number)
+    precision, found = BackgroundPixels.of(outdoors).at(number)
     cells = precision > 0
     assert 0.5 < cells.mean() <= 1
     points = fibonacci(64 * number)
@@ -378,13 +379,13 @@ def test_cells_have_the_mean_of_the_pixels_that_show_them(outdoors):
 def test_there_may_be_no_background(outdoors):
     masks = tuple(np.ones(image.shape[:2], bool) for image in outdoors.images)
     with pytest.raises(CaptureError, match="^No photograph shows anything beyond the object, so "):
-        Looks.of(replace(outdoors, masks=masks))
+        BackgroundPixels.of(replace(outdoors, masks=masks))
 
 
 def test_an_object_that_was_cut_out_shows_no_light(outdoors):
     masked = [image * 0 for image in outdoors.images]
     with pytest.raises(CaptureError, match="^All that the photographs show beyond the object is b"):
-        Looks.of(replace(outdoors, images=tuple(masked)))
+        BackgroundPixels.of(replace(outdoors, images=tuple(masked)))
 
 
 def test_a_black_object_is_refused_whatever_its_light(outdoors):
@@ -401,7 +402,7 @@ def test_the_background_helps(outdoors):
         svu.estimate_light(outdoors, texels, replace(options, background=name))
         for name in ("none", "distant")
     )
-    first, second = (likeness(one, outdoors.environment) for one in (without, looked))
+    first, second = (compare_lights(one, outdoors.environment) for one in (without, looked))
     assert second.correlation > max(first.correlation + 0.2, 0.8)  # .64 and .95
     assert looked.known_part > without.known_part
     # The level was looked at, and stays: nothing is left to fix.

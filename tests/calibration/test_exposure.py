@@ -14,22 +14,27 @@ from support.made_up_samples import SWITCHES, photographed
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.calibration.exposure import equalized, estimate_gains, updated, without_gains
-from svu_mi.calibration.light.estimate_light import World
+from svu_mi.calibration.exposure import equalized, estimate_gains, step_gains, without_gains
+from svu_mi.calibration.light.estimate_light import LightProblem
 from svu_mi.calibration.light.gauss_newton import (
-    ALIKE,
     BALANCE,
+    COLOR_SD,
     EXPOSURE,
-    FREEDOM,
-    Known,
-    _slopes_and_samples,
-    system_of,
+    MATERIAL_SD,
+    LightPriors,
+    _linearized,
+    normal_equations,
 )
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.calibration.light.light_prior import prior_of
 from svu_mi.calibration.light.light_summary import gain_sentences
-from svu_mi.calibration.light.light_transport import Moments, Transport, columns_of, materials_of
-from svu_mi.calibration.light.resolve_light import illuminated
+from svu_mi.calibration.light.light_transport import (
+    SampleMoments,
+    Transport,
+    columns_of,
+    materials_of,
+)
+from svu_mi.calibration.light.resolve_light import with_resolved_light
 from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.posterior.empirical_bayes import with_empirical_prior
@@ -57,12 +62,14 @@ def multiplied(capture: svu.Capture, gains: np.ndarray) -> svu.Capture:
 def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
     samples, x = photographed(8, 6, 64, noise=0.05)
     transport, tau = Transport.of(samples, 64), SWITCHES.overdispersion
-    posterior = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES)).posterior(SWITCHES)
+    posterior = SampleMoments.of(samples, columns_of(transport, np.exp(x), SWITCHES)).posterior(
+        SWITCHES
+    )
     gains = random_gains(6)
-    found = system_of(transport, np.exp(x), posterior, tau, gains=gains)
+    found = normal_equations(transport, np.exp(x), posterior, tau, gains=gains)
 
     materials = materials_of(with_empirical_prior(posterior))
-    slopes, r = _slopes_and_samples(transport, np.exp(x), materials)
+    slopes, r = _linearized(transport, np.exp(x), materials)
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
     count, n = samples.count, 3 * 6
     J = np.zeros((count, 3, n + 5 * samples.texels))
@@ -76,17 +83,17 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
     covariance = np.full((3, 3), EXPOSURE**2) + BALANCE**2 * np.eye(3)
     H[:n, :n] += np.kron(np.linalg.inv(covariance), np.eye(6))
     g[:n] += (gains @ np.linalg.inv(covariance)).T.ravel()
-    H[n:, n:] += np.diag(np.tile(1 / np.square([*FREEDOM, *[ALIKE] * 3]), samples.texels))
+    H[n:, n:] += np.diag(np.tile(1 / np.square([*MATERIAL_SD, *[COLOR_SD] * 3]), samples.texels))
     color = materials.color
-    g[n:].reshape(-1, 5)[:, 2:] += (color - color.mean(axis=0)) / ALIKE**2
+    g[n:].reshape(-1, 5)[:, 2:] += (color - color.mean(axis=0)) / COLOR_SD**2
     taken = np.linalg.solve(H[n:, n:], np.column_stack([H[n:, :n], g[n:]]))
     matrix, gradient = H[:n, :n] - H[:n, n:] @ taken[:, :-1], g[:n] - H[:n, n:] @ taken[:, -1]
     np.testing.assert_allclose(found.matrix, matrix, atol=2e-4 * np.abs(matrix).max())
     np.testing.assert_allclose(found.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
 
     # The same beside cells of the light, whose own part is what it is without gains.
-    both = system_of(transport, np.exp(x), posterior, tau, Known(prior_of(64)), gains)
-    alone = system_of(transport, np.exp(x), posterior, tau, Known(prior_of(64)))
+    both = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)), gains)
+    alone = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)))
     of_light = np.concatenate([np.arange(64) + c * 70 for c in range(3)])
     of_gains = np.concatenate([np.arange(64, 70) + c * 70 for c in range(3)])
     atol = 1e-5 * np.abs(alone.matrix).max()
@@ -99,7 +106,7 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
 def test_what_gains_have_in_common_is_the_lights():
     gains = FoundGains(np.zeros((4, 3)), np.zeros(4), np.array([False, False, True, False]))
     change = np.arange(12.0).reshape(4, 3)
-    stepped, common = updated(gains, None, None, change, None)
+    stepped, common = step_gains(gains, None, None, change, None)
     np.testing.assert_allclose(common, change[[0, 1, 3]].mean(axis=0))
     np.testing.assert_allclose(stepped.logarithm[[0, 1, 3]].mean(axis=0), 0, atol=1e-12)
     np.testing.assert_allclose(stepped.logarithm[2], -common)  # it took no part
@@ -115,7 +122,7 @@ def test_a_photograph_that_is_taken_back_keeps_the_gain_that_was_found():
     off = 1 + 0.02 * np.random.default_rng(1).normal(size=samples.radiance.shape)
     system = SimpleNamespace(found=samples.radiance * off)
     change = np.full((6, 3), -0.8)  # of the second, the prior alone
-    after, _ = updated(gains, shown, system, change, np.full(40, 0.1))
+    after, _ = step_gains(gains, shown, system, change, np.full(40, 0.1))
     assert not after.odd.any()
     np.testing.assert_allclose(after.logarithm[1] - after.logarithm[0], np.log(2) + 0.8, atol=0.02)
 
@@ -127,8 +134,8 @@ def test_light_and_gains_are_found_together():
     shown = replace(
         samples, radiance=(samples.radiance * np.exp(true)[samples.view]).astype(np.float32)
     )
-    fit = World(shown, SWITCHES, gains=True).light(((64, 9),))
-    alone = World(shown, SWITCHES).light(((64, 9),))
+    fit = LightProblem(shown, SWITCHES, gains=True).light(((64, 9),))
+    alone = LightProblem(shown, SWITCHES).light(((64, 9),))
     assert fit.gains is not None and alone.gains is None and not fit.gains.odd.any()
     assert np.sqrt(np.mean((fit.gains.logarithm - true) ** 2)) < 0.03
     np.testing.assert_allclose(fit.gains.logarithm.mean(axis=0), 0, atol=1e-9)
@@ -252,11 +259,11 @@ def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path
     dark = write_dark(vase, tmp_path / "dark")
     capture = multiplied(svu.load_capture(dark, light="optional"), random_gains(24))
     plain, first, second = Said(), Said(), Said()
-    assert illuminated(capture, progress=plain).images[0] is capture.images[0]
-    lit = illuminated(capture, gains=True, progress=first)
+    assert with_resolved_light(capture, progress=plain).images[0] is capture.images[0]
+    lit = with_resolved_light(capture, gains=True, progress=first)
     assert any("it is found in the photographs first" in line for line in first.lines)
     assert svu.load_light(dark / "light").gains is None
-    again = illuminated(capture, gains=True, progress=second)
+    again = with_resolved_light(capture, gains=True, progress=second)
     assert any("Using the light found before" in line for line in second.lines)
     true = np.exp(random_gains(24))
     for view in range(24):
@@ -266,7 +273,7 @@ def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path
         for v in range(24)
     ])  # fmt: skip
     assert np.sqrt(np.mean((-ratio - np.log(true)) ** 2)) < 0.06
-    folder = illuminated(capture, dark / "light-gains", progress=Said())
+    folder = with_resolved_light(capture, dark / "light-gains", progress=Said())
     np.testing.assert_array_equal(folder.images[5], lit.images[5])  # they come with their light
 
 

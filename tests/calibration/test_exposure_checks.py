@@ -15,27 +15,28 @@ from support.helpers import ball, memory_capture, run
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.bench.captures import even_views
-from svu_mi.calibration.checks.check import find_gains
+from svu_mi.calibration.checks.check import compare_gains
 from svu_mi.calibration.checks.check_result import Finding
 from svu_mi.calibration.checks.exposure_checks import (
-    Arriving,
     Excess,
+    Irradiance,
     Reflections,
-    excess,
+    measure_excess,
     relative_gains,
     too_bright,
 )
 from svu_mi.calibration.checks.surface_samples import (
-    Sightings,
-    Sky,
+    DistantLight,
+    PointSamples,
     emitter_of,
-    look,
+    sample_photographs,
     scatter_points,
 )
-from svu_mi.calibration.checks.thumbnails import Frames, reduced
+from svu_mi.calibration.checks.thumbnails import Thumbnails, reduce_photographs
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.light.environment import directions, read_environment
+from svu_mi.light.environment import read_environment
+from svu_mi.light.latlong import directions
 from svu_mi.scenes import lights
 
 VIEWS, SEED = 24, 1203
@@ -62,7 +63,7 @@ def gained(capture, gains):
 
 
 def gain_finding(capture):
-    return find_gains(capture, reduced(capture, 128), [])
+    return compare_gains(capture, reduce_photographs(capture, 128), [])
 
 
 def test_right_photographs_have_one_gain(vase):
@@ -118,7 +119,7 @@ def test_of_few_photographs_no_gain_is_told(vase):
 
 def test_gains_wait_for_axes(vase):
     wrong = Finding(question="poses", verdict="wrong", sentence="", fixes=("camera-x180",))
-    finding = find_gains(vase, reduced(vase, 128), [wrong])
+    finding = compare_gains(vase, reduce_photographs(vase, 128), [wrong])
     assert finding.verdict == "unknown" and "have to fit first" in finding.sentence
 
 
@@ -178,7 +179,7 @@ def lit_ball():
     capture = memory_capture(scene, [], ())
     environment = read_environment(emitter_of(capture))
     points = scatter_points(capture.shape, 300)
-    return capture, points, Arriving.of(scene, points, environment), oracle(environment, points)
+    return capture, points, Irradiance.of(scene, points, environment), oracle(environment, points)
 
 
 def oracle(environment, points):
@@ -220,8 +221,8 @@ def test_what_is_brighter_than_white_is_counted(lit_ball, albedo, part):
     _, points, arriving, white = lit_ball
     count = len(points.position)
     shown = np.broadcast_to(albedo * white / 250, (4, count, 3))
-    seen = Sightings(np.ones((4, count), bool), shown, from_around(points, 40))
-    found = excess(seen, points, arriving, 250.0)
+    seen = PointSamples(np.ones((4, count), bool), shown, from_around(points, 40))
+    found = measure_excess(seen, points, arriving, 250.0)
     assert found.part == pytest.approx(part, abs=0.01)
     assert found.factor == pytest.approx(albedo, rel=0.04)
     assert (found.sentence() is None) == (albedo < 1.2)  # paint is a little brighter at times
@@ -233,8 +234,8 @@ def test_what_is_seen_from_one_side_only_is_not_judged(lit_ball, degrees, judged
     _, points, arriving, white = lit_ball
     count = len(points.position)
     shown = np.broadcast_to(3 * white, (4, count, 3))
-    seen = Sightings(np.ones((4, count), bool), shown, from_around(points, degrees))
-    assert (excess(seen, points, arriving, 1.0) is not None) == judged
+    seen = PointSamples(np.ones((4, count), bool), shown, from_around(points, degrees))
+    assert (measure_excess(seen, points, arriving, 1.0) is not None) == judged
 
 
 def test_a_few_bright_points_are_not_a_gain():
@@ -264,13 +265,13 @@ def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():
 
 def test_mirrors_look_the_light_up_where_it_is(vase):
     """The model explains most of the vase's samples, and fewer if the map is turned."""
-    small = reduced(vase, 64)
+    small = reduce_photographs(vase, 64)
     points, emitter = scatter_points(small.shape), emitter_of(small)
-    seen = look(points, Frames.of(small))
-    arriving = Arriving.of(small.scene, points, read_environment(emitter))
+    seen = sample_photographs(points, Thumbnails.of(small))
+    arriving = Irradiance.of(small.scene, points, read_environment(emitter))
     explained = []
     for turn in (np.eye(3), np.diag([-1.0, 1.0, -1.0])):
-        light = (Sky.of(emitter, turn), arriving)
+        light = (DistantLight.of(emitter, turn), arriving)
         explained.append(relative_gains(Reflections.of(small.scene, points, seen, light)).explained)
     assert explained[0] > explained[1] + 0.1, explained
 

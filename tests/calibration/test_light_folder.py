@@ -18,12 +18,12 @@ from svu_mi.calibration.light.light_estimate import UNANCHORED
 from svu_mi.calibration.light.light_folder import photographs_of
 from svu_mi.calibration.light.light_summary import (
     brightest,
-    likeness,
-    likeness_sentence,
+    compare_lights,
+    comparison_sentence,
     scale_sentence,
-    sentences,
+    summary_sentences,
 )
-from svu_mi.calibration.light.resolve_light import illuminated, with_map
+from svu_mi.calibration.light.resolve_light import with_map, with_resolved_light
 from svu_mi.capture.capture import LightUncertainty
 from svu_mi.capture.content_hash import capture_key, capture_parts, photographs_key
 from svu_mi.core.io.exr import read_exr, write_exr
@@ -185,7 +185,7 @@ def test_a_capture_without_a_light_names_the_way_to_one(gray_ball):
 def test_a_light_that_moves_is_refused_in_one_sentence(gray_ball, kept):
     svu.save_light(replace(made_up_light(), moves=True), kept)
     with pytest.raises(SceneError, match="The light turns with the camera"):
-        illuminated(gray_ball, kept)
+        with_resolved_light(gray_ball, kept)
 
 
 # --- brightness -------------------------------------------------------------------------------
@@ -266,11 +266,11 @@ def test_the_brightest_direction_is_where_the_light_is():
     assert found is not None and found @ np.array([1, 0, 0]) > np.cos(np.radians(15))
     even = replace(made_up_light(), logarithm=np.zeros((64, 3)))
     assert brightest(even) is None
-    said = list(sentences(made_up_light()))
+    said = list(summary_sentences(made_up_light()))
     assert said[0].startswith("Of the light from all directions, photographs tell ")
     assert "azimuth 9" in said[1] or "azimuth 8" in said[1]  # from -Z towards +X
     assert said[-1] == "Nothing is seen from below."
-    assert "no direction stands out" in list(sentences(even))[1]
+    assert "no direction stands out" in list(summary_sentences(even))[1]
 
 
 def test_the_scale_is_said_as_long_as_it_is_open():
@@ -289,8 +289,8 @@ def test_a_level_that_was_given_is_known():
     assert given.remarks == light.remarks[:-1]
     np.testing.assert_allclose(given.radiance, 2 * light.radiance, rtol=1e-5)
     emitter = mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(light.radiance)})
-    assert likeness(given, emitter).inside is None
-    assert "the interval" not in likeness_sentence(likeness(given, emitter))
+    assert compare_lights(given, emitter).inside is None
+    assert "the interval" not in comparison_sentence(compare_lights(given, emitter))
 
 
 def test_doubt_counts_once_however_often_it_is_asked(gray_ball):
@@ -321,9 +321,9 @@ def test_possible_maps_differ_about_as_much_as_their_cells():
 def test_likeness_is_that_of_the_maps():
     truth = made_up_light()
     emitter = mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(truth.radiance)})
-    same = likeness(truth.scaled(0.5), emitter)
+    same = compare_lights(truth.scaled(0.5), emitter)
     assert same.correlation > 0.999 and same.angle < 3
     np.testing.assert_allclose(same.scale, 2, rtol=1e-3)
-    assert not same.inside and likeness(truth, emitter).inside
-    opposite = likeness(made_up_light(side=-1), emitter)
+    assert not same.inside and compare_lights(truth, emitter).inside
+    opposite = compare_lights(made_up_light(side=-1), emitter)
     assert opposite.correlation < 0 and opposite.angle > 150

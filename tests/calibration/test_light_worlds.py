@@ -11,7 +11,7 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.calibration.light.light_estimate import NINETY
 from svu_mi.calibration.light.light_prior import SD, prior_of
-from svu_mi.calibration.light.light_summary import likeness
+from svu_mi.calibration.light.light_summary import compare_lights
 from svu_mi.core.arrays import fibonacci
 from svu_mi.errors import SceneError
 from svu_mi.light.environment import basis_at
@@ -53,7 +53,7 @@ def painted(folder, light, **material):
 
 def test_the_light_of_the_vase_is_found(vase):
     capture, found = vase
-    like = likeness(found, capture.environment)
+    like = compare_lights(found, capture.environment)
     assert like.correlation > 0.9
     assert like.angle < 15
 
@@ -64,7 +64,7 @@ def test_the_sun_is_brighter_and_not_the_paint_in_it():
         scenes.path("vase"), spp=32, views=40, resolution=(96, 96), defines={"light": "clear"}
     )
     found = svu.estimate_light(capture, svu.texels(capture.mesh, 96), STILL)
-    like = likeness(found, capture.environment)
+    like = compare_lights(found, capture.environment)
     assert like.correlation > 0.8 and like.angle < 10  # .83; .75 if they may be anything
 
 
@@ -82,7 +82,7 @@ def test_a_turntable_is_recognised(vase):
     assert not still.moves and still.misfit[0] < still.misfit[1]
     table = turning(capture)
     found = svu.estimate_light(table, svu.texels(table.mesh, 96), FEW)
-    like = likeness(found, capture.environment)  # turned as in camera space
+    like = compare_lights(found, capture.environment)  # turned as in camera space
     assert found.moves and found.misfit[1] < 0.5 * found.misfit[0]
     assert like.correlation > 0.8
     with pytest.raises(SceneError, match=r"^The light turns with the camera [^\n]*\.$"):
@@ -137,7 +137,7 @@ def metal(window, tmp_path_factory):
 
 def test_the_light_that_metal_mirrors_is_found(metal):
     capture, found = metal
-    like = likeness(found, capture.environment)
+    like = compare_lights(found, capture.environment)
     assert like.correlation > 0.95 and like.inside  # .99
 
 

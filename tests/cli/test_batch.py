@@ -153,7 +153,7 @@ def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
     def made(shelf, item=item):
         commands = Made()
         outcome = shelf.work(item, commands)
-        assert not outcome.sentence and outcome.made == len(commands.lines)
+        assert not outcome.sentence and outcome.steps_run == len(commands.lines)
         return [line[0] for line in commands.lines]
 
     assert made(shelf) == list(STEPS)
@@ -239,7 +239,7 @@ def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of,
     item = BatchItem("a", shelf_of("a") / "a")
     shelf = BatchRunner(output=tmp_path / "out", steps=["entropy"])
     commands = Made([-9, -9])
-    assert shelf.work(item, commands).made == 1 and len(commands.lines) == 3
+    assert shelf.work(item, commands).steps_run == 1 and len(commands.lines) == 3
     shelf = BatchRunner(output=tmp_path / "other", steps=["entropy"])
     assert shelf.work(item, Made([-9] * 3)).sentence == "entropy: was killed 3 times (signal 9)"
     outcome = shelf.work(item, Made([2]))
@@ -261,7 +261,7 @@ def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
     assert shelf.work(item, killed).sentence
     assert ["--resume" in line for line in killed.lines] == [False, True, True]
     again = Made()
-    assert shelf.work(item, again).made == 1 and again.lines[0][-1] == "--resume"
+    assert shelf.work(item, again).steps_run == 1 and again.lines[0][-1] == "--resume"
 
 
 def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path):
@@ -300,9 +300,9 @@ def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch
     outcomes = {one.name: one for one in BatchRunner(output=out).run(read_list(folder))}
     assert "is a file, not a folder" in outcomes["file"].sentence
     assert outcomes["full"].sentence.startswith("out/full/batch.json: No space left on device; ")
-    assert outcomes["full"].done == ("entropy", "recover") and outcomes["full"].made == 2
+    assert outcomes["full"].done == ("entropy", "recover") and outcomes["full"].steps_run == 2
     assert "capture.json: not a readable JSON" in outcomes["odd"].sentence
-    assert not outcomes["good"].sentence and outcomes["good"].made == len(STEPS)
+    assert not outcomes["good"].sentence and outcomes["good"].steps_run == len(STEPS)
 
 
 def test_a_file_that_vanishes_while_it_is_looked_at_is_a_row(shelf_of, tmp_path, monkeypatch):
@@ -398,7 +398,7 @@ def test_who_comes_to_a_capture_that_another_works_on_waits_and_has_nothing_to_d
         with ThreadPoolExecutor(2) as threads:
             return list(threads.map(lambda _: shelf.work(item, Slow()), range(2)))
 
-    assert sorted(one.made for one in outcomes(shelf)) == [0, 4]
+    assert sorted(one.steps_run for one in outcomes(shelf)) == [0, 4]
     said = sorted(one.sentence for one in outcomes(BatchRunner(output=tmp_path / "other")))
     assert not said[0] and "is writing there; wait for it" in said[1]
 

@@ -67,7 +67,7 @@ def lit(folder: Path, given: Path | None = None, elsewhere: Path | None = None) 
     """Return the capture of a folder with a light, and what was said."""
     progress = Said()
     capture = svu.load_capture(folder, light="optional")
-    lit = resolve_light.illuminated(capture, given, elsewhere=elsewhere, progress=progress)
+    lit = resolve_light.with_resolved_light(capture, given, elsewhere=elsewhere, progress=progress)
     return lit, "\n".join(progress.lines)
 
 

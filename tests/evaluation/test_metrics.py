@@ -16,7 +16,7 @@ from svu_mi.evaluation.correlation import (
     sparsification,
     spearman,
 )
-from svu_mi.evaluation.credible_sets import credible_coverage, nearest_cells
+from svu_mi.evaluation.credible_sets import credible_coverage, nearest_bins
 from svu_mi.evaluation.ground_truth import error_summary, ground_truth
 from svu_mi.evaluation.image_metrics import (
     CEILING_DB,
@@ -148,7 +148,7 @@ def test_sparsification_without_errors():
 def test_the_truth_falls_into_the_nearest_cell():
     axes = {"roughness": [0, 0.5, 1], "specular": [0, 1]}
     truth = {"roughness": [0.1, 0.26, 0.9], "specular": [0.2, 0.9, 0.5], "other": [1, 2, 3]}
-    np.testing.assert_array_equal(nearest_cells(axes, truth), [0, 3, 4])
+    np.testing.assert_array_equal(nearest_bins(axes, truth), [0, 3, 4])
 
 
 def test_credible_sets_by_hand():

@@ -19,7 +19,7 @@ from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
 from svu_mi.evaluation import path_trace, traced_posterior, visible_pairs
-from svu_mi.evaluation.squared_errors import PerTexel, brute, linear
+from svu_mi.evaluation.squared_errors import TexelMeans, derive_all, render_all
 from svu_mi.evaluation.traced_posterior import reference_posterior
 from svu_mi.geometry.texels import texels
 from svu_mi.pipeline import estimate
@@ -332,8 +332,8 @@ def test_weights_go_through_the_four_corners():
         m, c = psi["metallic"], psi["base_color"]
         return tuple(np.einsum("hmcpk,m,c->hpk", corners, [1 - m, m], [1 - c, c]))
 
-    mean = PerTexel(texel, 3, weight)
-    a, b = (derive(observed, mean, GRID, render) for derive in (linear, brute))
+    mean = TexelMeans(texel, 3, weight)
+    a, b = (derive(observed, mean, GRID, render) for derive in (derive_all, render_all))
     assert a == pytest.approx(b, rel=1e-9)
 
 

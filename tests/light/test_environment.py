@@ -106,8 +106,8 @@ def test_a_single_bright_texel_is_found_where_a_mirror_shows_it(to_world):
 
     lighting = band_limited_lighting(read_environment(emitter), 400)
     ours = lighting.radiance(mi.Vector3f(np.ascontiguousarray(d.T, np.float32))).numpy().T
-    found = d[ours.sum(axis=1).argmax()]
-    assert np.linalg.norm(found - brightest) < np.radians(3.5)  # a texel is 2.8 degrees wide
+    direction = d[ours.sum(axis=1).argmax()]
+    assert np.linalg.norm(direction - brightest) < np.radians(3.5)  # a texel is 2.8 degrees wide
 
 
 def test_lookups_of_the_filtered_light_agree_with_its_expansion():
@@ -339,7 +339,8 @@ def test_what_is_averaged_of_a_large_map_is_its_light(size, monkeypatch):
 PEAK = """
 import sys, numpy as np, svu_mi, mitsuba as mi
 mi.set_variant("llvm_ad_rgb")
-from svu_mi.light.environment import radiance_from, read_environment
+from svu_mi.light.environment import read_environment
+from svu_mi.light.latlong import radiance_from
 def held(name):
     return next(int(x.split()[1]) for x in open("/proc/self/status") if x.startswith(name)) / 1e3
 emitter = mi.load_dict({"type": "envmap", "filename": sys.argv[1]})

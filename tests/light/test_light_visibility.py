@@ -13,7 +13,8 @@ import svu_mi as svu
 from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import band_limited_lighting
-from svu_mi.light.environment import Environment, directions, quadrature
+from svu_mi.light.environment import Environment
+from svu_mi.light.latlong import directions, quadrature
 from svu_mi.light.light_tree import build_light_tree
 from svu_mi.light.light_visibility import trace_light_visibility
 from svu_mi.posterior.observations import observe
@@ -364,16 +365,16 @@ def root_mean_square(errors):
 def test_a_plate_overhead_takes_its_form_factor():
     heights, surface = (0.5, 1.0, 3.0), points(np.zeros(3), UP)
     plates = [rectangle(mi.ScalarTransform4f().translate([0, 0, h])) for h in heights]
-    found = []
+    irradiances = []
     for sky in turns():
         cells, lighting = tree(sky, 2048), band_limited_lighting(sky, 16)
         reached = (
             trace_light_visibility(scene_of(plate=plate), surface, cells) for plate in plates
         )
-        found.append(
+        irradiances.append(
             [irradiance(visibility.diffuse(surface, lighting, 3)) for visibility in reached]
         )
-    for height, ours in zip(heights, np.moveaxis(found, 1, 0), strict=True):
+    for height, ours in zip(heights, np.moveaxis(irradiances, 1, 0), strict=True):
         # A parallel square over one of its corners, four times [Howell, B-4].
         x = 1 / height
         root = np.sqrt(1 + x * x)

@@ -14,7 +14,8 @@ from oracle import angular as oracle
 from svu_mi.core.arrays import to_drjit
 from svu_mi.light import prefiltered as module
 from svu_mi.light.band_limited import band_limited_lighting, lat_long_texture, look_up
-from svu_mi.light.environment import Environment, directions, quadrature, read_environment
+from svu_mi.light.environment import Environment, read_environment
+from svu_mi.light.latlong import directions, quadrature
 from svu_mi.light.prefiltered import convolve, filter_light, rasterized
 from svu_mi.reflection.lobes import lobe_profile, zonal_profile
 

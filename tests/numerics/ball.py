@@ -138,16 +138,16 @@ def ball(**changes: Any) -> Ball:
 # --- the same estimate in double precision, from samples that are kept ----------------------
 
 
-def exact(found: Estimate, chosen: np.ndarray) -> list[Exact]:
+def exact(estimate: Estimate, chosen: np.ndarray) -> list[Exact]:
     """What the angular entropy of chosen texels is, in double precision from single samples on.
 
     Args:
-        found: the estimate, which knows its capture.
+        estimate: the estimate, which knows its capture.
         chosen: (t,) indices of texels that are seen.
     """
-    grid: Any = found.posterior.grid
-    switches: Any = found.preset
-    observed: Any = found.observed
+    grid: Any = estimate.posterior.grid
+    switches: Any = estimate.preset
+    observed: Any = estimate.observed
     levels = grid.roughness_nodes
     if switches.noise == "estimated":
         levels = np.linspace(0, 1, switches.levels)
@@ -169,7 +169,7 @@ def exact(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     if switches.noise == "estimated":
         kappa = switches.knee * observed.unit
         weights = on / (1 + (b.mean(axis=0) ** 2 + switches.edges * contrast) / kappa**2)
-        noise = noise_of(found.posterior)[observed.lane[chosen]]
+        noise = noise_of(estimate.posterior)[observed.lane[chosen]]
         columns = np.moveaxis(parts, (2, 3), (0, 1))  # (4, t, R, C, V)
         return calibrated_entropies(weights, *columns, np.moveaxis(b, 1, 0), noise, switches)
     result = []

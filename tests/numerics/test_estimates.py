@@ -15,7 +15,7 @@ import svu_mi as svu
 from numerics.ball import METAL, around, ball, exact, lamps, map_light, sphere
 from numerics.samples import assert_entropy, assert_within
 from svu_mi.capture.mesh import MeshArrays
-from svu_mi.light.environment import quadrature
+from svu_mi.light.latlong import quadrature
 from svu_mi.light.prefiltered import convolve
 from svu_mi.reflection.lobes import zonal_profile
 
@@ -31,14 +31,14 @@ def estimate(capture, method="angular", rule="default", resolution=16):
 
 def assert_estimate(capture, method, rule, every=29):
     """Entropy is in [0, 1]; in angle, that of double precision from the same samples."""
-    found = estimate(capture, method, rule)
-    chosen = np.flatnonzero(np.array(found.coverage) > 0)[::every]
-    truth, bounds = np.array(found.entropy), 0.0
+    result = estimate(capture, method, rule)
+    chosen = np.flatnonzero(np.array(result.coverage) > 0)[::every]
+    truth, bounds = np.array(result.entropy), 0.0
     if method == "angular":
-        kept = exact(found, chosen)
+        kept = exact(result, chosen)
         truth[chosen], bounds = [x.entropy for x in kept], np.zeros(len(truth))
         bounds[chosen] = [x.bound for x in kept]
-    assert_entropy(found.entropy, truth, bounds)
+    assert_entropy(result.entropy, truth, bounds)
 
 
 def refused(capture, method="angular", match="."):

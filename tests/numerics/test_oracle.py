@@ -35,11 +35,11 @@ def test_no_error_of_the_energies_moves_entropy_beyond_its_bound(channels, seed,
     rng = np.random.default_rng(seed)
     x = [size * rng.exponential(size=(5, 4)) for _ in range(channels)]
     dx = [np.full((5, 4), error) for _ in range(channels)]
-    found = exact_entropy(x, dx)
+    exact = exact_entropy(x, dx)
     for _ in range(5):
         moved = [a + error * rng.choice([-1, 1], a.shape) for a in x]
         p = oracle.of_channels(oracle.joint(moved), (5, 4))
-        assert abs(oracle.mean_entropy(p) - found.entropy) <= found.bound
+        assert abs(oracle.mean_entropy(p) - exact.entropy) <= exact.bound
 
 
 def test_bounds_are_small_where_nothing_is_uncertain():

@@ -67,8 +67,8 @@ def test_entropy_is_in_0_1_for_any_samples(rule, values, scale):
     colors = switches.colors
     b, *light = (np.repeat(x[:, None], colors, axis=1) for x in values)
     light = [np.repeat(x[:, None], 8, axis=1) for x in light]
-    found = posterior_of((np.ones((2, 3)), b, *light), switches, grid, scale)
-    H, probability = np.array(found.entropy()), np.array(found.probabilities)
+    posterior = posterior_of((np.ones((2, 3)), b, *light), switches, grid, scale)
+    H, probability = np.array(posterior.entropy()), np.array(posterior.probabilities)
     assert ((H >= 0) & (H <= 1)).all()  # NaN is neither
     assert np.isfinite(probability).all()
 
@@ -84,15 +84,16 @@ def test_all_that_is_estimated_is_finite_for_any_samples(values, scale):
     w = 1 / (1 + (values[0] / ESTIMATED.knee) ** 2)
     b, *light = (np.repeat(scale * x[:, None], 3, axis=1) for x in values)
     light = [np.repeat(x[:, None], 8, axis=1) for x in light]
-    found = posterior_of((w, b, *light), ESTIMATED, GRID, scale)
-    H, probability = np.array(found.entropy()), np.array(found.probabilities)
+    posterior = posterior_of((w, b, *light), ESTIMATED, GRID, scale)
+    H, probability = np.array(posterior.entropy()), np.array(posterior.probabilities)
     assert ((H >= 0) & (H <= 1)).all()
     np.testing.assert_allclose(probability.sum(axis=(1, 2, 3)), 1, rtol=1e-5)
-    assert (noise_of(found) > 0).all() and np.isfinite(noise_of(found)).all()
-    drawn = found.draw(3)
-    for name in found.axes:
+    assert (noise_of(posterior) > 0).all() and np.isfinite(noise_of(posterior)).all()
+    drawn = posterior.draw(3)
+    for name in posterior.axes:
         mean, sd, *ends = (
-            np.array(x) for x in (found.mean(name), found.sd(name), *found.interval(name))
+            np.array(x)
+            for x in (posterior.mean(name), posterior.sd(name), *posterior.interval(name))
         )
         for x in (mean, *ends, np.array(drawn[name])):
             assert ((x >= 0) & (x <= 1)).all(), name
@@ -125,8 +126,8 @@ def test_texels_do_not_see_each_other(seed):
     np.testing.assert_array_equal(entropy_of(turned), entropy_of(data)[order])
     colored = samples(seed, 3)
     turned = tuple(x[order] for x in colored)
-    found, again = (entropy_of(x, ESTIMATED) for x in (colored, turned))
-    np.testing.assert_array_equal(again, found[order])
+    entropies, again = (entropy_of(x, ESTIMATED) for x in (colored, turned))
+    np.testing.assert_array_equal(again, entropies[order])
     S_L, S_B = spectra(seed, 3)
     again = spectral(S_L[order], S_B[order], "paper")
     np.testing.assert_array_equal(again, spectral(S_L, S_B, "paper")[order])
@@ -139,8 +140,8 @@ def test_the_order_of_channels_does_not_matter(seed, order):
     w, *fields = samples(seed, 3)
     turned = w, *(np.take(x, order, axis=-2) for x in fields)
     for switches, atol in ((joint, 32 * U), (ESTIMATED, 64 * U)):
-        found, again = (entropy_of(x, switches) for x in ((w, *fields), turned))
-        np.testing.assert_allclose(again, found, atol=atol)
+        entropies, again = (entropy_of(x, switches) for x in ((w, *fields), turned))
+        np.testing.assert_allclose(again, entropies, atol=atol)
     S_L, S_B = spectra(seed, 3)
     total = preset("default", channels="sum", sigma=0.02, parameters="specular")
     again = spectral(S_L[..., order], S_B[..., order], total)

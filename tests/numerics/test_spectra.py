@@ -46,7 +46,7 @@ def assert_posterior(S_L, S_B, switches, grid, E=None, prior=None):
         albedo = mean_albedo(np.maximum(grid.roughness_nodes**2, MIN_ALPHA))
     unit = float(S_B.astype(np.float64).sum(axis=1).mean())
     unit = unit or 1e-4 * float(S_L.astype(np.float64).sum(axis=1).mean()) or 1.0
-    found = spectrum_posterior(
+    posterior = spectrum_posterior(
         S_L, S_B, grid, preset=switches, prior=prior, prefilter=0.3, irradiance=E
     )
     truth = [
@@ -56,7 +56,7 @@ def assert_posterior(S_L, S_B, switches, grid, E=None, prior=None):
         )
         for t in range(len(S_L))
     ]  # fmt: skip
-    assert_entropy(found.entropy(), [x.entropy for x in truth], [x.bound for x in truth])
+    assert_entropy(posterior.entropy(), [x.entropy for x in truth], [x.bound for x in truth])
 
 
 @ALL

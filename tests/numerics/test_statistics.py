@@ -38,10 +38,10 @@ ALL = pytest.mark.parametrize("rule", RULES)
 
 def assert_posterior(data, switches=FIXED, grid=GRID, scale=SCALE, prior=None):
     """Entropy of every texel against double precision from its samples."""
-    found = posterior_of(data, switches, grid, scale, prior)
-    noise = noise_of(found) if switches.noise == "estimated" else None
+    posterior = posterior_of(data, switches, grid, scale, prior)
+    noise = noise_of(posterior) if switches.noise == "estimated" else None
     truth = exact_entropy(data, switches, grid, scale, prior, noise)
-    assert_entropy(found.entropy(), [x.entropy for x in truth], [x.bound for x in truth])
+    assert_entropy(posterior.entropy(), [x.entropy for x in truth], [x.bound for x in truth])
 
 
 @ALL
@@ -147,5 +147,5 @@ def test_any_grid(grid):
 
 
 def test_estimated_noise_is_a_number():
-    found = posterior_of(samples(20101, 3), ESTIMATED)
-    assert (noise_of(found) > 0).all() and np.isfinite(noise_of(found)).all()
+    posterior = posterior_of(samples(20101, 3), ESTIMATED)
+    assert (noise_of(posterior) > 0).all() and np.isfinite(noise_of(posterior)).all()

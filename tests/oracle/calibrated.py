@@ -64,9 +64,9 @@ def between_levels(U: np.ndarray, roughness: float) -> np.ndarray:
     k = min(int(place), last - 1)
     t = place - k
     a, b, c, d = (U[min(max(k + step, 0), last)] for step in (-1, 0, 1, 2))
-    found = b + 0.5 * t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a)))
-    found[..., 3, 3] = np.maximum(found[..., 3, 3], 0)
-    return found
+    forms = b + 0.5 * t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a)))
+    forms[..., 3, 3] = np.maximum(forms[..., 3, 3], 0)
+    return forms
 
 
 def channel(U: np.ndarray, metallic: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

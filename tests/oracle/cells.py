@@ -34,7 +34,7 @@ def gains(cells, n, o, roughness: float, metallic: float, color, widened: float)
     schlick = (1 - along) ** 5
     e = incident * disney_diffuse(i, o, n, roughness, product=False)
     parts = [e, lobe * (1 - schlick), lobe * schlick, lobe * fresnel(along)]
-    found = np.zeros((len(cells), 3))
+    sums = np.zeros((len(cells), 3))
     for channel, c in enumerate(color):
-        found[up, channel] = solid * modelled(parts, c, metallic)
-    return found
+        sums[up, channel] = solid * modelled(parts, c, metallic)
+    return sums

@@ -92,8 +92,8 @@ def columns(
         column = np.clip(cosine * nodes - 0.5, 0, nodes - 1)
         first = np.minimum(np.floor(column).astype(int), nodes - 2)
         part = (column - first)[:, None]
-        found = (1 - part) * albedo[:, first] + part * albedo[:, first + 1]
-        A, B, D = between(found, place).T
+        table = (1 - part) * albedo[:, first] + part * albedo[:, first + 1]
+        A, B, D = between(table, place).T
         f = grazing[:, None]
         along = [c + np.einsum("nci,ni->nc", m, direction) for c, m in ((c0, m0), (c1, m1))]
         retro = f * along[0] + (1 - f) * along[1]

@@ -126,7 +126,7 @@ class Angular:
             cell = np.floor(c * (K - 1) + 0.5).astype(int)
         else:
             c, usual, cell = self.colors, np.ones(K), np.arange(K)
-        found = []
+        rows = []
         for row, prior in enumerate(self.prior):
             off = shown[..., None] - slope[:, row, :, None] * c - base[:, row, :, None]
             E = (w[:, None, None] * off**2).sum(axis=0) / (len(w) if self.averaged else 1)
@@ -136,9 +136,9 @@ class Angular:
             p = z / mass[:, None]
             nats = plogp(np.stack([p[:, cell == k].sum(axis=1) for k in range(K)], axis=1))
             mean = p @ c
-            found.append((prior.sum() * mass.prod() ** self.copies, nats, mean,
+            rows.append((prior.sum() * mass.prod() ** self.copies, nats, mean,
                           p @ c**2 - mean**2))  # fmt: skip
-        return tuple(np.array(x) for x in zip(*found, strict=True))
+        return tuple(np.array(x) for x in zip(*rows, strict=True))
 
     def entropy(self, truth: int, color: np.ndarray) -> float:
         """H in nats of photographs of a truth, mean over channels."""

@@ -25,10 +25,10 @@ def distort(x: np.ndarray, y: np.ndarray, lens: dict[str, float]) -> np.ndarray:
 
 def straight(x: np.ndarray, y: np.ndarray, lens: dict[str, float]) -> np.ndarray:
     """Where a pinhole would show (2, ...) what the lens shows at (x, y), by small steps."""
-    seen = found = np.array([x, y])
+    seen = point = np.array([x, y])
     for _ in range(STEPS):
-        found = found - 0.5 * (distort(*found, lens) - seen)
-    return found
+        point = point - 0.5 * (distort(*point, lens) - seen)
+    return point
 
 
 def chequers(x: np.ndarray, y: np.ndarray, size: float) -> np.ndarray:

@@ -298,8 +298,8 @@ def least_minima(entropy: np.ndarray, pairs: np.ndarray, count: int) -> np.ndarr
     minimum = np.ones(len(entropy), bool)
     for i, j in pairs:
         minimum[i if entropy[j] < entropy[i] else j] = False
-    found = np.flatnonzero(minimum)
-    return found[np.argsort(entropy[found])][:count]
+    minima = np.flatnonzero(minimum)
+    return minima[np.argsort(entropy[minima])][:count]
 
 
 # --- losses ---------------------------------------------------------------------------------
@@ -327,9 +327,9 @@ def total_variation(psi: np.ndarray, pairs: np.ndarray) -> tuple[float, np.ndarr
 
 def differences(f: Callable[[np.ndarray], np.ndarray], x: np.ndarray, step: float = 1e-6):
     """Central differences of f(x) by each number of x (N,): (N, ...)."""
-    found = []
+    slopes = []
     for k in range(len(x)):
         away = np.zeros_like(x)
         away[k] = step
-        found.append((f(x + away) - f(x - away)) / (2 * step))
-    return np.array(found)
+        slopes.append((f(x + away) - f(x - away)) / (2 * step))
+    return np.array(slopes)

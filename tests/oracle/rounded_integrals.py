@@ -64,7 +64,7 @@ def calibrated_entropies(
     weights /= weights.sum(axis=(0, 1))
     masses = _cells(weights, r, m, spread)
     weighted = _cells(weights * wrong, r, m, spread)
-    usual, found = _entropy_of(_prior(r, m)), []
+    usual, results = _entropy_of(_prior(r, m)), []
     for p_of, wrong_of in zip(masses, weighted, strict=True):
         channels = range(p_of.shape[-1])
         H = [_entropy_of(p_of[..., c]) for c in channels]
@@ -72,8 +72,8 @@ def calibrated_entropies(
         # Sums over all cells, one after the other; log Z and sum p x are rounded apart.
         apart = U * (CELLS**3 * len(H) + len(r.value) * len(m.value)) / usual
         entropy = min(float(np.mean(H)) / usual, 1.0)
-        found.append(Exact(entropy, min(float(np.mean(bounds)) + apart, 1.0)))
-    return found
+        results.append(Exact(entropy, min(float(np.mean(bounds)) + apart, 1.0)))
+    return results
 
 
 def _parts(least: int) -> int:
@@ -136,10 +136,10 @@ def _wrong(energy: np.ndarray, off: np.ndarray) -> np.ndarray:
 def _cells(weight: np.ndarray, r: Nodes, m: Nodes, given: np.ndarray) -> np.ndarray:
     """Sum weights (N, L, T) of nodes, each spread over ``given`` (N, L, K, C, T), over cells:
     (T, R, M, K, C)."""
-    found = np.zeros((weight.shape[-1], CELLS, CELLS, CELLS, given.shape[3]))
+    masses = np.zeros((weight.shape[-1], CELLS, CELLS, CELLS, given.shape[3]))
     for i, j in np.ndindex(weight.shape[:2]):
-        found[:, r.cell[i], m.cell[j]] += (weight[i, j] * given[i, j]).transpose(2, 0, 1)
-    return found
+        masses[:, r.cell[i], m.cell[j]] += (weight[i, j] * given[i, j]).transpose(2, 0, 1)
+    return masses
 
 
 def _prior(r: Nodes, m: Nodes) -> np.ndarray:

@@ -26,7 +26,7 @@ from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer import viser_mesh
 from svu_mi.output.viewer.picking import Picker, nearest_texel, texel_markdown
 from svu_mi.output.viewer.viewer import Viewer
-from svu_mi.output.viewer.viser_mesh import GAIN, before_tone_mapping, frustum
+from svu_mi.output.viewer.viser_mesh import LIGHT_STRENGTH, before_tone_mapping, frustum
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 
@@ -98,8 +98,8 @@ def test_a_pick_says_what_the_estimate_says(capture, known, picker):
         assert pick.entropy == entropy[texel]
         assert len(pick.seen_by) == coverage[texel]
         assert np.array_equal(pick.position, position[:, texel])
-        assert list(pick.known) == (list(best) if coverage[texel] else [])
-        for name, told in pick.known.items():
+        assert list(pick.summaries) == (list(best) if coverage[texel] else [])
+        for name, told in pick.summaries.items():
             truth = (best[name].numpy(), means[name], *(end.numpy() for end in intervals[name]))
             for one, of_all in zip(told, truth, strict=True):
                 assert np.array_equal(one.astype(np.float32), np.atleast_1d(of_all[texel]))
@@ -140,7 +140,7 @@ def test_seen_by_numbers_the_views_of_the_capture(capture, known, picker):
 def test_an_unseen_texel_is_grey_and_nothing_is_known_of_it(capture, known, picker):
     unseen = int(np.flatnonzero(np.array(known.coverage) == 0)[0])
     pick = picker.describe(unseen)
-    assert not pick.known
+    assert not pick.summaries
     assert "seen by none of 4 views" in texel_markdown(capture, pick)
     assert "nothing is known" in texel_markdown(capture, pick)
     for name in ("entropy", "coverage", "most probable base colour", "entropy of metallic"):
@@ -200,7 +200,7 @@ def test_tone_mapping_is_undone():
     random = np.random.default_rng(118_340)
     colors = np.concatenate([np.full((9, 3), 0.09) * np.arange(9)[:, None],
                              0.2 + 0.3 * random.random((50, 3))])  # fmt: skip
-    assert np.abs(tone_mapped(GAIN * before_tone_mapping(colors)) - colors).max() < 2e-3
+    assert np.abs(tone_mapped(LIGHT_STRENGTH * before_tone_mapping(colors)) - colors).max() < 2e-3
 
 
 def page(url):
@@ -263,7 +263,7 @@ def test_command_line(tmp_path, monkeypatch, capsys, variant):
     assert main([*words, "--recovered", str(tmp_path / "nowhere")]) == 2
     assert "no such folder" in capsys.readouterr().err
     with monkeypatch.context() as patch:
-        patch.setattr(View, "load_lit", None)  # refused before any work
+        patch.setattr(View, "load_with_light", None)  # refused before any work
         assert main(["view", str(scene), "--port", "65536"]) == 2
     assert "--port must be" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "viser", None)

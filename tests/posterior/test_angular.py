@@ -126,8 +126,8 @@ def test_every_rule_agrees_with_brute_force(switches, with_prior):
             ours = np.array(posterior.marginal(name))[t].reshape(len(nodes), -1)
             np.testing.assert_allclose(ours, marginal[:, : ours.shape[1]], atol=1e-5)
             value = np.array(best[name])[t].ravel()
-            found = nodes[[cell[axis] for cell in cells]][: len(value)]
-            np.testing.assert_allclose(value, found, atol=1e-6)
+            expected = nodes[[cell[axis] for cell in cells]][: len(value)]
+            np.testing.assert_allclose(value, expected, atol=1e-6)
 
 
 @pytest.mark.few(4)

@@ -24,23 +24,23 @@ def with_hot_pixel(capture, value: float):
     return replace(capture, images=tuple(images))
 
 
-def off(found: np.ndarray, before: np.ndarray) -> float:
+def off(entropy: np.ndarray, before: np.ndarray) -> float:
     """Part of the texels whose entropy is another one."""
-    return float((np.abs(found - before) > 0.02).mean())
+    return float((np.abs(entropy - before) > 0.02).mean())
 
 
 def test_a_pixel_of_1e10_is_left_out_and_its_photograph_named(vase):
     hot = with_hot_pixel(vase.capture, 1e10)
     with pytest.warns(SvuWarning, match="left out") as caught:
-        found = svu.estimate(hot, vase.texels).entropy.numpy()
+        entropy = svu.estimate(hot, vase.texels).entropy.numpy()
     name = vase.capture.names[VIEW]
     sentence = str(caught[0].message)
     assert sentence.startswith(f"{name}: 1 pixel is ") and sentence.endswith(
         " times as bright as the median of the object; left out."
     )
     before = vase.estimate.entropy.numpy()
-    assert off(found, before) < 0.005
-    assert found.mean() == pytest.approx(before.mean(), abs=0.002)
+    assert off(entropy, before) < 0.005
+    assert entropy.mean() == pytest.approx(before.mean(), abs=0.002)
 
 
 @pytest.mark.parametrize("value", [1e2, 1e5])
@@ -49,8 +49,8 @@ def test_a_glaring_pixel_does_not_change_the_map(vase, value):
     hot = with_hot_pixel(vase.capture, value)
     with warnings.catch_warnings():
         warnings.simplefilter("error", SvuWarning)
-        found = svu.estimate(hot, vase.texels).entropy.numpy()
-    assert found.mean() == pytest.approx(vase.estimate.entropy.numpy().mean(), abs=0.01)
+        entropy = svu.estimate(hot, vase.texels).entropy.numpy()
+    assert entropy.mean() == pytest.approx(vase.estimate.entropy.numpy().mean(), abs=0.01)
 
 
 def test_photographs_that_are_what_they_seem_lose_no_pixel(vase):

@@ -142,9 +142,9 @@ def test_a_reference_of_texels_that_nobody_sees_knows_nothing(capture, layout):
     estimate = svu.estimate(one, layout)
     unseen = np.flatnonzero(estimate.observed.coverage == 0)[:4]
     assert len(unseen)
-    found = svu.reference_posterior(estimate, subset=unseen, spp=2, grid=GRID)
-    np.testing.assert_array_equal(found.entropy, 1)
-    assert not found.coverage.any()
+    reference = svu.reference_posterior(estimate, subset=unseen, spp=2, grid=GRID)
+    np.testing.assert_array_equal(reference.entropy, 1)
+    assert not reference.coverage.any()
 
 
 def test_mirrors_are_read_where_narrow_lobes_are(capture, layout, calls):

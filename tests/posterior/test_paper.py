@@ -27,7 +27,8 @@ from svu_mi.geometry.neighbors import neighbors
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.guidance.strategy_inputs import StrategyInputs
 from svu_mi.light.band_limited import lat_long_texture, look_up
-from svu_mi.light.environment import directions, quadrature, synthesize
+from svu_mi.light.environment import synthesize
+from svu_mi.light.latlong import directions, quadrature
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.spectrum import spectrum_grid
@@ -96,10 +97,10 @@ def unit(directions: np.ndarray) -> np.ndarray:
     return d / np.linalg.norm(d, axis=-1, keepdims=True)
 
 
-def close(found: Any, exact: np.ndarray, tolerance: float = EXACT) -> None:
+def close(values: Any, exact: np.ndarray, tolerance: float = EXACT) -> None:
     """Agreement to a part of the largest value."""
     exact = np.asarray(exact, np.float64)
-    error = np.abs(np.asarray(found, np.float64) - exact).max()
+    error = np.abs(np.asarray(values, np.float64) - exact).max()
     assert error <= tolerance * np.abs(exact).max(), error / np.abs(exact).max()
 
 
@@ -107,9 +108,9 @@ def backward(loss: Any, values: np.ndarray) -> tuple[float, np.ndarray]:
     """Value and derivatives by Dr.Jit's AD of a function of a TensorXf."""
     tensor = mi.TensorXf(to_drjit(mi.Float, values.astype(np.float32).ravel()), shape=values.shape)
     dr.enable_grad(tensor)
-    found = loss(tensor)
-    value = np.array(dr.detach(found), np.float64)
-    dr.backward(found)
+    result = loss(tensor)
+    value = np.array(dr.detach(result), np.float64)
+    dr.backward(result)
     return float(value.ravel()[0]), np.array(tensor.grad, np.float64)
 
 
@@ -132,8 +133,8 @@ def test_eq01_02_04_the_posterior_is_normalised_likelihood_times_prior(uniform):
     S_L, S_B = spectra(rng, 20)
     prior = None if uniform else rng.uniform(0.2, 1, GRID.shape)
     p = np.array(of_paper(S_L, S_B, 2.0, prior).probabilities)
-    for found, d in zip(p, exact_distances(S_L, S_B), strict=True):
-        close(found, paper.posterior(paper.likelihood(d, 2.0), 1.0 if uniform else prior))
+    for table, d in zip(p, exact_distances(S_L, S_B), strict=True):
+        close(table, paper.posterior(paper.likelihood(d, 2.0), 1.0 if uniform else prior))
 
 
 @pytest.mark.parametrize("sigma", [0.5, 2.0])
@@ -141,10 +142,10 @@ def test_eq03_the_likelihood_falls_with_the_distance_over_two_sigma_squared(sigm
     """The ratio of two cells has no normalisation in it."""
     S_L, S_B = spectra(np.random.default_rng(911382), 20)
     p = np.array(of_paper(S_L, S_B, sigma).probabilities, np.float64)
-    for found, d in zip(p, exact_distances(S_L, S_B), strict=True):
+    for table, d in zip(p, exact_distances(S_L, S_B), strict=True):
         exact = paper.likelihood(d, sigma)
         likely = exact > 1e-8  # single precision has no digits of what is less likely
-        close(np.log(found[likely] / found.max()), np.log(exact[likely]))
+        close(np.log(table[likely] / table.max()), np.log(exact[likely]))
 
 
 @pytest.mark.parametrize("sigma", [0.02, None, 1.0])
@@ -241,7 +242,7 @@ def test_eq06_the_sh_model(observed, samples):
     model = observed.model(NODES, SH, 3)
     rng = np.random.default_rng(30033)
     color, metallic = rng.random((LEVELS, 3)), rng.random(LEVELS)
-    found = np.zeros((LEVELS, *samples.shown.shape))
+    radiance = np.zeros((LEVELS, *samples.shown.shape))
     for view, (direction, cosine) in enumerate(zip(samples.direction, samples.cosine, strict=True)):
         columns = model.columns(
             to_drjit(mi.Vector3f, direction.T.astype(np.float32)),
@@ -251,8 +252,8 @@ def test_eq06_the_sh_model(observed, samples):
             for c in range(3):
                 e, p, q, d = (np.array(x, np.float64) for x in level[c])
                 m, base = metallic[k], color[k, c]
-                found[k, view, :, c] = (1 - m) * (base * e + d) + m * (base * p + q)
-    exact = found.copy()
+                radiance[k, view, :, c] = (1 - m) * (base * e + d) + m * (base * p + q)
+    exact = radiance.copy()
     for s in range(len(samples.texel)):
         *sample, _ = samples.of(s)
         for k, roughness in enumerate(NODES):
@@ -260,7 +261,7 @@ def test_eq06_the_sh_model(observed, samples):
                 *sample, color[k], roughness, metallic[k], L, 1e-3
             )
     for k in range(LEVELS):
-        close(found[k], exact[k])
+        close(radiance[k], exact[k])
 
 
 def test_eq06_irradiance_is_the_integral_over_the_light(observed, samples):
@@ -324,11 +325,11 @@ def gradient_of(objective: Any, textures: dict[str, Any], place: np.ndarray) -> 
         dr.enable_grad(tensor)
     loss = objective(textures)
     dr.backward(loss)
-    found = [
+    gradients = [
         np.array(textures[name].grad, np.float64).reshape(-1, n)[place]
         for name, n in (("base_color", 3), ("roughness", 1), ("metallic", 1))
     ]
-    return float(dr.detach(loss)[0]), np.concatenate(found, axis=1)
+    return float(dr.detach(loss)[0]), np.concatenate(gradients, axis=1)
 
 
 def exact_loss(samples: Samples, rows: np.ndarray, scale: float) -> tuple[float, np.ndarray]:
@@ -395,10 +396,10 @@ def summed_errors(objective: Any, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
     values = as_values(rows.T)
     dr.enable_grad(values)
     errors = objective.errors(values)
-    found = np.array(dr.detach(errors), np.float64)
+    result = np.array(dr.detach(errors), np.float64)
     dr.backward(dr.sum(errors))
     slopes = [np.array(dr.grad(column), np.float64) for column in flatten_values(values)]
-    return found, np.stack(slopes, axis=1)
+    return result, np.stack(slopes, axis=1)
 
 
 def exact_coefficients(x: np.ndarray, light: np.ndarray, E: np.ndarray) -> np.ndarray:
@@ -443,9 +444,9 @@ def test_eq07_a_constant_has_one_coefficient():
     d = rng.normal(size=(1, 4000, 3)).astype(np.float32)
     d /= np.linalg.norm(d, axis=-1, keepdims=True)
     value = np.full((1, 4000, 1), 0.7 / np.pi, np.float32)
-    found = np.array(svu.fit_sh(d, np.ones((1, 4000)), value, preset="paper"))[0]
+    coefficients = np.array(svu.fit_sh(d, np.ones((1, 4000)), value, preset="paper"))[0]
     # lambda = 1e-3 against 4000 samples over 4 pi: 3e-6.
-    close(found, paper.constant(np.array([0.7 / np.pi]), L))
+    close(coefficients, paper.constant(np.array([0.7 / np.pi]), L))
 
 
 def test_eq08_power_spectrum():
@@ -478,8 +479,8 @@ def test_eq11_distance():
     exact = exact_distances(S_L, S_B)
     sigma = float(np.sqrt(np.ptp(exact, axis=(1, 2)).max() / 20))  # all cells keep their digits
     p = np.array(of_paper(S_L, S_B, sigma).probabilities, np.float64)
-    for found, d in zip(p, exact, strict=True):
-        log = np.log(found)
+    for table, d in zip(p, exact, strict=True):
+        log = np.log(table)
         close(2 * sigma**2 * (log.max() - log), d - d.min(), 2 * EXACT)
 
 
@@ -493,14 +494,14 @@ def test_eq12_fit(views, regularizer, method):
     d = hemisphere(rng, (texels, views))
     w = np.abs(d[..., 2]) * (rng.random((texels, views)) < 0.8)
     f = rng.gamma(1.0, 1.0, (texels, views, 2)).astype(np.float32)
-    found = np.array(
+    entropies = np.array(
         svu.fit_sh(d, w, f, lmax=L, regularizer=regularizer, preset="paper", method=method)
     )
     for t in range(texels):
         exact = paper.fit(
             unit(d[t]), w[t].astype(np.float64), f[t].astype(np.float64), L, regularizer
         )
-        close(found[t], exact)
+        close(entropies[t], exact)
 
 
 # --- Eq. 13 ---------------------------------------------------------------------------------
@@ -516,7 +517,7 @@ def test_eq13_expected_entropy(observed, samples):
     options = svu.GuidanceOptions(band_limit="growing")
     known = StrategyInputs(estimate, estimate.observed, candidates, samples.texel, options)
     views, asked = np.arange(14), 14 + np.arange(3)
-    found = known.forecast.expected(views, asked, np.arange(len(samples.texel)))
+    expected = known.forecast.expected(views, asked, np.arange(len(samples.texel)))
     responses, prefilter = known.forecast.relight(15)  # w, direction and light of every view
     assert prefilter == pytest.approx(15**-0.5, rel=1e-12)
     table = responses.table().astype(np.float64)
@@ -526,12 +527,12 @@ def test_eq13_expected_entropy(observed, samples):
         S_B = paper.power(paper.fit(wo, cosine, shown, L, 1e-3))
         for a, candidate in enumerate(asked):
             if table[candidate, s, 0] == 0:
-                assert np.isnan(found[a, s])
+                assert np.isnan(expected[a, s])
                 continue
             rows = table[[v for v in (*views, candidate) if table[v, s, 0] > 0], s]
             S_L = paper.power(paper.fit(unit(rows[:, 1:4]), rows[:, 0], rows[:, 4:], L, 1e-3))
             exact = paper.expected_entropy(S_B, S_L, KS, ALPHAS, sigma)
-            assert found[a, s] == pytest.approx(exact, rel=EXACT)
+            assert expected[a, s] == pytest.approx(exact, rel=EXACT)
             checked, low, high = checked + 1, min(low, exact), max(high, exact)
     assert checked > 40 and high - low > 0.2
 
@@ -594,10 +595,10 @@ def at_texels(where: Any, values: np.ndarray) -> np.ndarray:
 def test_eq14_sharing(sphere):
     """Seeds are pulled by what they pull at, as the derivative of the printed sum has it."""
     where, seeds = sphere.where, np.array([7, 61, 90, 118])
-    found = svu.GlobalSharing.printed(sphere.estimate, sphere.mesh, seeds=seeds)
+    sharing = svu.GlobalSharing.printed(sphere.estimate, sphere.mesh, seeds=seeds)
     w = paper.sharing_weights(sphere.p, seeds)
     values = texture(3301)
-    value, gradient = backward(found, values)
+    value, gradient = backward(sharing, values)
     exact, slope = paper.sharing(at_texels(where, values), seeds, w)
     assert value == pytest.approx(exact, rel=EXACT)
     close(at_texels(where, gradient), slope)
@@ -608,8 +609,8 @@ def test_eq14_sharing(sphere):
 
 def test_eq15_weights(sphere):
     seeds = np.array([7, 61, 90, 118])
-    found = svu.GlobalSharing.printed(sphere.estimate, sphere.mesh, seeds=seeds)
-    w = np.array(found.weights, np.float64).reshape(len(seeds), -1).T
+    sharing = svu.GlobalSharing.printed(sphere.estimate, sphere.mesh, seeds=seeds)
+    w = np.array(sharing.weights, np.float64).reshape(len(seeds), -1).T
     exact = paper.sharing_weights(sphere.p, seeds)
     assert np.ptp(exact) > 0.9
     close(w, exact)
@@ -619,8 +620,8 @@ def test_eq15_seeds_are_the_least_local_minima(sphere):
     pairs = np.stack([column.numpy() for column in neighbors(sphere.where, sphere.mesh).pairs], 1)
     entropy = np.array([paper.entropy(p) for p in sphere.p])
     for count in (3, 20):
-        found = svu.GlobalSharing.printed(sphere.estimate, sphere.mesh, seeds=count).seeds
-        np.testing.assert_array_equal(found, paper.least_minima(entropy, pairs, count))
+        chosen = svu.GlobalSharing.printed(sphere.estimate, sphere.mesh, seeds=count).seeds
+        np.testing.assert_array_equal(chosen, paper.least_minima(entropy, pairs, count))
 
 
 # --- losses ---------------------------------------------------------------------------------

@@ -29,9 +29,9 @@ def tiled(monkeypatch):
         monkeypatch.setattr(pipeline, "TILE", SMALL)
         monkeypatch.setattr(TiledKernel, "size", SMALL)
         monkeypatch.setattr(calibrated, "SPAN", SMALL)
-        found = do(*args, **options)
+        result = do(*args, **options)
         monkeypatch.undo()
-        return found
+        return result
 
     return estimated
 
@@ -91,10 +91,10 @@ def test_guidance_and_recovery_go_on_from_tiles(vase, tiled):
     whole = materialized(apart)
     np.testing.assert_array_equal(np.array(whole.entropy), np.array(vase.estimate.entropy))
     assert materialized(vase.estimate) is vase.estimate
-    found = svu.recover(apart, preset="default")
+    recovered = svu.recover(apart, preset="default")
     known = svu.recover(replace(vase.estimate), preset="default")
     np.testing.assert_allclose(
-        found.textures.roughness, known.textures.roughness, rtol=1e-4, atol=1e-4
+        recovered.textures.roughness, known.textures.roughness, rtol=1e-4, atol=1e-4
     )
 
 
@@ -104,7 +104,7 @@ def test_statistics_of_tiles_are_kept_for_those_who_go_on_from_them(vase, shown,
     together = svu.estimate(shown, vase.texels, preset=preset)
     apart = tiled(shown, vase.texels, preset=preset, whole=True)
     assert type(apart.posterior.kernel) is type(together.posterior.kernel)
-    one, other = (found.posterior.kernel.problem.factors for found in (apart, together))
+    one, other = (source.posterior.kernel.problem.factors for source in (apart, together))
     np.testing.assert_allclose(one.table(), other.table(), rtol=1e-6, atol=1e-7)
     np.testing.assert_array_equal(one.texel.numpy(), other.texel.numpy())
     np.testing.assert_array_equal(one.views.numpy(), other.views.numpy())
@@ -137,9 +137,9 @@ def test_the_same_few_texels_are_gathered_once_for_several_questions(vase, tiled
     few = np.arange(0, posterior.count, 13)
     kept = [posterior.half_width(name, 0.9, few) for name in posterior.axes]
     assert not made  # the first pass has kept those of some texels
-    for name, found in zip(posterior.axes, kept, strict=True):
+    for name, half_width in zip(posterior.axes, kept, strict=True):
         np.testing.assert_allclose(
-            found, vase.estimate.posterior.half_width(name, 0.9, few), atol=1e-6
+            half_width, vase.estimate.posterior.half_width(name, 0.9, few), atol=1e-6
         )
     first = [posterior.half_width(name, 0.8, few) for name in posterior.axes]
     assert len([count for count in made if count > 1]) == 1

@@ -83,7 +83,7 @@ PRIOR = np.array([0, 0, 1, 1, 2, 1, 1, 0.0])  # of roughness
 
 
 @pytest.fixture(scope="module")
-def found(grey):
+def estimates(grey):
     """Return the estimate by a rule, with some work left out."""
 
     @functools.cache
@@ -99,9 +99,9 @@ def found(grey):
     ("angular", "fixed", None), ("spectrum", "default", None),
     *(("angular", "default", name) for name in (None, *vars(NOTHING))),
 ])  # fmt: skip
-def test_every_switch_leaves_the_result(found, method, rule, name):
-    ours = found(method, rule, Skip())
-    other = found(method, rule, replace(NOTHING, **{name: True}) if name else NOTHING)
+def test_every_switch_leaves_the_result(estimates, method, rule, name):
+    ours = estimates(method, rule, Skip())
+    other = estimates(method, rule, replace(NOTHING, **{name: True}) if name else NOTHING)
     np.testing.assert_allclose(entropy(ours), entropy(other), atol=TOLERANCE)
     chosen = np.flatnonzero(np.array(ours.coverage) > 0)[::97]
     np.testing.assert_allclose(
@@ -245,10 +245,14 @@ def test_another_prior_needs_no_other_kernel(grey, method, rule):
     rng = np.random.default_rng(90001)
     for run in range(3):
         compiled = sum(detail.launch_stats()[1:])
-        found = estimate(capture, texels, method, rule, prior=rng.random((8, 8, 8))).posterior
-        for name in found.axes:
-            found.mean(name), found.sd(name), found.interval(name, rng.uniform(0.5, 0.9))
-        found.draw(2, seed=run)
+        posterior = estimate(capture, texels, method, rule, prior=rng.random((8, 8, 8))).posterior
+        for name in posterior.axes:
+            (
+                posterior.mean(name),
+                posterior.sd(name),
+                posterior.interval(name, rng.uniform(0.5, 0.9)),
+            )
+        posterior.draw(2, seed=run)
         if run > 1:
             assert sum(detail.launch_stats()[1:]) == compiled
 

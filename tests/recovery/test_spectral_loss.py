@@ -17,7 +17,7 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.spectra import fit_coefficients, fit_spectra
 from svu_mi.geometry.sample_view import TexelLanes
-from svu_mi.light import environment as env
+from svu_mi.light import latlong
 from svu_mi.light.band_limited import moment_map
 from svu_mi.light.prefiltered import filter_light
 from svu_mi.parameters import CHANNELS, NAMES
@@ -162,8 +162,8 @@ def test_moments_by_normal_are_sums_over_the_light(observed):
     """The maps against quadrature over all directions of the light, in double precision."""
     environment = observed.lighting.environment
     rows, columns = environment.radiance.shape[:2]
-    local = env.directions(columns, rows).reshape(-1, 3)
-    solid = np.repeat(env.quadrature(rows) * 2 * np.pi / columns, columns)
+    local = latlong.directions(columns, rows).reshape(-1, 3)
+    solid = np.repeat(latlong.quadrature(rows) * 2 * np.pi / columns, columns)
     flux = environment.radiance.reshape(-1, 3) * solid[:, None]
     rng = np.random.default_rng(802)
     normal = rng.normal(size=(20, 3))

@@ -19,8 +19,8 @@ from svu_mi.capture.scene import load_scene
 from svu_mi.core import validation
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, SceneError
-from svu_mi.light.environment import radiance_from, read_environment
-from svu_mi.light.latlong import grid_size
+from svu_mi.light.environment import read_environment
+from svu_mi.light.latlong import grid_size, radiance_from
 
 SECONDS = 8  # a refusal, on a busy machine
 VASE = scenes.path("vase")

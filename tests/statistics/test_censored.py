@@ -63,10 +63,10 @@ def test_the_best_models_are_those_of_a_search():
     table = np.stack(
         [(columns[..., i] * columns[..., j]).sum(axis=2) for i, j in PAIRS], axis=-1
     ).transpose(0, 2, 3, 1)
-    found = find_best_models(Statistics.of(
+    models = find_best_models(Statistics.of(
         table, np.full(5, 12.0), np.full(5, 12), np.linspace(0, 1, 3), 1.0))  # fmt: skip
-    assert isinstance(found, BestModels)
-    values, sigma = found.values.numpy().reshape(5, 3, 3), found.sigma.numpy()
+    assert isinstance(models, BestModels)
+    values, sigma = models.values.numpy().reshape(5, 3, 3), models.sigma.numpy()
     for level in range(3):
         np.testing.assert_allclose(values[:, level, 0], 0.5, atol=1e-6)
         np.testing.assert_allclose(values[:, level, 1:], truth, atol=0.02)
@@ -103,10 +103,10 @@ def test_channels_that_are_clipped_are_known_to_be_bright(tmp_path):
     (tmp_path / "images").mkdir()
     photograph(tmp_path / "images" / "view_0000.png")
     capture = svu.load_capture(scene)
-    image, found = capture.images[0], capture.clipped[0]
-    assert found.flags[3, 4].all() and found.flags[5, 6].tolist() == [True, False, False]
-    assert found.flags.sum() == 4 and capture.unusable == (2,)
-    np.testing.assert_allclose(found.least, LIMIT, rtol=1e-6)
+    image, saturation = capture.images[0], capture.clipped[0]
+    assert saturation.flags[3, 4].all() and saturation.flags[5, 6].tolist() == [True, False, False]
+    assert saturation.flags.sum() == 4 and capture.unusable == (2,)
+    np.testing.assert_allclose(saturation.least, LIMIT, rtol=1e-6)
     assert np.isnan(image[3, 4]).all() and np.isnan(image[5, 6]).tolist() == [True, False, False]
     assert image[5, 6, 1] == pytest.approx(float(decoded(np.array(90 / 255, np.float32))))
     other = replace(capture, clipped=())
@@ -136,16 +136,18 @@ def test_what_is_clipped_in_all_views_is_seen_to_be_bright(vase):
     """It has not been unseen: it is at least as bright as photographs can say."""
     before = vase.estimate
     stored, _ = in_integers(vase.capture, before.observed, 0.3)
-    found = svu.estimate(stored, vase.texels)
-    always = (found.observed.coverage == 0) & (found.observed.shown > 0)
+    estimate = svu.estimate(stored, vase.texels)
+    always = (estimate.observed.coverage == 0) & (estimate.observed.shown > 0)
     assert always.sum() > 50
-    assert found.posterior.observed[always].all() and np.array(found.coverage)[always].min() > 0
-    assert np.median(np.array(found.entropy)[always]) < 0.9
+    assert (
+        estimate.posterior.observed[always].all() and np.array(estimate.coverage)[always].min() > 0
+    )
+    assert np.median(np.array(estimate.entropy)[always]) < 0.9
     dropped = svu.estimate(replace(stored, clipped=()), vase.texels)
     assert not dropped.posterior.observed[always].any()
     right = np.array(before.posterior.mean("base_color"))[always]
     errors = [np.square(np.array(x.posterior.mean("base_color"))[always] - right).mean()
-              for x in (found, dropped)]  # fmt: skip
+              for x in (estimate, dropped)]  # fmt: skip
     assert errors[0] < 0.7 * errors[1]
 
 
@@ -154,9 +156,9 @@ def test_presets_that_leave_clipped_samples_out_do_not_see_such_texels(vase):
     observed = observe(stored, vase.texels)
     always = (observed.coverage == 0) & (observed.shown > 0)
     for name in ("fixed", "paper"):
-        found = svu.estimate(observed, preset=name)
-        assert not found.posterior.observed[always].any(), name
-        assert not np.array(found.coverage)[always].any(), name
+        estimate = svu.estimate(observed, preset=name)
+        assert not estimate.posterior.observed[always].any(), name
+        assert not np.array(estimate.coverage)[always].any(), name
 
 
 def test_an_object_that_is_clipped_altogether_is_said_to_be(vase):
@@ -197,10 +199,10 @@ def test_more_is_known_where_something_is_clipped_and_nothing_changes_elsewhere(
     texels = svu.texels(shiny.mesh, 32)
     hdr = observe(shiny, texels)
     stored, _ = in_integers(shiny, hdr, 0.05)
-    seen, found = statistics_of(stored, texels)
+    seen, statistics = statistics_of(stored, texels)
     _, without = statistics_of(replace(stored, clipped=()), texels)
-    both = np.intersect1d(found.texel.numpy(), without.texel.numpy())
-    one, other = (x.subset(np.searchsorted(x.texel.numpy(), both)) for x in (found, without))
+    both = np.intersect1d(statistics.texel.numpy(), without.texel.numpy())
+    one, other = (x.subset(np.searchsorted(x.texel.numpy(), both)) for x in (statistics, without))
     touched = seen.visibility.clipped.count()[both] > 0
     assert 0.05 < touched.mean() < 0.9
     assert np.median((one.weight / other.weight)[touched]) > 1

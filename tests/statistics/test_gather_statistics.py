@@ -243,21 +243,21 @@ def test_errors_of_what_fits_are_not_negative():
     w, columns, _ = random_columns(rng, 30, levels=1)
     m, c = points()
     b = oracle.modelled(columns, c[3], m[5])[:, 0]
-    found = summed((w, columns, b), np.arange(30)).errors(m, c)
-    assert (found >= 0).all()
-    assert (found[..., 5, 3] < 1e-13 * (b**2).mean()).all()
+    errors = summed((w, columns, b), np.arange(30)).errors(m, c)
+    assert (errors >= 0).all()
+    assert (errors[..., 5, 3] < 1e-13 * (b**2).mean()).all()
 
 
 def parts_of(scene, groups, texels, switches, kappa, places, **options):
     """Statistics of the same texels for several captures; all texels are kept."""
-    found = []
+    results = []
     for chosen in groups:
         capture = noise_capture(scene, chosen, places=places, **options)
         observed = observe(capture, texels, skip_unseen=False)
-        found.append(observed.statistics(
+        results.append(observed.statistics(
             ROUGHNESS, switches, switches.colors, weighting=Weighting(kappa)
         ))  # fmt: skip
-    return found
+    return results
 
 
 @pytest.mark.few(1)

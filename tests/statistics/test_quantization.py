@@ -50,8 +50,8 @@ def test_steps_are_those_between_codes(bits, transfer):
     codes = np.arange(2**bits, dtype=np.float64)
     values = decoded(codes / codes[-1], transfer).astype(np.float64)
     steps, middle = np.diff(values), (values[1:] + values[:-1]) / 2
-    found = Rounding.of(bits, transfer)
-    steps_of = variance(owned_floats(middle), float(found.first[0]), float(found.slope[0]))
+    rounding = Rounding.of(bits, transfer)
+    steps_of = variance(owned_floats(middle), float(rounding.first[0]), float(rounding.slope[0]))
     said = np.sqrt(12 * steps_of.numpy())
     lit = middle > 4e-3  # in single precision, small steps of 16 bits are rounded themselves
     if transfer == "linear":
@@ -66,10 +66,10 @@ def owned_floats(values):
 
 def test_a_gain_makes_radiance_and_steps_smaller():
     gain = np.array([0.5, 1.0, 4.0])
-    found, divided = Rounding.of(8), Rounding.of(8).divided(gain)
+    rounding, divided = Rounding.of(8), Rounding.of(8).divided(gain)
     shown = np.array([1e-4, 0.1, 0.7])  # as stored
     for c in range(3):
-        whole = variance(owned_floats(shown), float(found.first[c]), float(found.slope[c]))
+        whole = variance(owned_floats(shown), float(rounding.first[c]), float(rounding.slope[c]))
         of_light = variance(
             owned_floats(shown / gain[c]), float(divided.first[c]), float(divided.slope[c])
         )
@@ -98,10 +98,10 @@ def stored(tmp_path_factory):
 def test_an_import_keeps_the_steps_and_hdr_has_none(stored):
     rendered, imported = stored
     assert rendered.rounding == () and len(imported.rounding) == 3
-    for view, found in enumerate(imported.rounding):
+    for view, rounding in enumerate(imported.rounding):
         expected = Rounding.of(8).divided(2.0 if view else 1.0)
-        np.testing.assert_allclose(found.first, expected.first, rtol=1e-5)
-        np.testing.assert_allclose(found.slope, expected.slope, rtol=1e-5)
+        np.testing.assert_allclose(rounding.first, expected.first, rtol=1e-5)
+        np.testing.assert_allclose(rounding.slope, expected.slope, rtol=1e-5)
 
 
 def test_what_was_found_of_photographs_depends_on_their_steps(stored):
@@ -131,8 +131,8 @@ def test_gains_divide_steps(stored):
     _, imported = stored
     logarithm = np.log([[0.5, 1, 2]] * 3)
     gains = FoundGains(logarithm, np.ones(3), np.zeros(3, bool))
-    found = equalized(imported, gains)
-    for before, after in zip(imported.rounding, found.rounding, strict=True):
+    divided = equalized(imported, gains)
+    for before, after in zip(imported.rounding, divided.rounding, strict=True):
         np.testing.assert_allclose(after.first * [0.5, 1, 2], before.first, rtol=1e-5)
     assert equalized(replace(imported, rounding=()), gains).rounding == ()
 
@@ -141,7 +141,7 @@ def test_the_variance_of_samples_is_that_of_their_steps(vase):
     dark = in_steps(vase.capture, 0.05)
     seen = observe(dark, vase.texels)
     kappa, eta = 0.4 * seen.unit, 2.0
-    found = seen.rounding(Weighting(kappa, eta))
+    variances = seen.rounding(Weighting(kappa, eta))
     surface = TexelLanes.of(seen.texels, to_drjit(mi.UInt32, seen.seen.astype(np.uint32)))
     total, count = np.zeros(len(seen.seen)), np.zeros(len(seen.seen))
     for view in range(dark.count):
@@ -154,7 +154,7 @@ def test_the_variance_of_samples_is_that_of_their_steps(vase):
         weight = noise_weight(b.mean(axis=1), kappa, v, eta)
         total += np.where(shows.numpy(), weight * (step**2 / 12).mean(axis=1), 0)
         count += shows.numpy()
-    np.testing.assert_allclose(found, total / np.maximum(count, 1), rtol=1e-4)
+    np.testing.assert_allclose(variances, total / np.maximum(count, 1), rtol=1e-4)
     assert observe(vase.capture, vase.texels).rounding(Weighting(kappa, eta)) is None
 
 

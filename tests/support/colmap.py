@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from support.photographs import copy_file
 from svu_mi.capture.importers.colmap.project import IMAGES, MASKS
-from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, ImagePose, write_model
+from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, Pose, write_model
 from svu_mi.capture.importers.source import OPENCV, Source
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import OutputError
@@ -52,9 +52,9 @@ def write_colmap(root: Path, source: Source) -> None:
     write_model(model, dict(enumerate(numbers, 1)), views)
 
 
-def _view(name: str, camera: int, to_world: np.ndarray) -> ImagePose:
+def _view(name: str, camera: int, to_world: np.ndarray) -> Pose:
     camera_to_world = to_world @ OPENCV
     rotation = camera_to_world[:3, :3].T
     x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
     translation = -rotation @ camera_to_world[:3, 3]
-    return ImagePose(name, camera, (w, x, y, z), tuple(translation.tolist()))
+    return Pose(name, camera, (w, x, y, z), tuple(translation.tolist()))

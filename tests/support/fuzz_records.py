@@ -26,7 +26,7 @@ from svu_mi.core.io.output_folder import claimed, writing
 from svu_mi.core.io.provenance import entry_of
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.evaluation import reference_cache
-from svu_mi.evaluation.reference import Traced
+from svu_mi.evaluation.reference import TracedTables
 from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.checkpoint import Checkpoint, DescentState
@@ -59,7 +59,7 @@ def read_checkpoint(folder: Path, out: Path) -> None:
 
 
 def write_reference(folder: Path) -> None:
-    traced = Traced(
+    traced = TracedTables(
         subset=np.array([4, 7, 9]), tables=np.random.default_rng(813).random((3, 3, 2, 2, 2)),
         coverage=np.array([2, 0, 1]), brightness=np.ones(3), scale=1.0, unit=1.0, seconds=2.0,
         rays=10, dropped=0,

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import Materials, Transport
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
@@ -17,7 +17,7 @@ from svu_mi.presets import preset
 SWITCHES = preset("default", method="angular")
 
 
-def free_samples(normals: np.ndarray, directions: np.ndarray) -> Samples:
+def free_samples(normals: np.ndarray, directions: np.ndarray) -> TexelSamples:
     """Samples (n, V, 3) of texels that float in the open; they show no radiance yet."""
     texels, views = directions.shape[:2]
     normal = to_drjit(mi.Normal3f, normals.T.astype(np.float32))
@@ -26,7 +26,7 @@ def free_samples(normals: np.ndarray, directions: np.ndarray) -> Samples:
     scene = mi.load_dict({"type": "scene", "far": {"type": "rectangle", "to_world": far}})
     owner = np.repeat(np.arange(texels), views)
     direction = directions.reshape(-1, 3).astype(np.float32)
-    return Samples(
+    return TexelSamples(
         scene=scene, surface=TexelLanes(places, normal, normal, dr.opaque(mi.Float, 1e-4)),
         owner=owner, view=np.tile(np.arange(views), texels), direction=direction,
         cosine=(direction * normals[owner]).sum(axis=1).astype(np.float32),
@@ -36,7 +36,7 @@ def free_samples(normals: np.ndarray, directions: np.ndarray) -> Samples:
     )  # fmt: skip
 
 
-def made_up(texels: int, views: int, seed: int = 31) -> tuple[Samples, Materials]:
+def made_up(texels: int, views: int, seed: int = 31) -> tuple[TexelSamples, Materials]:
     """Samples of texels that face all ways, seen from above their horizons, and materials."""
     rng = np.random.default_rng(seed)
     normals = fibonacci(texels)
@@ -67,7 +67,9 @@ def reflected(transport: Transport, light: np.ndarray, materials: Materials) -> 
     return sum(a * b for a, b in zip(weights, parts, strict=True))
 
 
-def photographed(texels: int, views: int, number: int, noise: float) -> tuple[Samples, np.ndarray]:
+def photographed(
+    texels: int, views: int, number: int, noise: float
+) -> tuple[TexelSamples, np.ndarray]:
     """Samples of known materials under a light, and its logarithms."""
     samples, materials = made_up(texels, views)
     x, rng = smooth_light(number), np.random.default_rng(5)

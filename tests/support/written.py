@@ -32,7 +32,8 @@ from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
-from svu_mi.light.environment import directions, radiance_from, read_environment
+from svu_mi.light.environment import read_environment
+from svu_mi.light.latlong import directions, radiance_from
 from svu_mi.light.prefiltered import rasterized
 
 PLACE = "object_scene001"  # name of a capture of Stanford-ORB

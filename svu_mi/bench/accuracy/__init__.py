@@ -24,7 +24,7 @@ from svu_mi.bench.timing import Timed, time_warm
 from svu_mi.capture.capture import Capture
 from svu_mi.errors import ShapeError
 from svu_mi.evaluation.correlation import pearson, sparsification, spearman
-from svu_mi.evaluation.credible_sets import credible_coverage, nearest_cells
+from svu_mi.evaluation.credible_sets import credible_coverage, nearest_bins
 from svu_mi.evaluation.ground_truth import GroundTruth, error_summary, ground_truth
 from svu_mi.evaluation.traced_posterior import reference_posterior
 from svu_mi.geometry.texels import Texels
@@ -204,7 +204,7 @@ def score_posterior(
     """
     p, channels = _channels(probabilities, axes)
     true = _truth(truth, tuple(axes), texels, channels)
-    bins = nearest_cells(axes, true)
+    bins = nearest_bins(axes, true)
     shape = tuple(len(nodes) for nodes in axes.values())
     best = np.unravel_index(p.reshape(len(p), -1).argmax(axis=1), shape)
     parameters, curves = {}, {}

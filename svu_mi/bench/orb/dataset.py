@@ -30,7 +30,7 @@ from svu_mi.capture.scene import find_environment, find_shape, load_scene, to_wo
 from svu_mi.capture.sensors import affine, describe, make_sensor, sphere_sensors
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.light.environment import directions, radiance_from
+from svu_mi.light.latlong import directions, radiance_from
 
 LOWEST = -0.4  # sine of the elevation of the lowest camera
 ROLL = 20.0  # degrees, standard deviation

@@ -26,7 +26,7 @@ from scipy.ndimage import binary_erosion
 from svu_mi.capture.image_io import srgb
 from svu_mi.errors import SvuWarning
 from svu_mi.evaluation.image_metrics import psnr, ssim_map
-from svu_mi.evaluation.metric_inputs import pictures
+from svu_mi.evaluation.metric_inputs import two_pictures
 
 ERODED = 5  # pixels per side of the square the mask is eroded by
 HDR_LIMIT = 4.0  # of radiance, after normalisation
@@ -116,7 +116,7 @@ def _prepared(picture: Any, truth: Any, mask: Any) -> tuple[np.ndarray, np.ndarr
     """Return both pictures, black outside the eroded mask, and that mask."""
     # Beyond the picture's border there may be more of the object: it erodes nothing.
     inside = binary_erosion(np.array(mask, bool), np.ones((ERODED, ERODED)), border_value=1)
-    a, b = pictures(picture, truth, inside)
+    a, b = two_pictures(picture, truth, inside)
     a, b = (np.where(inside[..., None], np.maximum(x, 0), 0) for x in (a, b))
     return a, b, inside
 

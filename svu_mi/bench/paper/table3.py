@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -55,9 +55,8 @@ class EntropyRow:
 def _entropy_rows() -> tuple[EntropyRow, ...]:
     def paper(label: str, *, open: bool = False, **switches: Any) -> EntropyRow:
         which = "mean" if switches.get("errors") == "mean" else "sum"
-        return EntropyRow(
-            label, "angular", preset("paper", method="angular", **switches), which, open
-        )
+        chosen = preset("paper", method="angular", **switches)
+        return EntropyRow(label, "angular", chosen, which, open)
 
     def ours(label: str, *, open: bool = False, **switches: Any) -> EntropyRow:
         chosen = preset("fixed", method="angular", errors="sum", sigma=SUM, **switches)
@@ -120,17 +119,13 @@ class Table3(CaseSubject):
     def entropies(self) -> dict[str, list[np.ndarray]]:
         """Of errors summed and averaged over views: entropies of the reference and its halves."""
         reference, result = self.reference, {}
+        posterior = partial(tabulated_posterior, grid=reference.posterior.grid, observed=self.seen)
         views = reference.coverage[:, None, None, None]
         for name, factor in (("sum", views), ("mean", (SUM / MEAN) ** 2)):
             result[name] = [
-                np.array(
-                    tabulated_posterior(
-                        table * factor, reference.posterior.grid, self.seen
-                    ).entropy(),
-                    np.float64,
-                )[self.seen]
+                np.array(posterior(table * factor).entropy(), np.float64)[self.seen]
                 for table in reference.tables
-            ]  # fmt: skip
+            ]
         return result
 
     @cached_property

@@ -19,7 +19,7 @@ from svu_mi.calibration.exposure import equalized, estimate_gains
 from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.calibration.light.light_options import LightOptions
-from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
@@ -141,10 +141,10 @@ class HoldoutCase:
         return switches
 
     @cached_property
-    def samples(self) -> Samples:
+    def samples(self) -> TexelSamples:
         """What some texels show in all photographs, as photographed."""
         everything = observe(self.capture, self.layout, self.bench.progress)
-        return Samples.of(everything, find_preset("default", method="angular"), self._size[1])
+        return TexelSamples.of(everything, find_preset("default", method="angular"), self._size[1])
 
     @cached_property
     def texels(self) -> np.ndarray:

@@ -43,9 +43,8 @@ class PredictedView:
 
     def subset(self, texels: np.ndarray) -> PredictedView:
         """Return the same for some of the texels."""
-        return PredictedView(
-            self.radiance[:, texels], None if self.sd is None else self.sd[:, texels]
-        )
+        sd = None if self.sd is None else self.sd[:, texels]
+        return PredictedView(self.radiance[:, texels], sd)
 
 
 @dataclass(frozen=True)
@@ -179,9 +178,8 @@ def _posterior(subject: HoldoutCase) -> Predict:
     def predict(view: int) -> PredictedView:
         radiance = prediction.seen_from(subject.eye(view))
         relative = np.square(radiance.mean(axis=2) / kappa)
-        return PredictedView(
-            radiance, noise * np.sqrt(1 + relative * (1 + samples.edges * contrast))
-        )
+        sd = noise * np.sqrt(1 + relative * (1 + samples.edges * contrast))
+        return PredictedView(radiance, sd)
 
     return predict
 

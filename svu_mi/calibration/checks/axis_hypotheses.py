@@ -33,7 +33,7 @@ FEWER = 0.02  # of a score, that one more correction must be worth
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class AxisHypothesis:
     """Corrections of cameras and mesh, or of the light, in the order of their application.
 
     ``camera_axes`` (4, 4) are those of ``apply_fixes``.
@@ -57,40 +57,40 @@ class Hypothesis:
         return poses
 
 
-def _known(kind: Kind) -> list[AxisFix]:
+def _fixes_of(kind: Kind) -> list[AxisFix]:
     return [fix for fix in FIXES.values() if fix.kind == kind]
 
 
 @cache
-def pose_hypotheses() -> tuple[Hypothesis, ...]:
+def pose_hypotheses() -> tuple[AxisHypothesis, ...]:
     """Return all combinations of wrong camera axes, inverse poses, and a wrong mesh.
 
     The first corrects nothing, then come single corrections.
     """
     inverse = FIXES["camera-inverse"]
-    turns = [(), *((fix,) for fix in _known("camera") if fix is not inverse)]
+    turns = [(), *((fix,) for fix in _fixes_of("camera") if fix is not inverse)]
     cameras = [(turn, np.eye(4)) for turn in turns]
     cameras += [((inverse, *turn), axes) for turn, axes in product(turns, CAMERA_AXES)]
-    meshes = [(), *((fix,) for fix in _known("mesh"))]
+    meshes = [(), *((fix,) for fix in _fixes_of("mesh"))]
     combined = [
-        Hypothesis(camera + mesh, axes) for (camera, axes), mesh in product(cameras, meshes)
+        AxisHypothesis(camera + mesh, axes) for (camera, axes), mesh in product(cameras, meshes)
     ]
     return tuple(sorted(combined, key=lambda one: len(one.fixes)))
 
 
 @cache
-def light_hypotheses() -> tuple[Hypothesis, ...]:
+def light_hypotheses() -> tuple[AxisHypothesis, ...]:
     """Return the 48 orientations of a map, each by the fewest corrections.
 
     The first corrects nothing, then come single corrections.
     """
-    queue = [Hypothesis()]
+    queue = [AxisHypothesis()]
     found = {}
     for known in queue:  # grows while it is walked through: shortest first
         key = fix_rotation(known.fixes, "light").astype(int).tobytes()  # axes go to axes
         if key not in found:
             found[key] = known
-            queue += [Hypothesis((*known.fixes, fix)) for fix in _known("light")]
+            queue += [AxisHypothesis((*known.fixes, fix)) for fix in _fixes_of("light")]
     return tuple(found.values())
 
 
@@ -103,11 +103,11 @@ def apply_fixes(
     only ``camera-inverse`` depends on it.
     """
     for fix in fixes:
-        capture = _applied(capture, fix, camera_axes)
+        capture = _apply_fix(capture, fix, camera_axes)
     return capture
 
 
-def _applied(capture: Capture, fix: AxisFix, camera_axes: np.ndarray) -> Capture:
+def _apply_fix(capture: Capture, fix: AxisFix, camera_axes: np.ndarray) -> Capture:
     if fix.kind == "camera":
         poses = np.array([to_world(sensor) for sensor in capture.sensors]).reshape(-1, 4, 4)
         poses = correct_poses(poses, fix, camera_axes)
@@ -116,11 +116,11 @@ def _applied(capture: Capture, fix: AxisFix, camera_axes: np.ndarray) -> Capture
             for sensor, pose in zip(capture.sensors, poses, strict=True)
         ))  # fmt: skip
     if fix.kind == "light":
-        return _lit(capture, fix)
-    return _shaped(capture, fix)
+        return _with_turned_light(capture, fix)
+    return _with_corrected_mesh(capture, fix)
 
 
-def _shaped(capture: Capture, fix: AxisFix) -> Capture:
+def _with_corrected_mesh(capture: Capture, fix: AxisFix) -> Capture:
     """Correct the mesh of the object."""
     shape = make(capture.shape.id(), correct_mesh(arrays(capture.shape), fix))
     shape.set_bsdf(capture.shape.bsdf())
@@ -133,7 +133,7 @@ def _shaped(capture: Capture, fix: AxisFix) -> Capture:
     )
 
 
-def _lit(capture: Capture, fix: AxisFix) -> Capture:
+def _with_turned_light(capture: Capture, fix: AxisFix) -> Capture:
     """Turn the light; a constant one stays, a sky becomes a map."""
     emitter = find_environment(capture.scene, str(capture.source or "scene"))
     if emitter.class_name() == "ConstantBackgroundEmitter":

@@ -11,21 +11,21 @@ import numpy as np
 from svu_mi.calibration.checks import decisions, exposure_checks
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
 from svu_mi.calibration.checks.check_result import Check, Finding
-from svu_mi.calibration.checks.envmap_orientation import facing, score_light
+from svu_mi.calibration.checks.envmap_orientation import normal_dependence, score_light
 from svu_mi.calibration.checks.pose_scores import check_views, score_poses
 from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
+    DistantLight,
     Points,
-    Sightings,
-    Sky,
+    PointSamples,
     emitter_of,
-    is_even,
-    look,
+    is_constant,
     open_cosines,
     read_texture,
+    sample_photographs,
     scatter_points,
 )
-from svu_mi.calibration.checks.thumbnails import Frames, reduced, some
+from svu_mi.calibration.checks.thumbnails import Thumbnails, limit_views, reduce_photographs
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.calibration.light.light_summary import gain_sentences
 from svu_mi.capture import capture_folder
@@ -72,13 +72,13 @@ def check(
         )
     progress = progress or Progress()
     with progress.stage("Reducing photographs"):
-        small = reduced(capture, SIDE)
-    axial, axes = find_mistakes(small, progress=progress)
-    if gains is None or _contradict(axial):
+        small = reduce_photographs(capture, SIDE)
+    axial, axes = find_axis_mistakes(small, progress=progress)
+    if gains is None or _axes_are_off(axial):
         with progress.stage("Comparing gains"):
-            gain = find_gains(capture, small, axial)
+            gain = compare_gains(capture, small, axial)
     else:
-        gain = _estimated(capture, small, gains)
+        gain = _gain_finding(capture, small, gains)
     findings = (*axial, gain, *_ignored(capture))
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
@@ -88,7 +88,7 @@ def check(
     return Check(views=views, corrected=corrected, findings=findings, camera_axes=axes)
 
 
-def find_mistakes(
+def find_axis_mistakes(
     capture: Capture, *, progress: Progress | None = None
 ) -> tuple[Findings, np.ndarray]:
     """Test every known mistake about axes on a capture, whose photographs may be reduced.
@@ -103,61 +103,61 @@ def find_mistakes(
     """
     require_variant()
     progress = progress or Progress()
-    capture = some(reduced(capture, SIDE), VIEWS)
+    capture = limit_views(reduce_photographs(capture, SIDE), VIEWS)
     eyes = [to_world(sensor)[:3, 3] for sensor in capture.used_sensors]
     mesh = arrays(capture.shape)
     behind = part_from_behind(capture.scene, mesh, eyes)
     if behind < MOST or has_front_outside(mesh):  # with the cameras inside
-        return _find_mistakes(capture, progress)
+        return _find_axis_mistakes(capture, progress)
     turned = apply_fixes(capture, find_fixes([decisions.INSIDE_OUT]))
-    (poses, light, flip), axes = _find_mistakes(turned, progress)
+    (poses, light, flip), axes = _find_axis_mistakes(turned, progress)
     if poses.verdict == "unclear" and not poses.fixes:  # cameras may as well be within the mesh
-        return _find_mistakes(capture, progress)
+        return _find_axis_mistakes(capture, progress)
     return (decisions.with_inside_out(poses, behind), light, flip), axes
 
 
-def _find_mistakes(capture: Capture, progress: Progress) -> tuple[Findings, np.ndarray]:
+def _find_axis_mistakes(capture: Capture, progress: Progress) -> tuple[Findings, np.ndarray]:
     """Test mistakes on a capture whose mesh has its front outside."""
     points = scatter_points(capture.shape)
     texture = read_texture(capture, points)
     with progress.stage("Trying poses") as stage:
         scores = score_poses(capture, points, texture, stage.update)
-        poses, chosen = decisions.judge_poses(scores)
+        poses, chosen = decisions.decide_poses(scores)
     axes = chosen.hypothesis.camera_axes
     if poses.verdict == "unclear" and not poses.fixes:
         reason = "cameras and mesh have to fit first"
         flip = decisions.unknown("texture", f"V cannot be judged: {reason}")
         return (poses, decisions.unknown("light", reason), flip), axes
-    frames = Frames.of(capture)
-    seen = look(points, frames.posed(chosen.hypothesis.relative_poses(frames.poses)))
+    frames = Thumbnails.of(capture)
+    seen = sample_photographs(points, frames.posed(chosen.hypothesis.relative_poses(frames.poses)))
     with progress.stage("Trying textures"):
         if texture is None:
             reason = "The object has no texture, so nothing depends on the V axis"
             flip = decisions.unknown("texture", reason)
         else:
-            flip = decisions.judge_texture(*texture.fits(seen, points))
+            flip = decisions.decide_texture(*texture.fits(seen, points))
             texture = texture.turned() if flip.verdict == "wrong" else texture
     emitter = emitter_of(capture)
     if emitter is None:
         return (poses, decisions.unknown("light", "the capture has none"), flip), axes
     cosines = open_cosines(capture.scene, points, DIRECTIONS)
-    if is_even(emitter):
-        light = decisions.judge_even(facing(points, seen, cosines))
+    if is_constant(emitter):
+        light = decisions.decide_constant_light(normal_dependence(points, seen, cosines))
     else:
         with progress.stage("Trying lights") as stage:
-            sky = Sky.of(emitter, fix_rotation(chosen.hypothesis.fixes, "mesh"))
-            light = decisions.judge_light(
+            sky = DistantLight.of(emitter, fix_rotation(chosen.hypothesis.fixes, "mesh"))
+            light = decisions.decide_light(
                 score_light(sky, points, seen, cosines, texture, stage.update)
             )
     return (poses, light, flip), axes
 
 
-def _contradict(axial: Sequence[Finding]) -> bool:
+def _axes_are_off(axial: Sequence[Finding]) -> bool:
     """Return whether axes are or may be wrong, so that nothing else can be compared."""
     return any(one.verdict in ("wrong", "unclear") for one in axial)
 
 
-def _estimated(capture: Capture, small: Capture, find: Callable[[], FoundGains]) -> Finding:
+def _gain_finding(capture: Capture, small: Capture, find: Callable[[], FoundGains]) -> Finding:
     """Estimate the gains of photographs whose axes fit."""
     try:
         gains = find()
@@ -165,20 +165,22 @@ def _estimated(capture: Capture, small: Capture, find: Callable[[], FoundGains])
         return decisions.unknown("gain", str(error).rstrip("."))
     emitter, excess = emitter_of(capture), None
     if emitter is not None:
-        excess = exposure_checks.excess(
-            *_under(small, emitter), exposure_checks.unit_of(capture, small)
+        excess = exposure_checks.measure_excess(
+            *_samples_and_light(small, emitter), exposure_checks.unit_of(capture, small)
         )
-    return decisions.gains_found(excess, gains, gain_sentences(gains, capture))
+    return decisions.report_gains(excess, gains, gain_sentences(gains, capture))
 
 
-def _under(small: Capture, emitter: Any) -> tuple[Sightings, Points, exposure_checks.Arriving]:
+def _samples_and_light(
+    small: Capture, emitter: Any
+) -> tuple[PointSamples, Points, exposure_checks.Irradiance]:
     """Return points with their samples and the light that arrives there."""
     points = scatter_points(small.shape)
-    arriving = exposure_checks.Arriving.of(small.scene, points, read_environment(emitter))
-    return look(points, Frames.of(small)), points, arriving
+    arriving = exposure_checks.Irradiance.of(small.scene, points, read_environment(emitter))
+    return sample_photographs(points, Thumbnails.of(small)), points, arriving
 
 
-def find_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Finding:
+def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Finding:
     """Compare the gains of photographs with the light, and with each other.
 
     Args:
@@ -189,18 +191,18 @@ def find_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Fi
     emitter = emitter_of(capture)
     if emitter is None:
         return decisions.unknown("gain", "the capture has no light")
-    if _contradict(axial):
+    if _axes_are_off(axial):
         return decisions.unknown("gain", "cameras, mesh and light have to fit first")
-    sightings, points, arriving = _under(small, emitter)
+    sightings, points, arriving = _samples_and_light(small, emitter)
     names, gains = list(compress(small.names, small.used)), None
-    excess = exposure_checks.excess(
+    excess = exposure_checks.measure_excess(
         sightings, points, arriving, exposure_checks.unit_of(capture, small)
     )
     if len(names) >= exposure_checks.VIEWS:
-        light = Sky.of(emitter, np.eye(3)), arriving
+        light = DistantLight.of(emitter, np.eye(3)), arriving
         reflections = exposure_checks.Reflections.of(small.scene, points, sightings, light)
         gains = exposure_checks.relative_gains(reflections)
-    return decisions.judge_gains(excess, gains, names)
+    return decisions.decide_gains(excess, gains, names)
 
 
 def _ignored(capture: Capture) -> tuple[Finding, ...]:

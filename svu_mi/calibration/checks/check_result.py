@@ -13,7 +13,7 @@ Verdict = Literal["fits", "wrong", "unclear", "unknown", "note"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hypothesis:
+class ScoredHypothesis:
     """A set of corrections and its score, ``cues`` being the parts of that by name, at most 1 each.
 
     Scores are only comparable within one finding; no corrections = as the capture is.
@@ -52,7 +52,7 @@ class Finding:
     sentence: str
     fixes: tuple[str, ...] = ()
     alternatives: tuple[tuple[str, ...], ...] = ()
-    hypotheses: tuple[Hypothesis, ...] = ()
+    hypotheses: tuple[ScoredHypothesis, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ class ViewCheck:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Summary:
+class ViewMeans:
     """Means over all views of a capture, see ``ViewCheck``; None without any."""
 
     overlap: float | None
@@ -83,13 +83,13 @@ class Summary:
     color_error: float | None
 
     @staticmethod
-    def of(views: tuple[ViewCheck, ...]) -> Summary:
+    def of(views: tuple[ViewCheck, ...]) -> ViewMeans:
         """Average over views."""
         means = {}
-        for name in (each.name for each in fields(Summary)):
+        for name in (each.name for each in fields(ViewMeans)):
             values = [v for v in (getattr(view, name) for view in views) if v is not None]
             means[name] = float(np.mean(values)) if values else None
-        return Summary(**means)
+        return ViewMeans(**means)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from svu_mi.calibration.checks.check_result import Finding, Hypothesis, Question, Verdict
-from svu_mi.calibration.checks.envmap_orientation import Facing, LightScore
-from svu_mi.calibration.checks.exposure_checks import VIEWS, Excess, Gains
-from svu_mi.calibration.checks.pose_scores import PoseScore, certain, simplest
+from svu_mi.calibration.checks.check_result import Finding, Question, ScoredHypothesis, Verdict
+from svu_mi.calibration.checks.envmap_orientation import LightScore, NormalDependence
+from svu_mi.calibration.checks.exposure_checks import VIEWS, Excess, RelativeGains
+from svu_mi.calibration.checks.pose_scores import PoseScore, is_significant, simplest
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.importers.axis_fixes import FIXES
 
@@ -21,11 +21,11 @@ POOR_CONTRAST, POOR_AGREEMENT = 0.6, 0.3  # the same without masks
 # Of the score, from which another orientation of the light counts as better. Four of our objects
 # under two lights, 16 photographs of 96 pixels, as EXR and in 8 bits: right captures gain at most
 # 0.034 by any other way; EXR captures imported wrongly gain at least 0.9 by the best one.
-LIGHT_GAIN = 0.06
+LIGHT_IMPROVEMENT = 0.06
 LIGHT_MARGIN = 0.03  # below it, two orientations explain the photographs equally well
 LIGHT_RANGE = 0.2  # of the score over all orientations, below which the light is unknown
-SPEAKING = 0.1  # least cue that is evidence for an orientation
-FLIP_GAIN = 0.03  # of the correlation with a texture
+LEAST_CUE = 0.1  # least cue that is evidence for an orientation
+FLIP_IMPROVEMENT = 0.03  # of the correlation with a texture
 NAMED = 5  # photographs that a sentence names
 ALIKE = 0.05  # estimated log gains up to which photographs count as equal
 UNKNOWN = {
@@ -35,13 +35,13 @@ UNKNOWN = {
 }
 
 
-def unknown(question: Question, reason: str, table: tuple[Hypothesis, ...] = ()) -> Finding:
+def unknown(question: Question, reason: str, table: tuple[ScoredHypothesis, ...] = ()) -> Finding:
     """Return the finding that a question cannot be answered."""
     sentence = UNKNOWN[question].format(reason)
     return Finding(question=question, verdict="unknown", sentence=sentence, hypotheses=table)
 
 
-def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
+def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
     """Decide on cameras and mesh.
 
     Args:
@@ -63,13 +63,13 @@ def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
         ), current  # fmt: skip
     found = partial(found, alternatives=alternatives)
     if chosen is current:
-        sentence = f"Cameras and mesh fit the photographs ({fit}{_also(alternatives)})."
+        sentence = f"Cameras and mesh fit the photographs ({fit}{_as_well(alternatives)})."
         return found(verdict="fits", sentence=sentence), current
     if alternatives:
         return found(
             verdict="unclear", fixes=names,
             sentence=f"Cameras and mesh do not fit the photographs ({fit}); "
-            f"{_either((names, *alternatives))} explains them equally well ({_fit(chosen)}): the "
+            f"{_choices((names, *alternatives))} explains them equally well ({_fit(chosen)}): the "
             "object is too symmetric to tell.",
         ), chosen  # fmt: skip
     sentence = f"{_causes(names)}: {_fit(chosen)} instead of {fit}."
@@ -89,9 +89,9 @@ def with_inside_out(poses: Finding, behind: float) -> Finding:
     )  # fmt: skip
 
 
-def _table(scores: Sequence[PoseScore | LightScore]) -> tuple[Hypothesis, ...]:
+def _table(scores: Sequence[PoseScore | LightScore]) -> tuple[ScoredHypothesis, ...]:
     return tuple(
-        Hypothesis(fixes=score.hypothesis.names, score=score.total, cues=score.cues)
+        ScoredHypothesis(fixes=score.hypothesis.names, score=score.total, cues=score.cues)
         for score in scores
     )
 
@@ -107,12 +107,12 @@ def _fit(score: PoseScore) -> str:
     return f"{kind} {score.silhouette:.2f}, views agree by {score.agreement:.2f}"
 
 
-def judge_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.ndarray]) -> Finding:
+def decide_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.ndarray]) -> Finding:
     """Decide on the V axis of texture coordinates, by two ``texture_fit``."""
     flip = ("texture-flip-v",)
     (plain, misfit), (flipped, misfit_flipped) = as_it_is, turned
     table = [
-        Hypothesis(fixes=fixes, score=fit, cues={"texture": fit})
+        ScoredHypothesis(fixes=fixes, score=fit, cues={"texture": fit})
         for fixes, fit in (((), plain), (flip, flipped))
     ]
     table.sort(key=lambda one: -one.score)
@@ -122,16 +122,16 @@ def judge_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.nd
     found = partial(Finding, question="texture", hypotheses=tuple(table))
     if max(plain, flipped) < 0.1:
         words = "The texture does not resemble the photographs, flipped or not"
-    elif flipped - plain > FLIP_GAIN and certain(difference):
+    elif flipped - plain > FLIP_IMPROVEMENT and is_significant(difference):
         return found(verdict="wrong", fixes=flip, sentence=f"{_causes(flip)}: {figures}.")
-    elif plain - flipped > FLIP_GAIN and certain(-difference):
+    elif plain - flipped > FLIP_IMPROVEMENT and is_significant(-difference):
         return found(verdict="fits", sentence=f"The texture fits the photographs ({figures}).")
     else:
         words = "The direction of V in the texture cannot be determined"
     return found(verdict="unknown", sentence=f"{words} ({figures}).")
 
 
-def judge_light(scores: Sequence[LightScore]) -> Finding:
+def decide_light(scores: Sequence[LightScore]) -> Finding:
     """Decide on the axes of the environment map.
 
     Args:
@@ -146,21 +146,21 @@ def judge_light(scores: Sequence[LightScore]) -> Finding:
     alternatives = tuple(score.hypothesis.names for score in _indistinguishable(scores, best))
     if best.total - min(score.total for score in scores) < LIGHT_RANGE:
         return unknown("light", "it is even, or the object shows too little of it", table)
-    is_supported = _support(best, current) >= 2
+    is_supported = _count_cues(best, current) >= 2
     if gain > LIGHT_RANGE and not is_supported:
         # An object that faces one way is as bright under any light of that side.
-        either = _either((names, *alternatives))
+        either = _choices((names, *alternatives))
         return unknown("light", f"{either} would fit better, but only by one cue of three", table)
-    if gain <= LIGHT_GAIN or not is_supported:
+    if gain <= LIGHT_IMPROVEMENT or not is_supported:
         as_good = _indistinguishable(scores, current)
         others = tuple(s.hypothesis.names for s in as_good if len(s.hypothesis.fixes) == 1)
-        sentence = f"The light fits the photographs ({figures}{_also(others)})."
+        sentence = f"The light fits the photographs ({figures}{_as_well(others)})."
         return found(verdict="fits", alternatives=others, sentence=sentence)
     if alternatives:
         return found(
             verdict="unclear", fixes=names, alternatives=alternatives,
             sentence=f"The light does not fit the photographs ({figures}); "
-            f"{_either((names, *alternatives))} would fit equally well.",
+            f"{_choices((names, *alternatives))} would fit equally well.",
         )  # fmt: skip
     sentence = f"{_causes(names)}: {_light_figures(best)} instead of {figures}."
     return found(verdict="wrong", fixes=names, sentence=sentence)
@@ -171,7 +171,7 @@ def _indistinguishable(scores: Sequence[LightScore], best: LightScore) -> list[L
     return [s for s in scores if s is not best and s.total > best.total - LIGHT_MARGIN]
 
 
-def judge_even(found: Facing | None) -> Finding:
+def decide_constant_light(found: NormalDependence | None) -> Finding:
     """Decide on a constant light, which has no axes."""
     if found is None or not found.contradicts:
         return unknown("light", "it is the same from everywhere")
@@ -184,7 +184,9 @@ def judge_even(found: Facing | None) -> Finding:
     )  # fmt: skip
 
 
-def judge_gains(excess: Excess | None, gains: Gains | None, names: Sequence[str]) -> Finding:
+def decide_gains(
+    excess: Excess | None, gains: RelativeGains | None, names: Sequence[str]
+) -> Finding:
     """Decide on the gains of photographs.
 
     Args:
@@ -205,7 +207,7 @@ def judge_gains(excess: Excess | None, gains: Gains | None, names: Sequence[str]
     return Finding(question="gain", verdict="fits", sentence=sentence)
 
 
-def gains_found(excess: Excess | None, gains: FoundGains, said: Iterable[str]) -> Finding:
+def report_gains(excess: Excess | None, gains: FoundGains, said: Iterable[str]) -> Finding:
     """Return the finding about estimated gains, with sentences about them."""
     too_bright = list(filter(None, [excess and excess.sentence()]))
     odd = bool(gains.odd.any())
@@ -221,7 +223,7 @@ def gains_found(excess: Excess | None, gains: FoundGains, said: Iterable[str]) -
     return Finding(question="gain", verdict=verdict, sentence=" ".join(parts))
 
 
-def _odd_gains(gains: Gains, names: Sequence[str]) -> str:
+def _odd_gains(gains: RelativeGains, names: Sequence[str]) -> str:
     odd = np.flatnonzero(gains.odd)
     odd = odd[np.argsort(-np.abs(gains.log[odd]), kind="stable")]
     each = [f"{names[k]} (x {np.exp(gains.log[k]):.2f})" for k in odd[:NAMED]]
@@ -235,10 +237,10 @@ def _odd_gains(gains: Gains, names: Sequence[str]) -> str:
     )
 
 
-def _support(one: LightScore, other: LightScore) -> int:
+def _count_cues(one: LightScore, other: LightScore) -> int:
     """Count the cues that favour one over another; a single one may be chance."""
     pairs = zip(one.cues.values(), other.cues.values(), strict=True)
-    return sum(a > max(b + 0.01, SPEAKING) for a, b in pairs)
+    return sum(a > max(b + 0.01, LEAST_CUE) for a, b in pairs)
 
 
 def _light_figures(score: LightScore) -> str:
@@ -250,9 +252,9 @@ def _causes(names: Sequence[str]) -> str:
     return text[0].upper() + text[1:]
 
 
-def _also(alternatives: Sequence[Sequence[str]]) -> str:
-    return f"; {_either(alternatives)} would fit as well" if alternatives else ""
+def _as_well(alternatives: Sequence[Sequence[str]]) -> str:
+    return f"; {_choices(alternatives)} would fit as well" if alternatives else ""
 
 
-def _either(alternatives: Sequence[Sequence[str]]) -> str:
+def _choices(alternatives: Sequence[Sequence[str]]) -> str:
     return " or ".join(" + ".join(names) if names else "no correction" for names in alternatives)

@@ -22,14 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from svu_mi.calibration.checks.axis_hypotheses import FEWER, Hypothesis, light_hypotheses
+from svu_mi.calibration.checks.axis_hypotheses import FEWER, AxisHypothesis, light_hypotheses
 from svu_mi.calibration.checks.surface_samples import (
     DARK,
     FEWEST,
     SHADING_DEGREE,
+    DistantLight,
     Points,
-    Sightings,
-    Sky,
+    PointSamples,
     Texture,
 )
 from svu_mi.capture.importers.axis_fixes import fix_rotation
@@ -54,7 +54,7 @@ class LightScore:
         highlights: part of the variance between views that filtered light explains.
     """
 
-    hypothesis: Hypothesis
+    hypothesis: AxisHypothesis
     shading: float
     bare: float
     highlights: float
@@ -72,7 +72,7 @@ class LightScore:
 
 
 def score_light(
-    sky: Sky, points: Points, sightings: Sightings, cosines: np.ndarray,
+    sky: DistantLight, points: Points, sightings: PointSamples, cosines: np.ndarray,
     texture: Texture | None, step: Callable[[int, int], None],
 ) -> tuple[LightScore, ...]:  # fmt: skip
     """Score all orientations, best first; none if next to nothing of the object is seen.
@@ -166,7 +166,7 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _highlights(
-    points: Points, sightings: Sightings
+    points: Points, sightings: PointSamples
 ) -> tuple[np.ndarray, Callable[[np.ndarray], float]]:
     """Return mirrored directions (V N, 3), and a function of the light (L, V N, 3) from there.
 
@@ -203,7 +203,7 @@ def _highlights(
 
 
 @dataclass(frozen=True)
-class Facing:
+class NormalDependence:
     """Dependence of brightness on the normal.
 
     Attributes:
@@ -220,7 +220,9 @@ class Facing:
         return self.local > LOCAL and self.spread > SPREAD
 
 
-def facing(points: Points, sightings: Sightings, cosines: np.ndarray) -> Facing | None:
+def normal_dependence(
+    points: Points, sightings: PointSamples, cosines: np.ndarray
+) -> NormalDependence | None:
     """Regress brightness on the normal; None if too little of the object is seen.
 
     ``cosines``: (N, K), ``open_cosines`` of even directions.
@@ -241,13 +243,13 @@ def facing(points: Points, sightings: Sightings, cosines: np.ndarray) -> Facing 
     side_steps = np.concatenate([open_steps, _differences(sides, pairs)], axis=1)
     plain = np.stack([np.ones_like(openness), openness], axis=1)
     fit = np.linalg.lstsq(np.concatenate([plain, sides], axis=1), brightness, rcond=None)[0]
-    return Facing(
-        local=_explained(side_steps, steps) - _explained(open_steps, steps),
+    return NormalDependence(
+        local=_explained_part(side_steps, steps) - _explained_part(open_steps, steps),
         spread=float((sides @ fit[plain.shape[1] :]).std()),
     )
 
 
-def _explained(features: np.ndarray, values: np.ndarray) -> float:
+def _explained_part(features: np.ndarray, values: np.ndarray) -> float:
     """Return the part of (P,) values that (P, F) features explain, in [0, 1]."""
     rest = values - features @ np.linalg.lstsq(features, values, rcond=None)[0]
     return 1 - float((rest @ rest) / max(values @ values, 1e-300))

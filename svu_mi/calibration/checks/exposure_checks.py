@@ -31,15 +31,15 @@ import scipy
 from svu_mi.calibration.checks.surface_samples import (
     COARSE,
     DIRECTIONS,
+    DistantLight,
     Points,
-    Sightings,
-    Sky,
-    look,
+    PointSamples,
     open_cosines,
     read_cells,
+    sample_photographs,
     scatter_points,
 )
-from svu_mi.calibration.checks.thumbnails import Frames
+from svu_mi.calibration.checks.thumbnails import Thumbnails
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import SvuWarning
 from svu_mi.light.light_tree import LightCells, build_light_tree
@@ -80,7 +80,7 @@ LARGEST = 0.2  # log gain that is accepted
 CERTAIN = 4.0  # standard errors
 
 
-class Arriving(NamedTuple):
+class Irradiance(NamedTuple):
     """Radiance (N, 3) of a white diffuse surface at N points, irradiance / pi, and the free part
     (N,) of the sky, weighted by the cosine."""
 
@@ -90,7 +90,7 @@ class Arriving(NamedTuple):
     @staticmethod
     def of(
         scene: Any, points: Points, environment: Environment, cells: LightCells | None = None
-    ) -> Arriving:
+    ) -> Irradiance:
         """Sum the cells of the light; occlusion is traced in a few even directions."""
         cells = cells or build_light_tree(environment, COARSE, CELLS).fine
         flux, toward = read_cells(cells)
@@ -103,7 +103,7 @@ class Arriving(NamedTuple):
         np.maximum(arriving, 0, out=arriving)
         arriving *= free[:, nearest]
         white = (arriving @ flux).astype(np.float64) / np.pi
-        return Arriving(white, cosines.sum(axis=1) / whole.sum(axis=1))
+        return Irradiance(white, cosines.sum(axis=1) / whole.sum(axis=1))
 
 
 class Excess(NamedTuple):
@@ -132,7 +132,9 @@ class Excess(NamedTuple):
         )
 
 
-def excess(sightings: Sightings, points: Points, arriving: Arriving, unit: float) -> Excess | None:
+def measure_excess(
+    sightings: PointSamples, points: Points, arriving: Irradiance, unit: float
+) -> Excess | None:
     """Compare N points in V views with the bound; None if too few points are reliable.
 
     ``unit``: radiance of a sighting of 1.
@@ -140,7 +142,7 @@ def excess(sightings: Sightings, points: Points, arriving: Arriving, unit: float
     cosine, _ = sightings.mirrored(points)
     seen = sightings.seen & (cosine > FACING)
     views, brightness = seen.sum(axis=0), arriving.white.mean(axis=1)
-    judged = (views >= LEAST) & (arriving.free > OPEN) & _around(sightings, seen)
+    judged = (views >= LEAST) & (arriving.free > OPEN) & _seen_from_many_sides(sightings, seen)
     judged &= (brightness >= LIT * np.median(brightness)) & (brightness > 0)
     if judged.sum() < FEWEST:
         return None
@@ -153,7 +155,7 @@ def excess(sightings: Sightings, points: Points, arriving: Arriving, unit: float
     return Excess(float((ratio > 1).mean()), float(np.quantile(ratio, BRIGHT)))
 
 
-def _around(sightings: Sightings, seen: np.ndarray) -> np.ndarray:
+def _seen_from_many_sides(sightings: PointSamples, seen: np.ndarray) -> np.ndarray:
     """Return which points (N,) are seen from many sides, and not all in the mirror of one lamp."""
     total = np.einsum("vn,vni->ni", seen, sightings.toward)
     return np.linalg.norm(total, axis=1) < NARROW * seen.sum(axis=0)
@@ -171,10 +173,12 @@ def too_bright(estimate: Estimate) -> str | None:
     if seen is None:
         return None
     points = scatter_points(seen.capture.shape)
-    sightings = look(points, Frames(seen.capture, seen.views, np.zeros((0, 4, 4))))
+    sightings = sample_photographs(
+        points, Thumbnails(seen.capture, seen.views, np.zeros((0, 4, 4)))
+    )
     light = seen.lighting.environment, seen.light_tree(CELLS).fine
-    arriving = Arriving.of(seen.capture.scene, points, *light)
-    found = excess(sightings, points, arriving, 1.0)
+    arriving = Irradiance.of(seen.capture.scene, points, *light)
+    found = measure_excess(sightings, points, arriving, 1.0)
     return found and found.sentence(found=seen.capture.found_light is not None)
 
 
@@ -204,7 +208,7 @@ class Reflections(NamedTuple):
 
     @staticmethod
     def of(
-        scene: Any, points: Points, sightings: Sightings, light: tuple[Sky, Arriving]
+        scene: Any, points: Points, sightings: PointSamples, light: tuple[DistantLight, Irradiance]
     ) -> Reflections:
         """Look up the light that points mirror to the cameras."""
         sky, arriving = light
@@ -238,7 +242,7 @@ def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, asked: np.ndarray)
 
 
 @dataclass(frozen=True)
-class Gains:
+class RelativeGains:
     """The gains of V photographs, relative to their median.
 
     Attributes:
@@ -263,19 +267,19 @@ class Gains:
         return self.known & (np.abs(self.log) > limit)
 
 
-def relative_gains(samples: Reflections) -> Gains:
+def relative_gains(samples: Reflections) -> RelativeGains:
     """Estimate gains and materials alternately, starting from equal gains."""
     seen, shown = samples.seen, samples.shown
     log = np.zeros(len(shown))
     if not seen.any():
-        return Gains(log, np.full(len(log), np.inf), 0.0)
+        return RelativeGains(log, np.full(len(log), np.inf), 0.0)
     unit = DARK * max(float(np.median(shown[seen])), 1e-30)
     count = seen.sum(axis=0)
     mean = np.where(seen, shown, 0).sum(axis=0) / count
     weight = seen / (shown + unit + TYPICAL * mean) ** 2
     for _ in range(STEPS):
         even = shown * np.exp(-log)[:, None]
-        model = _fitted(even, weight, samples)
+        model = _fit_lobes(even, weight, samples)
         ratio = np.where(seen, np.log((even + unit) / (model + unit)), np.nan)
         weight = seen / (model + unit) ** 2 / (1 + (np.nan_to_num(ratio) / OUTLIER) ** 2)
         # Two views of a point are always explained.
@@ -285,21 +289,23 @@ def relative_gains(samples: Reflections) -> Gains:
         known = np.where(error < EXPLAINED, ratio, np.nan)
         log = log + np.nan_to_num(_medians(known, 1))
         log = log - np.median(log)
-    return Gains(log, _noise(known, samples.side), float(np.isfinite(known).sum() / seen.sum()))
+    return RelativeGains(
+        log, _noise(known, samples.side), float(np.isfinite(known).sum() / seen.sum())
+    )
 
 
-def _fitted(shown: np.ndarray, weight: np.ndarray, samples: Reflections) -> np.ndarray:
+def _fit_lobes(shown: np.ndarray, weight: np.ndarray, samples: Reflections) -> np.ndarray:
     """Return the best fit (V, N) of each point by a diffuse part and one lobe, both positive."""
     least, model = np.full(shown.shape[1], np.inf), np.zeros_like(shown)
     diffuse = np.broadcast_to(samples.diffuse, shown.shape)
     for lobe in samples.lobes:
-        found = _mixed(shown, weight, diffuse, lobe)
+        found = _fit_lobe(shown, weight, diffuse, lobe)
         error = (weight * (shown - found) ** 2).sum(axis=0)
         model, least = np.where(error < least, found, model), np.minimum(error, least)
     return model
 
 
-def _mixed(
+def _fit_lobe(
     shown: np.ndarray, weight: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray
 ) -> np.ndarray:
     """Fit shown = a diffuse + b lobe at every point by weighted least squares, a and b positive."""

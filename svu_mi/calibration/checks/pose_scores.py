@@ -7,28 +7,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svu_mi.calibration.checks.axis_hypotheses import FEWER, Hypothesis, pose_hypotheses
+from svu_mi.calibration.checks.axis_hypotheses import FEWER, AxisHypothesis, pose_hypotheses
 from svu_mi.calibration.checks.check_result import ViewCheck
 from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
+    DistantLight,
     Points,
-    Sky,
     Texture,
     agreement,
     emitter_of,
-    look,
     open_cosines,
     read_texture,
+    sample_photographs,
     scatter_points,
 )
 from svu_mi.calibration.checks.thumbnails import (
-    Frames,
+    Thumbnails,
     contrast,
+    limit_views,
     outline,
     overlap,
-    reduced,
+    reduce_photographs,
     silhouettes,
-    some,
 )
 from svu_mi.capture.capture import Capture
 
@@ -54,7 +54,7 @@ class PoseScore:
         misfit: (N,) squared differences behind ``texture``, NaN for points that are not seen.
     """
 
-    hypothesis: Hypothesis
+    hypothesis: AxisHypothesis
     masked: bool
     fits: np.ndarray
     agreement: float
@@ -83,10 +83,10 @@ def score_poses(
     capture: Capture, points: Points, texture: Texture | None, step: Callable[[int, int], None]
 ) -> tuple[PoseScore, ...]:
     """Score all hypotheses on reduced photographs, best first; see ``light.score_light``."""
-    frames = Frames.of(capture)
-    small = Frames.of(some(reduced(capture, SMALL), VIEWS))
+    frames = Thumbnails.of(capture)
+    small = Thumbnails.of(limit_views(reduce_photographs(capture, SMALL), VIEWS))
     hypotheses = pose_hypotheses()
-    masked, judge = _judge(small)
+    masked, judge = _silhouette_fit(small)
     fits = []
     for index, hypothesis in enumerate(hypotheses):
         fits.append(judge(silhouettes(small.posed(hypothesis.relative_poses(small.poses)))))
@@ -97,7 +97,7 @@ def score_poses(
     spread, scores = frames.spread, []
     for index in dict.fromkeys([0, *order.tolist()]):
         hypothesis = hypotheses[index]
-        seen = look(points, frames.posed(hypothesis.relative_poses(frames.poses)))
+        seen = sample_photographs(points, frames.posed(hypothesis.relative_poses(frames.poses)))
         best, misfit = 0.0, np.full(len(points.position), np.nan)
         if texture is not None:
             best, misfit = max(texture.fits(seen, points), key=lambda pair: pair[0])
@@ -106,10 +106,10 @@ def score_poses(
     return tuple(sorted(scores, key=lambda score: -score.total))
 
 
-Judge = Callable[[Sequence[np.ndarray]], np.ndarray]
+SilhouetteFit = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 
-def _judge(frames: Frames) -> tuple[bool, Judge]:
+def _silhouette_fit(frames: Thumbnails) -> tuple[bool, SilhouetteFit]:
     """Return whether there are enough masks, and the comparison of silhouettes to use."""
     pairs = [(k, mask) for k, mask in enumerate(frames.masks) if mask is not None and mask.any()]
     if len(pairs) >= min(frames.views.number, 3):
@@ -133,26 +133,26 @@ def clearly_better(one: PoseScore, other: PoseScore) -> bool:
     """
     for better, worse in ((one, other), (other, one)):
         closer = better.fits - worse.fits
-        if closer.mean() > DECISIVE and certain(closer):
+        if closer.mean() > DECISIVE and is_significant(closer):
             return better is one
-    return any(_gains(one, other)) and not any(_gains(other, one))
+    return any(_favoring_cues(one, other)) and not any(_favoring_cues(other, one))
 
 
-def _gains(one: PoseScore, other: PoseScore) -> tuple[bool, bool, bool]:
+def _favoring_cues(one: PoseScore, other: PoseScore) -> tuple[bool, bool, bool]:
     """Return whether silhouettes, agreement of views and texture favour one over another."""
     closer = one.silhouette - other.silhouette
     shapes = closer > 0.005 and 1 - other.silhouette > 1.3 * (1 - one.silhouette)
     shapes = shapes if one.masked else closer > 0.015
-    shapes &= certain(one.fits - other.fits)
+    shapes &= is_significant(one.fits - other.fits)
     # Little agreement is no evidence: behind a flat or shiny object, the background agrees more.
     views = one.agreement > max(AGREEING, other.agreement + 0.15, 1.5 * other.agreement)
     known = np.isfinite(one.misfit) & np.isfinite(other.misfit)
     colors = one.texture - other.texture > 0.015
-    colors &= certain((other.misfit - one.misfit)[known])
+    colors &= is_significant((other.misfit - one.misfit)[known])
     return bool(shapes), bool(views), bool(colors)
 
 
-def certain(differences: np.ndarray) -> bool:
+def is_significant(differences: np.ndarray) -> bool:
     """Return whether the mean of differences is significantly above 0."""
     if len(differences) < 4:
         return bool(len(differences) and differences.min() > 0)
@@ -177,7 +177,7 @@ def simplest(scores: Sequence[PoseScore]) -> tuple[PoseScore, list[PoseScore]]:
 
 def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
     """Compare every used photograph of a reduced capture with mesh, texture and light."""
-    frames = Frames.of(capture)
+    frames = Thumbnails.of(capture)
     found = zip(
         np.flatnonzero(capture.used).tolist(), silhouettes(frames), frames.masks, frames.radiance,
         _color_errors(capture, frames), strict=True,
@@ -194,7 +194,7 @@ def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
     )
 
 
-def _color_errors(capture: Capture, frames: Frames) -> list[float | None]:
+def _color_errors(capture: Capture, frames: Thumbnails) -> list[float | None]:
     """Return each view's mean relative error as a diffuse object, None where none is seen or
     without a light.
 
@@ -204,8 +204,8 @@ def _color_errors(capture: Capture, frames: Frames) -> list[float | None]:
     if emitter is None:
         return [None] * frames.views.number
     points = scatter_points(capture.shape)
-    sightings, texture = look(points, frames), read_texture(capture, points)
-    flux = Sky.of(emitter, np.eye(3)).arriving(np.eye(3))
+    sightings, texture = sample_photographs(points, frames), read_texture(capture, points)
+    flux = DistantLight.of(emitter, np.eye(3)).arriving(np.eye(3))
     albedo = 1.0 if texture is None else texture.albedo
     predicted = albedo * (open_cosines(capture.scene, points, DIRECTIONS) @ flux) / np.pi
     view, point = np.nonzero(sightings.seen)

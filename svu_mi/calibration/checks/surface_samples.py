@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.calibration.checks.thumbnails import Frames, tone
+from svu_mi.calibration.checks.thumbnails import Thumbnails, tonemapped
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
 from svu_mi.capture.scene import find_environment
@@ -28,7 +28,7 @@ COUNT = 2000
 SEED = 6151
 FACING = 0.25  # least cosine to the camera: pixels near the rim mix with the background
 OFFSET = 1e-4  # of the object's size, that rays start above the surface
-ENOUGH = 2  # views of a point, to compare them
+FEWEST_VIEWS = 2  # views of a point, to compare them
 FEWEST = 30  # points, to compare a texture
 PLAIN = 0.01  # standard deviation of a base colour that is not a texture
 GLOSS = 0.04  # reflectance of a black dielectric
@@ -97,7 +97,7 @@ def scatter_points(mesh: Any, count: int = COUNT) -> Points:
 
 
 @dataclass(frozen=True)
-class Sightings:
+class PointSamples:
     """Samples of N points in V photographs.
 
     Attributes:
@@ -124,7 +124,7 @@ class Sightings:
         return result, known
 
 
-def look(points: Points, frames: Frames) -> Sightings:
+def sample_photographs(points: Points, frames: Thumbnails) -> PointSamples:
     """Sample all points in all photographs; poses are relative to the mesh of the scene."""
     shape = frames.views.number, len(points.position)
     view, point = _pairs(shape)
@@ -132,7 +132,7 @@ def look(points: Points, frames: Frames) -> Sightings:
     found = sample_view(frames.views, surface, view)
     facing = dr.minimum(found.cosine, dr.dot(surface.geometric_normal, found.direction)) > FACING
     seen = found.seen & facing
-    return Sightings(
+    return PointSamples(
         seen=seen.numpy().reshape(shape),
         radiance=dr.select(seen, found.radiance, 0).numpy().T.reshape(*shape, 3),
         toward=found.direction.numpy().T.reshape(*shape, 3),
@@ -159,16 +159,16 @@ def _pairs(shape: tuple[int, int]) -> tuple[Any, Any]:
     return row, place - row * width
 
 
-def agreement(sightings: Sightings, spread: float) -> float:
+def agreement(sightings: PointSamples, spread: float) -> float:
     """Return the intraclass correlation of points over tone-mapped photographs, 0 to 1.
 
     It is 1 if each point looks the same from everywhere and points differ. ``spread``: variance of
     the photographs' pixels; an even background would agree perfectly without it.
     """
-    kept = sightings.seen.sum(axis=0) >= ENOUGH
+    kept = sightings.seen.sum(axis=0) >= FEWEST_VIEWS
     if not kept.any():
         return 0.0
-    seen, shown = sightings.seen[:, kept, None], tone(sightings.radiance[:, kept])
+    seen, shown = sightings.seen[:, kept, None], tonemapped(sightings.radiance[:, kept])
     count = seen.sum(axis=0)
     mean = np.where(seen, shown, 0).sum(axis=0) / count
     within = np.where(seen, (shown - mean) ** 2, 0).sum(axis=0) / (count - 1)
@@ -187,7 +187,7 @@ class Texture:
         """Return the texture with V flipped."""
         return Texture(self.flipped, self.albedo)
 
-    def fits(self, sightings: Sightings, points: Points) -> list[tuple[float, np.ndarray]]:
+    def fits(self, sightings: PointSamples, points: Points) -> list[tuple[float, np.ndarray]]:
         """Return ``texture_fit`` of both."""
         return [texture_fit(sightings, points, albedo) for albedo in (self.albedo, self.flipped)]
 
@@ -214,7 +214,7 @@ def base_color(shape: Any, uv: np.ndarray) -> np.ndarray:
 
 
 def texture_fit(
-    sightings: Sightings, points: Points, albedo: np.ndarray
+    sightings: PointSamples, points: Points, albedo: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Correlate a base colour (N, 3) with the photographs under unknown light.
 
@@ -240,7 +240,7 @@ def texture_fit(
 
 
 @dataclass(frozen=True)
-class Sky:
+class DistantLight:
     """Distant light: flux (M, 3) of cells, radiance times solid angle, from unit directions (M, 3)
     in the frame of the map, the light under a lobe of each of ``WIDTHS``, and the rotation (3, 3)
     from the mesh to the map."""
@@ -251,11 +251,11 @@ class Sky:
     to_local: np.ndarray
 
     @staticmethod
-    def of(emitter: Any, mesh_turn: np.ndarray) -> Sky:
+    def of(emitter: Any, mesh_turn: np.ndarray) -> DistantLight:
         """Filter an emitter; corrections turn the mesh by ``mesh_turn`` (3, 3) before it is lit."""
         environment = read_environment(emitter)
         flux, toward = read_cells(build_light_tree(environment, COARSE, CELLS).fine)
-        return Sky(
+        return DistantLight(
             flux=flux,
             toward=toward @ environment.to_local.T,
             lobes=filter_light(
@@ -293,7 +293,7 @@ def emitter_of(capture: Capture) -> Any:
     return find_environment(capture.scene, str(capture.source or "scene"))
 
 
-def is_even(emitter: Any) -> bool:
+def is_constant(emitter: Any) -> bool:
     """Whether the light is the same from everywhere: constant, or a map of one colour."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return bool(emitter.class_name() == "ConstantBackgroundEmitter")

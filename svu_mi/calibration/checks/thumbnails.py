@@ -26,7 +26,7 @@ POSITION = slice(12, 15)  # and the camera
 
 
 @dataclass(frozen=True)
-class Frames:
+class Thumbnails:
     """The V used photographs of a reduced capture, packed; poses (V, 4, 4) are camera to world."""
 
     capture: Capture
@@ -34,9 +34,9 @@ class Frames:
     poses: np.ndarray
 
     @staticmethod
-    def of(capture: Capture) -> Frames:
+    def of(capture: Capture) -> Thumbnails:
         """Pack a reduced capture."""
-        return Frames(
+        return Thumbnails(
             capture=capture,
             views=pack_views(capture, silhouettes=True),
             poses=np.array([to_world(sensor) for sensor in capture.used_sensors]),
@@ -56,10 +56,10 @@ class Frames:
     def spread(self) -> float:
         """Variance of the tone-mapped photographs."""
         values = np.concatenate([image.reshape(-1, 3) for image in self.radiance])
-        shown = tone(values[np.isfinite(values).all(axis=1)])
+        shown = tonemapped(values[np.isfinite(values).all(axis=1)])
         return float(shown.var(axis=0).mean()) if len(shown) else 0.0
 
-    def posed(self, poses: np.ndarray) -> Frames:
+    def posed(self, poses: np.ndarray) -> Thumbnails:
         """Return the same photographs with other poses (V, 4, 4), camera to world."""
         rays = self.views.rays.numpy().reshape(-1, RAY_FLOATS).copy()
         cameras = self.views.cameras.numpy().reshape(-1, CAMERA_FLOATS).copy()
@@ -71,12 +71,12 @@ class Frames:
         return replace(self, views=replace(self.views, **packed), poses=poses)
 
 
-def tone(radiance: np.ndarray) -> np.ndarray:
+def tonemapped(radiance: np.ndarray) -> np.ndarray:
     """Compress radiance to [0, 1); the unit must be about 1."""
     return radiance / (1 + radiance)
 
 
-def reduced(capture: Capture, side: int) -> Capture:
+def reduce_photographs(capture: Capture, side: int) -> Capture:
     """Reduce photographs and sensors to at most ``side`` pixels per side.
 
     Factors are whole numbers. A pixel is the mean over the usable ones of a block, NaN without any;
@@ -110,7 +110,7 @@ def reduced(capture: Capture, side: int) -> Capture:
     )  # fmt: skip
 
 
-def some(capture: Capture, most: int) -> Capture:
+def limit_views(capture: Capture, most: int) -> Capture:
     """Use at most ``most`` of the used photographs, evenly spaced."""
     used = np.flatnonzero(capture.used)
     chosen = used[evenly_spaced(len(used), most)]
@@ -132,7 +132,7 @@ def _usable_mean(image: np.ndarray, block: int) -> np.ndarray:
     return np.where(share > 0, total / np.maximum(share, 1e-30), np.nan).astype(np.float32)
 
 
-def silhouettes(frames: Frames) -> list[np.ndarray]:
+def silhouettes(frames: Thumbnails) -> list[np.ndarray]:
     """Trace the object's masks, V arrays (h, w) bool, through the centres of all pixels."""
     shapes = [image.shape[:2] for image in frames.radiance]
     counts = [height * width for height, width in shapes]

@@ -16,26 +16,26 @@ from itertools import count
 
 import numpy as np
 
-from svu_mi.calibration.exposure import starting_gains, updated, without_gains
-from svu_mi.calibration.light.gauss_newton import Fit, Known, system_of
+from svu_mi.calibration.exposure import starting_gains, step_gains, without_gains
+from svu_mi.calibration.light.gauss_newton import LightFit, LightPriors, normal_equations
 from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.calibration.light.light_options import LightOptions
-from svu_mi.calibration.light.light_prior import BACKGROUND_SD, Looks, prior_of, refined
-from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_prior import BACKGROUND_SD, BackgroundPixels, prior_of, refined
+from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import (
     COOLING,
     HEAT,
-    Moments,
+    SampleMoments,
     Transport,
+    annealed,
     columns_of,
     misfit_of,
-    tempered,
 )
 from svu_mi.calibration.light.light_uncertainty import (
-    Level,
-    level_of,
+    LightScale,
     remarks_of,
     sample_lights,
+    scale_of,
     widening_of,
 )
 from svu_mi.capture.capture import Capture
@@ -72,19 +72,19 @@ def estimate_light(
     switches: AngularPreset = find_preset("default", method="angular")
     observed = observations_of(source, texels, progress)
     with progress.stage("Choosing texels"):
-        samples = Samples.of(observed, switches, options.texels)
+        samples = TexelSamples.of(observed, switches, options.texels)
     worlds = {}
     for moves in (False, True) if options.moves is None else (options.moves,):
         is_seen = options.background == "distant"
-        looks = Looks.of(observed.capture, moves=moves) if is_seen else None
-        worlds[moves] = World(samples, switches, looks, moves, options.gains)
-    fit, misfit = _found(worlds, options, progress)
+        looks = BackgroundPixels.of(observed.capture, moves=moves) if is_seen else None
+        worlds[moves] = LightProblem(samples, switches, looks, moves, options.gains)
+    fit, misfit = _estimate(worlds, options, progress)
     with progress.stage("Asking what else the light may be"):
         columns = columns_of(fit.transport, np.exp(fit.x), switches)
         if fit.seen:  # background pixels show the level directly
-            level = Level(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)
+            level = LightScale(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)
         else:
-            level = level_of(fit.transport.samples, columns, switches)
+            level = scale_of(fit.transport.samples, columns, switches)
         found = sample_lights(fit, options.draws, options.seed)
         widening = widening_of(fit.transport, columns, found.draws, level, switches)
     return LightEstimate(
@@ -95,9 +95,9 @@ def estimate_light(
     )  # fmt: skip
 
 
-def _found(
-    worlds: dict[bool, World], options: LightOptions, progress: Progress
-) -> tuple[Fit, tuple[float, float]]:
+def _estimate(
+    worlds: dict[bool, LightProblem], options: LightOptions, progress: Progress
+) -> tuple[LightFit, tuple[float, float]]:
     """Return the light in the world that explains the photographs, and the misfit of both."""
     first, *finer = options.depths
     total = len(worlds) * first[1] + sum(rounds for _, rounds in finer)
@@ -115,7 +115,7 @@ def _found(
 
 
 @dataclass(frozen=True)
-class World:
+class LightProblem:
     """Samples and assumptions that light is estimated from.
 
     Attributes:
@@ -126,16 +126,16 @@ class World:
         gains: whether photographs have unknown gains.
     """
 
-    samples: Samples
+    samples: TexelSamples
     switches: AngularPreset
-    looks: Looks | None = None
+    looks: BackgroundPixels | None = None
     moves: bool = False
     gains: bool = False
 
     def light(
-        self, depths: tuple[tuple[int, int], ...], start: Fit | None = None,
+        self, depths: tuple[tuple[int, int], ...], start: LightFit | None = None,
         told: Callable[[], None] | None = None,
-    ) -> Fit:  # fmt: skip
+    ) -> LightFit:  # fmt: skip
         """Estimate the light.
 
         Args:
@@ -147,7 +147,7 @@ class World:
         gains = start.gains if start else starting_gains(self.samples) if self.gains else None
         for number, rounds in depths:
             seen = None if self.looks is None else self.looks.at(number)
-            known = Known(prior_of(number), seen)
+            known = LightPriors(prior_of(number), seen)
             everything = Transport.of(self.samples, number, self.moves)
             # Light of the wrong shape could not be too dim, so its level is free at first.
             leveled = start is not None and seen is None
@@ -166,24 +166,26 @@ class World:
         return fit
 
     def _round(
-        self, everything: Transport, known: Known,
+        self, everything: Transport, known: LightPriors,
         state: tuple[np.ndarray, FoundGains | None, float], leveled: bool,
-    ) -> Fit:  # fmt: skip
+    ) -> LightFit:  # fmt: skip
         """Take one step of materials, light (N, 3) and gains."""
         x, gains, heat = state
-        now, transport = tempered(self.switches, heat), without_gains(everything, gains)
+        now, transport = annealed(self.switches, heat), without_gains(everything, gains)
         columns = columns_of(transport, np.exp(x), now)
-        step = level_of(transport.samples, columns, now).best if leveled else np.zeros(3)
-        posterior = Moments.of(transport.samples, columns).posterior(now, np.exp(step))
+        step = scale_of(transport.samples, columns, now).best if leveled else np.zeros(3)
+        posterior = SampleMoments.of(transport.samples, columns).posterior(now, np.exp(step))
         x = x + step
         logarithm = None if gains is None else gains.logarithm
-        system = system_of(transport, np.exp(x), posterior, now.overdispersion, known, logarithm)
+        system = normal_equations(
+            transport, np.exp(x), posterior, now.overdispersion, known, logarithm
+        )
         change = system.step()
         if gains is not None:
             noise = posterior.kernel.noise if heat == 1 else None
-            gains, common = updated(gains, self.samples, system, change[len(x) :], noise)
+            gains, common = step_gains(gains, self.samples, system, change[len(x) :], noise)
             x = x + common
         x = x + change[: len(x)]
         misfit = misfit_of(posterior, self.samples.unit)
         left = without_gains(everything, gains)
-        return Fit(left, x, system, misfit, known.seen is not None, gains)
+        return LightFit(left, x, system, misfit, known.seen is not None, gains)

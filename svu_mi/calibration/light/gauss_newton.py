@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 
 from svu_mi.calibration.light.light_estimate import FoundGains
-from svu_mi.calibration.light.light_prior import CellLooks, Prior
-from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_prior import LightPrior, SeenCells
+from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import Materials, Transport, materials_of
 from svu_mi.errors import CaptureError
 from svu_mi.posterior.calibrated import CalibratedKernel
@@ -20,15 +20,15 @@ from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.reflection.principled import mixture_derivative
 
-STEP = 0.04  # of roughness, for finite differences
-LARGEST = 2.0  # change of log radiance in a step
-FREEDOM = (0.3, 0.5)  # prior sd of roughness and of the parameters that mix the columns
-ALIKE = 0.35  # prior sd of base colour over the surface
+ROUGHNESS_STEP = 0.04  # of roughness, for finite differences
+MAX_CHANGE = 2.0  # change of log radiance in a step
+MATERIAL_SD = (0.3, 0.5)  # prior sd of roughness and of the parameters that mix the columns
+COLOR_SD = 0.35  # prior sd of base colour over the surface
 EXPOSURE, BALANCE = 0.5, 0.2  # prior sd of log gains: common to the channels, and of each
 
 
 @dataclass(frozen=True)
-class System:
+class NormalEquations:
     """Normal equations of log radiance and log gains, materials eliminated.
 
     Attributes:
@@ -43,7 +43,7 @@ class System:
     found: np.ndarray
 
     def step(self) -> np.ndarray:
-        """Return the change of the logarithms, (M, 3), no larger than ``LARGEST``."""
+        """Return the change of the logarithms, (M, 3), no larger than ``MAX_CHANGE``."""
         try:
             factor = scipy.linalg.cho_factor(self.matrix)
         except (np.linalg.LinAlgError, ValueError):
@@ -52,11 +52,11 @@ class System:
                 "gains and masks with svu check."
             ) from None
         found = -scipy.linalg.cho_solve(factor, self.gradient)
-        return np.clip(found.reshape(3, -1).T, -LARGEST, LARGEST)
+        return np.clip(found.reshape(3, -1).T, -MAX_CHANGE, MAX_CHANGE)
 
 
 @dataclass(frozen=True)
-class Fit:
+class LightFit:
     """State of the search: the light of N cells.
 
     Attributes:
@@ -70,17 +70,17 @@ class Fit:
 
     transport: Transport
     x: np.ndarray
-    system: System
+    system: NormalEquations
     misfit: float
     seen: bool = False
     gains: FoundGains | None = None
 
 
-class Known(NamedTuple):
+class LightPriors(NamedTuple):
     """Prior of the light, and background pixels that show it."""
 
-    prior: Prior
-    seen: CellLooks | None = None
+    prior: LightPrior
+    seen: SeenCells | None = None
 
     def start(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the precision (3 N, 3 N) and the gradient (3, N) of the light at x (N, 3)."""
@@ -91,10 +91,10 @@ class Known(NamedTuple):
         return matrix, gradient
 
 
-def system_of(
+def normal_equations(
     transport: Transport, light: np.ndarray, posterior: Posterior[CalibratedKernel],
-    overdispersion: float, known: Known | None = None, gains: np.ndarray | None = None,
-) -> System:  # fmt: skip
+    overdispersion: float, known: LightPriors | None = None, gains: np.ndarray | None = None,
+) -> NormalEquations:  # fmt: skip
     """Linearise the samples around a light, gains, and the most likely materials.
 
     Args:
@@ -108,7 +108,7 @@ def system_of(
     samples = transport.samples
     # With the shared prior: independent uncertain texels would bias the light.
     materials = materials_of(with_empirical_prior(posterior))
-    slopes, found = _slopes_and_samples(transport, light, materials)
+    slopes, found = _linearized(transport, light, materials)
     if known is None:
         J = np.zeros((3, samples.count, 0), np.float32)
         matrix, gradient = np.zeros((0, 0)), np.zeros((3, 0))
@@ -128,12 +128,12 @@ def system_of(
     for c, block in enumerate(_channels(J.shape[2])):
         matrix[block, block] += J[c].T @ J[c]
         gradient[c] -= J[c].T @ (root * off[:, c])
-    own, pull = _of_materials(materials, samples, slopes, off * w[:, None], w)
+    own, pull = _material_equations(materials, samples, slopes, off * w[:, None], w)
     inverse = np.linalg.inv(np.linalg.cholesky(own))  # (n, P, P)
-    taken = _taken(samples, J, root[:, None, None] * slopes, inverse)
+    taken = _eliminated(samples, J, root[:, None, None] * slopes, inverse)
     matrix -= taken.T @ taken
     flat = gradient.ravel() + np.einsum("tmk,tk->tm", inverse, pull).ravel() @ taken
-    return System(matrix, flat, found)
+    return NormalEquations(matrix, flat, found)
 
 
 def _with_gains(
@@ -150,7 +150,9 @@ def _with_gains(
     return whole.reshape(size, size), np.concatenate([gradient, own @ gains.T], axis=1)
 
 
-def _taken(samples: Samples, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+def _eliminated(
+    samples: TexelSamples, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray
+) -> np.ndarray:
     """Return L^-1 H_(theta x), (n P, 3 M) float32, whose square is what elimination subtracts.
 
     One texel at a time: J is large, and is read once.
@@ -170,41 +172,41 @@ def _channels(number: int) -> list[slice]:
     return [slice(c * number, (c + 1) * number) for c in range(3)]
 
 
-def _of_materials(
-    materials: Materials, samples: Samples, slopes: np.ndarray, off: np.ndarray, w: np.ndarray
+def _material_equations(
+    materials: Materials, samples: TexelSamples, slopes: np.ndarray, off: np.ndarray, w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return normal equations of the materials: (n, P, P), and (n, P); ``off`` is weighted.
 
     Base colours have a prior around their mean: otherwise they could follow the light.
     """
     own = samples.sum(np.einsum("s,sci,scj->sij", w, slopes, slopes, optimize=True))
-    roughness, mixed = FREEDOM
-    freedom = [roughness, *[mixed] * (slopes.shape[2] - 4), *[ALIKE] * 3]
+    roughness, mixed = MATERIAL_SD
+    freedom = [roughness, *[mixed] * (slopes.shape[2] - 4), *[COLOR_SD] * 3]
     own += np.diag(1 / np.square(freedom))
     pull = samples.sum(np.einsum("sci,sc->si", slopes, off, optimize=True))
-    pull[:, -3:] -= (materials.color - materials.color.mean(axis=0)) / ALIKE**2
+    pull[:, -3:] -= (materials.color - materials.color.mean(axis=0)) / COLOR_SD**2
     return own, pull
 
 
-def _slopes_and_samples(
+def _linearized(
     transport: Transport, light: np.ndarray, materials: Materials
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives (S, 3, P) by roughness, mixing, and base colour, and samples (S, 3)."""
     r, owner = materials.roughness, transport.samples.owner
-    low, high = np.clip(r - STEP, 0, 1), np.clip(r + STEP, 0, 1)
+    low, high = np.clip(r - ROUGHNESS_STEP, 0, 1), np.clip(r + ROUGHNESS_STEP, 0, 1)
     found = transport.columns(light, np.stack([low, r, high], axis=1))
     color, how = materials.color[owner], materials.mixture(owner)
-    ends = [_total(how.at(color), found.at(level)) for level in (0, 2)]
+    ends = [_dot(how.at(color), found.at(level)) for level in (0, 2)]
     values = [x[owner, None] for x in materials.mixed.T]
     slopes = [
         (ends[1] - ends[0]) / (high - low)[owner, None],
-        *(_total(mixture_derivative(values, k).at(color), found.at(1)) for k in range(len(values))),
+        *(_dot(mixture_derivative(values, k).at(color), found.at(1)) for k in range(len(values))),
     ]
-    of_color = _total(how.slope, found.at(1))[..., None] * np.eye(3)
-    samples = _total(how.at(color), found.at(1))
+    of_color = _dot(how.slope, found.at(1))[..., None] * np.eye(3)
+    samples = _dot(how.at(color), found.at(1))
     return np.concatenate([np.stack(slopes, axis=-1), of_color], axis=-1), samples
 
 
-def _total(x: Sequence[Any], parts: Sequence[Any]) -> Any:
+def _dot(x: Sequence[Any], parts: Sequence[Any]) -> Any:
     """Return the sum of products."""
     return sum(a * b for a, b in zip(x, parts, strict=True))

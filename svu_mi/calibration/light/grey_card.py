@@ -26,7 +26,9 @@ FARTHEST = 3.0  # factor of one round: base colour is clipped at 1
 NEAR = 12  # texels around the spot
 SHARPEST = 0.02  # standard deviation that one of them is known to, at best
 
-Wanted = Callable[[Estimate], np.ndarray]  # factor (3,) by which base colours are too bright
+BrightnessError = Callable[
+    [Estimate], np.ndarray
+]  # factor (3,) by which base colours are too bright
 
 
 def require_albedo(value: float, option: str) -> None:
@@ -48,7 +50,7 @@ def scaled_by_mean(found: LightEstimate, observed: Observed, albedo: float) -> L
     area = np.square(np.array(observed.texels.footprint, np.float64)) * seen
 
     def wanted(result: Estimate) -> np.ndarray:
-        mean = np.average(_of_base_color(result, "mean").mean(axis=1), weights=area)
+        mean = np.average(_base_color(result, "mean").mean(axis=1), weights=area)
         return np.full(3, mean / albedo)
 
     return _scaled(found, observed, wanted)
@@ -66,17 +68,17 @@ def scaled_by_card(
         albedo: base colour of R, G and B there; the card is taken as not metallic.
     """
     require_albedo(albedo, "The grey card")
-    chosen = _spot(observed, uv)
+    chosen = _texels_at(observed, uv)
 
     def wanted(result: Estimate) -> np.ndarray:
-        mean, sd = (_of_base_color(result, what)[chosen] for what in ("mean", "sd"))
+        mean, sd = (_base_color(result, what)[chosen] for what in ("mean", "sd"))
         weight = 1 / np.maximum(sd, SHARPEST) ** 2
         return np.asarray((weight * mean).sum(axis=0) / weight.sum(axis=0) / albedo)
 
     return _scaled(found, observed, wanted, dict.fromkeys(MIXED, 0.0))
 
 
-def _spot(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
+def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
     """Return the visible texels next to texture coordinates."""
     if not all(0 <= value <= 1 for value in uv):
         raise OptionError(f"The grey card: texture coordinates are in [0, 1], got {uv}.")
@@ -95,7 +97,7 @@ def _spot(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
 
 
 def _scaled(
-    found: LightEstimate, observed: Observed, wanted: Wanted,
+    found: LightEstimate, observed: Observed, wanted: BrightnessError,
     known: Mapping[str, float] | None = None,
 ) -> LightEstimate:  # fmt: skip
     """Scale light until the base colours are as wanted, to ``DONE``."""
@@ -125,7 +127,7 @@ def _scaled(
     return found.scaled(total)
 
 
-def _of_base_color(result: Estimate, what: str) -> np.ndarray:
+def _base_color(result: Estimate, what: str) -> np.ndarray:
     """Return posterior means, or standard deviations, of base colour (T, 3)."""
     values = np.array(getattr(result.posterior, what)("base_color"), np.float64)
     return np.broadcast_to(values.reshape(len(values), -1), (len(values), 3))

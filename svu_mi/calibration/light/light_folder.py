@@ -37,7 +37,7 @@ LIGHT_ARRAYS = {
     "texels": Field(REAL, (), 0, 2**31),
 }  # fmt: skip
 # The same, of V photographs whose gains were found, too.
-GAINS = {
+GAIN_ARRAYS = {
     "gains": Field(REAL, ("V", 3), -HIGHEST, HIGHEST), "gains_noise": Field(REAL, ("V",), 0, 1e12),
     "gains_odd": Field(REAL, ("V",), 0, 1),
 }  # fmt: skip
@@ -65,19 +65,19 @@ def save_light(
         OutputError: the folder or a file cannot be written.
     """
     with writing(path, COMMAND, RECORD, capture=photographs) as draft:
-        write_arrays_of(estimate, draft)
+        write_light_arrays(estimate, draft)
         record = {**(about or {}), **light_record(estimate), **draft.entries()}
         write_json(draft.folder / RECORD, record)
 
 
-def write_arrays_of(estimate: LightEstimate, draft: Draft) -> None:
+def write_light_arrays(estimate: LightEstimate, draft: Draft) -> None:
     """Write ``light.exr`` and ``light.npz`` into a draft."""
     channels = {"RGB": estimate.radiance, "sd.Y": estimate.sd, "known.Y": estimate.known}
     header = {"svu:version": svu_mi.__version__, ROWS: POLES}
     write_exr(draft.folder / MAP, channels, header)
     arrays = {name: getattr(estimate, name) for name in LIGHT_ARRAYS if name != "run"}
     if (gains := estimate.gains) is not None:
-        arrays |= dict(zip(GAINS, (gains.logarithm, gains.noise, gains.odd), strict=True))
+        arrays |= dict(zip(GAIN_ARRAYS, (gains.logarithm, gains.noise, gains.odd), strict=True))
     remarks = np.array(estimate.remarks, dtype=np.str_)
     write_arrays(draft.folder / ARRAYS, {**arrays, "remarks": remarks, "run": draft.run})
 
@@ -142,7 +142,7 @@ def load_light(path: str | Path) -> LightEstimate:
         )
     try:
         arrays = read_arrays(path / ARRAYS)
-        found = _estimate(arrays)
+        found = _estimate_of(arrays)
         if str(arrays["run"]) != written.run:
             raise ValueError(f"it comes from another run than {RECORD} beside it")
         return found
@@ -152,23 +152,23 @@ def load_light(path: str | Path) -> LightEstimate:
         ) from error
 
 
-def _estimate(arrays: dict[str, np.ndarray]) -> LightEstimate:
+def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:
     """Return the light that arrays describe; a ValueError with the reason, if they describe none.
 
     A misfit that was not computed is NaN.
     """
-    has_gains = not GAINS.keys().isdisjoint(arrays)
+    has_gains = not GAIN_ARRAYS.keys().isdisjoint(arrays)
     known = {"misfit": np.nan_to_num(arrays["misfit"])} if "misfit" in arrays else {}
-    require_schema(arrays | known, LIGHT_ARRAYS | (GAINS if has_gains else {}))
+    require_schema(arrays | known, LIGHT_ARRAYS | (GAIN_ARRAYS if has_gains else {}))
     draws, cells, _ = arrays["draws"].shape
     if not (FEWEST_CELLS <= cells <= MOST_CELLS and 1 <= draws <= MOST_DRAWS):
         raise ValueError(f"it has {cells} cells and {draws} draws")
-    real = {name: arrays[name].astype(np.float64) for name in
-            (*GAINS, "logarithm", "cell_sd", "draws", "scale_sd") if name in arrays}  # fmt: skip
+    names = (*GAIN_ARRAYS, "logarithm", "cell_sd", "draws", "scale_sd")
+    real = {name: arrays[name].astype(np.float64) for name in names if name in arrays}
     still, moving = arrays["misfit"].tolist()
     gains = None
     if has_gains:
-        logarithm, noise, odd = (real.pop(name) for name in GAINS)
+        logarithm, noise, odd = (real.pop(name) for name in GAIN_ARRAYS)
         gains = FoundGains(logarithm, noise, odd.astype(bool))
     return LightEstimate(
         **real, moves=bool(arrays["moves"]), misfit=(still, moving),

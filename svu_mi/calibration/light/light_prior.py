@@ -49,7 +49,7 @@ DARK = 1e-4  # part of the mean radiance that counts as black
 
 
 @dataclass(frozen=True)
-class Prior:
+class LightPrior:
     """Precisions (N, N) float64 of the logarithms of radiance x (N, 3) in N even cells: of the
     channels' mean, and of a channel's difference from it."""
 
@@ -68,11 +68,11 @@ class Prior:
 
 
 @lru_cache(maxsize=2)
-def prior_of(number: int) -> Prior:
+def prior_of(number: int) -> LightPrior:
     """Return the prior of N even cells."""
     cells = fibonacci(number)
     brightness, color = (np.linalg.inv(_covariance(cells, cells, a)) for a in (BRIGHTNESS, COLOR))
-    return Prior(brightness, color)
+    return LightPrior(brightness, color)
 
 
 def refined(x: np.ndarray, number: int) -> np.ndarray:
@@ -95,7 +95,7 @@ def _covariance(a: np.ndarray, b: np.ndarray, of: Amplitudes, own: bool = True) 
     return covariance + of.own**2 * np.eye(len(a)) if own else covariance
 
 
-class CellLooks(NamedTuple):
+class SeenCells(NamedTuple):
     """Log of the mean radiance (N, 3) of N cells, and its precision (N,); 0 where not seen."""
 
     precision: np.ndarray
@@ -103,23 +103,23 @@ class CellLooks(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Looks:
+class BackgroundPixels:
     """Radiance (P, 3) of background pixels, and unit directions (P, 3) in the light's frame."""
 
     direction: np.ndarray
     radiance: np.ndarray
 
-    def at(self, number: int) -> CellLooks:
+    def at(self, number: int) -> SeenCells:
         """Average over N even cells."""
         cells = nearest_cells(self.direction, number)
         count = np.bincount(cells, minlength=number)
         sums = [np.bincount(cells, channel, number) for channel in self.radiance.T]
         mean = np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]
         logarithm = np.log(np.maximum(mean, DARK * self.radiance.mean()))
-        return CellLooks((count > 0) / BACKGROUND_SD**2, np.where(count[:, None] > 0, logarithm, 0))
+        return SeenCells((count > 0) / BACKGROUND_SD**2, np.where(count[:, None] > 0, logarithm, 0))
 
     @staticmethod
-    def of(capture: Capture, *, moves: bool = False) -> Looks:
+    def of(capture: Capture, *, moves: bool = False) -> BackgroundPixels:
         """Sample pixels that show no shape; ``moves``: the light turns with the cameras."""
         used = [k for k in range(capture.count) if capture.used[k]]
         pixels = [_grid(capture, k) for k in used]
@@ -150,7 +150,7 @@ class Looks:
         if moves:
             turned = np.stack([to_world(capture.sensors[k])[:3, :3] for k in used])
             direction = np.einsum("pi,pij->pj", direction, turned[view])
-        return Looks(direction[kept], colors[kept])
+        return BackgroundPixels(direction[kept], colors[kept])
 
 
 def _grid(capture: Capture, view: int) -> tuple[np.ndarray, np.ndarray]:

@@ -24,7 +24,7 @@ FACING = 0.4  # cosine: a pixel of a steeper view shows much of what is beside t
 
 
 @dataclass(frozen=True)
-class Samples:
+class TexelSamples:
     """S samples of n texels in V views, sorted by texel.
 
     Attributes:
@@ -73,7 +73,7 @@ class Samples:
         """Sum values (S, ...) over the samples of every texel: (n, ...)."""
         return np.add.reduceat(values, self.first, axis=0)
 
-    def facing(self) -> tuple[Samples, np.ndarray]:
+    def facing(self) -> tuple[TexelSamples, np.ndarray]:
         """Return the samples without steep views and texels seen too little, and their indices."""
         kept = self.cosine > FACING
         enough = np.bincount(self.owner[kept], minlength=self.texels) >= FEWEST
@@ -88,11 +88,11 @@ class Samples:
         )
         return samples, chosen
 
-    def without(self, views: np.ndarray) -> Samples:
+    def without(self, views: np.ndarray) -> TexelSamples:
         """Give views (V,) bool no weight."""
         return replace(self, weight=np.where(views[self.view], 0, self.weight))
 
-    def divided(self, gains: np.ndarray) -> Samples:
+    def divided(self, gains: np.ndarray) -> TexelSamples:
         """Divide samples by gains (V, 3) of their photographs."""
         of_sample = gains[self.view]
         radiance = (self.radiance / of_sample).astype(np.float32)
@@ -104,7 +104,7 @@ class Samples:
         )
 
     @staticmethod
-    def of(observed: Observed, switches: AngularPreset, count: int) -> Samples:
+    def of(observed: Observed, switches: AngularPreset, count: int) -> TexelSamples:
         """Sample at most ``count`` visible texels, evenly spread over the surface."""
         views, visibility = observed.views, observed.visibility
         if not visibility.scale > 0:
@@ -134,7 +134,7 @@ class Samples:
         dr.eval(seen.direction, seen.cosine, seen.radiance, seen.contrast, weight)
         kept = np.flatnonzero(seen.seen.numpy())
         sensors = observed.capture.used_sensors
-        return Samples(
+        return TexelSamples(
             scene=views.scene,
             surface=TexelLanes.of(observed.texels, texel),
             owner=kept // views.number,

@@ -32,7 +32,7 @@ LETTERS = "RGB"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Likeness:
+class LightComparison:
     """Comparison of estimated light with the light that a capture has.
 
     Attributes:
@@ -75,7 +75,7 @@ def brightest(estimate: LightEstimate) -> np.ndarray | None:
     return np.asarray(world[int(np.argmax(grey))])
 
 
-def likeness(estimate: LightEstimate, emitter: Any) -> Likeness:
+def compare_lights(estimate: LightEstimate, emitter: Any) -> LightComparison:
     """Compare an estimate with the ``environment`` of a capture."""
     world = fibonacci(POINTS)
     truth = blurred(read_environment(emitter), world)
@@ -85,14 +85,14 @@ def likeness(estimate: LightEstimate, emitter: Any) -> Likeness:
     grey = truth.mean(axis=1), found.mean(axis=1)
     flat = min(float(np.ptp(one) / one.mean()) for one in grey) < 1e-6
     first, second = (world[int(np.argmax(one))] for one in grey)
-    return Likeness(
+    return LightComparison(
         correlation=0.0 if flat else float(np.corrcoef(*grey)[0, 1]), scale=scale,
         inside=bool(((low <= scale) & (scale <= high)).all()) if estimate.scale_sd.any() else None,
         angle=float(np.degrees(np.arccos(np.clip(first @ second, -1, 1)))),
     )  # fmt: skip
 
 
-def sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> Iterator[str]:
+def summary_sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> Iterator[str]:
     """Yield sentences about an estimate; elevations count from ``up`` (3,), +Y by default."""
     yield f"Of the light from all directions, photographs tell {100 * estimate.known_part:.0f} %."
     yield direction_sentence(estimate, UP if up is None else up)
@@ -175,7 +175,7 @@ def _balance(gains: FoundGains) -> Iterator[str]:
         )
 
 
-def likeness_sentence(found: Likeness) -> str:
+def comparison_sentence(found: LightComparison) -> str:
     """Return a sentence that compares the light with the capture's own."""
     factors = ", ".join(f"{x:.2f} ({c})" for c, x in zip(LETTERS, found.scale, strict=True))
     where = "" if found.inside is None else f", {'in' if found.inside else 'out'}side the interval"

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.calibration.light.light_samples import GRAZING, Samples
+from svu_mi.calibration.light.light_samples import GRAZING, TexelSamples
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import fold
 from svu_mi.light.light_visibility import is_unoccluded
@@ -64,7 +64,7 @@ class Columns(NamedTuple):
         return Columns(*(part[samples] for part in self))
 
 
-class _Reflected(NamedTuple):
+class _CellReflection(NamedTuple):
     """One cell: diffuse light a + roughness b, Fresnel's parts of p, q and d, and lobes."""
 
     diffuse: tuple[Any, Any]
@@ -84,7 +84,7 @@ class Transport:
         count: N, opaque.
     """
 
-    samples: Samples
+    samples: TexelSamples
     number: int
     moves: bool
     lanes: tuple[Any, Any, Any, Any]
@@ -94,7 +94,7 @@ class Transport:
     count: Any
 
     @staticmethod
-    def of(samples: Samples, number: int, moves: bool = False) -> Transport:
+    def of(samples: TexelSamples, number: int, moves: bool = False) -> Transport:
         """Trace what the texels see of N cells."""
         cameras = samples.cameras
         turned = cameras if moves else np.broadcast_to(np.eye(3), cameras.shape)
@@ -130,7 +130,7 @@ class Transport:
         rows = [dr.gather(mi.Vector3f, self.frames, 3 * view + k) for k in range(3)]
         return mi.Vector3f(*(dr.dot(row, local) for row in rows))
 
-    def _reflected(self, lane: Any, cell: Any, widths: list[Any]) -> _Reflected:
+    def _reflected(self, lane: Any, cell: Any, widths: list[Any]) -> _CellReflection:
         """Reflect one cell of unit radiance, in lobes of some widths."""
         texel, view, direction, cosine = (dr.gather(type(x), x, lane) for x in self.lanes)
         normal = self.samples.surface.at(texel).normal
@@ -154,7 +154,7 @@ class Transport:
         wide = [dr.sqrt(dr.fma(alpha, alpha, cell_width)) for alpha in widths]
         lobes = blurred_ggx(up, incident, wide, mi.Float(0))
         scale, schlick = solid * dr.rcp(4 * cosine), (1 - across) ** 5
-        return _Reflected(
+        return _CellReflection(
             diffuse_shading("disney", moments, direction, cosine),
             (1 - schlick, schlick, dielectric_fresnel(across)),
             [scale * smith_g1(cosine, alpha) * lobe
@@ -219,18 +219,18 @@ def columns_of(transport: Transport, light: np.ndarray, switches: AngularPreset)
 
 
 @dataclass(frozen=True)
-class Moments:
+class SampleMoments:
     """Sums over the samples of n texels under a light, for any dimmer or brighter one.
 
     ``table``: (5, 5, n, K, 3) float64, weighted products of e, p, q, d and the observation at K
     roughnesses.
     """
 
-    samples: Samples
+    samples: TexelSamples
     table: np.ndarray
 
     @staticmethod
-    def of(samples: Samples, found: Columns) -> Moments:
+    def of(samples: TexelSamples, found: Columns) -> SampleMoments:
         """Sum over samples, given ``columns_of`` a light."""
         observed = np.broadcast_to(samples.radiance[:, None].astype(np.float64), found.e.shape)
         parts, weight = (*found, observed), samples.weight[:, None, None]
@@ -239,7 +239,7 @@ class Moments:
             weighted = weight * part
             for j in range(i, len(parts)):
                 table[i, j] = table[j, i] = samples.sum(weighted * parts[j])
-        return Moments(samples, table)
+        return SampleMoments(samples, table)
 
     def posterior(
         self, switches: AngularPreset, factor: np.ndarray | float = 1.0
@@ -280,6 +280,6 @@ def noise_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
     return float(np.exp(np.log(posterior.kernel.noise).mean())) / unit
 
 
-def tempered(switches: AngularPreset, factor: float) -> AngularPreset:
+def annealed(switches: AngularPreset, factor: float) -> AngularPreset:
     """Return switches with a likelihood annealed by a factor."""
     return replace(switches, overdispersion=switches.overdispersion * factor)

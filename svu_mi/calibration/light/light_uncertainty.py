@@ -21,13 +21,13 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from svu_mi.calibration.light.gauss_newton import Fit
+from svu_mi.calibration.light.gauss_newton import LightFit
 from svu_mi.calibration.light.light_estimate import NINETY, UNANCHORED
 from svu_mi.calibration.light.light_prior import COLOR, SD
-from svu_mi.calibration.light.light_samples import Samples
+from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import (
     Columns,
-    Moments,
+    SampleMoments,
     Transport,
     columns_of,
     materials_of,
@@ -59,7 +59,7 @@ PLANE = np.array([[2, -1, -1], [0, 3**0.5, -(3**0.5)]]).T / 6**0.5  # basis of t
 
 
 @dataclass(frozen=True)
-class Level:
+class LightScale:
     """Normal distribution of the logarithm of a factor of the light, per channel.
 
     Attributes:
@@ -80,7 +80,7 @@ class Level:
         return np.asarray(np.hypot(self.common, self.tint))
 
 
-def level_of(samples: Samples, columns: Columns, switches: AngularPreset) -> Level:
+def scale_of(samples: TexelSamples, columns: Columns, switches: AngularPreset) -> LightScale:
     """Return the distribution of the light's scale.
 
     The brighter the light, the fewer base colours in [0, 1] explain the object, by one factor per
@@ -89,22 +89,22 @@ def level_of(samples: Samples, columns: Columns, switches: AngularPreset) -> Lev
     like Fresnel reflection of brighter light.
     """
     samples, kept = samples.facing()
-    moments = Moments.of(samples, columns.some(kept))
+    moments = SampleMoments.of(samples, columns.some(kept))
 
     def worse(logarithm: np.ndarray) -> float:
         posterior = moments.posterior(switches, np.exp(logarithm))
         return SHARPNESS * log(noise_of(posterior, samples.unit))
 
-    common, sd = _common(worse)
+    common, sd = _common_factor(worse)
     tint, tint_sd = _tint(worse, common)
     best = common + tint
     materials = materials_of(moments.posterior(switches, np.exp(best)))
     diffuse = diffuse_from_principled(1.0, *materials.mixed.T)
     anchored = bool((diffuse > 0.5).mean() >= FEWEST_DIELECTRIC)
-    return Level(best, sd if anchored else max(sd, LOOSE), tint_sd, anchored)
+    return LightScale(best, sd if anchored else max(sd, LOOSE), tint_sd, anchored)
 
 
-def _common(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
+def _common_factor(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
     """Return the median and the standard deviation of the factor of all channels."""
     steps = np.linspace(-FURTHEST, FURTHEST, STEPS)
     noise = scipy.interpolate.PchipInterpolator(steps, [worse(np.full(3, step)) for step in steps])
@@ -123,7 +123,7 @@ def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarra
 
     best, least = np.zeros(3), energy(np.zeros(3))
     for _ in range(TINT_ROUNDS):
-        slope, covariance = _parabola(energy, best, least)
+        slope, covariance = _slope_and_covariance(energy, best, least)
         step = -covariance @ slope
         step *= min(1.0, MOST_TINTED / max(float(np.abs(best + step).max()), 1e-12))
         after = energy(best + step)
@@ -136,7 +136,7 @@ def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarra
     return best, np.sqrt(np.diag(covariance))
 
 
-def _parabola(
+def _slope_and_covariance(
     energy: Callable[[np.ndarray], float], tint: np.ndarray, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return slope (3,) and inverse curvature (3, 3) of the energy of colours."""
@@ -159,7 +159,7 @@ class LightSamples(NamedTuple):
     cell_sd: np.ndarray
 
 
-def sample_lights(fit: Fit, count: int, seed: int = 0) -> LightSamples:
+def sample_lights(fit: LightFit, count: int, seed: int = 0) -> LightSamples:
     """Draw K = ``count`` lights from the Gaussian of the normal equations."""
     number, root = len(fit.x), np.linalg.cholesky(fit.system.matrix)
     every = len(root)  # gains of photographs follow the cells of each channel
@@ -174,7 +174,7 @@ def sample_lights(fit: Fit, count: int, seed: int = 0) -> LightSamples:
     return LightSamples(draws, np.sqrt(np.square(mean).sum(axis=0, dtype=np.float64)))
 
 
-def remarks_of(level: Level, cell_sd: np.ndarray) -> tuple[str, ...]:
+def remarks_of(level: LightScale, cell_sd: np.ndarray) -> tuple[str, ...]:
     """Return sentences about unknown parts of the light."""
     remarks = []
     if np.median(1 - np.square(cell_sd / SD)) < UNKNOWN:
@@ -188,7 +188,7 @@ def remarks_of(level: Level, cell_sd: np.ndarray) -> tuple[str, ...]:
 
 
 def widening_of(
-    transport: Transport, columns: Columns, draws: np.ndarray, level: Level,
+    transport: Transport, columns: Columns, draws: np.ndarray, level: LightScale,
     switches: AngularPreset,
 ) -> float:  # fmt: skip
     """Return the factor of the variance of textures that the uncertainty of the light adds.
@@ -197,12 +197,12 @@ def widening_of(
     the posterior variance. The common factor of base colours has its own interval.
     """
     samples, parts = transport.samples, []
-    own = Moments.of(samples, columns).posterior(switches, np.exp(level.best))
+    own = SampleMoments.of(samples, columns).posterior(switches, np.exp(level.best))
     # Levels at even quantiles, as many as there are lights.
     quantiles = (np.arange(len(draws)) + 0.5) / len(draws)
     factors = np.exp([level.common * NormalDist().inv_cdf(float(q)) for q in quantiles])
     others = [
-        Moments.of(samples, columns_of(transport, np.exp(x), switches)).posterior(
+        SampleMoments.of(samples, columns_of(transport, np.exp(x), switches)).posterior(
             switches, factor * np.exp(level.best)
         )
         for x, factor in zip(draws, factors, strict=True)

@@ -18,7 +18,7 @@ from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.calibration.light.light_folder import RECORD, load_light, photographs_of, save_light
 from svu_mi.calibration.light.light_options import LightOptions
-from svu_mi.calibration.light.light_summary import gain_sentences, sentences
+from svu_mi.calibration.light.light_summary import gain_sentences, summary_sentences
 from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.importers.envmap import read_environment_map
@@ -30,7 +30,7 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OutputError, SceneError
 from svu_mi.geometry.texels import texels
 
-ID = "found_light"  # of the emitter
+EMITTER = "found_light"  # of the emitter
 FOLDER = "light"  # in the capture's folder
 WITH_GAINS = "-gains"  # at the end of its name, for light that was found together with gains
 RESOLUTION = 256  # texels per side for the estimate of the light
@@ -56,28 +56,29 @@ def with_light(capture: Capture, light: LightEstimate) -> Capture:
             "goes on from such a light yet; photograph an object that stands still."
         )
     uncertainty = LightUncertainty(light.widening, tuple(float(sd) for sd in light.scale_sd))
-    scene = _under(capture, light.radiance)
+    scene = _scene_under(capture, light.radiance)
     return replace(capture, scene=scene, light_uncertainty=uncertainty, found_light=light)
 
 
 def with_map(capture: Capture, path: str | Path) -> tuple[Capture, list[str]]:
     """Return the capture under a lat-long map in the frame of Mitsuba's ``envmap``, and remarks."""
     pixels, _, notes = read_environment_map(Light(path=Path(path)))
-    scene = _under(capture, pixels)
+    scene = _scene_under(capture, pixels)
     return replace(capture, scene=scene, light_uncertainty=None, found_light=None), notes
 
 
-def _under(capture: Capture, radiance: np.ndarray) -> Any:
+def _scene_under(capture: Capture, radiance: np.ndarray) -> Any:
     """Return a scene of the capture's shapes under a map (H, W, 3)."""
     emitter = mi.load_dict({
-        "type": "envmap", "id": ID, "bitmap": mi.Bitmap(np.ascontiguousarray(radiance, np.float32)),
+        "type": "envmap", "id": EMITTER,
+        "bitmap": mi.Bitmap(np.ascontiguousarray(radiance, np.float32)),
     })  # fmt: skip
     integrator = capture.scene.integrator()  # None in a scene that has none
     others = [] if integrator is None else [integrator]
     return scene_of([*capture.scene.shapes(), *others, emitter])
 
 
-def illuminated(
+def with_resolved_light(
     capture: Capture,
     given: Path | None = None,
     *,
@@ -97,7 +98,7 @@ def illuminated(
         progress: displays the progress.
     """
     progress = progress or Progress()
-    lit, known = _lit(capture, given, elsewhere, gains, progress)
+    lit, known = _resolved(capture, given, elsewhere, gains, progress)
     if known is None:
         return lit
     for sentence in gain_sentences(known, capture):
@@ -105,19 +106,19 @@ def illuminated(
     return equalized(lit, known)
 
 
-def found_gains(
+def photo_gains(
     capture: Capture, elsewhere: Path | None = None, progress: Progress | None = None
 ) -> FoundGains:
     """Return the gains of photographs under the light of the capture, or estimated with it.
 
-    Arguments and errors are those of ``illuminated``.
+    Arguments and errors are those of ``with_resolved_light``.
     """
-    _, gains = _lit(capture, None, elsewhere, True, progress or Progress())
+    _, gains = _resolved(capture, None, elsewhere, True, progress or Progress())
     assert gains is not None
     return gains
 
 
-def _lit(
+def _resolved(
     capture: Capture, given: Path | None, elsewhere: Path | None, gains: bool, progress: Progress
 ) -> tuple[Capture, FoundGains | None]:
     """Return the capture under a light, and gains estimated with the light or on request."""
@@ -125,14 +126,14 @@ def _lit(
     if given is not None:
         lit, known = _under_given(capture, given, progress)
     elif capture.environment is None:
-        found = _searched(capture, elsewhere, gains, progress)
+        found = _estimated(capture, elsewhere, gains, progress)
         lit, known = with_light(capture, found), found.gains
     if gains and known is None:
         known = estimate_gains(lit, texels(lit.mesh, RESOLUTION), OPTIONS, progress)
     return lit, known
 
 
-def _searched(
+def _estimated(
     capture: Capture, elsewhere: Path | None, gains: bool, progress: Progress
 ) -> LightEstimate:
     """Return the light of photographs, estimated now or before."""
@@ -141,12 +142,12 @@ def _searched(
     if gains:
         places = [place.with_name(place.name + WITH_GAINS) for place in places]
     key = photographs_key(capture)
-    found = _found_before(places, key, progress)
+    found = _load_kept(places, key, progress)
     if found is None:
         progress.say("The capture has no light: it is found in the photographs first.")
         options = replace(OPTIONS, gains=gains)
         found = estimate_light(capture, texels(capture.mesh, RESOLUTION), options, progress)
-        for sentence in sentences(found):
+        for sentence in summary_sentences(found):
             progress.say(sentence)
         _keep(found, places, (key, options), progress)
     return found
@@ -178,7 +179,7 @@ def _under_given(
     return with_given, None
 
 
-def _found_before(places: list[Path], key: str, progress: Progress) -> LightEstimate | None:
+def _load_kept(places: list[Path], key: str, progress: Progress) -> LightEstimate | None:
     """Return a kept light of photographs with this key, None if there is none."""
     for place in places:
         if not (place / RECORD).is_file():

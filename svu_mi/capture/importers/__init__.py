@@ -1,1 +1,1 @@
-"""Captures as other tools write them: NeRF and nerfstudio, COLMAP, LLFF, IDR, and the like."""
+"""Importers of captures: NeRF and nerfstudio, COLMAP, LLFF, IDR, and data sets."""

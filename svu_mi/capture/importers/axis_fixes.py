@@ -1,4 +1,4 @@
-"""Corrections of common mistakes with axes, by name.
+"""Named corrections of common mistakes with coordinate axes.
 
 ``svu check`` finds which of them explains the photographs better, ``svu import --fix NAME``
 applies it; the names are the same. Each is relative to how the capture was read.

@@ -1,4 +1,4 @@
-"""How integers of photographs encode radiance: by a named curve, or one that was measured."""
+"""Camera response curves: conversion of integer pixels to linear radiance."""
 
 from __future__ import annotations
 

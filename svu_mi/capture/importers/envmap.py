@@ -1,4 +1,4 @@
-"""Environment maps of any convention as Mitsuba's ``envmap``."""
+"""Conversion of environment maps to Mitsuba's ``envmap``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""IDR and NeuS: ``cameras_sphere.npz`` or ``cameras.npz``, with ``image`` and ``mask`` beside it.
+"""Importer of IDR and NeuS: ``cameras_sphere.npz``, ``image`` and ``mask``.
 
 Yariv et al., Multiview Neural Surface Reconstruction (NeurIPS 2020); the arrays are those of its
 DATA_CONVENTION.md, https://github.com/lioryariv/idr, which NeuS has taken over:

@@ -1,4 +1,4 @@
-"""From what any tool has written to one capture folder."""
+"""Writing of capture folders from imported sources."""
 
 from __future__ import annotations
 
@@ -118,9 +118,8 @@ class ImportPlan:
         source, options, frames, light = self.source, self.options, self.frames, self.light
         with writing(folder, "import", capture_folder.FILE) as draft:
             geometry = _geometry(self.mesh, frames, options, self.fixes)
-            squares, converted = _write_photographs(frames, draft.folder, options.shrink, progress)
-            notes = [*source.notes, *self.notes, *geometry.notes]
-            notes += photograph_notes(frames, converted)
+            squares, views = _write_photographs(frames, draft.folder, options.shrink, progress)
+            notes = [*source.notes, *self.notes, *geometry.notes, *photograph_notes(frames, views)]
             if light is not None:
                 light = replace(light, to_world=light.to_world @ fix_rotation(self.fixes, "light"))
             sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame in squares]

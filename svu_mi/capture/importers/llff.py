@@ -1,4 +1,4 @@
-"""LLFF: ``poses_bounds.npy`` with the photographs in ``images`` beside it.
+"""Importer of LLFF: ``poses_bounds.npy`` and the photographs in ``images``.
 
 Mildenhall et al., Local Light Field Fusion (SIGGRAPH 2019); the layout is that of its README,
 https://github.com/Fyusion/LLFF. Each row has 17 numbers: a matrix of 3 x 5, row by row, and the

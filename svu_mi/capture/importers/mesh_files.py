@@ -1,4 +1,4 @@
-"""Meshes with their textures from GLB, OBJ, PLY and STL files, in Mitsuba's conventions."""
+"""Reader of textured meshes: GLB, glTF, OBJ, PLY and STL."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Materials of mesh files: textures of ``principled``'s parameters, and checks of glTF headers.
+"""Textures of mesh files as parameters of ``principled``; checks of glTF headers.
 
 trimesh takes normalised integers of glTF for coordinates, ignores sparse changes and texture
 transforms, and reads compressed data as zeros, all silently. Names are those of

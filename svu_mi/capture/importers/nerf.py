@@ -1,4 +1,4 @@
-"""``transforms.json``: poses of NeRF tools, Blender and nerfstudio.
+"""Importer of ``transforms.json``: NeRF tools, Blender and nerfstudio.
 
 There, camera space is +X right, +Y up, and the camera looks along -Z (``OPENGL``). World space is
 the scene's own; Blender's and nerfstudio's have +Z up. The keys are nerfstudio's:
@@ -26,9 +26,8 @@ if TYPE_CHECKING:
 
 FILE = "transforms.json"
 SPLITS = ("train", "test", "val")  # parts that a folder usually has
-# Coefficients that the lens model lacks, and parts of names of models that are no pinholes.
-UNSUPPORTED = ("k5", "k6")
-NOT_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")
+UNSUPPORTED = ("k5", "k6")  # coefficients that the lens model lacks
+NOT_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")  # model names
 
 
 def recognises(path: Path, split: str) -> bool:

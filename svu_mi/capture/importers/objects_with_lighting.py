@@ -1,4 +1,4 @@
-"""Objects with Lighting, the data set of Ummenhofer et al. (3DV 2024).
+"""Importer of Objects with Lighting, the data set of Ummenhofer et al. (3DV 2024).
 
 Its README has the layout and the conventions, https://github.com/isl-org/objects-with-lighting:
 pixels are ``K (R X + t)`` in OpenCV's axes with the centre of the first pixel at (0.5, 0.5),

@@ -1,4 +1,4 @@
-"""Which way a surface faces: winding and vertex normals that agree with it."""
+"""Repair of winding and vertex normals of meshes."""
 
 from __future__ import annotations
 

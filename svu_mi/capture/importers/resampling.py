@@ -1,4 +1,4 @@
-"""Resampling of photographs: straight lines, square pixels, and fewer of them.
+"""Undistortion, square pixels and downsampling of photographs.
 
 Mitsuba's cameras have no distortion and square pixels. First lines are straightened, then a
 photograph whose focal lengths differ is brought to the coarser of the two by area, so that no

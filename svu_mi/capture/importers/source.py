@@ -1,4 +1,4 @@
-"""Captures of other tools in our conventions.
+"""``Source``: a capture of another tool in our conventions.
 
 Readers convert the axes, angles and pixel grids of their tool into those of ``Source``, writers
 convert them back; no other module uses another convention.

@@ -1,4 +1,4 @@
-"""Files of a source: names confined to a folder, folders of pictures, and text by lines."""
+"""Files of a source: safe paths, folders of pictures and masks, text lines."""
 
 from __future__ import annotations
 

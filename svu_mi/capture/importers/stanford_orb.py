@@ -1,4 +1,4 @@
-"""Stanford-ORB: photographs of real objects in several places, with scans and measured light.
+"""Importer of Stanford-ORB: real objects under several lights, with scans.
 
 Kuang et al., Stanford-ORB: A Real-World 3D Object Inverse Rendering Benchmark (NeurIPS 2023).
 A capture is an object in one place, such as ``teapot_scene001``:

@@ -1,1 +1,1 @@
-"""Many captures by one command: a list, steps in processes of their own, and a page of all."""
+"""Batch processing: list of captures, runner of steps, page of results."""

@@ -1,4 +1,4 @@
-"""``svu batch``: many captures, one page."""
+"""``svu batch``: process many captures."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Batch(BaseCommand):
         return FAILED if failed else 0
 
     def _runner(self) -> BatchRunner:
-        """Return how captures are worked on."""
+        """Return the runner with these options."""
         from svu_mi.cli.batch.runner import BatchRunner
         from svu_mi.cli.batch.steps import STEPS
 
@@ -111,7 +111,7 @@ class Batch(BaseCommand):
 
 def _summary(outcomes: list[Outcome], failed: int) -> str:
     """Return "11 of 12 captures done, 2 steps made; failed: ..."."""
-    made = sum(outcome.made for outcome in outcomes)
+    made = sum(outcome.steps_run for outcome in outcomes)
     done = f"{len(outcomes) - failed} of {len(outcomes)} captures done, {made} steps made"
     entropies = [o.figures["entropy"] for o in outcomes if "entropy" in o.figures]
     if entropies:

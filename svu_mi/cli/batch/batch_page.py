@@ -1,4 +1,4 @@
-"""The page and the table of a batch: a line per capture."""
+"""Page and CSV table of a batch, one row per capture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The captures of a batch: folders of a folder, or rows of a table with options."""
+"""List of captures of a batch: subfolders, or rows of a CSV table."""
 
 from __future__ import annotations
 

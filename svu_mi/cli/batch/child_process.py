@@ -1,4 +1,4 @@
-"""A command in a process of its own, which ends with the batch that started it.
+"""Entry point of a command of a batch, which is killed when the batch ends.
 
     python -m svu_mi.cli.batch.child_process PARENT MEMORY entropy capture -o out/entropy ...
 

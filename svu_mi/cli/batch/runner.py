@@ -1,4 +1,4 @@
-"""Run the steps of all captures, each command in a process of its own, here or on a cluster.
+"""Runner of batches: one process per command, on this machine or a Dask cluster.
 
 The batch itself computes nothing: its memory does not depend on the number of captures, and a
 command that dies does not end it.
@@ -46,7 +46,7 @@ class ProcessResult(NamedTuple):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a capture.
+    """Result of one capture.
 
     Attributes:
         name: of the capture.
@@ -54,7 +54,7 @@ class Outcome:
         sentence: why it failed; empty if it did not.
         seconds: of all its steps, those of earlier runs too.
         peak: bytes of the largest of its processes.
-        made: number of steps that this run has done.
+        steps_run: number of steps that this run has done.
         done: names of the steps whose results are up to date.
         figures: ``seen``, ``entropy`` and ``known`` of ``svu entropy``, parts in [0, 1].
     """
@@ -64,14 +64,14 @@ class Outcome:
     sentence: str = ""
     seconds: float = 0.0
     peak: int = 0
-    made: int = 0
+    steps_run: int = 0
     done: tuple[str, ...] = ()
     figures: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchRunner:
-    """How captures are worked on.
+    """Runner of the steps of all captures.
 
     Attributes:
         output: folder that gets a folder per capture.
@@ -138,7 +138,7 @@ class BatchRunner:
                 client.cancel(list(futures))
 
     def work(self, item: BatchItem, commands: CommandPool) -> Outcome:
-        """Take the steps of one capture that are not done; errors become its sentence."""
+        """Run the missing steps of one capture; errors become its sentence."""
         item = replace(item, options=self.options | item.options)
         folder = self.output / item.name
         outcome, done = Outcome(item.name, folder), {}
@@ -184,13 +184,13 @@ class BatchRunner:
                 seconds = round(time.perf_counter() - start, 2)
                 done[name] = {"key": key, "seconds": seconds, "peak_bytes": ended.peak}
                 write_done(folder, done)
-                outcome = replace(outcome, made=outcome.made + 1)
+                outcome = replace(outcome, steps_run=outcome.steps_run + 1)
             outcome = replace(outcome, done=(*outcome.done, name))
             yield outcome
 
 
 def work_on_cluster(runner: BatchRunner, item: BatchItem) -> Outcome:
-    """Take the steps of one capture, in a worker of a cluster, with its threads and its memory."""
+    """Run the steps of one capture in a worker of a cluster, with its threads and memory."""
     from distributed import get_worker
 
     from svu_mi.core.threads import FEWEST_THREADS
@@ -259,7 +259,7 @@ def _run_command(commands: CommandPool, words: Sequence[str], left: Path | None)
 
 
 class CommandPool:
-    """The commands that are running; none starts any more once they were ended."""
+    """Running commands; after ``end``, none starts."""
 
     def __init__(self, memory: int = 0) -> None:
         self._memory = memory

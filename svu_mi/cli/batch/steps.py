@@ -1,4 +1,4 @@
-"""The steps of a capture: commands, their words, the key of their inputs, and which are done."""
+"""Steps of a batch: commands, arguments, keys of inputs, and completed steps."""
 
 from __future__ import annotations
 

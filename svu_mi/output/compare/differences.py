@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from svu_mi.calibration.light.resolve_light import illuminated
+from svu_mi.calibration.light.resolve_light import with_resolved_light
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.crop import Detail
 from svu_mi.capture.loading import plan_capture
@@ -166,7 +166,7 @@ class ComparisonPlan:
     def estimate(self, index: int, capture: Capture, progress: Progress) -> None:
         """Estimate a side; a light is found for a capture on disk that has none."""
         if not isinstance(dict(self.captures)[index], Capture):
-            capture = illuminated(capture, progress=progress)
+            capture = with_resolved_light(capture, progress=progress)
         preset, grid = self.presets[index], texels(capture.mesh, self.size)
         result = estimate(capture, grid, preset=preset, progress=progress)
         about = f"a capture, estimated with the preset {preset}"

@@ -13,7 +13,7 @@ from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.replace_material import is_two_sided
 from svu_mi.core.identifiers import plain_name
 from svu_mi.errors import MeshError, OptionError, ShapeError
-from svu_mi.output.maps import padded
+from svu_mi.output.maps import padded_image
 from svu_mi.output.object_views import Axis, nearest_axis, up_direction
 from svu_mi.recovery.svbrdf_textures import Textures
 
@@ -81,16 +81,21 @@ class Asset:
     ) -> Asset:
         """Return an asset of results in memory; an estimate may have any resolution."""
         seen = recovery if estimate is None else estimate
-        entropy = None if estimate is None else padded(seen, np.array(estimate.entropy, np.float32))
+        entropy = (
+            None if estimate is None else padded_image(seen, np.array(estimate.entropy, np.float32))
+        )
         return cls(
             name=capture.shape.id() or "object",
             mesh=arrays(capture.mesh),
             textures=recovery.textures,
             entropy=entropy,
-            coverage=padded(seen, np.asarray(seen.coverage).astype(np.float32), fill=0),
+            coverage=padded_image(seen, np.asarray(seen.coverage).astype(np.float32), fill=0),
             deviations={}
             if field is None
-            else {name: padded(field, worst(field.sd(name)), fill=0) for name in field.names},
+            else {
+                name: padded_image(field, largest_channel(field.sd(name)), fill=0)
+                for name in field.names
+            },
             two_sided=is_two_sided(capture.shape.bsdf()),
             up=nearest_axis(up_direction(capture)),
             source=capture.source,
@@ -99,7 +104,7 @@ class Asset:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Written:
+class AssetFile:
     """A file of an asset: its relative path, format, content, and how to read its values."""
 
     file: str
@@ -108,7 +113,7 @@ class Written:
     values: str
 
 
-def worst(deviations: np.ndarray) -> np.ndarray:
+def largest_channel(deviations: np.ndarray) -> np.ndarray:
     """Return the largest of the channels (T, C) or (T,), (T,) float32."""
     table = np.asarray(deviations, np.float32)
     return np.asarray(table.reshape(len(table), -1).max(axis=1, initial=0))

@@ -12,7 +12,7 @@ from svu_mi.capture.image_io import quantized, srgb
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import replacing
 from svu_mi.errors import OutputError
-from svu_mi.output.export.asset import TEXTURES, Asset, Written
+from svu_mi.output.export.asset import TEXTURES, Asset, AssetFile
 from svu_mi.output.texture_files import FILES, write_textures
 from svu_mi.parameters import CHANNELS
 
@@ -23,21 +23,23 @@ SRGB = "sRGB (IEC 61966-2-1)"
 PACKED = "linear: R occlusion (1, as it is unknown), G roughness, B metallic, as in glTF"
 
 
-def write_exr_images(asset: Asset, folder: Path, *, half: bool) -> list[Written]:
+def write_exr_images(asset: Asset, folder: Path, *, half: bool) -> list[AssetFile]:
     """Write the textures and maps as linear EXR; entropy and coverage have the channel Y."""
     write_textures(asset.textures, folder / TEXTURES, half=half)
     written = [
-        Written(file=f"{TEXTURES}/{file}", format="exr", holds=name, values=LINEAR)
+        AssetFile(file=f"{TEXTURES}/{file}", format="exr", holds=name, values=LINEAR)
         for name, file in FILES.items()
     ]
     for name, image in asset.maps.items():
         file = f"{TEXTURES}/{name}.exr"
         write_exr(folder / file, {"Y": image}, {"svu:version": svu_mi.__version__}, half=half)
-        written.append(Written(file=file, format="exr", holds=name, values=VALUES.get(name, SD_OF)))
+        written.append(
+            AssetFile(file=file, format="exr", holds=name, values=VALUES.get(name, SD_OF))
+        )
     return written
 
 
-def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
+def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[AssetFile]:
     """Write the textures, their packed ``orm``, and the maps as PNG."""
     images: dict[str, tuple[np.ndarray, str]] = {}
     for name, tensor in asset.textures.items():
@@ -54,7 +56,7 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
     for name, (image, values) in images.items():
         file = f"{TEXTURES}/{name}.png"
         write_png(folder / file, quantized(image, bits), color=values == SRGB)
-        written.append(Written(file=file, format="png", holds=name, values=values))
+        written.append(AssetFile(file=file, format="png", holds=name, values=values))
     return written
 
 

@@ -21,7 +21,7 @@ from svu_mi.capture.mesh import make
 from svu_mi.capture.sensors import bounding_sphere, sphere_sensors
 from svu_mi.core.identifiers import materialx_name, obj_name
 from svu_mi.core.io.files import write_text
-from svu_mi.output.export.asset import TEXTURES, Asset, Written
+from svu_mi.output.export.asset import TEXTURES, Asset, AssetFile
 from svu_mi.output.export.glb import as_trimesh, upward_uvs
 from svu_mi.output.object_views import DIRECTION, Axis
 from svu_mi.output.texture_files import FILES, object_node
@@ -44,7 +44,7 @@ INPUTS = {
 }  # fmt: skip
 
 
-def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[Written]:
+def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[AssetFile]:
     """Write ``object.xml``, ``mesh.ply`` and ``preview.xml``; textures are those written as EXR.
 
     ``up`` is the top of the preview's camera.
@@ -56,9 +56,9 @@ def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[Written]:
     _write(folder / OBJECT, [Comment(USE.format(version=svu_mi.__version__)), node])
     _write(folder / PREVIEW, _preview(asset, up))
     return [
-        Written(file=OBJECT, format="xml", holds="object", values="for <include> of a scene"),
-        Written(file=PREVIEW, format="xml", holds="scene", values="object, light and camera"),
-        Written(file=MESH, format="xml", holds="mesh", values="v = 0 at an image's top"),
+        AssetFile(file=OBJECT, format="xml", holds="object", values="for <include> of a scene"),
+        AssetFile(file=PREVIEW, format="xml", holds="scene", values="object, light and camera"),
+        AssetFile(file=MESH, format="xml", holds="mesh", values="v = 0 at an image's top"),
     ]  # fmt: skip
 
 
@@ -94,14 +94,14 @@ def _write(path: Path, children: list[Any]) -> None:
     scene_xml.write_document(root, path)
 
 
-def write_materialx(asset: Asset, folder: Path) -> list[Written]:
+def write_materialx(asset: Asset, folder: Path) -> list[AssetFile]:
     """Write ``material.mtlx`` and ``mesh.obj``; the textures are those written as PNG."""
     scene_xml.write_document(_document(materialx_name(asset.name)), folder / MATERIAL)
     _write_obj(asset, folder / OBJ)
     return [
-        Written(file=MATERIAL, format="materialx", holds="material",
+        AssetFile(file=MATERIAL, format="materialx", holds="material",
                 values="standard_surface; colour space of the document lin_rec709"),
-        Written(file=OBJ, format="materialx", holds="mesh", values="v = 0 at an image's bottom"),
+        AssetFile(file=OBJ, format="materialx", holds="mesh", values="v = 0 at an image's bottom"),
     ]  # fmt: skip
 
 

@@ -17,7 +17,7 @@ import svu_mi
 from svu_mi.capture.image_io import decoded, quantized, srgb
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.core.io.files import replacing
-from svu_mi.output.export.asset import Asset, Written
+from svu_mi.output.export.asset import Asset, AssetFile
 from svu_mi.output.export.asset_images import orm_image
 from svu_mi.output.object_views import Axis
 from svu_mi.output.style import COLORMAP
@@ -30,7 +30,7 @@ UNLIT = "KHR_materials_unlit"
 
 def write_asset_glb(
     asset: Asset, folder: Path, at_vertices: Mapping[str, np.ndarray], *, up: Axis
-) -> Written:
+) -> AssetFile:
     """Write ``asset.glb``: mesh and textures (8-bit PNG) in one file.
 
     Maps at the vertices (N,) become the attributes ``_ENTROPY`` and so on, which viewers ignore.
@@ -49,13 +49,13 @@ def write_asset_glb(
     visual = TextureVisuals(uv=upward_uvs(asset.mesh), material=material)
     attributes = {f"_{name.upper()}": values for name, values in at_vertices.items()}
     _write(folder / ASSET, asset, visual, up, attributes)
-    return Written(
+    return AssetFile(
         file=ASSET, format="glb", holds=", ".join(["mesh", "textures", *attributes]),
         values="8 bits; base colour sRGB; roughness (G) and metallic (B) linear",
     )  # fmt: skip
 
 
-def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Axis) -> Written:
+def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Axis) -> AssetFile:
     """Write ``entropy.glb``: the mesh with entropy as vertex colours, to be seen without light.
 
     A file of its own, since glTF multiplies vertex colours with the textures.
@@ -76,7 +76,7 @@ def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Ax
         tree["meshes"][0]["primitives"][0]["material"] = 0
 
     _write(folder / ENTROPY, asset, visual, up, {"_ENTROPY": entropy}, unlit)
-    return Written(
+    return AssetFile(
         file=ENTROPY, format="glb", holds="entropy",
         values=f"vertex colours, {COLORMAP} over [0, 1]; _ENTROPY has the numbers",
     )  # fmt: skip

@@ -68,19 +68,19 @@ class AssetPlan:
     def read(self) -> Asset:
         """Read all files (see ``load_asset``)."""
         folder, maps = self.folder, self.maps
-        scene = _parsed(folder / SCENE)
-        shape = _shape(scene, folder / SCENE)
+        scene = _parse_xml(folder / SCENE)
+        shape = _object_node(scene, folder / SCENE)
         smooth = shape.find("boolean[@name='face_normals']") is None
         textured = folder / FILES["base_color"]
         return Asset(
             name=shape.get("id") or "object",
-            mesh=_mesh(folder / MESH, smooth),
+            mesh=_read_mesh(folder / MESH, smooth),
             textures=read_textures(folder),
             entropy=_read_map(maps / ENTROPY, 1),
             coverage=_read_map(maps / COVERAGE, np.inf),
-            deviations=_deviations(folder / UNCERTAINTY, textured),
+            deviations=_read_deviations(folder / UNCERTAINTY, textured),
             two_sided=shape.find("bsdf[@type='twosided']") is not None,
-            up=nearest_axis(up_of_poses(_poses(scene))),
+            up=nearest_axis(up_of_poses(_camera_poses(scene))),
             source=str(folder),
             capture=marks_of(textured)[1],
         )
@@ -120,14 +120,14 @@ def _require_same_capture(folder: Path, textured: Path, *, asked: bool) -> None:
         return
 
 
-def _parsed(path: Path) -> ElementTree.Element:
+def _parse_xml(path: Path) -> ElementTree.Element:
     try:
         return ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError) as error:
         raise CaptureError(f"{path}: cannot be read ({error}); run svu recover again.") from error
 
 
-def _shape(scene: ElementTree.Element, path: Path) -> ElementTree.Element:
+def _object_node(scene: ElementTree.Element, path: Path) -> ElementTree.Element:
     """Return the node of the object."""
     for shape in scene.findall("shape"):
         if shape.find(f"string[@value='{MESH}']") is not None:
@@ -135,7 +135,7 @@ def _shape(scene: ElementTree.Element, path: Path) -> ElementTree.Element:
     raise CaptureError(f"{path}: no shape has the mesh {MESH}; run svu recover again.")
 
 
-def _poses(scene: ElementTree.Element) -> np.ndarray:
+def _camera_poses(scene: ElementTree.Element) -> np.ndarray:
     """Return (V, 4, 4): the cameras as they were written; others, put in by hand, do not count."""
     rows = [matrix.get("value", "").split() for matrix in scene.findall("sensor/transform/matrix")]
     try:
@@ -144,7 +144,7 @@ def _poses(scene: ElementTree.Element) -> np.ndarray:
         return np.zeros((0, 4, 4))
 
 
-def _mesh(path: Path, smooth: bool) -> MeshArrays:
+def _read_mesh(path: Path, smooth: bool) -> MeshArrays:
     with path.open("rb") as stream:
         header = stream.read(HEADER).partition(b"end_header")[0]
     if smooth and b" nx\n" not in header.replace(b"\r", b""):
@@ -158,7 +158,7 @@ def _mesh(path: Path, smooth: bool) -> MeshArrays:
     return arrays(mesh)
 
 
-def _deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
+def _read_deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
     """Return standard deviations (H, W) by parameter, of colours the worst channel's; none without
     the file, or where it is of another run than the textures."""
     if not path.is_file() or marks_of(path)[0] != marks_of(textured)[0]:

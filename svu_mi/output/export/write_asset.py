@@ -15,7 +15,7 @@ from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.io.output_folder import writing
 from svu_mi.core.validation import require, require_types
 from svu_mi.output.export import asset_scenes, glb
-from svu_mi.output.export.asset import RECORD, TEXTURES, Asset, Written
+from svu_mi.output.export.asset import RECORD, TEXTURES, Asset, AssetFile
 from svu_mi.output.export.asset_images import write_exr_images, write_png_images
 from svu_mi.output.export.load_asset import load_asset
 from svu_mi.output.export.uv_gutters import at_vertices, with_gutters
@@ -101,7 +101,7 @@ def export_asset(
     return Path(folder) / RECORD
 
 
-def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
+def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[AssetFile]:
     files, up, formats = [], options.up or asset.up, options.written
     if "exr" in formats:
         files += write_exr_images(asset, folder, half=options.half)
@@ -119,7 +119,7 @@ def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
     return files
 
 
-def _record(asset: Asset, options: ExportOptions, files: list[Written]) -> dict[str, Any]:
+def _record(asset: Asset, options: ExportOptions, files: list[AssetFile]) -> dict[str, Any]:
     """Return what ``asset.json`` says."""
     low, high = asset.mesh.positions.min(axis=0), asset.mesh.positions.max(axis=0)
     return {

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.calibration.light.light_summary import sentences
+from svu_mi.calibration.light.light_summary import summary_sentences
 from svu_mi.capture.capture import Capture
 from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
@@ -76,20 +76,20 @@ def write_report(
     result, table = EstimateArrays.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     intervals = picture_intervals(estimate, report_pictures.MAP_SIDE)
     shown = _pictures(capture, estimate, textures, table, intervals, report)
-    knowledge = IntervalSummary.of(estimate, intervals)
+    summary = IntervalSummary.of(estimate, intervals)
     today = datetime.date.today()
     page = page_of(
         TEMPLATE,
         title=title or _capture_name(capture), date=f"{today.day} {today:%B %Y}",
-        summary=_summary(capture, estimate, result, intervals, knowledge, table),
+        summary=_summary(capture, estimate, result, intervals, summary, table),
         histogram=report_plots.entropy_histogram(result),
         marginals=list(report_plots.marginal_plots(estimate, result)),
-        given=[(name, _plain(value)) for name, value in (settings or {}).items()],
+        given=[(name, _setting_text(value)) for name, value in (settings or {}).items()],
         **shown, **_settings(capture, estimate), **_environment(estimate.timings),
     )  # fmt: skip
     write_page(Path(path), page)
     report(5, 5)
-    return knowledge
+    return summary
 
 
 def _pictures(
@@ -130,7 +130,7 @@ def _light(capture: Capture) -> dict[str, Any] | None:
         return None
     return {
         "maps": report_pictures.light_maps(light),
-        "sentences": list(sentences(light, up_direction(capture))),
+        "sentences": list(summary_sentences(light, up_direction(capture))),
     }
 
 
@@ -145,31 +145,31 @@ def _errors(
 
 def _summary(
     capture: Capture, estimate: Estimate, result: EstimateArrays, intervals: Intervals,
-    knowledge: IntervalSummary, table: Turntable,
+    summary: IntervalSummary, table: Turntable,
 ) -> dict[str, Any]:  # fmt: skip
     """Numbers for the head of the page, and words for them."""
     seen = result.entropy[result.seen]
     views = float(np.median(result.coverage[result.seen])) if len(seen) else 0
     width, height = estimate.texels.resolution
     return {
-        "seen": knowledge.seen_part,
+        "seen": summary.seen_part,
         "settled": [
             (label_of(name), summary_text.WidthShares.of(estimate, intervals.half_width(name)),
-             f"±{knowledge.median_half_width[name]:.2f}")
-            for name in knowledge.known_part
+             f"±{summary.median_half_width[name]:.2f}")
+            for name in summary.known_part
         ],
-        "all_settled": knowledge.all_known_part,
-        "tolerance": f"±{knowledge.tolerance:g}", "roughly": f"±{summary_text.ROUGHLY:g}",
-        "level": f"{100 * knowledge.level:g}{NARROW_SPACE}%",
-        "cell": f"{max(knowledge.cell_width.values(), default=0):.2f}",
-        "coarse": [label_of(name) for name in knowledge.cell_width],
+        "all_settled": summary.all_known_part,
+        "tolerance": f"±{summary.tolerance:g}", "roughly": f"±{summary_text.ROUGHLY:g}",
+        "level": f"{100 * summary.level:g}{NARROW_SPACE}%",
+        "cell": f"{max(summary.cell_width.values(), default=0):.2f}",
+        "coarse": [label_of(name) for name in summary.cell_width],
         "texture": f"{width} × {height}",
         "direction": summary_text.facing_direction(estimate, ~result.seen, table.up),
         "numbers": [
             ("Photographs used", grouped(sum(capture.used)), f"of {grouped(capture.count)}"),
             ("Points of the surface", grouped(len(result.seen)),
              f"in a texture of {width} × {height}"),
-            ("Seen", percent(knowledge.seen_part),
+            ("Seen", percent(summary.seen_part),
              f"of the surface; a point seen is in {views:g} photographs (median)"),
             ("Mean entropy", f"{seen.mean():.2f}" if len(seen) else "–",
              f"of the points seen: {style.ENTROPY_ENDS}"),
@@ -194,7 +194,7 @@ def _settings(capture: Capture, estimate: Estimate) -> dict[str, Any]:
             ("Texture", f"{width} × {height}"),
             ("Photographs", f"{', '.join(sizes[:4])}{', …' if len(sizes) > 4 else ''} pixels"),
         ],
-        "switches": [(name, _plain(value)) for name, value in preset.items()],
+        "switches": [(name, _setting_text(value)) for name, value in preset.items()],
     }  # fmt: skip
 
 
@@ -215,17 +215,17 @@ def _environment(timings: Mapping[str, float]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _plain(value: Any) -> str:
+def _setting_text(value: Any) -> str:
     """Write a setting; of a file its name alone, as a page is sent to others."""
     if isinstance(value, Path):
         return value.name or str(value)
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, tuple | list):
-        return ", ".join(map(_plain, value)) or "–"
+        return ", ".join(map(_setting_text, value)) or "–"
     if isinstance(value, str) and "=" in value:  # of -D
         key, _, text = value.partition("=")
-        return f"{key}={_plain(Path(text)) if text else ''}"
+        return f"{key}={_setting_text(Path(text)) if text else ''}"
     return "–" if value is None else str(value)
 
 

@@ -65,7 +65,7 @@ def thumbnails(
     first = subsample(chosen, FIRST)
 
     def thumbnail(view: int, notes: str, first: bool) -> dict[str, Any]:
-        return {"picture": embedded_jpeg(_small(capture, view)), "name": capture.names[view],
+        return {"picture": embedded_jpeg(_thumbnail(capture, view)), "name": capture.names[view],
                 "notes": notes, "first": first}  # fmt: skip
 
     def notes(view: int) -> str:
@@ -88,7 +88,7 @@ def subsample(views_: Sequence[int], most: int) -> list[int]:
     return [views_[k] for k in evenly_spaced(len(views_), most)]
 
 
-def _small(capture: Capture, view: int) -> np.ndarray:
+def _thumbnail(capture: Capture, view: int) -> np.ndarray:
     """Return a photograph at the size of a thumbnail, exposed for its object."""
     image, mask = capture.images[view], capture.masks[view]
     step = max(max(image.shape[:2]) // (OVERSAMPLED * THUMBNAIL), 1)  # for large ones' sake
@@ -214,7 +214,7 @@ def most_probable_textures(estimate: Any) -> Textures | None:
 def _chart(values: np.ndarray, rows: list[tuple[str, str]]) -> Plot:
     ends = [(0.5, rows[0][0]), (len(rows) - 0.5, rows[-1][0])]
     return Plot(
-        words="Mean difference of each view.", edges=np.arange(len(values) + 1), heights=values,
+        alt="Mean difference of each view.", edges=np.arange(len(values) + 1), heights=values,
         labels=[": ".join(row) for row in rows], top=1.1 * max(values.max(), 0.01),
         x_ticks=ends[: len(rows)], y_ticks=[(0, "0"), (values.max(), _percent(values.max()))],
         width=CHART_WIDTH,

@@ -37,7 +37,7 @@ class Plot:
     """Bars and lines in pixels of an SVG.
 
     Attributes:
-        words: alternative text.
+        alt: alternative text.
         edges: (N + 1,) borders of the bars, increasing.
         heights: (N,) of the bars; empty for lines alone.
         labels: (N,) words that appear when a bar is pointed at.
@@ -48,7 +48,7 @@ class Plot:
         y_ticks: the same, on the left.
     """
 
-    words: str
+    alt: str
     edges: np.ndarray
     heights: Sequence[float] | np.ndarray = ()
     labels: Sequence[str] = ()
@@ -101,7 +101,7 @@ def entropy_histogram(result: EstimateArrays) -> Plot | None:
     parts = np.histogram(values, edges)[0] / len(values)
     most = parts.max()
     return Plot(
-        words=f"Histogram of entropy; the median is {np.median(values):.2f}.",
+        alt=f"Histogram of entropy; the median is {np.median(values):.2f}.",
         edges=edges, heights=parts, colors=css_colors((edges[1:] + edges[:-1]) / 2),
         labels=[f"{a:.2f} to {b:.2f}: {100 * p:.1f} %"
                 for a, b, p in zip(edges, edges[1:], parts, strict=False)],
@@ -144,18 +144,18 @@ def example_texels(
             "name": name, "picture": frames[number] if place else None, "x": 100 * x, "y": 100 * y,
             "sentence": f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
             f"photograph{'s' if count != 1 else ''}; column {column}, row {row} of the texture.",
-            "plots": [(label_of(n), _marginal(estimate.posterior, n, _table(marginals[n])),
-                       _interval_words(intervals, n)) for n in open_axes(estimate)],
+            "plots": [(label_of(n), _marginal(estimate.posterior, n, _single(marginals[n])),
+                       _interval_text(intervals, n)) for n in open_axes(estimate)],
         }  # fmt: skip
 
 
-def _table(marginal: Any) -> np.ndarray:
+def _single(marginal: Any) -> np.ndarray:
     """Return the marginal of a single texel, (nodes, 1) or (nodes, 3)."""
     p = np.array(marginal, np.float64)
     return p.reshape(p.shape[1], -1)
 
 
-def _interval_words(intervals: Intervals, name: str) -> str:
+def _interval_text(intervals: Intervals, name: str) -> str:
     """Word the interval of a single texel: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
     low, high = (end[0] for end in intervals.ends(name))
     told = [f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True)]
@@ -177,7 +177,7 @@ def _marginal(
     top = next((t for t in TOPS if t >= highest), TOPS[-1])
     bars = () if several else p[:, 0]
     return Plot(
-        words=f"Probability of {label_of(name)}: most at {nodes[p.mean(axis=1).argmax()]:.2f}.",
+        alt=f"Probability of {label_of(name)}: most at {nodes[p.mean(axis=1).argmax()]:.2f}.",
         edges=bar_edges(nodes), heights=bars, lines=lines,
         labels=[f"{v:.2f}: {100 * q:.1f} %" for v, q in zip(nodes, bars, strict=False)],
         top=top, y_ticks=[(t, f"{100 * t:.0f} %") for t in (0, top / 2, top)],

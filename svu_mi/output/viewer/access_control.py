@@ -56,7 +56,7 @@ class Guard:
             and all(origin == f"http://{hosts[0]}" for origin in origins)
         )
 
-    def inner(self, path: str) -> str:
+    def without_secret(self, path: str) -> str:
         """Return a path without the secret."""
         return "/" + path.removeprefix(f"/{self.secret}").removeprefix("/")
 
@@ -70,7 +70,7 @@ class Guard:
                 return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL)
             if then is None:
                 return None
-            response = then(connection, replace(request, path=self.inner(request.path)))
+            response = then(connection, replace(request, path=self.without_secret(request.path)))
             if response is not None:
                 response.headers.update(PRIVATE)
             return response

@@ -40,8 +40,8 @@ class Pick:
         position: (3,) float64, the texel's centre in world space.
         entropy: in [0, 1].
         seen_by: indices of the sensors that see it.
-        known: by parameter the value of the most probable material, the mean, and both ends of the
-            interval, of one or three channels; empty if no sensor sees the texel.
+        summaries: by parameter the most probable value, the mean, and both ends of the interval,
+            of one or three channels; empty if no sensor sees the texel.
         level: of the intervals.
     """
 
@@ -51,7 +51,7 @@ class Pick:
     position: np.ndarray
     entropy: float
     seen_by: tuple[int, ...]
-    known: dict[str, tuple[np.ndarray, ...]]
+    summaries: dict[str, tuple[np.ndarray, ...]]
     level: float
 
 
@@ -97,11 +97,11 @@ class Picker:
             texel=texel, column=column, row=row,
             position=np.array(texels.position, np.float64)[:, texel],
             entropy=float(np.array(self._estimate.entropy)[texel]),
-            seen_by=seen_by, known=self._known(texel) if seen_by else {},
+            seen_by=seen_by, summaries=self._summaries(texel) if seen_by else {},
             level=self._intervals.level,
         )  # fmt: skip
 
-    def _known(self, texel: int) -> dict[str, tuple[np.ndarray, ...]]:
+    def _summaries(self, texel: int) -> dict[str, tuple[np.ndarray, ...]]:
         posterior, summaries = self._estimate.posterior, {}
         best = posterior.map([texel])
         for name in posterior.axes:
@@ -133,7 +133,7 @@ def texel_markdown(capture: Capture, pick: Pick) -> str:
     """Return the posterior of a texel as Markdown."""
     lines = [f"**Texel {pick.column}, {pick.row}** (column, row), number {pick.texel}", ""]
     lines += [f"* entropy **{pick.entropy:.3f}**", f"* {_seen_by(capture, pick)}"]
-    if not pick.known:
+    if not pick.summaries:
         return "\n".join([*lines, "* nothing is known"])
     return "\n".join([*lines, "", *_table(pick)])
 
@@ -141,7 +141,7 @@ def texel_markdown(capture: Capture, pick: Pick) -> str:
 def _table(pick: Pick) -> list[str]:
     """Mean, interval and most probable value of each parameter, as lines of a Markdown table."""
     lines = [f"| | mean | {100 * pick.level:g} % interval | most probable |", "|-|-|-|-|"]
-    for name, values in pick.known.items():
+    for name, values in pick.summaries.items():
         channels = (" R", " G", " B") if len(values[0]) == 3 else ("",)
         for channel, best, mean, low, high in zip(channels, *values, strict=True):
             label = f"{label_of(name)}{channel}".replace(" ", NO_BREAK)

@@ -25,7 +25,13 @@ from svu_mi.output.style import MARK
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer.access_control import require_viser, serve, stop
 from svu_mi.output.viewer.picking import Pick, Picker, draw_pick, draw_scale, texel_markdown
-from svu_mi.output.viewer.viser_mesh import GAIN, Frustum, frustum, material_colors, textured_mesh
+from svu_mi.output.viewer.viser_mesh import (
+    LIGHT_STRENGTH,
+    Frustum,
+    frustum,
+    material_colors,
+    textured_mesh,
+)
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import field_of_textures
@@ -84,7 +90,7 @@ class Viewer:
         self.picked: Pick | None = None
         self._view: int | None = None
         self._server, self.url = serve(port)
-        self._set_the_stage()
+        self._set_up_scene()
         self._panels()
         self._frusta = [self._add_frustum(view) for view in range(capture.count)]
         self._listen()
@@ -172,7 +178,7 @@ class Viewer:
         )  # fmt: skip
         self._update_frusta()
 
-    def _set_the_stage(self) -> None:
+    def _set_up_scene(self) -> None:
         scene, camera = self._server.scene, self._server.initial_camera
         scene.set_up_direction(self._up)
         scene.configure_environment_map(None)
@@ -180,7 +186,7 @@ class Viewer:
         ground = round(255 * float(srgb(np.array(SHADE))))
         scene.add_light_hemisphere(
             "/light", sky_color=(255, 255, 255), ground_color=(ground,) * 3,
-            intensity=GAIN * np.pi,
+            intensity=LIGHT_STRENGTH * np.pi,
         )  # fmt: skip
         camera.near, camera.far = 1e-3 * self._radius, 1e3 * self._radius
         camera.position = self._center + self._radius * self._home

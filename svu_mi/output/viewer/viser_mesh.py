@@ -23,7 +23,9 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import film_size, focal_length, principal_point
 from svu_mi.capture.tonemap import tone_mapped
 
-GAIN = 4.0  # light by which a texture is multiplied: white needs more than a texture can hold
+LIGHT_STRENGTH = (
+    4.0  # light by which a texture is multiplied: white needs more than a texture can hold
+)
 EXPOSURE = 0.6
 TO_ACES = np.array([
     [0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777],
@@ -38,7 +40,7 @@ B, C, D, E, F = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
 def textured_mesh(mesh: Any, colors: np.ndarray) -> Any:
     """Return an ``mi.Mesh`` with UVs as a ``trimesh.Trimesh``.
 
-    ``colors`` (H, W, 3) are those that it appears in under white light of strength ``GAIN``.
+    ``colors`` (H, W, 3) are those that it appears in under white light of ``LIGHT_STRENGTH``.
     """
 
     source = meshes.arrays(mesh)
@@ -59,7 +61,7 @@ def material_colors(colors: np.ndarray) -> np.ndarray:
 
 
 def before_tone_mapping(linear: np.ndarray) -> np.ndarray:
-    """Return the texture that appears in linear colours (..., 3) under light of strength ``GAIN``.
+    """Return the texture that appears in linear colours (..., 3) under ``LIGHT_STRENGTH``.
 
     The most saturated colours are out of the curve's reach; they come out a little paler, and
     white a little grey.
@@ -67,7 +69,7 @@ def before_tone_mapping(linear: np.ndarray) -> np.ndarray:
     curve = np.clip(linear @ np.linalg.inv(FROM_ACES).T, 0, 1)
     a, b, c = 1 - D * curve, B - E * curve, -(C + F * curve)
     light = (-b + np.sqrt(b * b - 4 * a * c)) / (2 * a)
-    return np.clip(light @ np.linalg.inv(TO_ACES).T * EXPOSURE / GAIN, 0, 1)
+    return np.clip(light @ np.linalg.inv(TO_ACES).T * EXPOSURE / LIGHT_STRENGTH, 0, 1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,7 @@ from svu_mi.capture.importers.colmap import undistortion
 from svu_mi.capture.importers.colmap.project import find_model
 from svu_mi.capture.importers.colmap.sparse_model import (
     ColmapCamera,
-    ImagePose,
+    Pose,
     read_model,
     write_model,
 )
@@ -117,13 +117,13 @@ def test_models_of_pycolmap_are_read_from_both_kinds_of_file(project):
 # Models made by hand.
 
 CAMERA = ColmapCamera("PINHOLE", 8, 6, (9.0, 9.5, 4.0, 3.0))
-VIEW = ImagePose("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0))
+VIEW = Pose("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0))
 CAMERA_LINE = "1 PINHOLE 8 6 9 9.5 4 3"
 VIEW_LINE = "1 1 0 0 0 0 0 4 1 a.png"
 
 
 def put(
-    root: Path, camera: ColmapCamera = CAMERA, view: ImagePose = VIEW, model: str = "sparse/0"
+    root: Path, camera: ColmapCamera = CAMERA, view: Pose = VIEW, model: str = "sparse/0"
 ) -> Path:
     """Write a project of one view."""
     (root / model).mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.calibration.checks.thumbnails import Frames, silhouettes
+from svu_mi.calibration.checks.thumbnails import Thumbnails, silhouettes
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
@@ -50,7 +50,7 @@ def bent_photographs(folder: Path) -> Path:
 
 def misplaced(folder: Path) -> float:
     """Part of the object that its mask leaves out or has beside it, but for a pixel at its edge."""
-    frames = Frames.of(svu.load_capture(folder, light="optional"))
+    frames = Thumbnails.of(svu.load_capture(folder, light="optional"))
     wrong = whole = 0
     for seen, mask in zip(silhouettes(frames), frames.masks, strict=True):
         wrong += (mask & ~binary_dilation(seen)).sum()

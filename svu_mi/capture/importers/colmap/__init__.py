@@ -1,1 +1,1 @@
-"""COLMAP: sparse models read, lenses straightened."""
+"""Import of COLMAP projects."""

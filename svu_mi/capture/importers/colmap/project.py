@@ -1,4 +1,4 @@
-"""COLMAP: poses and cameras of its sparse models, with the photographs beside them.
+"""COLMAP projects: a sparse model and its photographs as a ``Source``.
 
 Its camera space is +X right, +Y down, +Z forward (``OPENCV``), poses are world to camera, and
 the centre of the first pixel is (0.5, 0.5). The world is wherever the reconstruction began.
@@ -15,12 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from svu_mi.capture.importers.colmap.sparse_model import (
-    ColmapCamera,
-    ImagePose,
-    is_model,
-    read_model,
-)
+from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, Pose, is_model, read_model
 from svu_mi.capture.importers.source import OPENCV, Frame, Source
 from svu_mi.capture.importers.source_files import find_folder, find_mask, missing_folder, safe_path
 from svu_mi.capture.sensors import affine
@@ -44,7 +39,7 @@ class Project:
 
     model: Path
     cameras: dict[int, ColmapCamera]
-    views: Sequence[ImagePose]
+    views: Sequence[Pose]
     images: Path
     photographs: Sequence[Path]
     masks: Sequence[Path | None]
@@ -126,7 +121,7 @@ def read_project(
     )
 
 
-def _label(model: Path, view: ImagePose) -> str:
+def _label(model: Path, view: Pose) -> str:
     return f"{model}: image {excerpt(repr(view.name))}"
 
 
@@ -137,7 +132,7 @@ def _near(model: Path, name: str) -> list[Path]:
     return [Path(os.path.normpath(model / up / name)) for up in ways]
 
 
-def _to_world(view: ImagePose) -> np.ndarray:
+def _to_world(view: Pose) -> np.ndarray:
     w, x, y, z = view.rotation
     rotation = scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix()
     return affine(rotation.T, -rotation.T @ view.translation) @ OPENCV

@@ -1,4 +1,4 @@
-"""COLMAP's sparse model: cameras and poses of a reconstruction, from ``.bin`` or ``.txt`` files.
+"""Reader and writer of COLMAP's sparse models: cameras and poses of images.
 
 Read and written here, not by pycolmap: given a damaged file, that may fill the memory or not come
 back, and pinhole cameras need nothing else of it. The layout is
@@ -50,7 +50,7 @@ UNIT = 1e-2  # by which the norm of a quaternion may differ from 1
 
 @dataclass(frozen=True)
 class ColmapCamera:
-    """A camera of COLMAP: a model of ``PARAMETERS``, a size in pixels, and its parameters.
+    """Camera of COLMAP: a model of ``PARAMETERS``, a size in pixels, and its parameters.
 
     These are focal length(s), principal point from the corner (0, 0), and distortion.
     """
@@ -86,8 +86,8 @@ class ColmapCamera:
 
 
 @dataclass(frozen=True)
-class ImagePose:
-    """The pose of an image, world to camera, +X right, +Y down, +Z forward.
+class Pose:
+    """Pose of an image, world to camera, +X right, +Y down, +Z forward.
 
     ``rotation`` is a unit quaternion (w, x, y, z).
     """
@@ -103,7 +103,7 @@ def is_model(folder: Path) -> bool:
     return any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
 
 
-def read_model(folder: Path) -> tuple[dict[int, ColmapCamera], list[ImagePose]]:
+def read_model(folder: Path) -> tuple[dict[int, ColmapCamera], list[Pose]]:
     """Read cameras by number, and views by name; ``.bin`` goes before ``.txt``, as in COLMAP."""
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
     files = folder / f"cameras{suffix}", folder / f"images{suffix}"
@@ -129,9 +129,7 @@ def read_model(folder: Path) -> tuple[dict[int, ColmapCamera], list[ImagePose]]:
     return cameras, sorted(views, key=lambda view: view.name)
 
 
-def write_model(
-    folder: Path, cameras: Mapping[int, ColmapCamera], views: Sequence[ImagePose]
-) -> None:
+def write_model(folder: Path, cameras: Mapping[int, ColmapCamera], views: Sequence[Pose]) -> None:
     """Write ``cameras.bin``, ``images.bin``, and ``points3D.bin`` without points."""
     pack = struct.pack  # binary: names with spaces do not survive in COLMAP's text files
     files = {stem: [pack("<Q", n)] for stem, n in (
@@ -226,12 +224,12 @@ def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
     return cameras
 
 
-def _read_views(path: Path) -> list[ImagePose]:
+def _read_views(path: Path) -> list[Pose]:
     views = []
     with _parser_errors(path), _records(path) as records:
         for _ in range(records.take("Q")[0]):
             _, *pose, camera = records.take("I7dI")
-            views.append(ImagePose(records.text(), camera, _finite(pose[:4]), _finite(pose[4:])))
+            views.append(Pose(records.text(), camera, _finite(pose[:4]), _finite(pose[4:])))
             records.skip(POINT * records.take("Q")[0])
     return views
 
@@ -248,7 +246,7 @@ def _parse_cameras(path: Path) -> dict[int, ColmapCamera]:
     return cameras
 
 
-def _parse_views(path: Path) -> list[ImagePose]:
+def _parse_views(path: Path) -> list[Pose]:
     views = []
     with _parser_errors(path), path.open(encoding="utf-8") as lines:
         for line in filter(_has_content, lines):
@@ -256,7 +254,7 @@ def _parse_views(path: Path) -> list[ImagePose]:
             if len(name) > LONGEST_NAME:
                 raise ValueError("a name has no end")
             pose = [float(field) for field in fields]
-            views.append(ImagePose(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
+            views.append(Pose(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
             # Every second line has the image's points; it is there even if it is empty.
             if len(next(lines, "").split()) % 3:
                 raise ValueError("a line of points (X Y POINT3D_ID ...) is not there or damaged")

@@ -1,4 +1,4 @@
-"""Straight lines for COLMAP's distorted cameras: photographs and masks resampled by pycolmap.
+"""Undistortion of COLMAP photographs and masks by pycolmap.
 
 Only for lenses that are not of OpenCV's model (``lens_distortion``), such as fisheyes.
 
@@ -22,12 +22,7 @@ from PIL import Image
 
 from svu_mi.capture.image_io import quantized, read_planes
 from svu_mi.capture.importers.colmap.project import IMAGES, MASKS, read_project
-from svu_mi.capture.importers.colmap.sparse_model import (
-    ColmapCamera,
-    ImagePose,
-    read_model,
-    write_model,
-)
+from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, Pose, read_model, write_model
 from svu_mi.capture.importers.resampling import undistorted_frame
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.photographs import read_mask
@@ -118,7 +113,7 @@ def _read_mask(camera: ColmapCamera, file: Path, mask: Path | None) -> np.ndarra
 
 
 def _run_pycolmap(
-    cameras: Mapping[int, ColmapCamera], views: Sequence[ImagePose], pictures: Path, output: Path
+    cameras: Mapping[int, ColmapCamera], views: Sequence[Pose], pictures: Path, output: Path
 ) -> Path:
     """Run pycolmap; return its folder with ``images`` and ``sparse``."""
     model = prepare_folder(output / "distorted")
