@@ -36,7 +36,8 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.observations import observe
 from svu_mi.recovery.inpaint.fill import fill
-from svu_mi.recovery.recover import Recovery, recover
+from svu_mi.recovery.recover import recover
+from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.relighting import path_length, relight_draws
 from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField, texture_field
 

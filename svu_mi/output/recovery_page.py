@@ -20,7 +20,7 @@ from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COL
 from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 if TYPE_CHECKING:

@@ -33,7 +33,7 @@ from svu_mi.pipeline import Estimate
 
 if TYPE_CHECKING:
     from svu_mi.guidance.guidance_result import Guidance
-    from svu_mi.recovery.recover import Recovery
+    from svu_mi.recovery.recovery_result import Recovery
 
 RECORD = RUN_RECORD
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")

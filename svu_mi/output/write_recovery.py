@@ -30,7 +30,7 @@ from svu_mi.output.run_record import RECORD, RunInfo, recovery_record, write_run
 from svu_mi.output.texture_files import write_scene
 from svu_mi.output.texture_samples import SHEET, write_draws, write_sheet
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 LOSSES = "losses.csv"

@@ -10,8 +10,15 @@ from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_known
 from svu_mi.geometry.texels import Texels
 from svu_mi.recovery.path.pixel_loss import path_objective
-from svu_mi.recovery.recover import Method, Recovery, recover
-from svu_mi.recovery.recovery_options import PATH_PRESETS, SH_PRESETS, PathOptions, ShOptions
+from svu_mi.recovery.recover import recover
+from svu_mi.recovery.recovery_options import (
+    PATH_PRESETS,
+    SH_PRESETS,
+    Method,
+    PathOptions,
+    ShOptions,
+)
+from svu_mi.recovery.recovery_result import Recovery
 
 DEPTH = 2  # light straight from the environment, as in the photographs (bench.cases.DIRECT)
 
