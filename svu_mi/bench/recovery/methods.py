@@ -43,7 +43,7 @@ class RecoveryMethod:
 
     @property
     def traced(self) -> bool:
-        """Whether paths are traced, which takes long."""
+        """True if paths are traced, which is slow."""
         return "path" in self.method
 
     def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
@@ -76,7 +76,7 @@ class RecoveryMethod:
     def recover_in(
         self, steps: int, capture: Capture, grid: Texels, progress: Progress
     ) -> Recovery:
-        """Recover textures in exactly so many steps.
+        """Recover textures in a given number of steps.
 
         Args:
             steps: of the last descent.
