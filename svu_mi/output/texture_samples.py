@@ -1,4 +1,4 @@
-"""Textures drawn from the field around recovered ones: files, and a sheet to look at."""
+"""Samples of textures from the field around recovered ones: files and overview."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Everything that a recovery writes: textures, a scene, maps, pictures, losses, the record."""
+"""Files of ``svu recover``: textures, scene, maps, pictures, losses and record."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ VIEWS = 3  # that pictures are made of
 
 @dataclass(frozen=True)
 class DrawOptions:
-    """Textures to draw: how many, and with which seed."""
+    """Number of texture samples, and their seed."""
 
     count: int
     seed: int = 0
