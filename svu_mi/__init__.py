@@ -56,8 +56,9 @@ if TYPE_CHECKING:
     from svu_mi.recovery.inpaint.diffusion.model_interface import DiffusionOptions
     from svu_mi.recovery.inpaint.fill import fill
     from svu_mi.recovery.inpaint.fill_result import Filled
-    from svu_mi.recovery.recover import Recovery, recover
+    from svu_mi.recovery.recover import recover
     from svu_mi.recovery.recovery_options import DescentOptions, PathOptions, ShOptions
+    from svu_mi.recovery.recovery_result import Recovery
     from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
     from svu_mi.recovery.regularizers.total_variation import TotalVariation
 
@@ -86,7 +87,7 @@ _HOME = {
     "save_light": "calibration.light.light_folder", "Comparison": "output.compare.differences",
     "compare": "output.compare.differences", "write_report": "output.report.report",
     "Reference": "evaluation.reference", "reference_posterior": "evaluation.traced_posterior",
-    "Recovery": "recovery.recover", "recover": "recovery.recover",
+    "Recovery": "recovery.recovery_result", "recover": "recovery.recover",
     "TextureField": "recovery.uncertainty.texture_field",
     "texture_field": "recovery.uncertainty.texture_field", "Filled": "recovery.inpaint.fill_result",
     "fill": "recovery.inpaint.fill",

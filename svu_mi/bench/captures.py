@@ -86,7 +86,7 @@ def chosen_views(capture: Capture, indices: Iterable[int]) -> Capture:
 
 @dataclass(frozen=True)
 class TrueTextures:
-    """What the scene's own material is at every texel.
+    """True textures: the scene's own material at every texel.
 
     Attributes:
         grid: T texels.
@@ -107,11 +107,11 @@ class TrueTextures:
         return cls(grid, {name: getattr(known, name) for name in NAMES})
 
     def psnr(self, textures: Textures, where: np.ndarray) -> dict[str, float]:
-        """Return the PSNR of textures, by parameter and ``average``, where (T,) bool says."""
+        """Return the PSNR of chosen texels, (T,) bool, by parameter and ``average``."""
         return texture_psnr(*self._both(textures, where))
 
     def error(self, textures: Textures, where: np.ndarray) -> np.ndarray:
-        """Return the mean absolute error of every texel where (T,) bool says."""
+        """Return the mean absolute error of each chosen texel, (T,) bool."""
         return texel_error(*self._both(textures, where))
 
     def _both(self, textures: Textures, where: np.ndarray) -> list[dict[str, np.ndarray]]:

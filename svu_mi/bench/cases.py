@@ -44,7 +44,7 @@ class Case:
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Object and light."""
         return f"{self.object} / {self.light}"
 
 

@@ -34,7 +34,7 @@ class Variant:
         return preset(self.base, method=self.method, **self.switches)
 
     def estimate(self, capture: Capture, layout: Texels, **options: Any) -> Estimate:
-        """Estimate what photographs say of texels; ``options`` are those of ``estimate``."""
+        """Estimate the posterior of texels; ``options`` are passed to ``estimate``."""
         return estimate(capture, layout, self.method, self.preset, **options)
 
 

@@ -1,4 +1,4 @@
-"""What every benchmark is made of: rows measured on cases.
+"""Experiments: rows measured on cases, with finished results cached.
 
 What is finished is kept, under a key of its settings and of the code, so that an interrupted run
 goes on where it stopped; what fails is skipped with a warning.
@@ -28,7 +28,7 @@ HEAD = "head"  # file of what holds for all rows of a case
 
 
 class ExperimentRow(Protocol):
-    """What is measured on a case."""
+    """A measurement of a case."""
 
     @property
     def label(self) -> str:
@@ -44,17 +44,17 @@ class Subject(Protocol):
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Name in progress bars and tables."""
 
     @property
     def rows(self) -> Sequence[Any]:
-        """What is measured, in this order; a ``ExperimentRow`` each."""
+        """An ``ExperimentRow`` per measurement, in order."""
 
     def settings(self, row: Any | None) -> Any:
-        """What a row's figures (None: those of ``head``) depend on, beside the code, as JSON."""
+        """Inputs of a row (None: of ``head``), as JSON; a part of its cache key."""
 
     def head(self) -> Record:
-        """Measure what holds for all rows."""
+        """Measure the entries that all rows have in common."""
 
     def measure(self, row: Any) -> Record:
         """Measure a row."""
@@ -100,7 +100,7 @@ class BenchRun:
     def recall(
         self, store: Store, name: str, title: str, settings: Any, measure: Callable[[], Record]
     ) -> Record | None:
-        """Return a finished record, or measure it; None if only what is there is asked for.
+        """Return a finished record, or measure it; None if ``stored`` and missing.
 
         Args:
             store: where it is kept.
@@ -121,7 +121,7 @@ class BenchRun:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A row that is a part of what is measured, rather than a thing to compare.
+    """A row that calls a function of the subject.
 
     Attributes:
         label: its name.
@@ -134,7 +134,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class CaseSubject:
-    """A subject that is an object under a light; its figures depend on all sizes that are shared.
+    """An object under a light; its results depend on all shared sizes.
 
     Attributes:
         bench: where and how.
@@ -197,7 +197,7 @@ class Experiment:
     whole: bool = False
 
     def run(self, bench: BenchRun, report: Callable[[Record], None] | None = None) -> Record:
-        """Measure every row of every case, but for what is finished.
+        """Measure all unfinished rows of all cases.
 
         What cannot be run is left out, with a warning.
 
@@ -233,7 +233,7 @@ class Experiment:
     def _case(
         self, bench: BenchRun, subject: Subject, failures: Failures, codes: set[str]
     ) -> Record | None:
-        """Return the record of a case; None if no row of it could be run, or is there."""
+        """Return the record of a case; None without any row."""
         store = Store(bench.folder / self.name / subject.name)
         recall = partial(bench.recall, store)
         head = recall(HEAD, subject.title, subject.settings(None), subject.head)

@@ -142,7 +142,7 @@ def _holds(case: Record) -> float:
 
 
 def rows_of(record: Record) -> list[Record]:
-    """Return what was measured on each case."""
+    """Return the figures of each case."""
     return [{**case, **case["rows"]["found"]} for case in record["cells"]]
 
 
@@ -162,7 +162,7 @@ SHOWN = (
 
 
 def bars(record: Record) -> list[Bar]:
-    """Return what light from photographs has to reach."""
+    """Return the bars of estimated light."""
     rows = rows_of(record)
     glossy = [row["correlation"] for row in rows if row["glossy"]]
     angles = [row["angle"] <= 15 for row in rows if row["has_brightest"]]
@@ -192,7 +192,7 @@ def bars(record: Record) -> list[Bar]:
 
 
 def experiment(bench: BenchRun, selection: Selection) -> Experiment:
-    """Return what is measured: every case under both lights."""
+    """Return the experiment: every case under both lights."""
     return Experiment("light", (EstimatedLightCase(bench, case) for case in selection.cases), True)
 
 

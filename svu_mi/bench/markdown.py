@@ -44,7 +44,7 @@ def _cell(value: object) -> str:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table: its head, what it shows of a record, and how.
+    """A column of a table: its head, its value in a record, and the format.
 
     Attributes:
         head: of the column.
@@ -69,12 +69,12 @@ def columns(wanted: Sequence[Column], records: Iterable[Any]) -> str:
 
 
 def digits(count: int) -> Callable[[float], str]:
-    """Return what shows numbers with so many digits after the point."""
+    """Return a function that formats numbers with ``count`` decimals."""
     return lambda value: f"{value:.{count}f}"
 
 
 def left_out(title: str, record: dict[str, Any]) -> list[str]:
-    """Return Markdown about what of an experiment could not be run; nothing without any."""
+    """Return a Markdown table of failures; empty without any."""
     rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
     return [f"## {title}", table(("cell", "reason"), rows)] if rows else []
 
@@ -99,7 +99,7 @@ class Bar:
 
     @property
     def holds(self) -> bool:
-        """Whether the bar is met; NaN meets none."""
+        """True if the bar is met; NaN meets none."""
         return self.value >= self.limit if self.least else self.value <= self.limit
 
     def record(self) -> dict[str, Any]:
@@ -118,7 +118,7 @@ BAR_COLUMNS = (
 
 
 def bar_table(bars: Sequence[dict[str, Any]], quick: bool = False, note: str = "") -> list[str]:
-    """Return Markdown about what ``Bar.record`` returned; nothing without any.
+    """Return a Markdown table of bars; empty without any.
 
     Args:
         bars: the records.
@@ -151,7 +151,7 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
 
 
 def page(width: float, height: float) -> Figure:
-    """Return an empty figure of so many inches."""
+    """Return an empty figure; sizes in inches."""
     return new_figure(width, height, DPI, layout="constrained")
 
 
@@ -163,7 +163,7 @@ def tidy(axes: Axes) -> None:
 
 
 def time_axis(axes: Axes, times: list[float]) -> None:
-    """Show run times on a log axis, in the units people use."""
+    """Show run times on a log axis with units."""
     low, high = min(times) / 3, max(times) * 3
     axes.set_xscale("log")
     axes.set_xlim(low, high)

@@ -1,4 +1,4 @@
-"""How large everything is, and how small with ``--quick``."""
+"""Sizes of all benchmarks, in full and with ``--quick``."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class GuidanceSizes:
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemSizes:
-    """Sizes of all benchmarks; what is not of one of them alone is part of every result's key.
+    """Sizes of all benchmarks; the ``shared`` ones are part of every cache key.
 
     Attributes:
         views: photographs per capture, on a sphere around the object.

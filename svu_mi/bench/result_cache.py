@@ -31,7 +31,7 @@ def key_of(*parts: Any) -> str:
 
 @cache
 def code_now() -> str:
-    """Return a digest of what a result depends on beside its input: code, libraries, device."""
+    """Return a digest of code, libraries and device."""
     digest, root = hashlib.sha256(), Path(svu_mi.__file__).parent
     for path in sorted(root.rglob("*.py")):
         if path.relative_to(root).parts[0] not in AROUND:

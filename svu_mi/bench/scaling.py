@@ -1,4 +1,4 @@
-"""``svu bench scaling``: how run time and memory of an estimate grow with texels and with views.
+"""``svu bench scaling``: run time and memory of an estimate by texels and by views.
 
 A line a + b n is fitted to the times. Its R^2 says whether they are linear with a constant
 overhead; the slope of the upper half on logarithmic axes says with which power they grow where
@@ -31,7 +31,7 @@ MODEL_OF = {"angular": "default", "spectrum": "spectrum"}  # with their default 
 
 @dataclass(frozen=True, kw_only=True)
 class ScalingSizes:
-    """What is varied.
+    """Sizes of the scaling benchmark.
 
     Attributes:
         resolutions: texels per side, with all views of the capture.
@@ -63,7 +63,7 @@ class ScalingCase(CaseSubject):
 
     @property
     def sizes(self) -> ScalingSizes:
-        """What is varied."""
+        """Sizes of the scaling benchmark."""
         return QUICK if self.bench.quick else FULL
 
     def settings(self, row: Measurement | None) -> Any:

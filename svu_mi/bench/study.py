@@ -1,4 +1,4 @@
-"""A benchmark: what it measures and shows; and how benchmarks are run and written."""
+"""Studies: measurements, tables and plots of a benchmark; running and writing of all."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Selection:
-    """What of a benchmark is run.
+    """Selection of cases, rows and data of a benchmark.
 
     Attributes:
         cases: objects x lights.
@@ -121,7 +121,7 @@ class Study:
 
 
 def provenance_record(command: str) -> Record:
-    """Return the part of a record that says with which command, when and where."""
+    """Return the command, date and environment of a run."""
     return {
         "command": command,
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -130,7 +130,7 @@ def provenance_record(command: str) -> Record:
 
 
 def provenance(record: Record) -> str:
-    """Return the sentence about what ``provenance_record`` returned."""
+    """Return a sentence on command, date and environment."""
     place = record["environment"]
     versions = place["versions"]
     return (
@@ -190,7 +190,7 @@ def run_bench(
 
 
 def write(bench: BenchRun, record: Record, studies: dict[str, Study]) -> None:
-    """Write bench.json and bench.md with what is known so far."""
+    """Write bench.json and bench.md with the results so far."""
     write_manifest(bench.folder / "bench.json", record)
     shared = any(s.runs_on == "cases" and not s.own_sizes for s in studies.values())
     sizes = [_sizes(bench)] if shared else []

@@ -1,4 +1,4 @@
-"""``svu bench sureness``: coverage of the intervals of recovered textures and of pictures of them.
+"""``svu bench sureness``: coverage of the intervals of textures and pictures.
 Intervals of textures of every case, recovered by SH; with a prior in common from photographs mostly
 from one side; of what was filled where a third of the surface is in no photograph; and pictures
 under two lights that nothing was recovered from, of some cases.
@@ -36,7 +36,8 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.observations import observe
 from svu_mi.recovery.inpaint.fill import fill
-from svu_mi.recovery.recover import Recovery, recover
+from svu_mi.recovery.recover import recover
+from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.relighting import path_length, relight_draws
 from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField, texture_field
 
@@ -88,7 +89,7 @@ class SurenessCase(CaseSubject):
         return interval_coverage(*recovered, self.truth)
 
     def filled(self) -> Record:
-        """Return what filling gains where a third of the surface is never seen: ``psnr_before``,
+        """Return scores of filling a third of the surface that is never seen: ``psnr_before``,
         ``psnr`` (dB, average texture PSNR of these texels), ``held`` by parameter, ``likeness``."""
         layout, truth = self.layout, self.truth
         recovery, field = _recovered(_hiding(self.capture, layout), layout)

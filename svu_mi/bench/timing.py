@@ -1,4 +1,4 @@
-"""Run times: of results by stage, of kernels, and of a new process with an empty kernel cache."""
+"""Run times of stages, kernels and cold processes."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def in_new_process(function: Callable[..., dict[str, Any]], **arguments: Any) ->
 
 
 def child(module: str, name: str, arguments: str) -> None:
-    """Call the function and write what it returns to standard output, as one line of JSON."""
+    """Call the function and print its result as one line of JSON."""
     function = getattr(importlib.import_module(module), name)
     record = {**function(**json.loads(arguments)), "peak_mib": memory_mib("VmHWM")}
     sys.stdout.write(json.dumps(record) + "\n")

@@ -1,7 +1,7 @@
 """Exposure gains of photographs: estimated under a known light, and divided out.
 
 A gain g multiplies a channel of one photograph: b = g r. The logarithms of gains are unknowns of
-the normal equations (``refine``), alone or beside the light. Their mean is part of the light.
+the normal equations (``gauss_newton``), alone or beside the light. Their mean is part of the light.
 """
 
 from __future__ import annotations
@@ -163,33 +163,33 @@ def step_gains(
     """
     left_out = gains.odd
     if noise is not None:
-        gains = _with_outliers_flagged(gains, samples, system.found, noise)
+        gains = _with_outliers_flagged(gains, samples, system.predicted, noise)
     logarithm = gains.logarithm + np.where((gains.odd | left_out)[:, None], 0, change)
     common = np.asarray(logarithm[~gains.odd].mean(axis=0))
     return replace(gains, logarithm=logarithm - common), common
 
 
 def _with_outliers_flagged(
-    gains: FoundGains, samples: TexelSamples, found: np.ndarray, noise: np.ndarray
+    gains: FoundGains, samples: TexelSamples, predicted: np.ndarray, noise: np.ndarray
 ) -> FoundGains:
     """Flag photographs that differ from predicted samples (S, 3) by more than others do."""
     logarithm, views = gains.logarithm, len(gains.odd)
     if gains.odd.any():  # these took no part in the last step
         least = 1e-6 * samples.unit
-        ratio = np.log(np.maximum(samples.radiance, least) / np.maximum(found, least))
+        ratio = np.log(np.maximum(samples.radiance, least) / np.maximum(predicted, least))
         own = [_medians(of_channel, samples.view, views) for of_channel in ratio.T]
         logarithm = np.where(gains.odd[:, None], np.stack(own, axis=1), logarithm)
     samples = samples.divided(np.exp(logarithm))
-    off = np.square(samples.radiance - found).mean(axis=1)
-    squares = samples.weight * off / noise[samples.owner] ** 2
-    left = np.sqrt(_medians(squares, samples.view, views))
-    seen = left > 0
+    error = np.square(samples.radiance - predicted).mean(axis=1)
+    squares = samples.weight * error / noise[samples.owner] ** 2
+    residual = np.sqrt(_medians(squares, samples.view, views))
+    seen = residual > 0
     if seen.sum() < FEWEST:
-        return FoundGains(logarithm, left, gains.odd)
-    grey, worse = logarithm.mean(axis=1), np.log(np.maximum(left, 1e-30))
+        return FoundGains(logarithm, residual, gains.odd)
+    grey, worse = logarithm.mean(axis=1), np.log(np.maximum(residual, 1e-30))
     grey, worse = (values - np.median(values[seen]) for values in (grey, worse))
     odd = _outliers(np.abs(grey), seen, ODD_GAIN) | _outliers(worse, seen, np.log(ODD_NOISE))
-    return FoundGains(logarithm, left, odd)
+    return FoundGains(logarithm, residual, odd)
 
 
 def _outliers(values: np.ndarray, seen: np.ndarray, limit: float) -> np.ndarray:

@@ -58,14 +58,14 @@ class Doctor(BaseCommand):
 def diagnose() -> tuple[Facts, list[HealthCheck]]:
     """Return facts by name, and test results; takes a few seconds, and never raises."""
     versions = {name: _version(name) for name in PACKAGES}
-    loading = _child("mitsuba", "collect_facts", remedy=REINSTALL.format("mitsuba drjit"))
+    loading = _run_child("mitsuba", "collect_facts", remedy=REINSTALL.format("mitsuba drjit"))
     child_facts, llvm = {}, _llvm.status()
     if loading.ok:
         child_facts, loading = json.loads(loading.detail), HealthCheck("mitsuba", True, "loads")
         one = child_facts["llvm"]  # as Dr.Jit has loaded it; its source is known only here
         llvm = _llvm.LlvmStatus(one["path"], tuple(one["version"]), llvm.source, one["problem"])
     variants = child_facts.get("variants", [])
-    usable = [name for name in variants if _runs(name, child_facts["backends"], llvm)]
+    usable = [name for name in variants if _can_run(name, child_facts["backends"], llvm)]
     library = f"{_llvm.dotted(llvm.version)}, {llvm.path or 'no file'} ({llvm.source})"
     usual = Path(tempfile.gettempdir()) / "drjit" if sys.platform == "win32" else "~/.drjit"
     facts = {
@@ -90,7 +90,7 @@ def _version(package: str) -> str:
         return "missing"
 
 
-def _runs(variant: str, backends: list[str], llvm: _llvm.LlvmStatus) -> bool:
+def _can_run(variant: str, backends: list[str], llvm: _llvm.LlvmStatus) -> bool:
     if variant.startswith("llvm"):
         return llvm.problem is None
     return variant.startswith("scalar") or variant.split("_")[0].upper() in backends
@@ -115,7 +115,7 @@ def check_render(variant: str) -> HealthCheck:
     remedy = "update the GPU driver, or use another variant: svu -m llvm_ad_rgb ..."
     if variant.startswith("llvm"):
         remedy = f"unset {_llvm.VARIABLE} if it is set, and {_llvm.remedy()}"
-    return _child(f"render with {variant}", "render_test", variant, remedy=remedy)
+    return _run_child(f"render with {variant}", "render_test", variant, remedy=remedy)
 
 
 def check_exr() -> HealthCheck:
@@ -134,7 +134,7 @@ def check_exr() -> HealthCheck:
     return HealthCheck("OpenEXR", True, "a file written and read back is the same")
 
 
-def _child(name: str, function: str, *arguments: str, remedy: str) -> HealthCheck:
+def _run_child(name: str, function: str, *arguments: str, remedy: str) -> HealthCheck:
     """Run a function of this file in a fresh interpreter; its last line is the detail."""
     command = [sys.executable, "-P", "-c", CHILD.format(function), *arguments]
     try:

@@ -96,13 +96,13 @@ class Guide(EstimateCommand):
         from svu_mi.guidance.next_view import next_best_view
 
         # What a file says is refused before photographs are read.
-        fixed = None if self._placed else self._restricted(Candidates.read(self.candidates))
+        fixed = None if self._generated else self._reachable(Candidates.read(self.candidates))
         missing: opt.Missing | None = "leave-out" if self.candidates == SCENE else None
         size, model = opt.parse_resolution(self.resolution), self.estimation.model
         count = _number(self.candidates) or 0
         need = partial(Need, "guide", resolution=size, model=model, candidates=count)
         capture, texels = self.load_with_light(progress, need, size, self.light, missing=missing)
-        candidates = fixed or self._restricted(self._place(capture))
+        candidates = fixed or self._reachable(self._place_candidates(capture))
         known = self.estimation.estimate(progress, capture, texels, whole=True)
         guidance = next_best_view(
             known, candidates, self.add, options=self.judging, progress=progress
@@ -110,11 +110,11 @@ class Guide(EstimateCommand):
         return capture, known, guidance
 
     @property
-    def _placed(self) -> bool:
-        """Whether candidates depend on the capture."""
+    def _generated(self) -> bool:
+        """Whether candidates are generated from the capture."""
         return self.candidates == SCENE or _number(self.candidates) is not None
 
-    def _place(self, capture: Capture) -> Candidates:
+    def _place_candidates(self, capture: Capture) -> Candidates:
         from svu_mi.guidance.candidates import Candidates
 
         count = _number(self.candidates)
@@ -123,11 +123,11 @@ class Guide(EstimateCommand):
         lowest = -1.0 if self.lowest is None else float(np.sin(np.radians(self.lowest)))
         return Candidates.around(capture, count, up=self.up, lowest=lowest, distance=self.distance)
 
-    def _restricted(self, candidates: Candidates) -> Candidates:
-        """Leave out what cannot be reached."""
-        return candidates.restricted(self._within_reach(candidates.count))
+    def _reachable(self, candidates: Candidates) -> Candidates:
+        """Return the candidates that can be reached."""
+        return candidates.restricted(self._reachable_flags(candidates.count))
 
-    def _within_reach(self, count: int) -> np.ndarray:
+    def _reachable_flags(self, count: int) -> np.ndarray:
         """Return (count,) bool, which candidates can be reached."""
         flags = np.ones(count, bool)
         if self.reachable is not None:
@@ -148,12 +148,12 @@ class Guide(EstimateCommand):
         self._check_method()
         if self.reachable is not None:
             _read_numbers(self.reachable)
-        if not self._placed and not Path(self.candidates).exists():
+        if not self._generated and not Path(self.candidates).exists():
             raise OptionError(
                 f"--candidates {self.candidates}: must be a number, a file or the word {SCENE}."
             )
         if (count := _number(self.candidates)) is not None:
-            self._within_reach(count)
+            self._reachable_flags(count)
 
     def _check_sphere(self) -> None:
         count = _number(self.candidates)

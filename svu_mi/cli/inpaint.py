@@ -83,7 +83,7 @@ class Inpaint(CaptureCommand, ResultCommand):
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.uncertainty.texture_field import field_around, tv_weights
 
-        textures, model = read_textures(self.recovered), self._model(progress)
+        textures, model = read_textures(self.recovered), self._load_model(progress)
         size = textures.resolution
         need = partial(Need, "recover", resolution=size, model="default")
         capture, texels = self.load_with_light(progress, need, size, self.light)
@@ -99,7 +99,7 @@ class Inpaint(CaptureCommand, ResultCommand):
             write_filled(capture, field, filled, place, run, pictures=self.pictures)
         return fill_sentences(filled)
 
-    def _model(self, progress: Progress) -> LatentDiffusion | None:
+    def _load_model(self, progress: Progress) -> LatentDiffusion | None:
         """Read the weights: before anything that takes long."""
         if self.model is None:
             return None

@@ -1,4 +1,4 @@
-"""Correlation of two maps, its mean over benchmark cells, and sparsification curves."""
+"""Correlation of two maps, its mean over benchmark cases, and sparsification curves."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Interval:
     """A mean and its confidence interval.
 
     Attributes:
-        mean: of all cells.
+        mean: of all cases.
         low, high: ends of the interval; None where there are fewer than three objects, of which
             drawing with replacement tells next to nothing.
         objects: number of objects.
@@ -54,25 +54,25 @@ class Interval:
 
 
 def mean_over_objects(values: Any, objects: Sequence[str], *, seed: int = 0) -> Interval:
-    """Return the mean over benchmark cells, with a bootstrap interval over objects.
+    """Return the mean over benchmark cases, with a bootstrap interval over objects.
 
-    Cells of one object under several lights are not independent, so whole objects are drawn
+    Cases of one object under several lights are not independent, so whole objects are drawn
     with replacement, 2000 times, and the interval is the central part of the means, wider by
     sqrt(n / (n - 1)) t / z for n objects: percentile intervals of few are too short (Hesterberg,
     What Teachers Should Know about the Bootstrap, 2015, Sec. 3.3, 4.1.2). It may leave [-1, 1].
 
     Args:
-        values: (n,) one figure per cell.
-        objects: n names; cells of one name are drawn together.
+        values: (n,) one figure per case.
+        objects: n names; cases of one name are drawn together.
         seed: of the resampling.
     """
-    cells = finite_vector(values, "values", len(objects))
+    cases = finite_vector(values, "values", len(objects))
     names, owner = np.unique(np.array(objects, str), return_inverse=True)
-    mean = float(cells.mean())
+    mean = float(cases.mean())
     if len(names) < MIN_OBJECTS:
         return Interval(mean, None, None, len(names))
-    sums, counts = np.bincount(owner, cells), np.bincount(owner)
-    found = scipy.stats.bootstrap(
+    sums, counts = np.bincount(owner, cases), np.bincount(owner)
+    interval = scipy.stats.bootstrap(
         (sums, counts),
         lambda s, c, axis: s.sum(axis=axis) / c.sum(axis=axis),
         paired=True,
@@ -84,7 +84,7 @@ def mean_over_objects(values: Any, objects: Sequence[str], *, seed: int = 0) -> 
     ).confidence_interval
     n, tail = len(names), (1 - CONFIDENCE) / 2
     wider = np.sqrt(n / (n - 1)) * scipy.stats.t.ppf(tail, n - 1) / scipy.stats.norm.ppf(tail)
-    low, high = (mean + float(wider) * (float(end) - mean) for end in (found.low, found.high))
+    low, high = (mean + float(wider) * (float(end) - mean) for end in (interval.low, interval.high))
     return Interval(mean, low, high, n)
 
 
@@ -116,8 +116,8 @@ class Sparsification:
         """Return ``count`` points of each curve for a plot, from 0 to the last removed part."""
         at = np.linspace(0, self.removed[-1], count)
         curves = {"by_uncertainty": self.by_uncertainty, "oracle": self.oracle}
-        found = {name: np.interp(at, self.removed, curve) for name, curve in curves.items()}
-        return {name: values.round(5).tolist() for name, values in {"removed": at, **found}.items()}
+        values = {name: np.interp(at, self.removed, curve) for name, curve in curves.items()}
+        return {name: x.round(5).tolist() for name, x in {"removed": at, **values}.items()}
 
 
 def sparsification(error: Any, uncertainty: Any) -> Sparsification:
@@ -127,12 +127,12 @@ def sparsification(error: Any, uncertainty: Any) -> Sparsification:
         error: (n,) non-negative errors of an estimate.
         uncertainty: (n,) what was said of them, in any unit; only its order matters.
     """
-    errors, said = two_vectors(error=error, uncertainty=uncertainty)
+    errors, uncertainties = two_vectors(error=error, uncertainty=uncertainty)
     if (errors < 0).any():
         raise OptionError("sparsification(): an error is negative; give absolute errors.")
     count = len(errors)
     removed = np.arange(count) / count
-    curve, oracle = _remaining(_sorted_errors(errors, said)), _remaining(np.sort(errors))
+    curve, oracle = _remaining(_sorted_errors(errors, uncertainties)), _remaining(np.sort(errors))
     area = float(scipy.integrate.trapezoid(curve - oracle, removed))
     # Rounding of two equal orders, summed differently.
     area = area if abs(area) > 1e-12 else 0.0

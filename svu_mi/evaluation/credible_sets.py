@@ -1,4 +1,4 @@
-"""Is the truth where the posterior says: coverage of highest-density credible sets."""
+"""Coverage of the truth by highest-density credible sets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TIE = 1e-6  # relative difference below which two float32 probabilities are equa
 
 @dataclass(frozen=True)
 class CredibleCoverage:
-    """How often a credible set of one level holds the truth.
+    """Coverage of the truth by credible sets of one mass.
 
     Attributes:
         level: mass the set must hold.
@@ -36,35 +36,35 @@ class CredibleCoverage:
 
 
 def nearest_bins(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarray:
-    """Return the (T,) flat index of the grid cell that each true value falls into.
+    """Return the flat index (T,) of the grid's bin that each true value falls into.
 
     Args:
         axes: nodes of each axis by name, in the order of the grid's axes.
-        truth: (T,) true value by name, for every axis; the nearest node is its cell, the
+        truth: (T,) true value by name, for every axis; the nearest node is its bin, the
             lower one of two equally near.
     """
-    cells: list[np.ndarray] = []
+    bins: list[np.ndarray] = []
     for name, nodes in axes.items():
-        values = finite_vector(truth[name], name, len(cells[0]) if cells else None)
-        cells.append(np.abs(values[:, None] - np.asarray(nodes)).argmin(axis=1))
-    return np.ravel_multi_index(cells, [len(nodes) for nodes in axes.values()])
+        values = finite_vector(truth[name], name, len(bins[0]) if bins else None)
+        bins.append(np.abs(values[:, None] - np.asarray(nodes)).argmin(axis=1))
+    return np.ravel_multi_index(bins, [len(nodes) for nodes in axes.values()])
 
 
-def credible_coverage(probabilities: Any, cells: Any, level: float) -> CredibleCoverage:
-    """Return how often the highest-density credible set of a level holds the truth.
+def credible_coverage(probabilities: Any, bins: Any, mass: float) -> CredibleCoverage:
+    """Return how often the highest-density credible set of a mass holds the truth.
 
-    The set is the smallest set of cells with a mass of at least ``level``; cells as probable
+    The set is the smallest set of cells with a mass of at least ``mass``; cells as probable
     as the last one all belong to it.
 
     Args:
         probabilities: (T, *grid) non-negative, each texel's sum 1.
-        cells: (T,) flat index of the true cell (``nearest_bins``).
-        level: in (0, 1).
+        bins: (T,) flat index of the true bin (``nearest_bins``).
+        mass: in (0, 1).
     """
-    if not 0 < level < 1:
-        raise OptionError(f"The level of a credible set must be in (0, 1), got {level}.")
+    if not 0 < mass < 1:
+        raise OptionError(f"The level of a credible set must be in (0, 1), got {mass}.")
     p = _distributions(probabilities)
-    true = np.array(cells)
+    true = np.array(bins)
     if true.shape != (len(p),) or true.dtype.kind not in "iu":
         raise ShapeError(f"cells must be ({len(p)},) integers, got {true.dtype} {true.shape}.")
     if true.min() < 0 or true.max() >= p.shape[1]:
@@ -72,10 +72,10 @@ def credible_coverage(probabilities: Any, cells: Any, level: float) -> CredibleC
     own = p[np.arange(len(p)), true][:, None]
     above = np.where(p > own * (1 + TIE), p, 0).sum(axis=1)
     tied = np.where(np.abs(p - own) <= TIE * own, p, 0).sum(axis=1)
-    part = np.where(tied > 0, np.clip((level - above) / np.maximum(tied, 1e-300), 0, 1), 0)
+    part = np.where(tied > 0, np.clip((mass - above) / np.maximum(tied, 1e-300), 0, 1), 0)
     return CredibleCoverage(
-        level=level, plain=float((above < level - TIE).mean()), fractional=float(part.mean()),
-        size=float(_sizes(p, level).mean()), count=len(p),
+        level=mass, plain=float((above < mass - TIE).mean()), fractional=float(part.mean()),
+        size=float(_sizes(p, mass).mean()), count=len(p),
     )  # fmt: skip
 
 
@@ -94,10 +94,10 @@ def _distributions(probabilities: Any) -> np.ndarray:
     return p / sums[:, None]
 
 
-def _sizes(p: np.ndarray, level: float) -> np.ndarray:
+def _sizes(p: np.ndarray, mass: float) -> np.ndarray:
     """Return the (T,) part of the cells in each set."""
     ordered = -np.sort(-p, axis=1)
-    reached = np.cumsum(ordered, axis=1) >= level - TIE
+    reached = np.cumsum(ordered, axis=1) >= mass - TIE
     last = np.where(reached.any(axis=1), reached.argmax(axis=1), p.shape[1] - 1)
     threshold = ordered[np.arange(len(p)), last][:, None]
     return (p >= threshold * (1 - TIE)).mean(axis=1)

@@ -63,8 +63,8 @@ class ErrorSummary:
 
 def error_summary(estimate: Any, truth: Any) -> ErrorSummary:
     """Return bias, MAE and RMSE of (n,) estimates."""
-    found, true = two_vectors(estimate=estimate, truth=truth)
-    error = found - true
+    estimated, true = two_vectors(estimate=estimate, truth=truth)
+    error = estimated - true
     return ErrorSummary(
         bias=float(error.mean()),
         mae=float(np.abs(error).mean()),

@@ -1,4 +1,4 @@
-"""How close textures and relit pictures are to the true ones: PSNR and SSIM.
+"""PSNR and SSIM of textures and relit pictures.
 
 Much as Stanford-ORB does it (Kuang et al., NeurIPS 2023, Sec. 4.2), but no scale per channel is
 fitted, since the light is known and the scale is part of the error; and means are over the
@@ -21,14 +21,14 @@ from svu_mi.evaluation.metric_inputs import require_finite, two_pictures
 CEILING_DB = 100.0  # of a PSNR: that of an RMS error of 1e-5, and of none at all
 
 
-def psnr(found: Any, truth: Any) -> float:
+def psnr(estimate: Any, truth: Any) -> float:
     """Return the peak signal-to-noise ratio 10 log10(1 / MSE), in dB, at most 100.
 
     Args:
-        found: estimate, any shape.
+        estimate: estimate, any shape.
         truth: of the same shape.
     """
-    a, b = np.array(found, np.float64), np.array(truth, np.float64)
+    a, b = np.array(estimate, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.size == 0:
         raise ShapeError(
             f"psnr() needs two arrays of one shape with values, got {a.shape} and {b.shape}."
@@ -39,36 +39,36 @@ def psnr(found: Any, truth: Any) -> float:
     return min(CEILING_DB, -10 * float(np.log10(max(mean_square, 1e-30))))
 
 
-def texture_psnr(found: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, float]:
+def texture_psnr(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, float]:
     """Return the PSNR of every parameter, and their mean as ``average``.
 
     The average of Table 2 of the paper: a mean of decibels over parameters, each of which
     counts the same whatever its number of channels.
 
     Args:
-        found: (T, C) or (T,) by parameter, in [0, 1].
+        estimate: (T, C) or (T,) by parameter, in [0, 1].
         truth: the same.
     """
-    _require_same(found, truth)
-    by_name = {name: psnr(found[name], truth[name]) for name in truth}
+    _require_same(estimate, truth)
+    by_name = {name: psnr(estimate[name], truth[name]) for name in truth}
     return {**by_name, "average": float(np.mean(list(by_name.values())))}
 
 
-def texel_error(found: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarray:
+def texel_error(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarray:
     """Return (T,) mean absolute errors: over channels, then over parameters.
 
     Args:
-        found: (T, C) or (T,) by parameter.
+        estimate: (T, C) or (T,) by parameter.
         truth: the same.
     """
-    _require_same(found, truth)
-    off = (np.abs(np.subtract(found[name], true, dtype=float)) for name, true in truth.items())
+    _require_same(estimate, truth)
+    off = (np.abs(np.subtract(estimate[name], true, dtype=float)) for name, true in truth.items())
     return np.mean([each.reshape(len(each), -1).mean(axis=1) for each in off], axis=0)
 
 
-def _require_same(found: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
-    if not truth or set(found) != set(truth):
-        raise ShapeError(f"Parameters differ: found {sorted(found)}, true {sorted(truth)}.")
+def _require_same(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
+    if not truth or set(estimate) != set(truth):
+        raise ShapeError(f"Parameters differ: found {sorted(estimate)}, true {sorted(truth)}.")
 
 
 HDR_LIMIT = 4.0  # brighter pixels, such as a sun's highlight, would be all that counts
@@ -94,16 +94,16 @@ class ImageError:
     ssim: float
 
 
-def image_error(found: Any, truth: Any, mask: Any) -> ImageError:
+def image_error(picture: Any, truth: Any, mask: Any) -> ImageError:
     """Compare two pictures on the object.
 
     Args:
-        found: (H, W, 3) linear radiance.
+        picture: (H, W, 3) linear radiance.
         truth: the same.
         mask: (H, W) bool, the object's pixels.
     """
     inside = np.array(mask, bool)
-    a, b = two_pictures(found, truth, inside)
+    a, b = two_pictures(picture, truth, inside)
     white = float(np.quantile(b[inside].max(axis=-1), WHITE)) or 1.0
     a, b = (np.where(inside[..., None], np.clip(x / white, 0, HDR_LIMIT), 0) for x in (a, b))
     low_a, low_b = srgb(np.clip(a, 0, 1)), srgb(np.clip(b, 0, 1))
@@ -115,12 +115,12 @@ def image_error(found: Any, truth: Any, mask: Any) -> ImageError:
 
 
 def ssim_map(
-    found: np.ndarray, truth: np.ndarray, radius: int = WINDOW_RADIUS, border: str = "reflect"
+    picture: np.ndarray, truth: np.ndarray, radius: int = WINDOW_RADIUS, border: str = "reflect"
 ) -> np.ndarray:
     """Return the SSIM index of every pixel and channel (Wang et al. 2004, Eq. 13).
 
     Args:
-        found: (H, W, C) in [0, 1].
+        picture: (H, W, C) in [0, 1].
         truth: the same.
         radius: pixels of the window on each side of its centre.
         border: what lies beyond the picture, as ``scipy.ndimage`` calls it.
@@ -131,8 +131,8 @@ def ssim_map(
         return scipy.ndimage.gaussian_filter(values, sigma, radius=(radius, radius, 0), mode=border)
 
     c1, c2 = K1**2, K2**2
-    mean_a, mean_b = local(found), local(truth)
-    variance = local(found**2) - mean_a**2 + local(truth**2) - mean_b**2
-    covariance = local(found * truth) - mean_a * mean_b
+    mean_a, mean_b = local(picture), local(truth)
+    variance = local(picture**2) - mean_a**2 + local(truth**2) - mean_b**2
+    covariance = local(picture * truth) - mean_a * mean_b
     alike = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
     return alike / ((mean_a**2 + mean_b**2 + c1) * (variance + c2))

@@ -1,4 +1,4 @@
-"""What every metric asks of its arguments."""
+"""Checks of the arguments of metrics."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def finite_vector(values: Any, name: str, count: int | None = None) -> np.ndarra
 def two_vectors(**given: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return two (n,) float64 arrays of one length (errors as ``finite_vector``)."""
     (first, x), (second, y) = given.items()
-    found = finite_vector(x, first)
-    return found, finite_vector(y, second, len(found))
+    values = finite_vector(x, first)
+    return values, finite_vector(y, second, len(values))
 
 
-def two_pictures(found: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def two_pictures(picture: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two (H, W, 3) float64 pictures that are finite in a mask."""
-    a, b = np.array(found, np.float64), np.array(truth, np.float64)
+    a, b = np.array(picture, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.shape != (*mask.shape, 3):
         raise ShapeError(
             f"Two (H, W, 3) pictures and an (H, W) mask are needed, got {a.shape}, {b.shape} and "

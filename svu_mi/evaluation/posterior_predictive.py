@@ -1,4 +1,4 @@
-"""What photographs should show, by what others of the same object say: the posterior predictive.
+"""Posterior predictive radiance of texels in other views.
 
 For every draw of a texel's parameters the reflection model says what it sends to a camera, anywhere
 around the object; the draws together say how sure that is. Where there are photographs that no
@@ -61,8 +61,8 @@ class Prediction:
             OptionError: an estimate of another kind.
         """
         switches, observed = estimate.switches, estimate.observed
-        told = isinstance(switches, AngularPreset) and switches.noise == "estimated"
-        if not told or estimate.posterior.groups != CHANNELS:
+        is_calibrated = isinstance(switches, AngularPreset) and switches.noise == "estimated"
+        if not is_calibrated or estimate.posterior.groups != CHANNELS:
             raise OptionError("Photographs are predicted from preset default (angular), in colour.")
         assert observed is not None and isinstance(switches, AngularPreset)
         levels = np.linspace(0, 1, switches.levels)
@@ -81,13 +81,13 @@ class Prediction:
         Of texels that do not face it, as at a grazing angle; what hides them is not looked at.
         """
         lobes = columns_seen_from(self.scene, self.model, eye)
-        found = np.empty((len(self.draws), self.model.surface.count, CHANNELS), np.float32)
+        radiance = np.empty((len(self.draws), self.model.surface.count, CHANNELS), np.float32)
         for k, (values, shares) in enumerate(zip(self.draws, self.shares, strict=True)):
             shown = interpolate_radiance(lobes, shares, values["base_color"], mixing_values(values))
             shown = [dr.maximum(x, 0) for x in shown]  # splines overshoot
             dr.eval(shown)
-            found[k] = np.stack([x.numpy() for x in shown], axis=1)
-        return found
+            radiance[k] = np.stack([x.numpy() for x in shown], axis=1)
+        return radiance
 
 
 def shares_of(roughness: np.ndarray, levels: np.ndarray) -> list[Any]:

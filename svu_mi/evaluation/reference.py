@@ -1,4 +1,4 @@
-"""The reference as a record: posterior, its own noise, and what it was traced with."""
+"""Path-traced reference: posterior, its noise, and its options."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from svu_mi.statistics.statistics import Statistics
 
 @dataclass(frozen=True, kw_only=True)
 class TracedTables:
-    """What was traced of n texels, with the mean of both halves of the samples, and with each.
+    """Energies or sums of n texels, from the mean of both halves of the samples and from each.
 
     Attributes:
         tables: (3, n, R, M ..., K) float64 energies, means over views; or (3, R, 3, P, n) sums

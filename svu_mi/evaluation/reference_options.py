@@ -1,4 +1,4 @@
-"""What a reference is asked for, checked before anything is traced."""
+"""Options of a reference, checked before anything is traced."""
 
 from __future__ import annotations
 

@@ -62,11 +62,11 @@ def render_all(
 ) -> np.ndarray:
     """Render every psi: (3, n, R, M ..., K) means of (b - (A + B) / 2)^2, (b - A)^2, (b - B)^2."""
     result = np.empty((KINDS, mean.count, *grid.shape))
-    for cell in np.ndindex(*grid.shape):
-        psi = {name: float(x[k]) for (name, x), k in zip(grid.axes.items(), cell, strict=True)}
+    for index in np.ndindex(*grid.shape):
+        psi = {name: float(x[k]) for (name, x), k in zip(grid.axes.items(), index, strict=True)}
         a, b = (observed - half.mean(axis=1) for half in render(psi))
         both = (a + b) / 2
-        result[(slice(None), slice(None), *cell)] = [mean.mean(x * x) for x in (both, a, b)]
+        result[(slice(None), slice(None), *index)] = [mean.mean(x * x) for x in (both, a, b)]
     return result
 
 
@@ -97,10 +97,10 @@ def derive_all(
     observed: np.ndarray, mean: TexelMeans, grid: PrincipledGrid, render: Render
 ) -> np.ndarray:
     """Derive what ``render_all`` returns from four psi per roughness (``render_sums``)."""
-    found = [
+    errors = [
         Statistics.of(table, mean.pairs, mean.pairs, grid.roughness_nodes).errors(
             *grid.mixed_nodes, grid.base_color_nodes
         )
         for table in render_sums(observed[:, None], mean, grid.roughness_nodes, render)
     ]
-    return np.stack(found)[:, :, :, 0]
+    return np.stack(errors)[:, :, :, 0]

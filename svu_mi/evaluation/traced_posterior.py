@@ -124,10 +124,10 @@ def _trace(
         coverage.append(mean.pairs)
         rays += pairs.count * options.renders * options.spp
         dropped += pairs.dropped
-    found, scale = np.concatenate(tables, axis=-1 if estimated else 1), observed.visibility.scale
+    table, scale = np.concatenate(tables, axis=-1 if estimated else 1), observed.visibility.scale
     dr.sync_thread()
     return TracedTables(
-        subset=chosen, tables=found if estimated else found / (2 * (options.sigma * scale) ** 2),
+        subset=chosen, tables=table if estimated else table / (2 * (options.sigma * scale) ** 2),
         weight=np.concatenate(weights) if estimated else None,
         coverage=np.concatenate(coverage), brightness=np.concatenate(brightness), scale=scale,
         unit=observed.unit, seconds=time.perf_counter() - start, rays=rays, dropped=dropped,

@@ -1,4 +1,4 @@
-"""Visible (texel, view) pairs: what was observed there, and the ray that looks there."""
+"""Visible (texel, view) pairs: observed radiance, and the camera ray."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Visib
     place = lane // views.count
     view = lane - place * views.count
     surface = TexelLanes.of(texels, dr.gather(mi.UInt32, batch, place))
-    known = observed.visibility.bits.test(view, surface.index)
-    sample = sample_visible(views, surface, view, known)
-    rays, hit = _aim(views, surface, view, target, known)
-    found = place, sample.radiance, sample.contrast, rays
-    dr.eval(found, known, hit)
-    visible, kept = dr.count(known)[0], dr.compress(hit)
+    is_visible = observed.visibility.bits.test(view, surface.index)
+    sample = sample_visible(views, surface, view, is_visible)
+    rays, hit = _aim(views, surface, view, target, is_visible)
+    values = place, sample.radiance, sample.contrast, rays
+    dr.eval(values, is_visible, hit)
+    visible, kept = dr.count(is_visible)[0], dr.compress(hit)
     if not dr.width(kept):
         return VisiblePairs(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), None, visible)
-    place, radiance, contrast, rays = (dr.gather(type(x), x, kept) for x in found)
+    place, radiance, contrast, rays = (dr.gather(type(x), x, kept) for x in values)
     dr.eval(place, radiance, contrast, rays)
     return VisiblePairs(
         texel=place.numpy().astype(np.int64),

@@ -1,4 +1,4 @@
-"""``check.html``: whether a capture fits its photographs, for eyes; ``check.json`` for programs."""
+"""``check.html`` and ``check.json``: how well a capture fits its photographs."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def verdict(check: Check) -> str:
 
 
 def _numbers(check: Check) -> Iterator[tuple[str, str, str]]:
-    """Yield names, means over the views, and notes: what it is when corrected, how to read it."""
+    """Yield name, mean over the views, and explanation of each measure."""
     before, after = ViewMeans.of(check.views), ViewMeans.of(check.corrected)
     for name, (title, note, _) in MEASURES.items():
         old, new = getattr(before, name), getattr(after, name)
@@ -114,7 +114,7 @@ def _number(value: float | None, unknown: str = "unknown") -> str:
 
 
 def _finding_rows(one: Finding) -> dict[str, Any]:
-    """A finding, the hypotheses to show, each with the width of its bar, and how many more are."""
+    """Return a finding, its best hypotheses with widths of bars, and the number left out."""
     scores = [hypothesis.score for hypothesis in one.hypotheses]
     low, high = min(scores, default=0.0), max(scores, default=1.0)
     shown = list(one.hypotheses[:ROWS])
@@ -168,7 +168,7 @@ def _draw_outline(picture: np.ndarray, seen: np.ndarray, color: tuple[float, flo
 
 
 def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[PageImage, str]]:
-    """The light as it is and, if that differs, corrected, around the object; none without one."""
+    """Return panoramas of the light, as given and corrected (if different)."""
     if emitter_of(capture) is None:
         return []
     shown = [(_panorama(capture), "as the capture says")]

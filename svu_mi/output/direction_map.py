@@ -110,13 +110,13 @@ def draw_numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: f
 
 
 def _dot_area(axes: Axes, count: int) -> float:
-    """Area of a candidate's dot in square points: dots of an even sphere do not touch."""
+    """Return the area of a dot in square points; evenly spread dots do not touch."""
     width = axes.get_position().width * axes.figure.get_size_inches()[0] * 72
     diameter = 0.62 * np.sqrt(4 * np.pi / max(count, 1)) * width / (4.04 * np.sqrt(2))
     return float(np.clip(diameter**2, 9, 170))
 
 
 def color_range(gains: np.ndarray) -> tuple[float, float]:
-    """Values at both ends of the colours; a few candidates that see nothing do not count."""
+    """Return the limits of the colour scale, without the lowest outliers."""
     low, high = float(np.quantile(gains, WORST)), float(gains.max())
     return (low, high) if high > low else (low - 1e-6, low + 1e-6)

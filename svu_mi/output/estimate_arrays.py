@@ -1,4 +1,4 @@
-"""What an estimate says, as NumPy arrays and words for pages."""
+"""Values of an estimate as NumPy arrays, and names of its parameters, for pages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SAMPLE = 2_000  # texels that a mean marginal is taken over
 
 @dataclass(frozen=True)
 class EstimateArrays:
-    """NumPy copies of what is drawn.
+    """NumPy copies of the per-texel values that pages draw.
 
     Attributes:
         entropy: (T,) in [0, 1].
@@ -36,7 +36,7 @@ class EstimateArrays:
 
     @classmethod
     def of(cls, estimate: Any) -> EstimateArrays:
-        """Copy what an estimate says."""
+        """Copy the values of an estimate."""
         texels, seen = estimate.texels, is_seen(estimate)
         return cls(
             entropy=np.array(estimate.entropy, np.float32),
@@ -51,7 +51,7 @@ def is_seen(estimate: Any) -> np.ndarray:
 
 
 def texel_areas(estimate: Any) -> np.ndarray:
-    """Return how much of the surface each texel stands for, (T,) float64."""
+    """Return the surface area of each texel, (T,) float64."""
     return np.array(estimate.texels.footprint, np.float64) ** 2
 
 
@@ -62,23 +62,23 @@ def column_and_row(estimate: Any, texel: int) -> tuple[int, int]:
 
 
 def label_of(name: str) -> str:
-    """Return a parameter's name as it is said: base colour, roughness, ..."""
+    """Return the label of a parameter: base colour, roughness, ..."""
     return name.replace("_", " ").replace("color", "colour")
 
 
 def open_axes(estimate: Any) -> dict[str, np.ndarray]:
-    """Return the nodes of the parameters that are in question, by name."""
+    """Return the grid nodes of the unknown parameters, by name."""
     return {name: nodes for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1}
 
 
 def known_values(estimate: Any) -> dict[str, float]:
-    """Return the parameters of an estimate that were not in question, by name."""
+    """Return the values of the known parameters, by name."""
     axes = estimate.posterior.axes.items()
     return {name: float(nodes[0]) for name, nodes in axes if len(nodes) == 1}
 
 
 def prior_marginal(posterior: Any, name: str) -> np.ndarray:
-    """Return the marginal (nodes,) of a parameter of which nothing is known."""
+    """Return the prior's marginal (nodes,) of a parameter."""
     others = tuple(k for k, other in enumerate(posterior.axes) if other != name)
     return np.asarray(posterior.prior.sum(axis=others))
 

@@ -1,4 +1,4 @@
-"""``guidance.png``: one page that says which photographs to take next, and why."""
+"""``guidance.png``: one page with the proposed photographs and their information gain."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ CROWDED = 0.04  # part of the candidates within which two numbers would overlap
 
 
 def proposal_views(capture: Capture, guidance: Guidance) -> list[Look]:
-    """Return what each proposed camera will see of the object."""
+    """Return the view of the object from each proposed camera."""
     scene = alone(capture)
     return [Look.at(scene, _enlarged(one.sensor)) for one in guidance.proposals]
 
@@ -49,7 +49,7 @@ def write_guidance_overview(
     capture: Capture, estimate: Estimate, guidance: Guidance, maps: np.ndarray,
     looks: Sequence[Look], path: str | Path, up: tuple[float, float, float] = UP,
 ) -> None:  # fmt: skip
-    """Draw directions, ranking, and what proposed cameras will see: 1800 x 1120 pixels.
+    """Draw directions, ranking and the views of proposed cameras: 1800 x 1120 pixels.
 
     ``maps`` are ``Guidance.gain_maps()``, ``looks`` ``proposal_views``; ``up`` is the map's top.
     """
@@ -91,7 +91,7 @@ def write_guidance_overview(
 def _draw_view(
     axes: Axes, look: Look, colors: np.ndarray, words: str, rank: int = 0, row: str = ""
 ) -> None:
-    """Draw what a proposed camera will see, cut to the object."""
+    """Draw the view of a proposed camera, cropped to the object."""
     draw_look(axes, look, colors)
     style.caption(axes, words)
     if row:
@@ -102,7 +102,7 @@ def _draw_view(
 
 
 def _draw_texture(axes: Axes, estimate: Any, words: str, **options: Any) -> None:
-    """Draw a map in the layout of the texture, with the scale of the pictures beside it."""
+    """Draw a map in texture space, with the colour bar of the pictures."""
     drawn = draw_map(axes, estimate, **options)
     style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
     style.caption(axes, words)
@@ -134,7 +134,7 @@ def _directions(
 
 
 def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
-    """Draw the mean entropy against the number of photographs: now, and as it is expected.
+    """Draw the mean entropy against the number of photographs: current and expected.
 
     Without a forecast, there is nothing to draw but today's.
     """
@@ -185,7 +185,7 @@ def draw_ranking(axes: Axes, guidance: Guidance) -> None:
 
 
 def information_gain_limit(maps: np.ndarray) -> float:
-    """Return the gain of a texel that has the last colour."""
+    """Return the information gain at the upper end of the colour scale."""
     positive = maps[maps > 0]
     return max(float(np.quantile(positive, WHITE)), 1e-6) if len(positive) else 1.0
 
@@ -193,7 +193,7 @@ def information_gain_limit(maps: np.ndarray) -> float:
 def information_gain_picture(
     capture: Capture, guidance: Guidance, proposal: int, maps: np.ndarray
 ) -> np.ndarray:
-    """Render the object as a proposed camera will see it, (h, w, 4), grey where nothing is gained.
+    """Render the information gain from a proposed camera, (h, w, 4), grey where it is 0.
 
     ``maps`` (proposals, T) of ``Guidance.gain_maps`` have one scale of colours.
     """
@@ -206,7 +206,7 @@ def information_gain_picture(
 def information_gain_pictures(
     looks: Sequence[Look], guidance: Guidance, maps: np.ndarray, limit: float
 ) -> list[np.ndarray]:
-    """Return gains as proposed cameras will see them (see ``information_gain_picture``)."""
+    """Return information gains as seen from proposed cameras (see ``information_gain_picture``)."""
     everywhere, scale = fully_seen(guidance.texels), information_gain_colors()
     return [
         look.painted(map_colors(everywhere, gains, limits=(0, limit), colormap=scale))
@@ -215,7 +215,7 @@ def information_gain_pictures(
 
 
 def information_gain_colors() -> Colormap:
-    """Return the colours of gains, from the grey of nothing."""
+    """Return the colormap of information gains; 0 is grey."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("gain", INFORMATION_GAIN_COLORS)
@@ -224,7 +224,7 @@ def information_gain_colors() -> Colormap:
 def _labels(
     order: np.ndarray, gains: np.ndarray, proposals: Sequence[Proposal]
 ) -> Iterator[tuple[int, float, int, int]]:
-    """Yield where a proposal's number stands: place, height, rank, and lines above that height.
+    """Yield the position of each proposal's number: place, height, rank, line above it.
 
     Crowded numbers stand one above the other, over the highest bar among theirs; of more than
     nine, only the first are given.
@@ -242,7 +242,7 @@ def _labels(
 
 
 def _enlarged(sensor: Any) -> Any:
-    """Return the sensor with a film that pictures need not be smaller than."""
+    """Return the sensor with a film of at least ``SIDE`` pixels."""
     return resized_sensor(sensor, -(-SIDE // max(film_size(sensor))))
 
 

@@ -1,4 +1,4 @@
-"""Self-contained HTML pages: one file with all its pictures, that asks nothing of any network.
+"""Self-contained HTML pages: one file with all its pictures and no network requests.
 
 A page extends ``base.html`` of the folder ``templates`` and draws with the macros of
 ``parts.html``. Its content security policy lets it show embedded pictures and its own style, and
@@ -50,7 +50,7 @@ def embedded_png(image: np.ndarray, side: int | None = None) -> PageImage:
 
 
 def embedded_jpeg(image: np.ndarray, side: int | None = THUMBNAIL) -> PageImage:
-    """Embed a photograph (H, W, 3) as ``drawing`` does a map, but as JPEG."""
+    """Embed a photograph (H, W, 3) as JPEG (see ``embedded_png``)."""
     return _embedded(image, side, "jpeg", quality=JPEG_QUALITY)
 
 
@@ -67,12 +67,12 @@ def page_of(template: str, **context: Any) -> str:
 
 
 def grouped(number: float) -> str:
-    """Write a whole number with a narrow space between thousands."""
+    """Format a whole number with narrow spaces between thousands."""
     return f"{number:,.0f}".replace(",", NARROW_SPACE)
 
 
 def percent(part: float) -> str:
-    """Write a part in [0, 1] in percent; what is not quite nothing, or all, is not called so."""
+    """Format a fraction as percent; only exact 0 and 1 become 0 % and 100 %."""
     if 0 < part <= 0.005:  # 0.5 is rounded to the even 0
         return f"under 1{NARROW_SPACE}%"
     if 0.995 <= part < 1:
@@ -81,8 +81,6 @@ def percent(part: float) -> str:
 
 
 def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) -> PageImage:
-    # Pillow takes a while to import, and most of this package does without.
-
     if not (image.size and np.isfinite(image).all()):
         raise OutputError(f"A picture of a page has NaN, or no pixels: {image.shape}.")
     picture = Image.fromarray(quantized(image))
@@ -96,7 +94,6 @@ def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) ->
 
 @cache
 def _environment() -> Environment:
-
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
         autoescape=True,

@@ -1,4 +1,4 @@
-"""What is known in units: how much of the surface has narrow intervals, as numbers and words."""
+"""Widths of credible intervals, and the share of the surface where they are narrow."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class CoarseIntervals(Intervals):
 
 
 def picture_intervals(estimate: Any, side: int) -> Intervals:
-    """Return intervals for a map whose longer side has ``side`` pixels: no more than it shows."""
+    """Return intervals, subsampled for a map whose longer side has ``side`` pixels."""
     texels, seen = estimate.texels, is_seen(estimate)
     index, step = np.array(texels.index), -(-max(texels.resolution) // side)
     rows, columns = np.divmod(index, texels.resolution[0])
@@ -84,7 +84,7 @@ def picture_intervals(estimate: Any, side: int) -> Intervals:
 
 @dataclass(frozen=True)
 class IntervalSummary:
-    """How much of the surface is known to a tolerance, by area.
+    """Shares of the surface, by area, whose intervals are within a tolerance.
 
     Attributes:
         level: probability that an interval holds.
@@ -112,7 +112,7 @@ class IntervalSummary:
     def of(
         cls, estimate: Any, intervals: Intervals | None = None, tolerance: float = TOLERANCE
     ) -> IntervalSummary:
-        """Measure what an estimate says.
+        """Summarise the intervals of an estimate.
 
         Intervals are of its posterior, by default those of some thousand texels all over what is
         seen, which tells parts of the surface to a percent or two.
@@ -143,7 +143,7 @@ class IntervalSummary:
         )
 
     def summary(self) -> str:
-        """Say all that was found: "97 % of the surface seen, mean entropy 0.60. Roughness ..."."""
+        """Return "97 % of the surface seen, mean entropy 0.60. Roughness ..."."""
         if self.mean_entropy is None:
             return self.sentence()
         part_seen = plain_percent(self.seen_part)
@@ -153,7 +153,7 @@ class IntervalSummary:
         )
 
     def sentence(self) -> str:
-        """Word it: "Roughness known to ±0.05 on 62 % of the surface seen, metallic on ..."."""
+        """Return "Roughness known to ±0.05 on 62 % of the surface seen, metallic on ..."."""
         if not self.seen_part:
             return "Nothing is known: no photograph shows the surface."
         if not self.known_part:
@@ -176,24 +176,24 @@ def is_within(half_width: Any, tolerance: float) -> Any:
 
 
 def area_share(area: np.ndarray, chosen: np.ndarray) -> float:
-    """Return the part of an area (T,) that is chosen (T,): exactly 1 if all of it is."""
+    """Return the chosen (T,) share of areas (T,): exactly 1 if all are chosen."""
     return float(area[chosen].sum() / area.sum())
 
 
 def plain_percent(value: float) -> str:
-    """Write a part in [0, 1] in percent, with a space that every terminal and font has."""
+    """Format a fraction as percent, with an ordinary space."""
     return percent(value).replace(NARROW_SPACE, " ")
 
 
 def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
-    """Return the smallest value that half of the weight does not exceed."""
+    """Return the weighted median: at least half of the weight is not above it."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(below, below[-1] / 2)]])
 
 
 def _widest_bin(posterior: Any, name: str) -> float:
-    """Width of the widest cell that intervals are made of; 0 if they are finer than the grid."""
+    """Return the width of the widest bin of the grid; 0 for continuous intervals."""
     if posterior.continuous:
         return 0.0
     return float(np.diff(cell_edges(posterior.axes[name])).max())

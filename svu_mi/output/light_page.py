@@ -1,4 +1,4 @@
-"""Files of ``svu light``: the light that was found, its uncertainty, and ``light.png``."""
+"""Files of ``svu light``: the estimated light, its uncertainty, and ``light.png``."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def write_light_page(
     path: str | Path,
     against: LightComparison | None = None,
 ) -> None:
-    """Draw radiance, its logarithm, its standard deviation and what is known, as lat-long maps.
+    """Draw radiance, its logarithm, standard deviation and ``known`` as lat-long maps.
 
     With ``against`` the capture's own light is drawn, too.
     """
@@ -123,7 +123,7 @@ class ToneCurve:
 
     @classmethod
     def of(cls, radiance: np.ndarray) -> ToneCurve:
-        """Return what suits a map (H, W, 3)."""
+        """Return the curve for a map (H, W, 3)."""
         grey = radiance.mean(axis=-1)
         grey = np.maximum(grey, max(DARK * grey.mean(), 1e-30))  # black is not far darker than dark
         middle = float(np.exp(np.log(grey).mean()))
@@ -139,7 +139,7 @@ class ToneCurve:
         return np.asarray(srgb(np.clip(shrunk, 0, 1)))
 
     def stops(self, radiance: np.ndarray) -> np.ndarray:
-        """Return how many times two a map (H, W, 3) is brighter than the middle: (H, W)."""
+        """Return the brightness (H, W) of a map in powers of two above the middle."""
         return np.log2(np.maximum(radiance.mean(axis=-1), 1e-30) / self.middle)
 
 
@@ -154,7 +154,7 @@ def deviation_colors(estimate: LightEstimate) -> np.ndarray:
 
 
 def known_colors(estimate: LightEstimate) -> np.ndarray:
-    """Return the map of what is known as screen colours (H, W, 3)."""
+    """Return the map of ``known`` as screen colours (H, W, 3)."""
     return style.colors(estimate.known)
 
 
@@ -172,7 +172,7 @@ def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str
 
 
 def _emitter_map(emitter: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return what an emitter sends, as a map like that of an estimate."""
+    """Return the radiance of an emitter as a lat-long map."""
     world = directions(shape[1], shape[0]).reshape(-1, 3)
     return radiance_from(emitter, world).reshape(shape)
 
@@ -194,7 +194,7 @@ def _draw_scaled(
 
 
 def _label_directions(axes: Axes) -> None:
-    """Say which way the columns of a lat-long map look."""
+    """Label the columns of a lat-long map with their directions."""
     style.frame_map(axes)
     axes.set_xticks([place for place, _ in AXIS], [name for _, name in AXIS])
     axes.tick_params(labelsize=style.TEXT, color=style.RULE, labelcolor=style.INK, length=3)

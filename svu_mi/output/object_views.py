@@ -9,7 +9,6 @@ import numpy as np
 
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere, directions_of
-from svu_mi.capture.tonemap import Look, alone
 from svu_mi.guidance.strategies import farthest
 
 MARGIN = 0.06  # around the object, in parts of its size
@@ -39,14 +38,6 @@ def distant_views(
         directions_of((capture.sensors[index] for index in used), center), [first], count - 1
     )
     return [used[index] for index in chosen]
-
-
-def render_object(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
-    """Render a texture on the mesh of a capture alone, as ``Look.painted`` does.
-
-    The picture is at most 512 pixels on its longer side.
-    """
-    return Look.at(alone(capture), sensor).painted(texture)
 
 
 def object_window(alpha: np.ndarray) -> Window:
@@ -79,7 +70,7 @@ def _span(center: float, side: float, size: int) -> tuple[float, float]:
 
 
 def up_direction(capture: Any) -> np.ndarray:
-    """Return the direction (3,) that is up in a capture, as ``up_of_poses`` its cameras."""
+    """Return the upward direction (3,) of a capture (see ``up_of_poses``)."""
     sensors = capture.used_sensors or capture.sensors
     return up_of_poses(np.array([to_world(sensor) for sensor in sensors]))
 
@@ -87,14 +78,14 @@ def up_direction(capture: Any) -> np.ndarray:
 def front_and_right(
     capture: Any, center: np.ndarray, up: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return directions (3,) to the front, where the first photograph is from, and to the right."""
+    """Return directions (3,) to the front (the first photograph) and to the right."""
     sensors = capture.used_sensors or capture.sensors
     right, _, front = viewing_frame(up, directions_of(sensors[:1], center)[0])
     return front, right
 
 
 def viewing_frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Return the unit directions right, up and front (3, 3) of whoever is looked at from the front.
+    """Return unit vectors right, up and front (3, 3) of an object seen from its front.
 
     Args:
         up: (3,), of any length but 0.
@@ -111,7 +102,7 @@ def viewing_frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 
 
 def up_of_poses(poses: np.ndarray) -> np.ndarray:
-    """Return the direction (3,) that is up for poses (V, 4, 4), camera to world.
+    """Return the upward direction (3,) of poses (V, 4, 4), camera to world.
 
     It is their mean upward direction, or the world's axis next to it; +Y if they are turned
     in all ways, or if there are none.
@@ -127,5 +118,5 @@ def up_of_poses(poses: np.ndarray) -> np.ndarray:
 
 
 def nearest_axis(up: np.ndarray) -> Axis:
-    """Return ``z`` if that is what an upward direction means, else ``y``."""
+    """Return the axis, ``z`` or ``y``, that is closest to an upward direction."""
     return "z" if up @ DIRECTION["z"] > NEAR_AXIS else "y"

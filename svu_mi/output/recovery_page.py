@@ -1,4 +1,4 @@
-"""``recovery.png``: one page that says what was recovered, and how well it explains the views."""
+"""``recovery.png``: one page with the recovered textures and their errors per view."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COL
 from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.estimate import Estimate
-from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 if TYPE_CHECKING:
@@ -50,10 +50,11 @@ def write_recovery_overview(
     """
     scene = alone(capture)
     objects: list[Panel | None] = []
-    kinds: Any = (_parameter_panels, _other_panels)
-    for comparison, rest in zip(comparisons, kinds, strict=False):
+    for row, comparison in enumerate(comparisons[:2]):
         look = Look.at(scene, capture.sensors[comparison.view], SIDE)
-        objects += [*_comparison_panels(comparison), *rest(look, recovery, comparison, estimate)]
+        objects += _comparison_panels(comparison)
+        objects += (_other_panels(look, recovery, comparison, estimate) if row else
+                    _parameter_panels(look, recovery))  # fmt: skip
     losses = [("Loss by step", partial(_losses, losses=np.array(recovery.losses, np.float64)))]
     style.write_page(path, SIZE, HEADING, _notes(capture, recovery, estimate), [
         Block(panels=losses, box=(0.87, RIGHT, 0.64, 0.875)),
@@ -137,9 +138,7 @@ def _comparison_panels(comparison: RenderComparison) -> list[Panel]:
             for title, image in zip(titles, images, strict=False)]  # fmt: skip
 
 
-def _parameter_panels(
-    look: Look, recovery: Recovery, _: RenderComparison, __: Estimate | None
-) -> list[Panel]:
+def _parameter_panels(look: Look, recovery: Recovery) -> list[Panel]:
     """Return the three parameters on the object."""
     return [
         (title, partial(draw_look, look=look, colors=texture_colors(

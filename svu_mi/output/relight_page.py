@@ -1,4 +1,4 @@
-"""``svu relight``: pictures under another light, how sure each pixel is, and a page of all."""
+"""Files of ``svu relight``: pictures under another light and their standard deviations."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def relative_sd(view: RelitView) -> float | None:
 
 
 def uncertainty_sentence(views: Sequence[RelitView]) -> str:
-    """Return how sure pictures are, in a sentence."""
+    """Return a sentence about the standard deviation of pixels."""
     parts = [part for part in map(relative_sd, views) if part is not None]
     if not parts:
         return "The object is in none of the pictures, or is black."

@@ -1,4 +1,4 @@
-"""``relit.png``: photographs, what the recovered textures make of them, and another light."""
+"""``relit.png``: photographs, renders in recovered textures, and another light."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WORST = 0.25  # difference of sRGB values at the end of the scale
 
 @dataclass(frozen=True, kw_only=True)
 class RenderComparison:
-    """One view: what was photographed and what the textures say, at most 320 pixels wide.
+    """One view: photograph and render in textures, at most 320 pixels wide.
 
     Attributes:
         view: index into ``capture.sensors``.
@@ -112,7 +112,7 @@ def compare_renders(
 
 
 def write_relit(comparisons: Sequence[RenderComparison], path: str | Path) -> None:
-    """Draw one row per view of ``compare``: photograph, render, their difference, another light.
+    """Draw one row per view: photograph, render, their difference, another light.
 
     Raises:
         OutputError: the file cannot be written.

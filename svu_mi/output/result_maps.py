@@ -24,7 +24,7 @@ from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import MESH, find_textures, read_texture
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.estimate import Estimate
-from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.recovery_result import Recovery
 
 Source = str | Path | Capture | Estimate | Recovery
 

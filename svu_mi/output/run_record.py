@@ -1,4 +1,4 @@
-"""``run.json``: everything needed to know what a run was, and to repeat it."""
+"""``run.json``: inputs, settings, results and environment of a run."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from svu_mi.posterior.estimate import Estimate
 
 if TYPE_CHECKING:
     from svu_mi.guidance.guidance_result import Guidance
-    from svu_mi.recovery.recover import Recovery
+    from svu_mi.recovery.recovery_result import Recovery
 
 RECORD = RUN_RECORD
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")
@@ -41,7 +41,7 @@ PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas"
 
 @dataclass(frozen=True, kw_only=True)
 class RunInfo:
-    """How results came about that are to be written, and who watches.
+    """Settings and kernels of a run, and a progress callback.
 
     Attributes:
         settings: what the caller was asked for (command-line options, seeds).
@@ -80,7 +80,7 @@ def environment_record() -> dict[str, Any]:
 def run_record(
     capture: Capture, estimate: Estimate, summary: IntervalSummary | None = None
 ) -> dict[str, Any]:
-    """Return what a capture and its estimate say about the run; intervals are ``summary``."""
+    """Return the record of a capture and its estimate, with intervals ``summary``."""
     entropy, seen = np.asarray(estimate.entropy), is_seen(estimate)
     result = {
         "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
@@ -95,7 +95,7 @@ def run_record(
 def recovery_record(
     capture: Capture, recovery: Recovery, estimate: Estimate | None = None
 ) -> dict[str, Any]:
-    """Return what a recovery, and the estimate that is written beside it, say about the run."""
+    """Return the record of a recovery and the estimate written with it."""
     losses = np.asarray(recovery.losses, np.float64)
     settings = {
         "method": recovery.method,
@@ -112,7 +112,7 @@ def recovery_record(
 
 
 def guidance_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
-    """Return what an estimate, and the guidance from there, say about the run."""
+    """Return the record of an estimate and its guidance."""
     result = {
         "mean_entropy": float(np.asarray(estimate.entropy).mean()),
         "candidates": guidance.candidates.count,
@@ -148,7 +148,7 @@ def _record(
 
 
 def inputs_record(capture: Capture) -> dict[str, Any]:
-    """Return what records say of photographs."""
+    """Return the record of a capture's photographs."""
     return {
         "source": capture.source,
         "mesh": mesh_key(capture.mesh),

@@ -49,7 +49,7 @@ BELOW = (0.0, -0.075, 1.0, 0.035)  # place of a colour bar, in parts of its axes
 
 
 def new_figure(width: float, height: float, dpi: float = DPI, **options: Any) -> Figure:
-    """Return an empty figure of so many inches; ``options`` are matplotlib's."""
+    """Return an empty figure of ``width`` x ``height`` inches; ``options`` are matplotlib's."""
     # matplotlib takes half a second to import; and pyplot, with its global state, is not used.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -136,7 +136,7 @@ def caption(axes: Axes, text: str) -> None:
 
 
 def labels(axes: Axes, across: str = "", up: str = "", size: float = TEXT) -> None:
-    """Say what axes count."""
+    """Write the labels of both axes."""
     axes.set_xlabel(across, size=size, color=FAINT)
     axes.set_ylabel(up, size=size, color=FAINT)
 
@@ -147,7 +147,7 @@ def legend(axes: Axes, size: float = TEXT, **options: Any) -> None:
 
 
 def write_centered(axes: Axes, text: str) -> None:
-    """Say in the middle of axes why there is nothing in them."""
+    """Write a text in the middle of empty axes."""
     same: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
     axes.text(0.5, 0.5, text, color=FAINT, size=11, **same)
 
@@ -182,7 +182,7 @@ def draw_image(axes: Axes, image: np.ndarray) -> None:
 def scalar_mappable(
     limits: tuple[float, float], colormap: str | Colormap = COLORMAP
 ) -> ScalarMappable:
-    """Return what makes colours of numbers; a colour bar can be drawn of it."""
+    """Return the mapping of numbers to colours, also for a colour bar."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -198,17 +198,17 @@ def colors(
 
 
 def css(color: Sequence[float]) -> str:
-    """Return a colour as CSS has it."""
+    """Return a colour as a CSS hex code."""
     return "#" + "".join(f"{round(255 * float(value)):02x}" for value in color)
 
 
 def css_colors(values: np.ndarray, colormap: str = COLORMAP) -> list[str]:
-    """Return colours of numbers in [0, 1] as CSS has them."""
+    """Return CSS colours of numbers in [0, 1]."""
     return [css(color) for color in colors(values, colormap=colormap)]
 
 
 def css_gradient(colormap: str) -> str:
-    """Return a whole colormap as CSS has it."""
+    """Return a colormap as stops of a CSS gradient."""
     return ", ".join(css_colors(np.linspace(0, 1, 9), colormap))
 
 
@@ -217,7 +217,7 @@ def color_bar(
     place: tuple[float, float, float, float] | None = BELOW, size: float = TEXT,
     ticks: Sequence[float] = (),
 ) -> Any:  # fmt: skip
-    """Draw the scale of an image, or of a ``scale``, and return it.
+    """Draw the scale of an image, or of a ``scalar_mappable``, and return it.
 
     ``place`` is left, bottom, width and height in parts of the axes; None fills them.
     """

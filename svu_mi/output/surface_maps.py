@@ -1,4 +1,4 @@
-"""What there is to see on an object's surface: values, their colours, and words for both."""
+"""Maps on an object's surface: values, their colours and descriptions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recovered textures as EXR files and in ``recovered.xml``, and back."""
+"""Reading and writing of recovered textures (EXR) and ``recovered.xml``."""
 
 from __future__ import annotations
 
@@ -101,8 +101,7 @@ def object_node(
 
 
 def recovery_settings(folder: str | Path) -> dict[str, Any]:
-    """Return ``Recovery.settings`` as the record of a folder of textures has them; nothing where
-    there is none, such as beside textures of others."""
+    """Return ``Recovery.settings`` from the record of a folder; empty without a record."""
     try:
         return dict(read_json(Path(folder) / RECORD)["settings"]["used"])
     except (OSError, SvuError, KeyError, TypeError, ValueError):

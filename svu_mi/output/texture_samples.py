@@ -1,4 +1,4 @@
-"""Textures drawn from the field around recovered ones: files, and a sheet to look at."""
+"""Samples of textures from the field around recovered ones: files and overview."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from svu_mi.output.estimate_arrays import label_of
 from svu_mi.output.panels import draw_look, fully_seen, map_colors
 from svu_mi.output.style import GREY, Block
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.svbrdf_textures import Textures
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Textures that were filled: files, a picture of what was, and sentences about it."""
+"""Files of ``svu inpaint``: filled textures, their overview, and summary sentences."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def write_filled(
 
 
 def fill_sentences(result: Filled) -> Iterator[str]:
-    """Yield what was filled, and by what."""
+    """Yield sentences on the share of filled texels and the methods."""
     part = result.filled.mean() if len(result.filled) else 0.0
     if not result.filled.any():
         yield "Every texel is seen, and surely enough; nothing was filled."
@@ -88,7 +88,7 @@ def fill_sentences(result: Filled) -> Iterator[str]:
 
 
 def _invented_sentences(model: ModelReport, result: Filled) -> Iterator[str]:
-    """Yield what a model has filled, and how far off it is, beside likeness."""
+    """Yield sentences on a model: share of texels, and error next to that of likeness."""
     part = model.reached.sum() / result.filled.sum()
     yield f"{percent(part)} of these by {model.model}; licence of its weights: {model.licence}."
     for answer in model.answers:
@@ -107,7 +107,7 @@ def _invented_sentences(model: ModelReport, result: Filled) -> Iterator[str]:
 
 
 def _model_record(model: ModelReport) -> dict[str, Any]:
-    """Return what a model was asked, for ``run.json``."""
+    """Return the record of a model for ``run.json``."""
     answers = [
         {"source": answer.source, "pictures": list(answer.pictures),
          "reached": int(answer.reached.sum()), "errors": answer.errors,
@@ -118,8 +118,7 @@ def _model_record(model: ModelReport) -> dict[str, Any]:
 
 
 def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Path) -> None:
-    """Draw every parameter before and after, and what was filled, from where most of that is
-    seen."""
+    """Draw every parameter before and after filling, facing most of the filled texels."""
     rows = ("before", "after", "standard deviation")
     model, texels = result.invented, before.texels
     heading = LIKE if model is None else INVENTED.format(model.model)
@@ -150,7 +149,7 @@ def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Pat
 
 
 def _best_sensor(capture: Capture, result: Filled) -> int:
-    """Return the sensor that most of what was filled faces."""
+    """Return the sensor that faces the most filled texels."""
     texels = result.field.texels
     position, normal = (np.array(x)[:, result.filled] for x in (texels.position, texels.normal))
     eyes = [to_world(sensor)[:3, 3] for sensor in capture.sensors]

@@ -1,4 +1,4 @@
-"""Everything that capture guidance writes: poses to go to, what they are worth, pictures."""
+"""Files of ``svu guide``: proposed poses, their information gain, and pictures."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _write_poses(capture: Capture, guidance: Guidance, folder: Path) -> None:
 
 
 def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
-    """Return what ``guidance.json`` says: proposals with poses, and all candidates, ranked."""
+    """Return the content of ``guidance.json``: proposals with poses, ranked candidates."""
     ranked = enumerate(zip(guidance.proposals, file_names(capture, guidance), strict=True), 1)
     return {
         "settings": {
@@ -154,7 +154,7 @@ def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
 
 
 def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
-    """Write what the cameras will show, all of their film, coloured by gain."""
+    """Write the views of proposed cameras, coloured by information gain."""
     for k, picture in enumerate(pictures):
         with replacing(folder / f"proposal_{k}.png") as temporary:
             Image.fromarray(quantized(picture[..., :3])).save(temporary)

@@ -1,4 +1,4 @@
-"""Everything that a recovery writes: textures, a scene, maps, pictures, losses, the record."""
+"""Files of ``svu recover``: textures, scene, maps, pictures, losses and record."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from svu_mi.output.run_record import RECORD, RunInfo, recovery_record, write_run
 from svu_mi.output.texture_files import write_scene
 from svu_mi.output.texture_samples import SHEET, write_draws, write_sheet
 from svu_mi.posterior.estimate import Estimate
-from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 LOSSES = "losses.csv"
@@ -40,7 +40,7 @@ VIEWS = 3  # that pictures are made of
 
 @dataclass(frozen=True)
 class DrawOptions:
-    """Textures to draw: how many, and with which seed."""
+    """Number of texture samples, and their seed."""
 
     count: int
     seed: int = 0

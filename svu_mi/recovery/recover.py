@@ -1,85 +1,51 @@
-"""SVBRDF recovery: photographs in, textures out. The file to read first.
+"""SVBRDF recovery (Sec. 5.2 to 5.4): photographs in, textures out. The file to read first.
 
-sh:       capture -> estimate -> posterior means -> smoothed -> descent
-path:     capture -> batches of rays -> prb (Mitsuba)        -> descent
+Textures psi minimise, by gradient descent with Adam,
+
+    L(psi) = L_data(psi) + w_TV TV(psi) + w_S L_S(psi)
+
+sh:       L_data compares photographs with a reflection model; psi starts from posterior means
+path:     L_data compares photographs with renderings by Mitsuba's prb; psi starts from 0.5
 sh+path:  the first, then one epoch of the second
+
+TV is total variation between neighbours, and L_S draws uncertain texels to others (Eq. 14, 15).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-import numpy as np
+import drjit as dr
+import mitsuba as mi
 
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
-from svu_mi.geometry.neighbors import Neighbors
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.estimate import Estimate, capture_and_texels, observations_of
 from svu_mi.posterior.observations import Observed
+from svu_mi.recovery.adam import Descent, Objective, descend
+from svu_mi.recovery.checkpoint import Checkpoint
+from svu_mi.recovery.initialisation import posterior_means
+from svu_mi.recovery.path.pixel_loss import path_objective
 from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions, method_options
-from svu_mi.recovery.recovery_run import RecoveryRun, require_resolution
+from svu_mi.recovery.recovery_result import Recovery
+from svu_mi.recovery.recovery_run import LossTerm, RecoveryRun, check_choices, require_resolution
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
-from svu_mi.recovery.svbrdf_textures import Textures
+from svu_mi.recovery.relighting import path_length
+from svu_mi.recovery.sh.angular_l1_loss import angular_objective
+from svu_mi.recovery.sh.likelihood import Likelihood, QuadraticPrior, SmoothedStart
+from svu_mi.recovery.sh.spectral_loss import spectral_objective
+from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class Recovery:
-    """Recovered textures, and how they came about.
-
-    Attributes:
-        method: what they were recovered by.
-        texels: the T texels they belong to.
-        textures: base colour, roughness and metallic.
-        coverage: (T,) uint32, number of photographs that show each texel; where it is 0, values
-            come from neighbours and, if shared, from texels that look alike.
-        losses: (N,) float32, of the last descent, before each step.
-        stopped: why that ended: ``finished`` or ``converged``.
-        settings: everything the result depends on, besides the capture.
-        timings: seconds per stage, synchronised.
-        estimate: what was known of every texel by itself, or with a prior in common, where
-            the recovery asked; None where it did not (``path``, losses of the paper).
-        around: neighbours of the texels, if they were looked for.
-    """
-
-    method: Method
-    texels: Texels
-    textures: Textures
-    coverage: np.ndarray
-    losses: np.ndarray
-    stopped: str
-    settings: dict[str, Any]
-    timings: dict[str, float] = field(default_factory=dict)
-    estimate: Estimate | None = field(default=None, repr=False)
-    around: Neighbors | None = field(default=None, repr=False)
-
-    def __repr__(self) -> str:
-        width, height = self.texels.resolution
-        return (
-            f"<Recovery {self.method}: textures of {width} x {height}, {self.texels.count} texels, "
-            f"{self.stopped} after {len(self.losses)} steps>"
-        )
-
-    def image(self, name: str) -> np.ndarray:
-        """Return a map as (H, W) or (H, W, 3) float32: a texture, or ``coverage``.
-
-        Raises:
-            OptionError: an unknown name.
-        """
-        if name == "coverage":
-            return self.texels.to_image(self.coverage.astype(np.float32), 0.0)
-        if name not in NAMES:
-            raise OptionError(
-                f"Recovery.image(): there is no map {name!r}; use {', '.join(NAMES)} or coverage; "
-                "Recovery.estimate.image() has entropy and standard deviations."
-            )
-        values = np.array(getattr(self.textures, name))
-        return values if values.shape[2] > 1 else values[..., 0]
+# Chosen on our own scenes:
+START_SMOOTHING = 0.6  # part of the TV weight for a start, whose texels must tell materials apart
+PRIOR_WEIGHT = 0.5  # of the pull towards posterior means, which know the prior
+Result = tuple[Textures, Descent]
 
 
 def recover(
@@ -92,11 +58,10 @@ def recover(
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
 
     Args:
-        source: a capture; or an estimate of one, whose rays are not traced again. ``sh`` goes on
-            from the posterior of an estimate in colour (``default``); others are made again with
-            their reflection model. Parameters that it takes as known stay as they are.
-        texels: texels of ``capture.mesh``, textures have their resolution; may be left out with
-            an estimate.
+        source: a capture; or an estimate of one, whose rays are not traced again. ``sh`` starts
+            from the posterior of an estimate in colour (``default``); others are computed again
+            with their reflection model. Known parameters of an estimate stay as they are.
+        texels: of ``capture.mesh``, one per pixel of the textures; optional with an estimate.
         method: ``sh`` compares photographs with a reflection model; ``path`` with renderings by
             Mitsuba's ``prb``; ``sh+path`` continues the first with one epoch of the second.
         preset: ``default`` or ``paper``; ``coefficients`` and ``spectrum`` are the paper's other
@@ -105,7 +70,7 @@ def recover(
         sharing: let uncertain texels be like others. True learns a prior that texels have in common
             (``posterior/empirical_bayes.py``); with presets of the paper's, it is Eq. 14 and 15 as
             printed, by the posterior of Eq. 11: that of ``source`` if it is one over (roughness,
-            Ks), or one made for it. Or a ``GlobalSharing`` of one's own making.
+            Ks), or one made for it. Or your own ``GlobalSharing``.
         tv: weight of total variation, instead of the options'.
         parameters: names of the textures to recover; others are those of ``start``, or the scene's.
         start: textures to start from, instead of the closed form (sh) or of 0.5 (path).
@@ -126,7 +91,7 @@ def recover(
     """
     if resume and checkpoint is None:
         raise OptionError("recover(): resume=True needs a checkpoint to resume from.")
-    names = _checked(method, sharing, parameters)
+    names = check_choices(method, sharing, parameters)
     options, progress = method_options(method, preset, sh, path, tv), progress or Progress()
     require_resolution(capture_and_texels(source, texels)[1], start)
     observed = observations_of(source, texels, progress)
@@ -135,30 +100,101 @@ def recover(
     given = source if isinstance(source, Estimate) else None
     run = RecoveryRun(method, observed, given, names, options, start, sharing, progress)
     saved = None if checkpoint is None else run.checkpoint(checkpoint, resume, checkpoint_seconds)
-    textures, descent = run.run(saved)
+
+    textures = start or run.default_start()
+    if method != "path":
+        textures, descent = _recover_by_sh(run, textures, saved if method == "sh" else None)
+    if method != "sh":
+        textures, descent = _recover_by_path(run, textures, saved)
     return Recovery(
-        method=run.method, texels=run.texels, textures=textures, coverage=run.observed.coverage,
+        method=method, texels=run.texels, textures=textures, coverage=observed.coverage,
         losses=descent.losses, stopped=descent.stopped, settings=run.settings,
-        timings=run.progress.timings, estimate=run.estimate if run.asked else None,
-        around=run.found_neighbors,
+        timings=progress.timings, estimate=run.estimate if run.estimate_used else None,
+        around=run.surface_neighbors,
     )  # fmt: skip
 
 
-def _checked(
-    method: str, sharing: GlobalSharing | bool, parameters: Sequence[str]
-) -> tuple[str, ...]:
-    """Refuse what makes no sense; return the names of parameters in their usual order."""
-    if method not in get_args(Method):
-        raise OptionError(f"Unknown method {method!r}; use one of {', '.join(get_args(Method))}.")
-    if not isinstance(sharing, bool | GlobalSharing):
-        raise OptionError(
-            f"recover(): sharing must be True, False or a GlobalSharing, got {sharing!r}; weights "
-            "are options (sh=, path=)."
+def _recover_by_sh(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | None) -> Result:
+    """Fit the reflection model to the photographs, from smoothed posterior means."""
+    options = run.options["sh"]
+    data = _sh_loss(run, options)
+    if options.loss == "statistics" and options.closed_form and run.start is None:
+        start = _smoothed(run, options, start.but(**run.free(posterior_means(run.estimate))))
+    return _minimise(run, "Descending (SH)", start, data, options, checkpoint)
+
+
+def _sh_loss(run: RecoveryRun, options: ShOptions) -> Objective:
+    """Return -log p(B | psi) and a pull towards posterior means; or a loss of the paper."""
+    if options.loss == "statistics":
+        likelihood = Likelihood.of(run.posterior, run.texels)
+        prior = QuadraticPrior.of(run.posterior, run.texels)
+        if len(run.names) + len(run.known) < len(NAMES):
+            return likelihood  # means are those of all colours, say, not of the one that stays
+        return lambda psi, step: likelihood(psi, step) + PRIOR_WEIGHT * prior(psi, step)
+    with run.progress.stage("Gathering statistics"):
+        if options.loss == "angular":
+            model = replace(run.paper.switches("angular"), channels="joint")
+            return angular_objective(run.observed, model)
+        return spectral_objective(run.observed, run.paper.switches("spectrum"), options.loss)
+
+
+def _smoothed(run: RecoveryRun, options: ShOptions, means: Textures) -> Textures:
+    """Smooth posterior means, weighted by their variances: neighbours decide what one cannot."""
+    if not options.tv:
+        return means
+    variation = START_SMOOTHING * run.tv_weight(options), options.tv_epsilon
+    around = run.tv_neighbors(options)
+    smoothing = SmoothedStart.of(run.posterior, run.texels, run.names, around, variation)
+    with run.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
+        descent = descend(
+            smoothing, smoothing.start(means), smoothing.options(options.smoothing), progress=stage
         )
-    unknown = [name for name in parameters if name not in NAMES]
-    if unknown or not parameters:
-        raise OptionError(
-            f"recover(): parameters must be one or more of {', '.join(NAMES)}, got "
-            f"{', '.join(map(str, parameters)) or 'none'}."
+    return smoothing.laid_out(means, descent.values)
+
+
+def _recover_by_path(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | None) -> Result:
+    """Fit renderings to batches of pixels of the photographs."""
+    options = run.options["path"]
+    if options.max_depth is None:
+        options = replace(options, max_depth=path_length(run.capture.scene))
+    views = run.observed.views
+    with run.progress.stage("Preparing rays"):
+        data = path_objective(run.capture, run.texels, options, fixed=start, views=views)
+    options = replace(options, descent=replace(options.descent, steps=data.steps))
+    return _minimise(run, "Descending (path tracing)", start, data, options, checkpoint)
+
+
+def _minimise(
+    run: RecoveryRun, title: str, start: Textures, data: Objective,
+    options: ShOptions | PathOptions, checkpoint: Checkpoint | None,
+) -> Result:  # fmt: skip
+    """Minimise L over the parameters to recover; all others stay as in ``start``."""
+    sharing = run.sharing_term(options)
+    terms = [(options.sharing, sharing)] if sharing else []
+    if options.tv:
+        terms.insert(0, (run.tv_weight(options), run.total_variation(options)))
+    fixed = {name: tensor for name, tensor in start.items() if name not in run.names}
+    objective = regularized(data, terms, fixed)
+    with run.progress.stage(title, options.descent.steps) as stage:
+        descent = descend(
+            objective, run.free(start), options.descent, checkpoint=checkpoint, progress=stage
         )
-    return tuple(name for name in NAMES if name in parameters)
+    textures = Textures(**(fixed | descent.values))
+    # Nothing pulls gutters along where texels alone are compared.
+    return lay_out(run.texels, {name: textures.at(run.texels, name) for name in NAMES}), descent
+
+
+def regularized(
+    data: Objective, terms: Sequence[tuple[float, LossTerm]], fixed: dict[str, Any]
+) -> Objective:
+    """Return data + sum of weight * term(textures); ``fixed`` textures are not optimised."""
+    weights = [dr.opaque(mi.Float, weight) for weight, _ in terms]
+
+    def objective(textures: dict[str, Any], step: int) -> Any:
+        every = fixed | textures
+        loss = data(every, step)
+        for weight, (_, term) in zip(weights, terms, strict=True):
+            loss += weight * term(every)
+        return loss
+
+    return objective

@@ -199,12 +199,12 @@ def test_a_right_capture_is_left_alone(capture):
 @pytest.mark.slow
 def test_two_mistakes_and_a_flipped_texture_are_found_together(capture):
     case = Case(("camera-x180", "light-x90", "light-turn-90", "texture-flip-v"))
-    found = svu.check(case.made(capture))
-    assert not found.fits and same(found.fixes, case.fixes)
-    assert np.mean([view.overlap for view in found.views]) < 0.2
-    assert np.mean([view.overlap for view in found.corrected]) > 0.9
+    result = svu.check(case.made(capture))
+    assert not result.fits and same(result.fixes, case.fixes)
+    assert np.mean([view.overlap for view in result.views]) < 0.2
+    assert np.mean([view.overlap for view in result.corrected]) > 0.9
     right = [view.color_error for view in check_views(reduce_photographs(capture, 128))]
-    corrected = [view.color_error for view in found.corrected]
+    corrected = [view.color_error for view in result.corrected]
     np.testing.assert_allclose(corrected, right, rtol=0.05)
     assert np.mean(right) < 0.4
 
@@ -383,10 +383,10 @@ def test_turned_cameras_see_what_a_turned_mesh_shows(capture):
 
 
 def test_every_way_to_lay_axes_is_tried_once():
-    found = light_hypotheses()
-    turns = [fix_rotation(one.fixes, "light") for one in found]
-    assert len({turn.round().astype(int).tobytes() for turn in turns}) == len(found) == 48
-    assert [len(one.fixes) for one in found] == sorted(len(one.fixes) for one in found)
+    result = light_hypotheses()
+    turns = [fix_rotation(one.fixes, "light") for one in result]
+    assert len({turn.round().astype(int).tobytes() for turn in turns}) == len(result) == 48
+    assert [len(one.fixes) for one in result] == sorted(len(one.fixes) for one in result)
     for right in ENVIRONMENT_AXES.values():  # any convention that was read as any other
         for wrong in ENVIRONMENT_AXES.values():
             assert any(np.allclose(wrong @ turn, right) for turn in turns)
@@ -432,12 +432,12 @@ def test_poses_and_texture_are_checked_without_a_light(capture):
     """Silhouettes, agreement of views and the texture tell; of light and gains nothing is said."""
     dark = without_light(capture)
     assert dark.environment is None
-    found = svu.check(dark)
-    assert [one.verdict for one in found.findings] == ["fits", "unknown", "fits", "unknown"]
-    light, gain = (one.sentence for one in found.findings if one.verdict == "unknown")
+    result = svu.check(dark)
+    assert [one.verdict for one in result.findings] == ["fits", "unknown", "fits", "unknown"]
+    light, gain = (one.sentence for one in result.findings if one.verdict == "unknown")
     assert light == "The orientation of the light cannot be determined: the capture has none."
     assert gain.endswith("have the same gain cannot be determined: the capture has no light.")
-    assert found.fits and all(view.color_error is None for view in found.views)
+    assert result.fits and all(view.color_error is None for view in result.views)
     case = Case(("camera-x180", "texture-flip-v"))
     assert same(svu.check(case.made(dark)).fixes, case.fixes)
 
@@ -446,15 +446,15 @@ def test_poses_and_texture_are_checked_without_a_light(capture):
 def test_a_mesh_that_shows_its_back_is_turned(capture):
     """Before, light and texture were judged by the few points that happened to be seen."""
     wrong = spoil(capture, FIXES["mesh-inside-out"])
-    found = svu.check(wrong)
-    assert found.fixes == ("mesh-inside-out",)
-    assert [one.verdict for one in found.findings[:3]] == ["wrong", "fits", "fits"]
-    assert found.findings[0].sentence.startswith(
+    result = svu.check(wrong)
+    assert result.fixes == ("mesh-inside-out",)
+    assert [one.verdict for one in result.findings[:3]] == ["wrong", "fits", "fits"]
+    assert result.findings[0].sentence.startswith(
         "The faces of the mesh are wound the wrong way: 100% of what the photographs show of it is "
         "its back (in a Mitsuba scene, set flip_normals on the shape). Cameras and mesh fit"
     )
-    assert all(view.color_error is None for view in found.views)
-    assert np.mean([view.color_error for view in found.corrected]) < 0.4
+    assert all(view.color_error is None for view in result.views)
+    assert np.mean([view.color_error for view in result.corrected]) < 0.4
     both = Case(("camera-x180", "mesh-inside-out"))
     assert same(svu.check(both.made(capture)).fixes, both.fixes)
 
@@ -478,16 +478,16 @@ def test_what_is_ignored_has_the_last_word(capture):
         {"type": "rectangle", "id": "table", "to_world": below, "bsdf": {"type": "diffuse"}}
     )
     scene = scene_of([capture.shape, table, *capture.scene.emitters()])
-    found = svu.check(replace(capture, scene=scene))
-    ignored = found.findings[-1]
-    assert (ignored.question, ignored.verdict, found.fits) == ("ignored", "note", True)
+    result = svu.check(replace(capture, scene=scene))
+    ignored = result.findings[-1]
+    assert (ignored.question, ignored.verdict, result.fits) == ("ignored", "note", True)
     assert ignored.sentence.startswith("Light reflected by 'table' falls on")
-    assert verdict(found) == (
+    assert verdict(result) == (
         "The capture fits its photographs, as far as can be determined; results may be off by what "
         "is ignored."
     )
-    gain = replace(found.findings[3], verdict="unclear")
-    unsure = replace(found, findings=(*found.findings[:3], gain, ignored))
+    gain = replace(result.findings[3], verdict="unclear")
+    unsure = replace(result, findings=(*result.findings[:3], gain, ignored))
     assert not unsure.fits
     assert verdict(unsure) == "Axes fit, but results may be wrong for another reason: gain."
     assert svu.check(capture).findings[-1].question == "gain"
@@ -497,8 +497,8 @@ def test_what_an_import_has_left_out_is_said_again(capture, tmp_path):
     note = f"scan.glb: has a normal map, {LEFT_OUT}"
     record = {"format": "svu-capture", "import": {"notes": ["Something else.", note]}}
     (tmp_path / "capture.json").write_text(json.dumps(record))
-    found = svu.check(replace(capture, source=tmp_path))
-    assert found.findings[-1].sentence == note
+    result = svu.check(replace(capture, source=tmp_path))
+    assert result.findings[-1].sentence == note
 
 
 @pytest.mark.slow
@@ -523,9 +523,9 @@ def test_the_whole_corrected_command_can_be_pasted(knot, tmp_path, capsys, monke
     assert line in html.unescape((tmp_path / "out/check.html").read_text())
     program, *again = shlex.split(line)
     assert program == "svu" and main(again) == 0
-    found = svu.load_capture("imported capture")
-    np.testing.assert_allclose(poses_of(found), poses_of(knot), atol=1e-5)
-    assert not np.allclose(poses_of(found), poses_of(wrong), atol=0.1)
+    result = svu.load_capture("imported capture")
+    np.testing.assert_allclose(poses_of(result), poses_of(knot), atol=1e-5)
+    assert not np.allclose(poses_of(result), poses_of(wrong), atol=0.1)
     assert main(["check", "imported capture", "-o", "out"]) == 0
     assert "Import it again" not in capsys.readouterr().out
 

@@ -97,13 +97,13 @@ def test_constant_light_reflects_as_the_directional_albedo_says(roughness):
     cosine = (np.array([16, 22, 30]) + 0.5) / ALBEDO_NODES
     directions = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], axis=1)[None]
     transport = Transport.of(free_samples(np.array([[0, 0, 1.0]]), directions), 4096)
-    found = transport.columns(np.ones((4096, 3)), np.array([roughness]))
+    columns = transport.columns(np.ones((4096, 3)), np.array([roughness]))
     alpha = np.array([roughness**2])
     A, B = split_sum(alpha)[0, [16, 22, 30]].T
-    np.testing.assert_allclose(found.p[:, 0, 0], A, rtol=0.04)
-    np.testing.assert_allclose(found.q[:, 0, 0], B, rtol=0.04, atol=2e-3)
+    np.testing.assert_allclose(columns.p[:, 0, 0], A, rtol=0.04)
+    np.testing.assert_allclose(columns.q[:, 0, 0], B, rtol=0.04, atol=2e-3)
     np.testing.assert_allclose(
-        found.d[:, 0, 0], dielectric_albedo(alpha)[0, [16, 22, 30]], rtol=0.04
+        columns.d[:, 0, 0], dielectric_albedo(alpha)[0, [16, 22, 30]], rtol=0.04
     )
 
 
@@ -113,8 +113,8 @@ def test_a_cell_right_behind_the_texel_is_hidden(moves):
     behind = fibonacci(64)[:9].astype(np.float32).astype(np.float64)
     samples = free_samples(-behind, np.repeat(-behind[:, None], 2, axis=1))
     transport = Transport.of(samples, 64, moves)
-    found = transport.columns(np.ones((64, 3)), np.array([0.0, 0.5, 1.0]))
-    assert all(np.isfinite(part).all() for part in found)
+    columns = transport.columns(np.ones((64, 3)), np.array([0.0, 0.5, 1.0]))
+    assert all(np.isfinite(part).all() for part in columns)
     materials = Materials(np.full(9, 0.5), np.zeros((9, 1)), np.full((9, 3), 0.5))
     matrix = transport.matrix(materials)
     assert np.isfinite(matrix).all()
@@ -126,8 +126,8 @@ def test_a_narrow_lobe_gathers_its_light_wherever_it_points():
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     directions = np.stack([0.5 * np.cos(turn), 0.5 * np.sin(turn), 0 * turn + 0.75**0.5], axis=1)
     transport = Transport.of(free_samples(np.array([[0, 0, 1.0]]), directions[None]), 256)
-    found = transport.columns(np.ones((256, 3)), np.array([0.0]))
-    whole = (found.p + found.q)[:, 0, 0]
+    columns = transport.columns(np.ones((256, 3)), np.array([0.0]))
+    whole = (columns.p + columns.q)[:, 0, 0]
     assert whole.min() > 0.8 and whole.max() < 1.3  # a lobe points at a cell, or between them
     assert abs(whole.mean() - 1) < 0.06
 
@@ -153,8 +153,8 @@ def test_the_prior_is_a_distribution():
 
 def fit_of(samples: TexelSamples, x: np.ndarray) -> LightFit:
     transport = Transport.of(samples, len(x))
-    found = SampleMoments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
-    posterior = found.posterior(SWITCHES)
+    columns = SampleMoments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
+    posterior = columns.posterior(SWITCHES)
     system = normal_equations(
         transport, np.exp(x), posterior, SWITCHES.overdispersion, LightPriors(prior_of(len(x)))
     )
@@ -177,8 +177,8 @@ class Joint:
         return Materials(table[:, 0], table[:, 1:2], table[:, 2:])
 
     def predicted(self, x, materials) -> np.ndarray:
-        found = of_oracle(self.samples, materials, self.number)
-        return np.einsum("snc,nc->sc", found, np.exp(x))
+        estimate = of_oracle(self.samples, materials, self.number)
+        return np.einsum("snc,nc->sc", estimate, np.exp(x))
 
     def jacobian(self) -> np.ndarray:
         """(S, 3, 3 N + 5 n)."""
@@ -221,22 +221,22 @@ def test_materials_are_eliminated_as_from_the_whole_normal_equations():
     samples, truth = photographed(8, 6, 64, noise=0.05)
     x = truth + 0.3 * np.random.default_rng(2).normal(size=truth.shape)
     transport = Transport.of(samples, 64)
-    found = SampleMoments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
-    posterior = found.posterior(SWITCHES)
+    columns = SampleMoments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
+    posterior = columns.posterior(SWITCHES)
     tau = SWITCHES.overdispersion
-    found = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)))
+    columns = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)))
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
     joint = Joint(samples, x, materials_of(with_empirical_prior(posterior)), w)
     H, g = joint.normal()
     n = 3 * 64
     taken = np.linalg.solve(H[n:, n:], np.column_stack([H[n:, :n], g[n:]]))
     matrix, gradient = H[:n, :n] - H[:n, n:] @ taken[:, :-1], g[:n] - H[:n, n:] @ taken[:, -1]
-    np.testing.assert_allclose(found.matrix, matrix, atol=2e-4 * np.abs(matrix).max())
-    np.testing.assert_allclose(found.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
+    np.testing.assert_allclose(columns.matrix, matrix, atol=2e-4 * np.abs(matrix).max())
+    np.testing.assert_allclose(columns.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
     # It matters: less is known of the light where materials can follow it.
     assert np.abs(H[:n, :n] - matrix).max() > 0.02 * np.abs(matrix).max()
     step = np.clip(np.linalg.solve(H, -g)[:n].reshape(3, 64).T, -MAX_CHANGE, MAX_CHANGE)
-    np.testing.assert_allclose(found.step(), step, atol=0.02)
+    np.testing.assert_allclose(columns.step(), step, atol=0.02)
     for seed in range(3):  # the gradient of the energy itself
         d = np.random.default_rng(seed).normal(size=x.shape)
         slope = (joint.energy(x + 1e-4 * d) - joint.energy(x - 1e-4 * d)) / 2e-4
@@ -266,9 +266,9 @@ def test_the_level_is_asked_of_views_that_face_the_surface():
 
 def test_sums_of_dimmer_light_are_those_of_its_columns():
     samples, x = photographed(12, 8, 64, noise=0.05)
-    found = columns_of(Transport.of(samples, 64), np.exp(x), SWITCHES)
-    dimmed = Columns(*(0.6 * part for part in found))
-    first = SampleMoments.of(samples, found).posterior(SWITCHES, 0.6)
+    columns = columns_of(Transport.of(samples, 64), np.exp(x), SWITCHES)
+    dimmed = Columns(*(0.6 * part for part in columns))
+    first = SampleMoments.of(samples, columns).posterior(SWITCHES, 0.6)
     second = SampleMoments.of(samples, dimmed).posterior(SWITCHES)
     np.testing.assert_allclose(first.kernel.noise, second.kernel.noise, rtol=1e-4)
     for one, other in zip(materials_of(first), materials_of(second), strict=True):
@@ -304,19 +304,19 @@ def test_light_of_another_colour_is_found_out():
 def test_other_lights_are_as_bright_and_textures_less_certain():
     samples, x = photographed(24, 8, 64, noise=0.05)
     fit = fit_of(samples, x)
-    found = sample_lights(fit, 6)
-    level = np.exp(found.draws).mean(axis=1)
+    estimate = sample_lights(fit, 6)
+    level = np.exp(estimate.draws).mean(axis=1)
     np.testing.assert_allclose(level, np.tile(np.exp(x).mean(axis=0), (6, 1)), rtol=1e-9)
-    np.testing.assert_array_equal(found.draws, sample_lights(fit, 6).draws)
-    assert not np.array_equal(found.draws, sample_lights(fit, 6, seed=1).draws)
+    np.testing.assert_array_equal(estimate.draws, sample_lights(fit, 6).draws)
+    assert not np.array_equal(estimate.draws, sample_lights(fit, 6, seed=1).draws)
     mean = np.kron(np.full((1, 3), 1 / 3), np.eye(64))
     share = np.exp(x).mean(axis=1) / np.exp(x).mean(axis=1).sum()
     mean = (np.eye(64) - share) @ mean  # at a given level
     covariance = mean @ np.linalg.inv(fit.system.matrix) @ mean.T
-    np.testing.assert_allclose(found.cell_sd, np.sqrt(np.diag(covariance)), rtol=1e-4)
+    np.testing.assert_allclose(estimate.cell_sd, np.sqrt(np.diag(covariance)), rtol=1e-4)
     columns = columns_of(fit.transport, np.exp(x), SWITCHES)
     right = scale_of(samples, columns, SWITCHES)
-    several = widening_of(fit.transport, columns, found.draws, right, SWITCHES)
+    several = widening_of(fit.transport, columns, estimate.draws, right, SWITCHES)
     same, nowhere = np.tile(x, (6, 1, 1)), replace(right, best=np.zeros(3), common=1e-6)
     sure = widening_of(fit.transport, columns, same, nowhere, SWITCHES)
     assert sure == pytest.approx(1, abs=1e-3) and several > sure
@@ -364,16 +364,16 @@ def test_the_background_is_light_from_where_the_camera_looks(outdoors, moves):
 
 def test_cells_have_the_mean_of_the_pixels_that_show_them(outdoors):
     number = 256
-    precision, found = BackgroundPixels.of(outdoors).at(number)
+    precision, estimate = BackgroundPixels.of(outdoors).at(number)
     cells = precision > 0
     assert 0.5 < cells.mean() <= 1
     points = fibonacci(64 * number)
     owner = (points @ fibonacci(number).T).argmax(axis=1)
     sums = [np.bincount(owner, channel) for channel in seen_from(outdoors.environment, points).T]
     truth = np.log(np.stack(sums, axis=1) / np.bincount(owner)[:, None])[cells]
-    assert alike(found[cells], truth) > 0.95
-    assert abs((found[cells] - truth).mean()) < 0.05
-    assert not found[~cells].any()
+    assert alike(estimate[cells], truth) > 0.95
+    assert abs((estimate[cells] - truth).mean()) < 0.05
+    assert not estimate[~cells].any()
 
 
 def test_there_may_be_no_background(outdoors):

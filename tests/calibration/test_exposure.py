@@ -46,8 +46,8 @@ ODD = (3, 11, 17)
 def random_gains(views: int, seed: int = 4) -> np.ndarray:
     """(V, 3) logarithms: exposure to 30 %, white balance to 15 %, of no mean."""
     rng = np.random.default_rng(seed)
-    found = rng.uniform(-0.3, 0.3, (views, 1)) + rng.uniform(-0.15, 0.15, (views, 3))
-    return found - found.mean(axis=0)
+    result = rng.uniform(-0.3, 0.3, (views, 1)) + rng.uniform(-0.15, 0.15, (views, 3))
+    return result - result.mean(axis=0)
 
 
 def multiplied(capture: svu.Capture, gains: np.ndarray) -> svu.Capture:
@@ -66,7 +66,7 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
         SWITCHES
     )
     gains = random_gains(6)
-    found = normal_equations(transport, np.exp(x), posterior, tau, gains=gains)
+    system = normal_equations(transport, np.exp(x), posterior, tau, gains=gains)
 
     materials = materials_of(with_empirical_prior(posterior))
     slopes, r = _linearized(transport, np.exp(x), materials)
@@ -88,8 +88,8 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
     g[n:].reshape(-1, 5)[:, 2:] += (color - color.mean(axis=0)) / COLOR_SD**2
     taken = np.linalg.solve(H[n:, n:], np.column_stack([H[n:, :n], g[n:]]))
     matrix, gradient = H[:n, :n] - H[:n, n:] @ taken[:, :-1], g[:n] - H[:n, n:] @ taken[:, -1]
-    np.testing.assert_allclose(found.matrix, matrix, atol=2e-4 * np.abs(matrix).max())
-    np.testing.assert_allclose(found.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
+    np.testing.assert_allclose(system.matrix, matrix, atol=2e-4 * np.abs(matrix).max())
+    np.testing.assert_allclose(system.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
 
     # The same beside cells of the light, whose own part is what it is without gains.
     both = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)), gains)
@@ -99,7 +99,7 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
     atol = 1e-5 * np.abs(alone.matrix).max()
     np.testing.assert_allclose(both.matrix[np.ix_(of_light, of_light)], alone.matrix, atol=atol)
     np.testing.assert_allclose(both.gradient[of_light], alone.gradient, rtol=1e-4, atol=1e-2)
-    np.testing.assert_allclose(both.matrix[np.ix_(of_gains, of_gains)], found.matrix,
+    np.testing.assert_allclose(both.matrix[np.ix_(of_gains, of_gains)], system.matrix,
                                rtol=1e-3, atol=2e-3 * np.abs(matrix).max())  # fmt: skip
 
 
@@ -120,7 +120,7 @@ def test_a_photograph_that_is_taken_back_keeps_the_gain_that_was_found():
     bright = np.where(samples.view == 1, 2.0, 1.0)[:, None].astype(np.float32)
     shown = replace(samples, radiance=samples.radiance * bright)
     off = 1 + 0.02 * np.random.default_rng(1).normal(size=samples.radiance.shape)
-    system = SimpleNamespace(found=samples.radiance * off)
+    system = SimpleNamespace(predicted=samples.radiance * off)
     change = np.full((6, 3), -0.8)  # of the second, the prior alone
     after, _ = step_gains(gains, shown, system, change, np.full(40, 0.1))
     assert not after.odd.any()
@@ -170,9 +170,9 @@ OPTIONS = svu.LightOptions(texels=300)
 @pytest.mark.slow
 def test_gains_are_found_under_a_known_light(observed):
     true = random_gains(24)
-    found = estimate_gains(multiplied(observed.capture, true), observed.texels, OPTIONS)
-    off = found.logarithm - true
-    assert np.sqrt(np.mean(off**2)) < 0.05 and not found.odd.any()
+    estimated = estimate_gains(multiplied(observed.capture, true), observed.texels, OPTIONS)
+    off = estimated.logarithm - true
+    assert np.sqrt(np.mean(off**2)) < 0.05 and not estimated.odd.any()
     bright = multiplied(observed.capture, true + np.log(3))  # light in other units
     units = estimate_gains(bright, observed.texels, OPTIONS)
     assert np.sqrt(np.mean((units.logarithm - true) ** 2)) < 0.06 and not units.odd.any()
@@ -188,14 +188,14 @@ def test_photographs_that_do_not_fit_are_named_and_left_out(observed):
     images[ODD[1]] = gaussian_filter(np.nan_to_num(images[ODD[1]]), (4, 4, 0))
     images[ODD[2]] = np.ascontiguousarray(images[ODD[2]][::-1])  # of something else
     changed = replace(capture, images=tuple(images))
-    found = estimate_gains(changed, observed.texels, OPTIONS)
-    assert np.flatnonzero(found.odd).tolist() == list(ODD)
-    assert found.factor[ODD[0]].mean() == pytest.approx(4, rel=0.2)
-    said = list(gain_sentences(found, changed))
+    estimated = estimate_gains(changed, observed.texels, OPTIONS)
+    assert np.flatnonzero(estimated.odd).tolist() == list(ODD)
+    assert estimated.factor[ODD[0]].mean() == pytest.approx(4, rel=0.2)
+    said = list(gain_sentences(estimated, changed))
     assert "times as bright as if all were alike" in said[0]
     for view, sentence in zip(ODD, said[-len(ODD) :], strict=True):
         assert sentence.startswith(f"{capture.names[view]} does not fit the others (")
-    even = equalized(changed, found)
+    even = equalized(changed, estimated)
     assert np.flatnonzero(~np.array(even.used)).tolist() == list(ODD)
     right, result, spoilt = (
         np.array(svu.estimate(one, observed.texels).posterior.mean("roughness"))
@@ -230,9 +230,9 @@ def test_photographs_are_divided_and_the_capture_is_not_modified(observed):
 def test_they_are_kept_with_the_light_and_read_back(observed, tmp_path):
     gains = FoundGains(random_gains(5), np.linspace(0, 2, 5), np.arange(5) == 2)
     svu.save_light(replace(made_up_light(), gains=gains), tmp_path / "light")
-    found = svu.load_light(tmp_path / "light").gains
+    estimated = svu.load_light(tmp_path / "light").gains
     for name in ("logarithm", "noise", "odd"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(gains, name))
+        np.testing.assert_array_equal(getattr(estimated, name), getattr(gains, name))
     arrays = read_arrays(tmp_path / "light" / "light.npz")
     for changes, message in (
         ({"gains": np.full((5, 3), np.inf)}, "gains has values out of range"),

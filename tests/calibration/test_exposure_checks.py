@@ -87,14 +87,14 @@ def test_the_one_photograph_with_another_gain_is_named(vase, view, gain):
     gains[view] = gain
     finding = gain_finding(gained(vase, gains))
     assert finding.verdict == "unclear"
-    found = re.fullmatch(
+    result = re.fullmatch(
         rf"One photograph has another gain than the others: view_{view:04d}\.exr \(x (\d\.\d\d)\); "
         r"give the exposure of each photograph \(svu import --exposures, or divide its "
         r"pixels by it\), or leave it out\.",
         finding.sentence,
     )
-    assert found, finding.sentence
-    assert float(found[1]) == pytest.approx(gain, rel=0.15)
+    assert result, finding.sentence
+    assert float(result[1]) == pytest.approx(gain, rel=0.15)
 
 
 def test_many_gains_are_named_largest_first(vase):
@@ -136,12 +136,12 @@ def test_gains_of_our_own_scenes(name, light):
         doubled = gain_finding(gained(capture, [2.0] * count))
         single = np.ones(count)
         single[5] = 0.6
-        found = gain_finding(gained(capture, single))
-        named = re.findall(r"view_\d+\.exr", found.sentence)
+        result = gain_finding(gained(capture, single))
+        named = re.findall(r"view_\d+\.exr", result.sentence)
         assert named in ([], [capture.names[5]])
         if count == 24:
             assert TOO_BRIGHT.fullmatch(doubled.sentence), doubled.sentence
-            assert len(named) == 1, found.sentence
+            assert len(named) == 1, result.sentence
 
 
 MATERIALS = {"gold": ((0.9, 0.7, 0.3), 0.3, 1.0), "mirror": ((0.95,) * 3, 0.1, 1.0),
@@ -222,10 +222,10 @@ def test_what_is_brighter_than_white_is_counted(lit_ball, albedo, part):
     count = len(points.position)
     shown = np.broadcast_to(albedo * white / 250, (4, count, 3))
     seen = PointSamples(np.ones((4, count), bool), shown, from_around(points, 40))
-    found = measure_excess(seen, points, arriving, 250.0)
-    assert found.part == pytest.approx(part, abs=0.01)
-    assert found.factor == pytest.approx(albedo, rel=0.04)
-    assert (found.sentence() is None) == (albedo < 1.2)  # paint is a little brighter at times
+    excess = measure_excess(seen, points, arriving, 250.0)
+    assert excess.part == pytest.approx(part, abs=0.01)
+    assert excess.factor == pytest.approx(albedo, rel=0.04)
+    assert (excess.sentence() is None) == (albedo < 1.2)  # paint is a little brighter at times
 
 
 @pytest.mark.parametrize(("degrees", "judged"), [(10, False), (30, True)])
@@ -253,11 +253,11 @@ def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():
     shown[3] *= 1.3
     side = np.arange(count) % 8
     seen = np.ones((views, count), bool)
-    found = relative_gains(Reflections(seen, shown, diffuse, lobes, side))
-    assert found.explained > 0.99
-    np.testing.assert_array_equal(np.flatnonzero(found.odd), [3])
+    gains = relative_gains(Reflections(seen, shown, diffuse, lobes, side))
+    assert gains.explained > 0.99
+    np.testing.assert_array_equal(np.flatnonzero(gains.odd), [3])
     np.testing.assert_allclose(
-        np.exp(found.log), np.where(np.arange(views) == 3, 1.3, 1), rtol=0.01
+        np.exp(gains.log), np.where(np.arange(views) == 3, 1.3, 1), rtol=0.01
     )
     nothing = relative_gains(Reflections(np.zeros_like(seen), shown, diffuse, lobes, side))
     assert not nothing.known.any() and not nothing.odd.any()

@@ -50,15 +50,15 @@ def kept(tmp_path):
 
 
 def test_what_is_read_is_what_was_written(kept):
-    written, found = made_up_light(), svu.load_light(kept)
+    written, light = made_up_light(), svu.load_light(kept)
     for name in FIELDS:
-        np.testing.assert_array_equal(getattr(found, name), getattr(written, name), name)
-    assert found.radiance.tobytes() == written.radiance.tobytes()
+        np.testing.assert_array_equal(getattr(light, name), getattr(written, name), name)
+    assert light.radiance.tobytes() == written.radiance.tobytes()
     assert photographs_of(kept) == "0" * 32
     layers = read_exr(kept / "light.exr")
     assert sorted(layers) == ["B", "G", "R", "known.Y", "sd.Y"]
-    np.testing.assert_array_equal(layers["R"], found.radiance[..., 0])
-    np.testing.assert_array_equal(layers["sd.Y"], found.sd)
+    np.testing.assert_array_equal(layers["R"], light.radiance[..., 0])
+    np.testing.assert_array_equal(layers["sd.Y"], light.sd)
     record = json.loads((kept / "light.json").read_text())["light"]
     assert record["known"] == pytest.approx(written.known_part)
     assert record["misfit"] == {"still": 0.02, "moving": None}
@@ -213,11 +213,11 @@ def proportional(monkeypatch):
 def test_known_base_colours_fix_the_brightness(gray_ball, tint):
     """Light that is found too dark, or too bright, by a factor; a card tells that of channels."""
     truth = made_up_light()
-    found = replace(truth, logarithm=truth.logarithm + np.log(tint))
+    light = replace(truth, logarithm=truth.logarithm + np.log(tint))
     seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
-    by_mean = grey_card.scaled_by_mean(found, seen, 0.3)
-    by_card = grey_card.scaled_by_card(found, seen, (0.5, 0.5), 0.3)
-    ours = [np.exp(one.logarithm - found.logarithm)[0] for one in (by_mean, by_card)]
+    by_mean = grey_card.scaled_by_mean(light, seen, 0.3)
+    by_card = grey_card.scaled_by_card(light, seen, (0.5, 0.5), 0.3)
+    ours = [np.exp(one.logarithm - light.logarithm)[0] for one in (by_mean, by_card)]
     np.testing.assert_allclose(ours[1] * tint, 1, rtol=0.02)
     np.testing.assert_allclose(ours[0], ours[0][0], rtol=1e-6)
     np.testing.assert_allclose((1 / ours[0]).mean(), np.mean(tint), rtol=0.05)
@@ -228,10 +228,10 @@ def test_known_base_colours_fix_the_brightness(gray_ball, tint):
 def test_a_card_on_a_ball_fixes_the_brightness(gray_ball):
     """And posteriors are what says so."""
     truth = made_up_light()
-    found = replace(truth, logarithm=truth.logarithm + np.log(0.6))
+    light = replace(truth, logarithm=truth.logarithm + np.log(0.6))
     seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
-    by_card = grey_card.scaled_by_card(found, seen, (0.5, 0.5), 0.3)
-    np.testing.assert_allclose(np.exp(by_card.logarithm - found.logarithm), 1 / 0.6, rtol=0.15)
+    by_card = grey_card.scaled_by_card(light, seen, (0.5, 0.5), 0.3)
+    np.testing.assert_allclose(np.exp(by_card.logarithm - light.logarithm), 1 / 0.6, rtol=0.15)
 
 
 @pytest.mark.usefixtures("proportional")
@@ -262,8 +262,8 @@ def test_a_base_colour_that_no_light_explains_is_named(gray_ball, monkeypatch):
 
 
 def test_the_brightest_direction_is_where_the_light_is():
-    found = brightest(made_up_light())
-    assert found is not None and found @ np.array([1, 0, 0]) > np.cos(np.radians(15))
+    direction = brightest(made_up_light())
+    assert direction is not None and direction @ np.array([1, 0, 0]) > np.cos(np.radians(15))
     even = replace(made_up_light(), logarithm=np.zeros((64, 3)))
     assert brightest(even) is None
     said = list(summary_sentences(made_up_light()))

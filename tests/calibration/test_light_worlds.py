@@ -52,8 +52,8 @@ def painted(folder, light, **material):
 
 
 def test_the_light_of_the_vase_is_found(vase):
-    capture, found = vase
-    like = compare_lights(found, capture.environment)
+    capture, light = vase
+    like = compare_lights(light, capture.environment)
     assert like.correlation > 0.9
     assert like.angle < 15
 
@@ -63,8 +63,8 @@ def test_the_sun_is_brighter_and_not_the_paint_in_it():
     capture = svu.render_capture(
         scenes.path("vase"), spp=32, views=40, resolution=(96, 96), defines={"light": "clear"}
     )
-    found = svu.estimate_light(capture, svu.texels(capture.mesh, 96), STILL)
-    like = compare_lights(found, capture.environment)
+    light = svu.estimate_light(capture, svu.texels(capture.mesh, 96), STILL)
+    like = compare_lights(light, capture.environment)
     assert like.correlation > 0.8 and like.angle < 10  # .83; .75 if they may be anything
 
 
@@ -81,12 +81,12 @@ def test_a_turntable_is_recognised(vase):
     capture, still = vase
     assert not still.moves and still.misfit[0] < still.misfit[1]
     table = turning(capture)
-    found = svu.estimate_light(table, svu.texels(table.mesh, 96), FEW)
-    like = compare_lights(found, capture.environment)  # turned as in camera space
-    assert found.moves and found.misfit[1] < 0.5 * found.misfit[0]
+    light = svu.estimate_light(table, svu.texels(table.mesh, 96), FEW)
+    like = compare_lights(light, capture.environment)  # turned as in camera space
+    assert light.moves and light.misfit[1] < 0.5 * light.misfit[0]
     assert like.correlation > 0.8
     with pytest.raises(SceneError, match=r"^The light turns with the camera [^\n]*\.$"):
-        svu.with_light(table, found)
+        svu.with_light(table, light)
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +97,9 @@ def matte(tmp_path_factory):
     return svu.estimate_light(capture, svu.texels(capture.mesh, 96), FEW)
 
 
-def dimmer_half(found):
+def dimmer_half(light):
     """Which directions of its map are no brighter than the median, and radiance."""
-    grey = found.radiance.mean(axis=2)
+    grey = light.radiance.mean(axis=2)
     return grey <= np.median(grey), grey
 
 
@@ -136,8 +136,8 @@ def metal(window, tmp_path_factory):
 
 
 def test_the_light_that_metal_mirrors_is_found(metal):
-    capture, found = metal
-    like = compare_lights(found, capture.environment)
+    capture, light = metal
+    like = compare_lights(light, capture.environment)
     assert like.correlation > 0.95 and like.inside  # .99
 
 

@@ -126,7 +126,7 @@ def test_what_can_be_reached_is_said_in_any_of_three_ways(tmp_path, text):
     path = tmp_path / "file"
     path.write_text(text)
     capture = CaptureOptions(source=SceneOptions(scene=tmp_path))
-    flags = Guide(capture=capture, reachable=path, unreachable=(3, 4))._within_reach(12)
+    flags = Guide(capture=capture, reachable=path, unreachable=(3, 4))._reachable_flags(12)
     assert np.flatnonzero(flags).tolist() == [0, 6, 9]
 
 

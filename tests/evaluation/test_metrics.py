@@ -96,15 +96,15 @@ def test_the_interval_covers_the_mean_as_often_as_it_says(rng, count):
     held = 0
     for index in range(200):
         cells = np.repeat(rng.normal(0.7, 0.1, count), 3) + rng.normal(0, 0.02, 3 * count)
-        found = mean_over_objects(cells, names, seed=index)
-        held += found.low <= 0.7 <= found.high
+        result = mean_over_objects(cells, names, seed=index)
+        held += result.low <= 0.7 <= result.high
     assert 0.9 <= held / 200 <= 0.995
 
 
 def test_one_or_two_objects_have_a_mean_and_no_interval():
     for objects, count in ((["a", "a"], 1), (["a", "b"], 2)):
-        found = mean_over_objects([0.5, 0.7], objects)
-        assert found == Interval(pytest.approx(0.6), None, None, count)
+        result = mean_over_objects([0.5, 0.7], objects)
+        assert result == Interval(pytest.approx(0.6), None, None, count)
     with pytest.raises(ShapeError, match=r"\(1,\) array"):
         mean_over_objects([0.5, 0.7], ["a"])
 
@@ -115,12 +115,12 @@ def test_one_or_two_objects_have_a_mean_and_no_interval():
 def test_sparsification_by_hand():
     """Errors 1 2 3 (mean 2). The oracle removes 3, then 2: 1, 3/4, 1/2. The uncertainty removes
     1, then 2: 1, 5/4, 3/2. The area between: trapezoids of 0, 1/2, 1 with step 1/3."""
-    found = sparsification([1, 2, 3], [0.9, 0.5, 0.1])
-    np.testing.assert_allclose(found.removed, [0, 1 / 3, 2 / 3])
-    np.testing.assert_allclose(found.oracle, [1, 3 / 4, 1 / 2])
-    np.testing.assert_allclose(found.by_uncertainty, [1, 5 / 4, 3 / 2])
-    assert found.ause == pytest.approx(1 / 3)
-    assert found.relative == pytest.approx(2)  # as much worse than chance as the oracle is better
+    curves = sparsification([1, 2, 3], [0.9, 0.5, 0.1])
+    np.testing.assert_allclose(curves.removed, [0, 1 / 3, 2 / 3])
+    np.testing.assert_allclose(curves.oracle, [1, 3 / 4, 1 / 2])
+    np.testing.assert_allclose(curves.by_uncertainty, [1, 5 / 4, 3 / 2])
+    assert curves.ause == pytest.approx(1 / 3)
+    assert curves.relative == pytest.approx(2)  # as much worse than chance as the oracle is better
 
 
 def test_a_perfect_order_has_no_area_and_no_order_is_chance(rng):
@@ -135,9 +135,9 @@ def test_a_perfect_order_has_no_area_and_no_order_is_chance(rng):
 
 def test_sparsification_without_errors():
     for error in ([0.0, 0.0, 0.0], [0.5, 0.5, 0.5], [2.0]):
-        found = sparsification(error, np.arange(len(error)))
-        assert (found.ause, found.relative) == (0, 0)
-        np.testing.assert_allclose(found.by_uncertainty, 1)
+        curves = sparsification(error, np.arange(len(error)))
+        assert (curves.ause, curves.relative) == (0, 0)
+        np.testing.assert_allclose(curves.by_uncertainty, 1)
     with pytest.raises(OptionError, match="negative"):
         sparsification([-1, 1], [0, 1])
 
@@ -164,9 +164,9 @@ def test_credible_sets_by_hand():
 
 def test_ties_are_taken_in_whole():
     p = np.full((4, 2, 2), 0.25)
-    found = credible_coverage(p, np.arange(4), 0.5)
-    assert (found.plain, found.size) == (1, 1)
-    assert found.fractional == pytest.approx(0.5)
+    coverage = credible_coverage(p, np.arange(4), 0.5)
+    assert (coverage.plain, coverage.size) == (1, 1)
+    assert coverage.fractional == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("level", [0.5, 0.9])
@@ -175,18 +175,18 @@ def test_a_calibrated_posterior_is_covered_as_it_says(rng, level):
     count = 4000
     p = rng.dirichlet(np.full(64, 0.1), count)
     truth = (p.cumsum(axis=1) > rng.random((count, 1))).argmax(axis=1)
-    found = credible_coverage(p.reshape(count, 8, 8).astype(np.float32), truth, level)
+    coverage = credible_coverage(p.reshape(count, 8, 8).astype(np.float32), truth, level)
     margin = 4 * np.sqrt(level * (1 - level) / count)
-    assert found.fractional == pytest.approx(level, abs=margin)
-    assert found.plain >= level - margin
-    assert 0 < found.size < level
+    assert coverage.fractional == pytest.approx(level, abs=margin)
+    assert coverage.plain >= level - margin
+    assert 0 < coverage.size < level
 
 
 def test_a_truth_without_probability_is_not_covered():
     p = np.array([[1.0, 0.0]] * 2)
-    found = credible_coverage(p, np.array([0, 1]), 0.9)
-    assert found.plain == 0.5
-    assert found.fractional == pytest.approx(0.45)
+    coverage = credible_coverage(p, np.array([0, 1]), 0.9)
+    assert coverage.plain == 0.5
+    assert coverage.fractional == pytest.approx(0.45)
 
 
 def test_what_credible_coverage_refuses():
@@ -205,10 +205,10 @@ def test_what_credible_coverage_refuses():
 
 
 def test_errors_by_hand():
-    found = error_summary([1, 2, 6], [1, 3, 3])
-    assert found.bias == pytest.approx(2 / 3)
-    assert found.mae == pytest.approx(4 / 3)
-    assert found.rmse == pytest.approx(np.sqrt(10 / 3))
+    result = error_summary([1, 2, 6], [1, 3, 3])
+    assert result.bias == pytest.approx(2 / 3)
+    assert result.mae == pytest.approx(4 / 3)
+    assert result.rmse == pytest.approx(np.sqrt(10 / 3))
 
 
 def test_the_truth_of_a_scene_is_its_textures():
@@ -271,38 +271,38 @@ def test_psnr_is_that_of_the_definition():
 
 
 @pytest.mark.parametrize(
-    ("found", "truth", "error"),
+    ("estimate", "truth", "error"),
     [
         ([1.0], [1.0, 2.0], ShapeError),
         ([], [], ShapeError),
         ([np.nan], [1.0], OptionError),
     ],
 )
-def test_psnr_refuses_what_it_cannot_compare(found, truth, error):
+def test_psnr_refuses_what_it_cannot_compare(estimate, truth, error):
     with pytest.raises(error):
-        psnr(found, truth)
+        psnr(estimate, truth)
 
 
 def test_the_average_counts_every_parameter_the_same():
     truth = {"base_color": np.zeros((4, 3)), "roughness": np.zeros(4)}
-    found = {"base_color": np.full((4, 3), 0.1), "roughness": np.full(4, 0.01)}
-    assert texture_psnr(found, truth) == pytest.approx(
+    result = {"base_color": np.full((4, 3), 0.1), "roughness": np.full(4, 0.01)}
+    assert texture_psnr(result, truth) == pytest.approx(
         {"base_color": 20, "roughness": 40, "average": 30}
     )
-    np.testing.assert_allclose(texel_error(found, truth), 0.055)  # (0.1 + 0.01) / 2
+    np.testing.assert_allclose(texel_error(result, truth), 0.055)  # (0.1 + 0.01) / 2
     with pytest.raises(ShapeError, match="base_color"):
-        texture_psnr({"roughness": found["roughness"]}, truth)
+        texture_psnr({"roughness": result["roughness"]}, truth)
 
 
-def ssim_of_windows(found, truth):
+def ssim_of_windows(estimate, truth):
     """SSIM as the sum over each 11 x 11 window that Wang et al. write down (Eq. 13 to 16)."""
     at = np.arange(-5, 6)
     weight = np.exp(-(at**2) / (2 * 1.5**2))
     weight = np.outer(weight, weight)
     weight /= weight.sum()
-    padded = [np.pad(x, ((5, 5), (5, 5)), mode="symmetric") for x in (found, truth)]
-    result = np.empty(found.shape)
-    for i, j in np.ndindex(*found.shape):
+    padded = [np.pad(x, ((5, 5), (5, 5)), mode="symmetric") for x in (estimate, truth)]
+    result = np.empty(estimate.shape)
+    for i, j in np.ndindex(*estimate.shape):
         x, y = (p[i : i + 11, j : j + 11] for p in padded)
         mx, my = (weight * x).sum(), (weight * y).sum()
         sx, sy = (weight * (x - mx) ** 2).sum(), (weight * (y - my) ** 2).sum()
@@ -316,10 +316,10 @@ def ssim_of_windows(found, truth):
 def test_ssim_is_that_of_wang_et_al():
     rng = np.random.default_rng(40927715)
     truth = rng.uniform(size=(14, 17))
-    found = np.clip(truth + rng.normal(scale=0.2, size=truth.shape), 0, 1)
+    result = np.clip(truth + rng.normal(scale=0.2, size=truth.shape), 0, 1)
     # Border pixels are mirrored in both, so every pixel can be compared.
     np.testing.assert_allclose(
-        ssim_map(found[..., None], truth[..., None])[..., 0], ssim_of_windows(found, truth),
+        ssim_map(result[..., None], truth[..., None])[..., 0], ssim_of_windows(result, truth),
         rtol=1e-9,
     )  # fmt: skip
 
@@ -328,14 +328,14 @@ def test_pictures_are_compared_on_the_object_only_and_at_any_exposure():
     rng = np.random.default_rng(5582210)
     truth, mask = rng.uniform(0.2, 2, size=(16, 16, 3)), np.zeros((16, 16), bool)
     mask[4:12, 4:12] = True
-    found = truth * 1.1
+    result = truth * 1.1
     same = image_error(truth, truth, mask)
     assert (same.psnr_hdr, same.psnr_ldr, same.ssim) == (CEILING_DB, CEILING_DB, pytest.approx(1))
-    error = image_error(found, truth, mask)
+    error = image_error(result, truth, mask)
     assert 15 < error.psnr_hdr < 40
-    found[0, 0] = np.nan  # not on the object
-    assert image_error(found, truth, mask) == error
-    brighter = image_error(1000 * found, 1000 * truth, mask)
+    result[0, 0] = np.nan  # not on the object
+    assert image_error(result, truth, mask) == error
+    brighter = image_error(1000 * result, 1000 * truth, mask)
     assert brighter.psnr_hdr == pytest.approx(error.psnr_hdr)
     assert brighter.ssim == pytest.approx(error.ssim)
     with pytest.raises(ShapeError, match="empty"):

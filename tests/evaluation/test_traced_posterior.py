@@ -237,27 +237,27 @@ def ball_part(tmp_path, kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
 @pytest.fixture
 def asked(monkeypatch):
     """Pairs and traced halves that a reference asks for, in lists that fill up."""
-    found, rendered = [], []
+    result, rendered = [], []
     find, render = traced_posterior.visible_pairs, traced_posterior.trace
     monkeypatch.setattr(
-        traced_posterior, "visible_pairs", lambda *args: found.append(find(*args)) or found[-1]
+        traced_posterior, "visible_pairs", lambda *args: result.append(find(*args)) or result[-1]
     )
     monkeypatch.setattr(
         traced_posterior, "trace", lambda *args: rendered.append(render(*args)) or rendered[-1]
     )
-    return found, rendered
+    return result, rendered
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
 def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, asked, noise):
     """Every psi of every texel again, from the pairs and the traced halves, in NumPy."""
-    found, rendered = asked
+    result, rendered = asked
     grid, sigma = PrincipledGrid(2, 2, 3), 0.05
     reference = reference_posterior(
         capture, layout, 20, 4, grid=grid, sigma=sigma, method="brute", noise=noise, seed=SEED
     )
-    (pair,), scale = found, reference.scale
+    (pair,), scale = result, reference.scale
     halves = np.array(rendered)  # (psi, half, P, channel)
     assert halves.shape == (12, 2, pair.count, 3)
     halves = halves.mean(axis=-1)
@@ -279,10 +279,10 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, ask
 @pytest.mark.slow
 def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(capture, layout, asked):
     """Sums of one texel again, from the pairs and the traced halves, in NumPy; and their uses."""
-    found, rendered = asked
+    result, rendered = asked
     reference = reference_posterior(capture, layout, 20, 4, grid=GRID, noise="estimated", seed=SEED)
     switches = AngularPreset()
-    (pair,), levels, kappa = found, switches.levels, switches.knee * reference.unit
+    (pair,), levels, kappa = result, switches.levels, switches.knee * reference.unit
     halves = np.array(rendered).reshape(levels, 4, 2, pair.count, 3)  # corner, half
     for k in range(20):
         own = pair.texel == k
@@ -389,8 +389,8 @@ def test_errors_may_be_summed_over_views(capture, layout, tmp_path, noise):
             capture, layout, sigma=0.5, errors="sum", cache=tmp_path, **asked
         )
         assert total.cached == again
-        found = np.array(total.posterior.probabilities)
-        np.testing.assert_allclose(found[total.coverage > 0], p[total.coverage > 0], atol=1e-6)
+        result = np.array(total.posterior.probabilities)
+        np.testing.assert_allclose(result[total.coverage > 0], p[total.coverage > 0], atol=1e-6)
     assert total.entropy.mean() < mean.entropy.mean() - 0.05
 
 

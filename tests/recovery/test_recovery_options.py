@@ -17,7 +17,7 @@ from svu_mi.geometry.neighbors import neighbors
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import SpectrumKernel
 from svu_mi.presets import PRESETS, preset
-from svu_mi.recovery import recovery_run as running
+from svu_mi.recovery import recover as entry
 from svu_mi.recovery.path.pixel_loss import PathObjective
 from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import (
@@ -114,7 +114,7 @@ class Told:
 def told(monkeypatch):
     """Every descent is one step, and all that it was asked for is written down."""
     found = Told()
-    descend, regularized = running.descend, running.regularized
+    descend, regularized = entry.descend, entry.regularized
 
     def brief(objective, start, options, **rest):
         found.descents.append(options)
@@ -134,8 +134,8 @@ def told(monkeypatch):
 
         monkeypatch.setattr(kind, "__post_init__", done)
 
-    monkeypatch.setattr(running, "descend", brief)
-    monkeypatch.setattr(running, "regularized", with_rules)
+    monkeypatch.setattr(entry, "descend", brief)
+    monkeypatch.setattr(entry, "regularized", with_rules)
     watch(TotalVariation, found.variations)
     watch(GlobalSharing, found.sharing)
     return found

@@ -59,7 +59,7 @@ class AccuracyCase(CaseSubject):
         return super().settings(row), how
 
     def head(self) -> Record:
-        """Return what the reference says of itself, and how the two simple maps agree with it.
+        """Return figures of the reference, and its agreement with the two simple maps.
 
         Returns:
             ``object``, ``light``, ``texels``, ``reference`` (its figures) and ``sanity``.
@@ -83,7 +83,7 @@ class AccuracyCase(CaseSubject):
 
 @dataclass(frozen=True)
 class CaseReference:
-    """The path-traced reference of a case, and what is needed to compare an estimate with it.
+    """Path-traced reference of a case, and its comparison with estimates.
 
     Attributes:
         reference: as ``reference_posterior`` gives it.
@@ -99,7 +99,7 @@ class CaseReference:
 
     @classmethod
     def of(cls, reference: Any, capture: Capture, grid: Texels) -> CaseReference:
-        """Leave out what nobody saw: there, every estimator is trivially right."""
+        """Exclude unseen texels, where every estimator is trivially right."""
         seen = np.array(reference.coverage) > 0
         return cls(
             reference=reference,
@@ -109,7 +109,7 @@ class CaseReference:
         )
 
     def figures(self) -> dict[str, Any]:
-        """Return what the reference says of itself, and how the two simple maps agree with it."""
+        """Return figures of the reference, and its agreement with the two simple maps."""
         reference = self.reference
         seen = np.array(reference.coverage) > 0
         maps = {

@@ -191,7 +191,7 @@ def _means(records: list[Record]) -> Record:
 
 
 def mean_of(values: Sequence[Any]) -> Any:
-    """Return the mean of numbers; of records, the means of what they hold, by name."""
+    """Return the mean of numbers; of records, the mean of each entry."""
     if isinstance(values[0], dict):
         return {name: mean_of([value[name] for value in values]) for name in values[0]}
     return float(np.mean(values))

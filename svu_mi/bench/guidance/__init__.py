@@ -61,7 +61,7 @@ class ViewSelectionCase(CaseSubject):
 
     @property
     def sizes(self) -> GuidanceSizes:
-        """How large everything is, beside the photographs."""
+        """Sizes of the guidance benchmark."""
         return self.bench.sizes.guidance
 
     @property
@@ -78,7 +78,7 @@ class ViewSelectionCase(CaseSubject):
         )  # fmt: skip
 
     def head(self) -> Record:
-        """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: what ``score`` says of it,
+        """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: its ``score``,
         and ``agreement`` of forecasts."""
         return {
             "cell": self.case.title, "object": self.case.object, "kind": self.kind,
@@ -86,7 +86,7 @@ class ViewSelectionCase(CaseSubject):
         }  # fmt: skip
 
     def measure(self, row: StrategyRow) -> Record:
-        """Return the ``order`` of a strategy, and per mark what ``score`` says, as lists."""
+        """Return the ``order`` of a strategy, and its ``score`` at each mark, as lists."""
         order = self.order(row.label)
         marks = self.sizes.marks
         points = [self.first, *(self.score(self.start + order[:mark]) for mark in marks)]
@@ -104,7 +104,7 @@ class ViewSelectionCase(CaseSubject):
 
     @cached_property
     def first(self) -> Record:
-        """What ``score`` says of the start."""
+        """``score`` of the start."""
         return self.score(self.start)
 
     @cached_property
@@ -120,7 +120,7 @@ class ViewSelectionCase(CaseSubject):
 
     @cached_property
     def visible(self) -> np.ndarray:
-        """(T,) bool, texels that any view sees: whoever does not look there has to guess."""
+        """(T,) bool, texels that any view shows."""
         return np.array(estimate(self.capture, self.layout, preset="fast").coverage) > 0
 
     def order(self, strategy: str) -> list[int]:
@@ -156,7 +156,7 @@ class ViewSelectionCase(CaseSubject):
         }
 
     def agreement(self) -> Record:
-        """Compare the forecast at the start with what photographs then change.
+        """Compare the forecast at the start with the actual changes.
 
         Returns:
             Per candidate ``gains``, expected changes of the mean entropy, and ``changes``,

@@ -53,7 +53,7 @@ def views_needed(marks: tuple[int, ...], psnr: list[float], step: float) -> floa
 
 
 def mean_increase(marks: tuple[int, ...], values: list[float]) -> float:
-    """Return the mean over added views of what a curve is above its start, by trapezoids."""
+    """Return the mean increase of a curve over its start, by the trapezoidal rule."""
     places = np.array([0, *marks], float)
     return float(np.trapezoid(np.asarray(values) - values[0], places) / places[-1])
 

@@ -66,7 +66,7 @@ ROWS = tuple(
 
 @dataclass(frozen=True, kw_only=True)
 class OrbSizes:
-    """How large everything is; part of every result's key.
+    """Sizes of the Stanford-ORB benchmark; part of every cache key.
 
     Attributes:
         film: pixels of the longer side that photographs are reduced to, before anything else;
@@ -107,7 +107,7 @@ class OrbCase:
 
     @property
     def sizes(self) -> OrbSizes:
-        """How large everything is."""
+        """Sizes of the benchmark."""
         return QUICK if self.bench.quick else FULL
 
     @property
@@ -176,7 +176,7 @@ class OrbCase:
         return self._targets("test")
 
     def head(self) -> Record:
-        """What holds for all rows: counts, entropy, and what a grey object reaches."""
+        """Counts, entropy, and the scores of a grey object."""
         counts = {"novel": len(self.novel), "test": len(self.test)}
         with self.bench.progress.stage(f"{self.path.name}: entropy"):
             estimated = estimate(self.capture, self.grid)

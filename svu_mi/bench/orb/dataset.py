@@ -1,4 +1,4 @@
-"""A data set in the layout of Stanford-ORB, rendered: the real one does not come with svu_mi.
+"""A rendered data set in the layout of Stanford-ORB.
 
 Like there, each capture has a world of its own, cameras are rolled, and each test photograph has
 the light in the frame of its own camera. Unlike there, textures and light are known exactly.
@@ -39,7 +39,7 @@ SHIFT = 0.3  # of the origin of each world, in radii of the object
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSizes:
-    """How large a rendered data set is.
+    """Sizes of a rendered data set.
 
     Attributes:
         train: photographs per capture that textures are recovered from.

@@ -1,4 +1,4 @@
-"""How close pictures are to photographs, by the rules of Stanford-ORB.
+"""Image errors by the rules of Stanford-ORB.
 
 Kuang et al., Stanford-ORB: A Real-World 3D Object Inverse Rendering Benchmark (NeurIPS 2023),
 Sec. 4.2; where the text leaves a choice, as in their program (orb/utils/test.py, evaluation.py):

@@ -57,7 +57,7 @@ def orb_tables(record: Record) -> list[str]:
 
 
 def orb_lines(record: Record) -> list[str]:
-    """Return what relighting reaches by each way of recovery, a line each.
+    """Return a line with the relighting scores of each recovery method.
 
     Args:
         record: of the study.

@@ -1,4 +1,4 @@
-"""Fig. 9 of the paper: which views to add to ten, by expected entropy or farthest from the others.
+"""Fig. 9 of the paper: views added to ten, by expected entropy or farthest-point sampling.
 
 100 photographs of 96 x 96 on a sphere with 16 samples, direct light, 96 x 96 texels. Ten are chosen
 by farthest-point sampling from the first; the other 90 are candidates, of which one after another
@@ -95,7 +95,7 @@ class Figure9(CaseSubject):
 
     @cached_property
     def first(self) -> Record:
-        """What ``score`` says of the start."""
+        """``score`` of the start."""
         return self.score(self.start)
 
     def measure(self, row: StrategyRow) -> Record:
@@ -203,7 +203,7 @@ def _entropy_table(cases: Sequence[Record]) -> str:
 
 
 def _paired_table(cases: Sequence[Record]) -> str:
-    """What a strategy gains over farthest-point sampling in every case, and p of none."""
+    """Difference of each strategy to farthest-point sampling, and its p-value."""
     rows = []
     for what, unit, sign in (("psnr", " dB", 1), ("entropy", "", -1)):
         for way, title in RECOVERIES.items():

@@ -139,7 +139,7 @@ class Table3(CaseSubject):
         return result[self.reference.subset][self.seen]
 
     def head(self) -> Record:
-        """Return what the references say of themselves, and how simple maps agree with them."""
+        """Return figures of the references, and their agreement with simple maps."""
         simple: Record = {}
         for which, (whole, *halves) in self.entropies.items():
             simple[f"reference's halves ({which})"] = correlation(*halves)

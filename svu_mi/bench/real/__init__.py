@@ -1,4 +1,4 @@
-"""``svu bench real``: photographs that are left out of a capture, predicted from the others."""
+"""``svu bench real``: held-out photographs of a capture, predicted from the others."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ class HoldoutCase:
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Name in progress bars and tables."""
         return self.name
 
     def settings(self, row: Predictor | None) -> Any:
-        """Return what figures depend on beside the code."""
+        """Return the inputs of a row; a part of its cache key."""
         return self._key, self.every, self._size, row and row.label
 
     @cached_property
@@ -94,7 +94,7 @@ class HoldoutCase:
 
     @cached_property
     def held(self) -> np.ndarray:
-        """(V,) bool, of those: which are left out."""
+        """(V,) bool, used photographs that are held out."""
         held = np.arange(len(self.used)) % self.every == 0
         if held.all() or (~held).sum() < FEWEST:
             raise OptionError(
@@ -124,12 +124,12 @@ class HoldoutCase:
 
     @cached_property
     def estimate(self) -> Estimate:
-        """What the rest says."""
+        """Estimate from the remaining photographs."""
         return estimate(self.lit[0], self.layout, progress=self.bench.progress)
 
     @property
     def observed(self) -> Observed:
-        """What that was made from."""
+        """Observations of that estimate."""
         assert self.estimate.observed is not None
         return self.estimate.observed
 
@@ -142,7 +142,7 @@ class HoldoutCase:
 
     @cached_property
     def samples(self) -> TexelSamples:
-        """What some texels show in all photographs, as photographed."""
+        """Samples of a few texels in all photographs, with their gains."""
         everything = observe(self.capture, self.layout, self.bench.progress)
         return TexelSamples.of(everything, find_preset("default", method="angular"), self._size[1])
 
@@ -160,7 +160,7 @@ class HoldoutCase:
 
     @cached_property
     def enough(self) -> np.ndarray:
-        """(n,) bool, which texels so many photographs remain of that they say something."""
+        """(n,) bool, texels with at least ``FEWEST`` remaining photographs."""
         rest = np.bincount(self.samples.owner[self.kept], minlength=len(self.texels))
         enough = (rest >= FEWEST) & self.estimate.posterior.observed[self.texels]
         if not enough.any():
@@ -189,7 +189,7 @@ class HoldoutCase:
         }  # fmt: skip
 
     def _metallic(self) -> Record:
-        """Return which parts of what is well seen are metallic, open, or not, by 90 % intervals."""
+        """Return shares of metallic, open and dielectric texels by their 90 % intervals."""
         seen = np.flatnonzero(np.array(self.estimate.coverage) >= WELL_SEEN)
         ends = self.estimate.posterior.interval("metallic", chosen=seen)
         low, high = (np.array(end, np.float64) for end in ends)
@@ -199,7 +199,7 @@ class HoldoutCase:
         }  # fmt: skip
 
     def measure(self, row: Predictor) -> Record:
-        """Predict the photographs that were left out, in one way."""
+        """Predict the held-out photographs."""
         start, predict, samples = perf_counter(), row.of(self), self.samples
         score = Score.start(len(self.texels))
         with self.bench.progress.stage(row.label, int(self.held.sum())) as stage:
@@ -228,7 +228,7 @@ def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
 
 
 def find_bars(record: Record) -> list[Bar]:
-    """Return what predictions have to reach."""
+    """Return the bars of predictions."""
     if not record["cells"]:
         return []
     (case,) = record["cells"]

@@ -31,7 +31,7 @@ FACING = 0.7  # cosine from which a texel faces the camera
 
 @dataclass(frozen=True)
 class PredictedView:
-    """What n texels should show in one photograph, but for its gain.
+    """Predicted radiance of n texels in one photograph, without its gain.
 
     Attributes:
         radiance: (D, n, 3), draws.
@@ -72,7 +72,7 @@ class Score:
     def add(
         self, texels: np.ndarray, radiance: np.ndarray, cosine: np.ndarray, expected: PredictedView
     ) -> None:
-        """Compare a photograph with what it should show.
+        """Compare a photograph with its prediction.
 
         Args:
             texels: (m,) that it shows.

@@ -48,7 +48,7 @@ class RecoveryCase(CaseSubject):
 
     @property
     def sizes(self) -> RecoverySizes:
-        """How large everything is, beside the photographs."""
+        """Sizes of the recovery benchmark."""
         return self.bench.sizes.recovery
 
     def settings(self, row: RecoveryMethod | None) -> Any:
@@ -58,7 +58,7 @@ class RecoveryCase(CaseSubject):
         return cases, photographs, asdict(self.sizes), row and asdict(row)
 
     def head(self) -> Record:
-        """Return what holds for all rows: names, counts, and what the true textures themselves
+        """Return names, counts, and the relighting errors that the true textures themselves
         reach at this resolution under the other light."""
         return {
             "object": self.case.object, "light": self.case.light, "relit": self.other.light,
@@ -86,12 +86,12 @@ class RecoveryCase(CaseSubject):
 
     @cached_property
     def scorer(self) -> TextureScorer:
-        """What textures are held against."""
+        """Scores of textures."""
         return TextureScorer.of(self.capture, self.layout, self.sizes.poor)
 
     @cached_property
     def relit(self) -> RelightingScorer:
-        """What pictures under the other light are held against."""
+        """Scores of pictures under the other light."""
         sizes = self.sizes
         return RelightingScorer.of(self.capture, self.other, sizes.relit_views, sizes.relit_spp)
 
@@ -133,7 +133,7 @@ def recover_warm(
 
 
 def run_figures(timed: Timed) -> Record:
-    """Return what is kept of a run of ``recover_warm`` itself."""
+    """Return time and step counts of a run of ``recover_warm``."""
     return {
         "seconds": timed.seconds,
         "runs": timed.runs,
@@ -145,7 +145,7 @@ def run_figures(timed: Timed) -> Record:
 
 @dataclass(frozen=True)
 class TextureScorer:
-    """What is known of a case before anything is recovered.
+    """Scores of recovered textures: their errors, by coverage and entropy.
 
     Attributes:
         truth: of T texels.
@@ -204,7 +204,7 @@ class TextureScorer:
 
 @dataclass(frozen=True)
 class RelightingScorer:
-    """The true pictures, and what is needed to make them with other textures.
+    """Scores of relit pictures against true ones.
 
     Attributes:
         capture: the object under the other light, with the sensors of the pictures.

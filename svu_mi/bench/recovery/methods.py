@@ -10,8 +10,15 @@ from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_known
 from svu_mi.geometry.texels import Texels
 from svu_mi.recovery.path.pixel_loss import path_objective
-from svu_mi.recovery.recover import Method, Recovery, recover
-from svu_mi.recovery.recovery_options import PATH_PRESETS, SH_PRESETS, PathOptions, ShOptions
+from svu_mi.recovery.recover import recover
+from svu_mi.recovery.recovery_options import (
+    PATH_PRESETS,
+    SH_PRESETS,
+    Method,
+    PathOptions,
+    ShOptions,
+)
+from svu_mi.recovery.recovery_result import Recovery
 
 DEPTH = 2  # light straight from the environment, as in the photographs (bench.cases.DIRECT)
 
@@ -36,7 +43,7 @@ class RecoveryMethod:
 
     @property
     def traced(self) -> bool:
-        """Whether paths are traced, which takes long."""
+        """True if paths are traced, which is slow."""
         return "path" in self.method
 
     def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
@@ -69,7 +76,7 @@ class RecoveryMethod:
     def recover_in(
         self, steps: int, capture: Capture, grid: Texels, progress: Progress
     ) -> Recovery:
-        """Recover textures in exactly so many steps.
+        """Recover textures in a given number of steps.
 
         Args:
             steps: of the last descent.

@@ -64,7 +64,7 @@ def time_ratio(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMetho
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """What one way of recovery has to reach in comparison with another.
+    """A bar on the comparison of two recovery methods.
 
     Attributes:
         row, base: the two ways.
@@ -91,7 +91,7 @@ class MethodComparison:
 
 
 def psnr_comparison(row: RecoveryMethod, base: RecoveryMethod, limit: float) -> MethodComparison:
-    """Return the claim that a row gains so many dB at least, in the mean over cases."""
+    """Return a lower bound of the mean PSNR difference of two methods."""
     words = "average texture PSNR, mean over cells"
     return MethodComparison(row, base, words, mean_psnr_gap, limit, "dB", True)
 
@@ -120,7 +120,7 @@ Line = tuple[str, Sequence[Record]]  # a label, and the records that its figures
 
 
 def _mean_at(*path: str) -> Callable[[Line], float | None]:
-    """Return what takes the mean of a figure that records hold at a path of names.
+    """Return a getter of the mean of a figure, by its path of names.
 
     Where no record has it, there is none.
     """
@@ -178,7 +178,7 @@ def title_of(case: Record) -> str:
 
 
 def _lines(cases: list[Record], rows: list[RecoveryMethod]) -> list[Line]:
-    """Means over cases; a row that not all cases have says how many it is the mean of."""
+    """Means over cases; incomplete rows show their number of cases."""
     lines: list[Line] = []
     for row in rows:
         measured = [case["rows"][row.label] for case in cases if row.label in case["rows"]]

@@ -67,7 +67,7 @@ class SpeedCase(CaseSubject):
         return super().settings(row), timed
 
     def head(self) -> Record:
-        """Return the ``cell``, and how large what is timed is."""
+        """Return the ``cell`` and its sizes."""
         capture, layout = self.timed
         sizes = self.bench.sizes
         return {

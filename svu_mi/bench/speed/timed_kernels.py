@@ -182,7 +182,7 @@ class _Recorder:
 
 
 def record_rays(views: Views, surface: TexelLanes) -> Rays:
-    """Find out which rays ``trace_visibility`` traces, by letting it ask."""
+    """Record the rays that ``trace_visibility`` traces."""
     parts, slots, first = [], [], 0
     for view in range(views.number):
         recorder = _Recorder()

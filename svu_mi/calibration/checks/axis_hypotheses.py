@@ -27,7 +27,7 @@ from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.light.environment import read_environment
 from svu_mi.light.prefiltered import rasterized
 
-CONVENTION = np.eye(4)  # of the cameras' axes in the file, see ``formats.source``
+CONVENTION = np.eye(4)  # of the cameras' axes in the file, see ``importers.source``
 CAMERA_AXES = (CONVENTION, OPENGL, OPENCV)  # that a file may have had before it was imported
 FEWER = 0.02  # of a score, that one more correction must be worth
 
@@ -85,13 +85,13 @@ def light_hypotheses() -> tuple[AxisHypothesis, ...]:
     The first corrects nothing, then come single corrections.
     """
     queue = [AxisHypothesis()]
-    found = {}
-    for known in queue:  # grows while it is walked through: shortest first
-        key = fix_rotation(known.fixes, "light").astype(int).tobytes()  # axes go to axes
-        if key not in found:
-            found[key] = known
-            queue += [AxisHypothesis((*known.fixes, fix)) for fix in _fixes_of("light")]
-    return tuple(found.values())
+    by_rotation = {}
+    for hypothesis in queue:  # grows while it is walked through: shortest first
+        key = fix_rotation(hypothesis.fixes, "light").astype(int).tobytes()  # axes go to axes
+        if key not in by_rotation:
+            by_rotation[key] = hypothesis
+            queue += [AxisHypothesis((*hypothesis.fixes, fix)) for fix in _fixes_of("light")]
+    return tuple(by_rotation.values())
 
 
 def apply_fixes(

@@ -94,13 +94,13 @@ class ViewMeans:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Check:
-    """What a check of a capture has found.
+    """Result of a check of a capture.
 
     Attributes:
         views: one per photograph that is used, in the capture's order.
         corrected: the same with all suggestions applied; ``views`` itself without any.
         findings: poses, light, texture, gain and, if anything is, ignored, in this order.
-        camera_axes: (4, 4), what ``camera-inverse`` has assumed (``checking.apply``).
+        camera_axes: (4, 4), assumed by ``camera-inverse`` (``axis_hypotheses.apply_fixes``).
     """
 
     views: tuple[ViewCheck, ...]

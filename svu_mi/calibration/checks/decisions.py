@@ -54,26 +54,26 @@ def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
     chosen, others = simplest(scores)
     names, fit = chosen.hypothesis.names, _fit(current)
     alternatives = tuple(dict.fromkeys(other.hypothesis.names for other in others))
-    found = partial(Finding, question="poses", hypotheses=_table(scores))
+    finding = partial(Finding, question="poses", hypotheses=_table(scores))
     if _is_poor(chosen):
-        return found(
+        return finding(
             verdict="unclear",
             sentence=f"Mesh and photographs do not fit ({fit}), and no known mistake "
             "explains it: check the scale of mesh and poses, and whether they belong together.",
         ), current  # fmt: skip
-    found = partial(found, alternatives=alternatives)
+    finding = partial(finding, alternatives=alternatives)
     if chosen is current:
         sentence = f"Cameras and mesh fit the photographs ({fit}{_as_well(alternatives)})."
-        return found(verdict="fits", sentence=sentence), current
+        return finding(verdict="fits", sentence=sentence), current
     if alternatives:
-        return found(
+        return finding(
             verdict="unclear", fixes=names,
             sentence=f"Cameras and mesh do not fit the photographs ({fit}); "
             f"{_choices((names, *alternatives))} explains them equally well ({_fit(chosen)}): the "
             "object is too symmetric to tell.",
         ), chosen  # fmt: skip
     sentence = f"{_causes(names)}: {_fit(chosen)} instead of {fit}."
-    return found(verdict="wrong", fixes=names, sentence=sentence), chosen
+    return finding(verdict="wrong", fixes=names, sentence=sentence), chosen
 
 
 def with_inside_out(poses: Finding, behind: float) -> Finding:
@@ -119,16 +119,16 @@ def decide_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.n
     known = np.isfinite(misfit) & np.isfinite(misfit_flipped)
     difference = (misfit - misfit_flipped)[known]
     figures = f"correlation with the photographs {plain:.2f}, flipped {flipped:.2f}"
-    found = partial(Finding, question="texture", hypotheses=tuple(table))
+    finding = partial(Finding, question="texture", hypotheses=tuple(table))
     if max(plain, flipped) < 0.1:
         words = "The texture does not resemble the photographs, flipped or not"
     elif flipped - plain > FLIP_IMPROVEMENT and is_significant(difference):
-        return found(verdict="wrong", fixes=flip, sentence=f"{_causes(flip)}: {figures}.")
+        return finding(verdict="wrong", fixes=flip, sentence=f"{_causes(flip)}: {figures}.")
     elif plain - flipped > FLIP_IMPROVEMENT and is_significant(-difference):
-        return found(verdict="fits", sentence=f"The texture fits the photographs ({figures}).")
+        return finding(verdict="fits", sentence=f"The texture fits the photographs ({figures}).")
     else:
         words = "The direction of V in the texture cannot be determined"
-    return found(verdict="unknown", sentence=f"{words} ({figures}).")
+    return finding(verdict="unknown", sentence=f"{words} ({figures}).")
 
 
 def decide_light(scores: Sequence[LightScore]) -> Finding:
@@ -141,29 +141,29 @@ def decide_light(scores: Sequence[LightScore]) -> Finding:
         return unknown("light", "too little of the object is seen")
     best, current = scores[0], next(s for s in scores if not s.hypothesis.fixes)
     table, names, figures = _table(scores), best.hypothesis.names, _light_figures(current)
-    found = partial(Finding, question="light", hypotheses=table)
-    gain = best.total - current.total
+    finding = partial(Finding, question="light", hypotheses=table)
+    improvement = best.total - current.total
     alternatives = tuple(score.hypothesis.names for score in _indistinguishable(scores, best))
     if best.total - min(score.total for score in scores) < LIGHT_RANGE:
         return unknown("light", "it is even, or the object shows too little of it", table)
     is_supported = _count_cues(best, current) >= 2
-    if gain > LIGHT_RANGE and not is_supported:
+    if improvement > LIGHT_RANGE and not is_supported:
         # An object that faces one way is as bright under any light of that side.
         either = _choices((names, *alternatives))
         return unknown("light", f"{either} would fit better, but only by one cue of three", table)
-    if gain <= LIGHT_IMPROVEMENT or not is_supported:
+    if improvement <= LIGHT_IMPROVEMENT or not is_supported:
         as_good = _indistinguishable(scores, current)
         others = tuple(s.hypothesis.names for s in as_good if len(s.hypothesis.fixes) == 1)
         sentence = f"The light fits the photographs ({figures}{_as_well(others)})."
-        return found(verdict="fits", alternatives=others, sentence=sentence)
+        return finding(verdict="fits", alternatives=others, sentence=sentence)
     if alternatives:
-        return found(
+        return finding(
             verdict="unclear", fixes=names, alternatives=alternatives,
             sentence=f"The light does not fit the photographs ({figures}); "
             f"{_choices((names, *alternatives))} would fit equally well.",
         )  # fmt: skip
     sentence = f"{_causes(names)}: {_light_figures(best)} instead of {figures}."
-    return found(verdict="wrong", fixes=names, sentence=sentence)
+    return finding(verdict="wrong", fixes=names, sentence=sentence)
 
 
 def _indistinguishable(scores: Sequence[LightScore], best: LightScore) -> list[LightScore]:
@@ -171,15 +171,15 @@ def _indistinguishable(scores: Sequence[LightScore], best: LightScore) -> list[L
     return [s for s in scores if s is not best and s.total > best.total - LIGHT_MARGIN]
 
 
-def decide_constant_light(found: NormalDependence | None) -> Finding:
+def decide_constant_light(dependence: NormalDependence | None) -> Finding:
     """Decide on a constant light, which has no axes."""
-    if found is None or not found.contradicts:
+    if dependence is None or not dependence.contradicts:
         return unknown("light", "it is the same from everywhere")
     return Finding(
         question="light", verdict="unclear",
         sentence="The light is the same from everywhere, but the photographs are brighter where "
-        f"the surface faces some sides, by a factor of {np.exp(2 * found.spread):.1f}: unless the "
-        "object is painted that way, this light stands in for another; give that of the "
+        f"the surface faces some sides, by a factor of {np.exp(2 * dependence.spread):.1f}: unless "
+        "the object is painted that way, this light stands in for another; give that of the "
         "photographs (svu import --environment, or the emitter of the scene).",
     )  # fmt: skip
 
@@ -195,31 +195,31 @@ def decide_gains(
         names: of those.
     """
     odd = _odd_gains(gains, names) if gains is not None and gains.odd.any() else None
-    said = list(filter(None, (excess and excess.sentence(), odd)))
-    if said:
-        return Finding(question="gain", verdict="unclear", sentence=" ".join(said))
+    sentences = list(filter(None, (excess and excess.sentence(), odd)))
+    if sentences:
+        return Finding(question="gain", verdict="unclear", sentence=" ".join(sentences))
     if gains is None:
         return unknown("gain", f"there are fewer than {VIEWS}")
     if not gains.known.any():
         return unknown("gain", "reflections are too sharp, poses too rough, or points too few")
-    some = "" if gains.known.all() else f", of {gains.known.sum()} that can be compared"
-    sentence = f"All photographs have the same gain, to about 20 %{some}."
+    compared = "" if gains.known.all() else f", of {gains.known.sum()} that can be compared"
+    sentence = f"All photographs have the same gain, to about 20 %{compared}."
     return Finding(question="gain", verdict="fits", sentence=sentence)
 
 
-def report_gains(excess: Excess | None, gains: FoundGains, said: Iterable[str]) -> Finding:
+def report_gains(excess: Excess | None, gains: FoundGains, sentences: Iterable[str]) -> Finding:
     """Return the finding about estimated gains, with sentences about them."""
     too_bright = list(filter(None, [excess and excess.sentence()]))
     odd = bool(gains.odd.any())
-    even = not odd and float(np.abs(gains.logarithm).max(initial=0)) <= ALIKE
-    if even:
+    is_equal = not odd and float(np.abs(gains.logarithm).max(initial=0)) <= ALIKE
+    if is_equal:
         parts = ["All photographs have the same gain, to about 5 %.", *too_bright]
     else:
         parts = [
-            *said, *too_bright, "With --gains estimate, other commands divide by these gains, and "
-            "leave out what does not fit.",
+            *sentences, *too_bright, "With --gains estimate, other commands divide by these gains, "
+            "and leave out what does not fit.",
         ]  # fmt: skip
-    verdict: Verdict = "unclear" if too_bright or odd else "fits" if even else "note"
+    verdict: Verdict = "unclear" if too_bright or odd else "fits" if is_equal else "note"
     return Finding(question="gain", verdict=verdict, sentence=" ".join(parts))
 
 
@@ -237,9 +237,9 @@ def _odd_gains(gains: RelativeGains, names: Sequence[str]) -> str:
     )
 
 
-def _count_cues(one: LightScore, other: LightScore) -> int:
+def _count_cues(score: LightScore, other: LightScore) -> int:
     """Count the cues that favour one over another; a single one may be chance."""
-    pairs = zip(one.cues.values(), other.cues.values(), strict=True)
+    pairs = zip(score.cues.values(), other.cues.values(), strict=True)
     return sum(a > max(b + 0.01, LEAST_CUE) for a, b in pairs)
 
 

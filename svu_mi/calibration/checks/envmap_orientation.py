@@ -151,9 +151,9 @@ def neighbors_of(position: np.ndarray) -> np.ndarray:
 
 def clipped_differences(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """Return differences (P, ...) of values (N, ...) in pairs, clipped at edges."""
-    found = _differences(values, pairs)
-    limit = CLIP * float(np.median(np.abs(found)))
-    return np.clip(found, -limit, limit)
+    steps = _differences(values, pairs)
+    limit = CLIP * float(np.median(np.abs(steps)))
+    return np.clip(steps, -limit, limit)
 
 
 def _differences(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:

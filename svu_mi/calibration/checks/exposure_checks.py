@@ -14,7 +14,7 @@ and parts by .001.
 Single gains: every point is fitted by a diffuse and a glossy part of its own, and the gain of a
 view is the median ratio to that. It takes half a second, and finds single gains of 1.5 and .67 in
 9 of 10 captures of 24 views, 8 of 10 of 12, 7 of 10 of 8; none in right captures. The estimate with
-calibrated materials (``illumination.exposure``) is more precise, but takes ten times longer.
+calibrated materials (``calibration.exposure``) is more precise, but takes ten times longer.
 """
 
 from __future__ import annotations
@@ -112,15 +112,15 @@ class Excess(NamedTuple):
     part: float
     factor: float
 
-    def sentence(self, *, found: bool = False) -> str | None:
+    def sentence(self, *, estimated: bool = False) -> str | None:
         """Return problem and remedy, None without a problem.
 
-        ``found``: the light was estimated from these photographs, up to its scale.
+        ``estimated``: the light was estimated from these photographs, up to its scale.
         """
         if self.part <= MOST or self.factor <= WHITEST:
             return None
         part = f"{100 * self.part:.0f} % of the surface reflects more than all the light that"
-        if found:
+        if estimated:
             return (
                 f"{part} was found, which is too dark by a factor of {self.factor:.1f} or more; "
                 "fix its brightness with --grey-card, --mean-albedo or --light-scale of svu light."
@@ -133,7 +133,7 @@ class Excess(NamedTuple):
 
 
 def measure_excess(
-    sightings: PointSamples, points: Points, arriving: Irradiance, unit: float
+    sightings: PointSamples, points: Points, light: Irradiance, unit: float
 ) -> Excess | None:
     """Compare N points in V views with the bound; None if too few points are reliable.
 
@@ -141,17 +141,17 @@ def measure_excess(
     """
     cosine, _ = sightings.mirrored(points)
     seen = sightings.seen & (cosine > FACING)
-    views, brightness = seen.sum(axis=0), arriving.white.mean(axis=1)
-    judged = (views >= LEAST) & (arriving.free > OPEN) & _seen_from_many_sides(sightings, seen)
-    judged &= (brightness >= LIT * np.median(brightness)) & (brightness > 0)
-    if judged.sum() < FEWEST:
+    views, brightness = seen.sum(axis=0), light.white.mean(axis=1)
+    reliable = (views >= LEAST) & (light.free > OPEN) & _seen_from_many_sides(sightings, seen)
+    reliable &= (brightness >= LIT * np.median(brightness)) & (brightness > 0)
+    if reliable.sum() < FEWEST:
         return None
     around = AROUND * unit * sightings.radiance[sightings.seen].mean(axis=0)
-    white = arriving.white + np.clip(1 - arriving.free, 0, 1)[:, None] * around
-    shown = np.where(seen[..., None], unit * sightings.radiance, np.inf)[:, judged]
-    dim = views[judged] // DIMMER
+    white = light.white + np.clip(1 - light.free, 0, 1)[:, None] * around
+    shown = np.where(seen[..., None], unit * sightings.radiance, np.inf)[:, reliable]
+    dim = views[reliable] // DIMMER
     dimmest = np.take_along_axis(np.sort(shown, axis=0), dim[None, :, None], axis=0)[0]
-    ratio = (dimmest / np.maximum(white[judged], 1e-300)).max(axis=1)
+    ratio = (dimmest / np.maximum(white[reliable], 1e-300)).max(axis=1)
     return Excess(float((ratio > 1).mean()), float(np.quantile(ratio, BRIGHT)))
 
 
@@ -178,8 +178,8 @@ def too_bright(estimate: Estimate) -> str | None:
     )
     light = seen.lighting.environment, seen.light_tree(CELLS).fine
     arriving = Irradiance.of(seen.capture.scene, points, *light)
-    found = measure_excess(sightings, points, arriving, 1.0)
-    return found and found.sentence(found=seen.capture.found_light is not None)
+    excess = measure_excess(sightings, points, arriving, 1.0)
+    return excess and excess.sentence(estimated=seen.capture.found_light is not None)
 
 
 def warn_if_too_bright(estimate: Estimate) -> None:
@@ -228,15 +228,15 @@ class Reflections(NamedTuple):
         )
 
 
-def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, asked: np.ndarray) -> np.ndarray:
+def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Return which of (V, N) samples mirror the light, not the object."""
-    if not asked.any():
-        return np.zeros(asked.shape, bool)
-    view, point = np.nonzero(asked)
+    if not wanted.any():
+        return np.zeros(wanted.shape, bool)
+    view, point = np.nonzero(wanted)
     surface = points.surface(to_drjit(mi.UInt32, point.astype(np.uint32)))
     direction = to_drjit(mi.Vector3f, mirror[view, point].T.astype(np.float32))
     above = dr.dot(surface.geometric_normal, direction) > 0
-    free = np.zeros(asked.shape, bool)
+    free = np.zeros(wanted.shape, bool)
     free[view, point] = is_unoccluded(scene, surface, direction, above, coherent=False).numpy()
     return free
 
@@ -299,9 +299,9 @@ def _fit_lobes(shown: np.ndarray, weight: np.ndarray, samples: Reflections) -> n
     least, model = np.full(shown.shape[1], np.inf), np.zeros_like(shown)
     diffuse = np.broadcast_to(samples.diffuse, shown.shape)
     for lobe in samples.lobes:
-        found = _fit_lobe(shown, weight, diffuse, lobe)
-        error = (weight * (shown - found) ** 2).sum(axis=0)
-        model, least = np.where(error < least, found, model), np.minimum(error, least)
+        mixed = _fit_lobe(shown, weight, diffuse, lobe)
+        error = (weight * (shown - mixed) ** 2).sum(axis=0)
+        model, least = np.where(error < least, mixed, model), np.minimum(error, least)
     return model
 
 

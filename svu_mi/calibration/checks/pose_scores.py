@@ -82,7 +82,7 @@ class PoseScore:
 def score_poses(
     capture: Capture, points: Points, texture: Texture | None, step: Callable[[int, int], None]
 ) -> tuple[PoseScore, ...]:
-    """Score all hypotheses on reduced photographs, best first; see ``light.score_light``."""
+    """Score all hypotheses on reduced photographs, best first (as ``score_light``)."""
     frames = Thumbnails.of(capture)
     small = Thumbnails.of(limit_views(reduce_photographs(capture, SMALL), VIEWS))
     hypotheses = pose_hypotheses()
@@ -178,7 +178,7 @@ def simplest(scores: Sequence[PoseScore]) -> tuple[PoseScore, list[PoseScore]]:
 def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
     """Compare every used photograph of a reduced capture with mesh, texture and light."""
     frames = Thumbnails.of(capture)
-    found = zip(
+    rows = zip(
         np.flatnonzero(capture.used).tolist(), silhouettes(frames), frames.masks, frames.radiance,
         _color_errors(capture, frames), strict=True,
     )  # fmt: skip
@@ -190,7 +190,7 @@ def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
             contrast=outline_contrast(seen, contrast(radiance)),
             color_error=error,
         )
-        for view, seen, mask, radiance, error in found
+        for view, seen, mask, radiance, error in rows
     )
 
 

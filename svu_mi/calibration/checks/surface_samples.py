@@ -129,13 +129,13 @@ def sample_photographs(points: Points, frames: Thumbnails) -> PointSamples:
     shape = frames.views.number, len(points.position)
     view, point = _pairs(shape)
     surface = points.surface(point)
-    found = sample_view(frames.views, surface, view)
-    facing = dr.minimum(found.cosine, dr.dot(surface.geometric_normal, found.direction)) > FACING
-    seen = found.seen & facing
+    sample = sample_view(frames.views, surface, view)
+    facing = dr.minimum(sample.cosine, dr.dot(surface.geometric_normal, sample.direction)) > FACING
+    seen = sample.seen & facing
     return PointSamples(
         seen=seen.numpy().reshape(shape),
-        radiance=dr.select(seen, found.radiance, 0).numpy().T.reshape(*shape, 3),
-        toward=found.direction.numpy().T.reshape(*shape, 3),
+        radiance=dr.select(seen, sample.radiance, 0).numpy().T.reshape(*shape, 3),
+        toward=sample.direction.numpy().T.reshape(*shape, 3),
     )
 
 
@@ -273,8 +273,8 @@ class DistantLight:
     def reflected(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         """Return the light (L, S, 3) under lobes around directions (S, 3) of the mesh's frame."""
         local = to_drjit(mi.Vector3f, self._local(directions, matrix).T)
-        found = [look_up(texture, local) for texture in self.lobes.textures]
-        return np.array([[channel.numpy() for channel in one] for one in found]).swapaxes(1, 2)
+        lobes = [look_up(texture, local) for texture in self.lobes.textures]
+        return np.array([[channel.numpy() for channel in one] for one in lobes]).swapaxes(1, 2)
 
     def _local(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         return directions @ (matrix.T @ self.to_local).T

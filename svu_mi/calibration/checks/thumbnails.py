@@ -110,10 +110,10 @@ def reduce_photographs(capture: Capture, side: int) -> Capture:
     )  # fmt: skip
 
 
-def limit_views(capture: Capture, most: int) -> Capture:
-    """Use at most ``most`` of the used photographs, evenly spaced."""
+def limit_views(capture: Capture, count: int) -> Capture:
+    """Use at most ``count`` of the used photographs, evenly spaced."""
     used = np.flatnonzero(capture.used)
-    chosen = used[evenly_spaced(len(used), most)]
+    chosen = used[evenly_spaced(len(used), count)]
     return replace(capture, used=tuple(index in chosen for index in range(capture.count)))
 
 

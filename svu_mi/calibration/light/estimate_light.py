@@ -1,9 +1,9 @@
 """Light estimated from photographs, coarse to fine, jointly with the materials.
 
 For given light the posterior of a texel's parameters is closed-form on our statistics
-(``transport``); for given materials radiance is linear in the light (``transport``). They
-alternate, with the materials eliminated from the normal equations of the light (``refine``).
-Directions that the photographs do not determine keep their prior (``prior``).
+and radiance is linear in the light for given materials (``light_transport``). They alternate, with
+the materials eliminated from the normal equations of the light (``gauss_newton``). Directions that
+the photographs do not determine keep their prior (``light_prior``).
 
 The likelihood is annealed, since materials are unknown under the constant light of the start.
 """
@@ -73,44 +73,44 @@ def estimate_light(
     observed = observations_of(source, texels, progress)
     with progress.stage("Choosing texels"):
         samples = TexelSamples.of(observed, switches, options.texels)
-    worlds = {}
+    problems = {}
     for moves in (False, True) if options.moves is None else (options.moves,):
         is_seen = options.background == "distant"
-        looks = BackgroundPixels.of(observed.capture, moves=moves) if is_seen else None
-        worlds[moves] = LightProblem(samples, switches, looks, moves, options.gains)
-    fit, misfit = _estimate(worlds, options, progress)
+        background = BackgroundPixels.of(observed.capture, moves=moves) if is_seen else None
+        problems[moves] = LightProblem(samples, switches, background, moves, options.gains)
+    fit, misfit = _estimate(problems, options, progress)
     with progress.stage("Asking what else the light may be"):
         columns = columns_of(fit.transport, np.exp(fit.x), switches)
         if fit.seen:  # background pixels show the level directly
-            level = LightScale(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)
+            scale = LightScale(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)
         else:
-            level = scale_of(fit.transport.samples, columns, switches)
-        found = sample_lights(fit, options.draws, options.seed)
-        widening = widening_of(fit.transport, columns, found.draws, level, switches)
+            scale = scale_of(fit.transport.samples, columns, switches)
+        lights = sample_lights(fit, options.draws, options.seed)
+        widening = widening_of(fit.transport, columns, lights.draws, scale, switches)
     return LightEstimate(
-        logarithm=fit.x + level.best, draws=found.draws + level.best, cell_sd=found.cell_sd,
-        scale_sd=level.sd, misfit=misfit, widening=widening,
-        moves=fit.transport.moves, texels=samples.texels, remarks=remarks_of(level, found.cell_sd),
+        logarithm=fit.x + scale.best, draws=lights.draws + scale.best, cell_sd=lights.cell_sd,
+        scale_sd=scale.sd, misfit=misfit, widening=widening,
+        moves=fit.transport.moves, texels=samples.texels, remarks=remarks_of(scale, lights.cell_sd),
         gains=fit.gains,
     )  # fmt: skip
 
 
 def _estimate(
-    worlds: dict[bool, LightProblem], options: LightOptions, progress: Progress
+    problems: dict[bool, LightProblem], options: LightOptions, progress: Progress
 ) -> tuple[LightFit, tuple[float, float]]:
     """Return the light in the world that explains the photographs, and the misfit of both."""
     first, *finer = options.depths
-    total = len(worlds) * first[1] + sum(rounds for _, rounds in finer)
+    total = len(problems) * first[1] + sum(rounds for _, rounds in finer)
     with progress.stage("Finding the light", total) as stage:
         done = count(1)
 
-        def told() -> None:
+        def report() -> None:
             stage.update(next(done), total)
 
-        coarse = {moves: world.light((first,), told=told) for moves, world in worlds.items()}
+        coarse = {m: problem.light((first,), None, report) for m, problem in problems.items()}
         still, moving = (coarse[m].misfit if m in coarse else np.nan for m in (False, True))
-        moves = next(iter(worlds)) if len(worlds) == 1 else moving < MOVED * still
-        fit = worlds[moves].light(tuple(finer), coarse[moves], told)
+        moves = next(iter(problems)) if len(problems) == 1 else moving < MOVED * still
+        fit = problems[moves].light(tuple(finer), coarse[moves], report)
     return fit, (still, moving)
 
 
@@ -134,21 +134,21 @@ class LightProblem:
 
     def light(
         self, depths: tuple[tuple[int, int], ...], start: LightFit | None = None,
-        told: Callable[[], None] | None = None,
+        after_round: Callable[[], None] | None = None,
     ) -> LightFit:  # fmt: skip
         """Estimate the light.
 
         Args:
             depths: numbers of cells, and rounds at each.
             start: light of fewer cells to continue from; constant light by default.
-            told: called after every round.
+            after_round: called after every round.
         """
         fit, heat = start, HEAT if start is None else 1.0
         gains = start.gains if start else starting_gains(self.samples) if self.gains else None
         for number, rounds in depths:
             seen = None if self.looks is None else self.looks.at(number)
-            known = LightPriors(prior_of(number), seen)
-            everything = Transport.of(self.samples, number, self.moves)
+            priors = LightPriors(prior_of(number), seen)
+            whole = Transport.of(self.samples, number, self.moves)
             # Light of the wrong shape could not be too dim, so its level is free at first.
             leveled = start is not None and seen is None
             if fit is None:  # constant light of the photographs' colour
@@ -158,27 +158,27 @@ class LightProblem:
             else:
                 x = refined(fit.x, number)
             for _ in range(rounds):
-                fit = self._round(everything, known, (x, gains, heat), leveled)
+                fit = self._round(whole, priors, (x, gains, heat), leveled)
                 x, gains, heat = fit.x, fit.gains, max(heat * COOLING, 1.0)
-                if told is not None:
-                    told()
+                if after_round is not None:
+                    after_round()
         assert fit is not None
         return fit
 
     def _round(
-        self, everything: Transport, known: LightPriors,
+        self, whole: Transport, priors: LightPriors,
         state: tuple[np.ndarray, FoundGains | None, float], leveled: bool,
     ) -> LightFit:  # fmt: skip
         """Take one step of materials, light (N, 3) and gains."""
         x, gains, heat = state
-        now, transport = annealed(self.switches, heat), without_gains(everything, gains)
+        now, transport = annealed(self.switches, heat), without_gains(whole, gains)
         columns = columns_of(transport, np.exp(x), now)
         step = scale_of(transport.samples, columns, now).best if leveled else np.zeros(3)
         posterior = SampleMoments.of(transport.samples, columns).posterior(now, np.exp(step))
         x = x + step
         logarithm = None if gains is None else gains.logarithm
         system = normal_equations(
-            transport, np.exp(x), posterior, now.overdispersion, known, logarithm
+            transport, np.exp(x), posterior, now.overdispersion, priors, logarithm
         )
         change = system.step()
         if gains is not None:
@@ -187,5 +187,5 @@ class LightProblem:
             x = x + common
         x = x + change[: len(x)]
         misfit = misfit_of(posterior, self.samples.unit)
-        left = without_gains(everything, gains)
-        return LightFit(left, x, system, misfit, known.seen is not None, gains)
+        normalized = without_gains(whole, gains)
+        return LightFit(normalized, x, system, misfit, priors.seen is not None, gains)

@@ -35,12 +35,12 @@ class NormalEquations:
         matrix: (3 M, 3 M) float64 precision, channel by channel. M is the number of cells, of
             views if gains are unknown, or their sum.
         gradient: (3 M,) float64, of half the weighted sum of squared residuals and of the prior.
-        found: (S, 3) float64, predicted samples.
+        predicted: (S, 3) float64, predicted samples.
     """
 
     matrix: np.ndarray
     gradient: np.ndarray
-    found: np.ndarray
+    predicted: np.ndarray
 
     def step(self) -> np.ndarray:
         """Return the change of the logarithms, (M, 3), no larger than ``MAX_CHANGE``."""
@@ -51,8 +51,8 @@ class NormalEquations:
                 "No light explains the photographs: the search for it broke down; look at their "
                 "gains and masks with svu check."
             ) from None
-        found = -scipy.linalg.cho_solve(factor, self.gradient)
-        return np.clip(found.reshape(3, -1).T, -MAX_CHANGE, MAX_CHANGE)
+        change = -scipy.linalg.cho_solve(factor, self.gradient)
+        return np.clip(change.reshape(3, -1).T, -MAX_CHANGE, MAX_CHANGE)
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class LightPriors(NamedTuple):
 
 def normal_equations(
     transport: Transport, light: np.ndarray, posterior: Posterior[CalibratedKernel],
-    overdispersion: float, known: LightPriors | None = None, gains: np.ndarray | None = None,
+    overdispersion: float, priors: LightPriors | None = None, gains: np.ndarray | None = None,
 ) -> NormalEquations:  # fmt: skip
     """Linearise the samples around a light, gains, and the most likely materials.
 
@@ -102,38 +102,38 @@ def normal_equations(
         light: (N, 3) radiance.
         posterior: of the parameters of the n texels.
         overdispersion: tau (effective sample size N / tau).
-        known: prior of the light; None if the light is given.
+        priors: prior of the light; None if the light is given.
         gains: (V, 3) logarithms that samples were divided by, which are unknowns, too.
     """
     samples = transport.samples
     # With the shared prior: independent uncertain texels would bias the light.
     materials = materials_of(with_empirical_prior(posterior))
-    slopes, found = _linearized(transport, light, materials)
-    if known is None:
+    slopes, predicted = _linearized(transport, light, materials)
+    if priors is None:
         J = np.zeros((3, samples.count, 0), np.float32)
         matrix, gradient = np.zeros((0, 0)), np.zeros((3, 0))
     else:
         J = transport.matrix(materials)
         J *= light.T[:, None].astype(np.float32)
-        found = J.sum(axis=2).T.astype(np.float64)
-        matrix, gradient = known.start(np.log(light))
+        predicted = J.sum(axis=2).T.astype(np.float64)
+        matrix, gradient = priors.start(np.log(light))
     if gains is not None:
         by_gain = np.zeros((3, samples.count, len(gains)), np.float32)
-        by_gain[:, np.arange(samples.count), samples.view] = found.T
+        by_gain[:, np.arange(samples.count), samples.view] = predicted.T
         J = np.concatenate([J, by_gain], axis=2)
         matrix, gradient = _with_gains(matrix, gradient, gains)
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * overdispersion)
-    root, off = np.sqrt(w), samples.radiance - found
+    root, off = np.sqrt(w), samples.radiance - predicted
     J *= root.astype(np.float32)[:, None]
     for c, block in enumerate(_channels(J.shape[2])):
         matrix[block, block] += J[c].T @ J[c]
         gradient[c] -= J[c].T @ (root * off[:, c])
     own, pull = _material_equations(materials, samples, slopes, off * w[:, None], w)
     inverse = np.linalg.inv(np.linalg.cholesky(own))  # (n, P, P)
-    taken = _eliminated(samples, J, root[:, None, None] * slopes, inverse)
-    matrix -= taken.T @ taken
-    flat = gradient.ravel() + np.einsum("tmk,tk->tm", inverse, pull).ravel() @ taken
-    return NormalEquations(matrix, flat, found)
+    eliminated = _eliminated(samples, J, root[:, None, None] * slopes, inverse)
+    matrix -= eliminated.T @ eliminated
+    flat = gradient.ravel() + np.einsum("tmk,tk->tm", inverse, pull).ravel() @ eliminated
+    return NormalEquations(matrix, flat, predicted)
 
 
 def _with_gains(
@@ -158,13 +158,13 @@ def _eliminated(
     One texel at a time: J is large, and is read once.
     """
     count, size = inverse.shape[:2]
-    taken = np.empty((count, size, 3 * J.shape[2]), np.float32)
+    eliminated = np.empty((count, size, 3 * J.shape[2]), np.float32)
     turned = np.einsum("scp,smp->csm", slopes, inverse[samples.owner]).astype(np.float32)
     ends = np.append(samples.first, samples.count)
     for t, (begin, end) in enumerate(pairwise(ends)):
         for c, block in enumerate(_channels(J.shape[2])):
-            np.matmul(turned[c, begin:end].T, J[c, begin:end], out=taken[t, :, block])
-    return taken.reshape(count * size, -1)
+            np.matmul(turned[c, begin:end].T, J[c, begin:end], out=eliminated[t, :, block])
+    return eliminated.reshape(count * size, -1)
 
 
 def _channels(number: int) -> list[slice]:
@@ -194,16 +194,16 @@ def _linearized(
     """Return derivatives (S, 3, P) by roughness, mixing, and base colour, and samples (S, 3)."""
     r, owner = materials.roughness, transport.samples.owner
     low, high = np.clip(r - ROUGHNESS_STEP, 0, 1), np.clip(r + ROUGHNESS_STEP, 0, 1)
-    found = transport.columns(light, np.stack([low, r, high], axis=1))
-    color, how = materials.color[owner], materials.mixture(owner)
-    ends = [_dot(how.at(color), found.at(level)) for level in (0, 2)]
+    columns = transport.columns(light, np.stack([low, r, high], axis=1))
+    color, mixture = materials.color[owner], materials.mixture(owner)
+    ends = [_dot(mixture.at(color), columns.at(level)) for level in (0, 2)]
     values = [x[owner, None] for x in materials.mixed.T]
     slopes = [
         (ends[1] - ends[0]) / (high - low)[owner, None],
-        *(_dot(mixture_derivative(values, k).at(color), found.at(1)) for k in range(len(values))),
+        *(_dot(mixture_derivative(values, k).at(color), columns.at(1)) for k in range(len(values))),
     ]
-    of_color = _dot(how.slope, found.at(1))[..., None] * np.eye(3)
-    samples = _dot(how.at(color), found.at(1))
+    of_color = _dot(mixture.slope, columns.at(1))[..., None] * np.eye(3)
+    samples = _dot(mixture.at(color), columns.at(1))
     return np.concatenate([np.stack(slopes, axis=-1), of_color], axis=-1), samples
 
 

@@ -1,7 +1,7 @@
 """Scale of estimated light from a known base colour: of a grey card, or the mean.
 
 Photographs hardly determine a common factor of light and one over base colour, so the light is
-scaled until the known base colour is found.
+scaled until the estimate has the known base colour.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def require_albedo(value: float, option: str) -> None:
         )
 
 
-def scaled_by_mean(found: LightEstimate, observed: Observed, albedo: float) -> LightEstimate:
+def scaled_by_mean(light: LightEstimate, observed: Observed, albedo: float) -> LightEstimate:
     """Scale light until the mean base colour has a given value: one factor for all channels.
 
     The mean is over the visible surface, by area, and over R, G and B, at the texels of
@@ -49,20 +49,20 @@ def scaled_by_mean(found: LightEstimate, observed: Observed, albedo: float) -> L
     seen = observed.coverage > 0
     area = np.square(np.array(observed.texels.footprint, np.float64)) * seen
 
-    def wanted(result: Estimate) -> np.ndarray:
+    def excess(result: Estimate) -> np.ndarray:
         mean = np.average(_base_color(result, "mean").mean(axis=1), weights=area)
         return np.full(3, mean / albedo)
 
-    return _scaled(found, observed, wanted)
+    return _scaled(light, observed, excess)
 
 
 def scaled_by_card(
-    found: LightEstimate, observed: Observed, uv: tuple[float, float], albedo: float
+    light: LightEstimate, observed: Observed, uv: tuple[float, float], albedo: float
 ) -> LightEstimate:
     """Scale light until a grey spot has a given base colour: a factor per channel.
 
     Args:
-        found: light of the right shape.
+        light: light of the right shape.
         observed: the photographs, at texels that resolve the spot.
         uv: its texture coordinates.
         albedo: base colour of R, G and B there; the card is taken as not metallic.
@@ -70,12 +70,12 @@ def scaled_by_card(
     require_albedo(albedo, "The grey card")
     chosen = _texels_at(observed, uv)
 
-    def wanted(result: Estimate) -> np.ndarray:
+    def excess(result: Estimate) -> np.ndarray:
         mean, sd = (_base_color(result, what)[chosen] for what in ("mean", "sd"))
         weight = 1 / np.maximum(sd, SHARPEST) ** 2
         return np.asarray((weight * mean).sum(axis=0) / weight.sum(axis=0) / albedo)
 
-    return _scaled(found, observed, wanted, dict.fromkeys(MIXED, 0.0))
+    return _scaled(light, observed, excess, dict.fromkeys(MIXED, 0.0))
 
 
 def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
@@ -97,34 +97,34 @@ def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
 
 
 def _scaled(
-    found: LightEstimate, observed: Observed, wanted: BrightnessError,
+    light: LightEstimate, observed: Observed, excess: BrightnessError,
     known: Mapping[str, float] | None = None,
 ) -> LightEstimate:  # fmt: skip
     """Scale light until the base colours are as wanted, to ``DONE``."""
-    if found.moves:
+    if light.moves:
         raise CaptureError(
             "The light turns with the camera, so base colours cannot be found under it; give its "
             "brightness with --light-scale."
         )
     total = np.ones(3)
     for _ in range(MOST_ROUNDS):
-        lit = found.scaled(total)
+        lit = light.scaled(total)
         capture = replace(with_light(observed.capture, lit), light_uncertainty=None)
         # Rays to the cameras are the same ones; those to the light's cells are not.
         seen = Observed(
             capture=capture, views=observed.views, texels=observed.texels,
             visibility=observed.visibility, seen=observed.seen,
         )  # fmt: skip
-        factor = np.clip(wanted(estimate(seen, known=known)), 1 / FARTHEST, FARTHEST)
+        factor = np.clip(excess(estimate(seen, known=known)), 1 / FARTHEST, FARTHEST)
         total = total * factor
         if np.abs(np.log(factor)).max() < DONE:
-            return found.scaled(total)
+            return light.scaled(total)
     if np.abs(np.log(factor)).max() > 10 * DONE:
         raise CaptureError(
             "No brightness of the light makes the base colour what was given; check the value, and "
             "that nothing else is measured there."
         )
-    return found.scaled(total)
+    return light.scaled(total)
 
 
 def _base_color(result: Estimate, what: str) -> np.ndarray:

@@ -42,9 +42,9 @@ class FoundGains:
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LightEstimate:
-    """What photographs say of the light that they were taken under.
+    """Light of a capture, estimated from its photographs.
 
-    Even cells of the sphere (``interop.fibonacci``) have a radiance whose logarithm is normally
+    Even cells of the sphere (``arrays.fibonacci``) have a radiance whose logarithm is normally
     distributed. Directions are those of world space, maps those of Mitsuba's ``envmap`` without
     ``to_world``; if the light moves with the camera, both are camera space (+X left, +Y up,
     +Z forward).
@@ -60,9 +60,9 @@ class LightEstimate:
             and if it moves; NaN where that was not tried.
         widening: how many times less certain textures are for not knowing the light: a factor of
             their overdispersion.
-        texels: number of texels that it was found from.
+        texels: number of texels that it was estimated from.
         remarks: sentences about what is not known.
-        gains: of the photographs, if they were found, too; None if they were taken as given.
+        gains: of the photographs, if they were estimated, too; None if they were given.
     """
 
     logarithm: np.ndarray
@@ -134,15 +134,15 @@ class LightEstimate:
 
     def _map(self, logarithm: np.ndarray) -> np.ndarray:
         """Radiance as a map whose mean over every cell is that cell's."""
-        found = np.exp(self._interpolated(logarithm))
+        radiance = np.exp(self._interpolated(logarithm))
         owner = self._around[1][..., 0]
         count = np.maximum(np.bincount(owner.ravel(), self._solid.ravel(), self.cells), 1e-300)
         for c in range(3):
-            weighted = (found[..., c] * self._solid).ravel()
+            weighted = (radiance[..., c] * self._solid).ravel()
             mean = np.bincount(owner.ravel(), weighted, self.cells) / count
-            off = np.exp(logarithm[:, c]) / np.maximum(mean, 1e-300)
-            found[..., c] *= off[owner]
-        return found.astype(np.float32)
+            factor = np.exp(logarithm[:, c]) / np.maximum(mean, 1e-300)
+            radiance[..., c] *= factor[owner]
+        return radiance.astype(np.float32)
 
     def _interpolated(self, values: np.ndarray) -> np.ndarray:
         """Values of cells (N, C) as a smooth map (129, 256, C)."""

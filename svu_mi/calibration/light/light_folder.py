@@ -1,4 +1,4 @@
-"""The folder that ``svu light`` writes: ``light.exr`` to look at, ``light.npz`` to go on from."""
+"""Folder of estimated light: ``light.exr`` to view, ``light.npz`` to continue from."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LIGHT_ARRAYS = {
     "misfit": Field(REAL, (2,), 0, 1e12), "widening": Field(REAL, (), 1, 1e5),
     "texels": Field(REAL, (), 0, 2**31),
 }  # fmt: skip
-# The same, of V photographs whose gains were found, too.
+# Gains of V photographs, if they were estimated, too.
 GAIN_ARRAYS = {
     "gains": Field(REAL, ("V", 3), -HIGHEST, HIGHEST), "gains_noise": Field(REAL, ("V",), 0, 1e12),
     "gains_odd": Field(REAL, ("V",), 0, 1),
@@ -50,15 +50,15 @@ def save_light(
     photographs: str = "",
     about: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write light that was found into a folder, for ``load_light`` and ``--light``.
+    """Write estimated light into a folder, for ``load_light`` and ``--light``.
 
     Writes ``light.exr`` (radiance, with the layers ``sd.Y`` and ``known.Y``), ``light.npz`` and
-    ``light.json``, in one step (``results.transaction``).
+    ``light.json``, in one step.
 
     Args:
         estimate: what to write.
         path: a folder; made if missing. An older result there is replaced.
-        photographs: ``photographs_key`` of the capture that it was found in, if that is known.
+        photographs: ``photographs_key`` of the capture that it was estimated from, if known.
         about: more for ``light.json``: plain values by name.
 
     Raises:
@@ -83,7 +83,7 @@ def write_light_arrays(estimate: LightEstimate, draft: Draft) -> None:
 
 
 def light_record(estimate: LightEstimate) -> dict[str, Any]:
-    """Return what records say of light that was found, under ``light``: plain values."""
+    """Return the entry ``light`` of records: plain values."""
     low, high = estimate.scale_interval
     still, moving = (None if math.isnan(value) else float(value) for value in estimate.misfit)
     gains = estimate.gains
@@ -106,7 +106,7 @@ def light_record(estimate: LightEstimate) -> dict[str, Any]:
 
 
 def photographs_of(path: str | Path) -> str:
-    """Return the ``photographs_key`` of what light in a folder was found in; empty if unknown."""
+    """Return the ``photographs_key`` of the light in a folder; empty if unknown."""
     entry = entry_of(Path(path) / RECORD, COMMAND)
     return "" if entry is None else entry.capture
 
@@ -142,10 +142,10 @@ def load_light(path: str | Path) -> LightEstimate:
         )
     try:
         arrays = read_arrays(path / ARRAYS)
-        found = _estimate_of(arrays)
+        estimate = _estimate_of(arrays)
         if str(arrays["run"]) != written.run:
             raise ValueError(f"it comes from another run than {RECORD} beside it")
-        return found
+        return estimate
     except ValueError as error:
         raise CaptureError(
             f"{path / ARRAYS}: cannot be used ({error}); run svu light again."

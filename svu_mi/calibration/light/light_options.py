@@ -29,7 +29,7 @@ class LightOptions:
 
     gains: bool = False
     """Whether photographs have gains that are not known: exposure and white balance by themselves.
-    They are found together with the light."""
+    They are estimated together with the light."""
 
     depths: tuple[tuple[int, int], ...] = ((256, 8), (1024, 4))
     """Numbers of cells of the sphere, ascending, and rounds at each."""

@@ -55,8 +55,8 @@ def blurred(environment: Environment, world: np.ndarray, width: float = BLUR) ->
     degree = degrees(DEGREE)
     smooth = np.exp(-degree * (degree + 1) * sd**2 / 2)
     polar = polar_from_local(world @ environment.to_local.T)
-    found = basis_at(polar, DEGREE) @ (environment.coefficients(DEGREE) * smooth[:, None])
-    return np.asarray(np.maximum(found, 0))
+    radiance = basis_at(polar, DEGREE) @ (environment.coefficients(DEGREE) * smooth[:, None])
+    return np.asarray(np.maximum(radiance, 0))
 
 
 def environment_of(estimate: LightEstimate) -> Environment:
@@ -79,10 +79,10 @@ def compare_lights(estimate: LightEstimate, emitter: Any) -> LightComparison:
     """Compare an estimate with the ``environment`` of a capture."""
     world = fibonacci(POINTS)
     truth = blurred(read_environment(emitter), world)
-    found = blurred(environment_of(estimate), world)
-    scale = truth.mean(axis=0) / np.maximum(found.mean(axis=0), 1e-30)
+    estimated = blurred(environment_of(estimate), world)
+    scale = truth.mean(axis=0) / np.maximum(estimated.mean(axis=0), 1e-30)
     low, high = estimate.scale_interval
-    grey = truth.mean(axis=1), found.mean(axis=1)
+    grey = truth.mean(axis=1), estimated.mean(axis=1)
     flat = min(float(np.ptp(one) / one.mean()) for one in grey) < 1e-6
     first, second = (world[int(np.argmax(one))] for one in grey)
     return LightComparison(
@@ -104,18 +104,18 @@ def summary_sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> 
 
 def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
     """Return a sentence about the brightest direction."""
-    found = brightest(estimate)
-    if found is None:
+    toward = brightest(estimate)
+    if toward is None:
         return "It comes from all around: no direction stands out."
     if estimate.moves:
-        return f"It is brightest from {_vector(found)} in camera space (+X left, +Y up, +Z ahead)."
-    elevation = np.degrees(np.arcsin(np.clip(found @ up, -1, 1)))
+        return f"It is brightest from {_vector(toward)} in camera space (+X left, +Y up, +Z ahead)."
+    elevation = np.degrees(np.arcsin(np.clip(toward @ up, -1, 1)))
     # Azimuth counts as maps of Mitsuba's envmap do: from -Z towards +X, if +Y is up.
     ahead, right = _horizon(up)
-    azimuth = np.degrees(np.arctan2(found @ right, found @ ahead)) % 360
+    azimuth = np.degrees(np.arctan2(toward @ right, toward @ ahead)) % 360
     return (
         f"It is brightest from elevation {elevation:.0f} and azimuth {azimuth:.0f} degrees "
-        f"({_vector(found)} in the world)."
+        f"({_vector(toward)} in the world)."
     )
 
 
@@ -175,14 +175,16 @@ def _balance(gains: FoundGains) -> Iterator[str]:
         )
 
 
-def comparison_sentence(found: LightComparison) -> str:
+def comparison_sentence(result: LightComparison) -> str:
     """Return a sentence that compares the light with the capture's own."""
-    factors = ", ".join(f"{x:.2f} ({c})" for c, x in zip(LETTERS, found.scale, strict=True))
-    where = "" if found.inside is None else f", {'in' if found.inside else 'out'}side the interval"
+    factors = ", ".join(f"{x:.2f} ({c})" for c, x in zip(LETTERS, result.scale, strict=True))
+    where = {None: "", True: ", inside the interval", False: ", outside the interval"}[
+        result.inside
+    ]
     return (
-        f"Against the capture's own light: correlation {found.correlation:.2f} at 15 degrees; that "
-        f"one is brighter by {factors}{where}; "
-        f"brightest directions {found.angle:.0f} degrees apart."
+        f"Against the capture's own light: correlation {result.correlation:.2f} at 15 degrees; "
+        f"that one is brighter by {factors}{where}; "
+        f"brightest directions {result.angle:.0f} degrees apart."
     )
 
 

@@ -98,7 +98,7 @@ class Transport:
         """Trace what the texels see of N cells."""
         cameras = samples.cameras
         turned = cameras if moves else np.broadcast_to(np.eye(3), cameras.shape)
-        found = Transport(
+        transport = Transport(
             samples, number, moves,
             lanes=(
                 to_drjit(mi.UInt32, samples.owner), to_drjit(mi.UInt32, samples.view),
@@ -108,7 +108,7 @@ class Transport:
             frames=to_drjit(mi.Float, turned.astype(np.float32).ravel()),
             free=mi.Bool(), count=dr.opaque(mi.UInt32, number),
         )  # fmt: skip
-        return replace(found, free=found._traced())
+        return replace(transport, free=transport._traced())
 
     def _traced(self) -> Any:
         texel, view = self.lanes[:2]
@@ -184,9 +184,9 @@ class Transport:
             return cell + 1, sums
 
         (sums,) = fold(mi.UInt32(0), self.count, add, sums)
-        found = [sums[k] for k in range(size)]
-        dr.eval(found)
-        table = np.stack([np.array(x, np.float64) for x in found])
+        values = [sums[k] for k in range(size)]
+        dr.eval(values)
+        table = np.stack([np.array(x, np.float64) for x in values])
         a, b = table[:6].reshape(2, 1, 3, -1)
         r = levels.T[:, None, self.samples.owner]  # (K, 1, S)
         specular = table[6:].reshape(len(widths), PARTS, 3, -1)
@@ -202,13 +202,13 @@ class Transport:
         def of_texel(values: np.ndarray) -> Any:
             return dr.gather(mi.Float, to_drjit(mi.Float, values.astype(np.float32)), texel)
 
-        r, how = of_texel(materials.roughness), mixture(*map(of_texel, materials.mixed.T))
+        r, mixing = of_texel(materials.roughness), mixture(*map(of_texel, materials.mixed.T))
         (a, b), fresnel, (lobe,) = self._reflected(lane, cell, [alpha_from_roughness(r)])
         parts = columns(dr.fma(r, b, a), *(lobe * part for part in fresnel))
-        found = [dot(how.at(c), parts) for c in map(of_texel, materials.color.T)]
-        dr.eval(found)
+        channels = [dot(mixing.at(c), parts) for c in map(of_texel, materials.color.T)]
+        dr.eval(channels)
         rows = np.empty((3, self.samples.count, self.number), np.float32)
-        for row, values in zip(rows, found, strict=True):
+        for row, values in zip(rows, channels, strict=True):
             row.ravel()[:] = values.numpy()
         return rows
 
@@ -230,11 +230,11 @@ class SampleMoments:
     table: np.ndarray
 
     @staticmethod
-    def of(samples: TexelSamples, found: Columns) -> SampleMoments:
+    def of(samples: TexelSamples, columns: Columns) -> SampleMoments:
         """Sum over samples, given ``columns_of`` a light."""
-        observed = np.broadcast_to(samples.radiance[:, None].astype(np.float64), found.e.shape)
-        parts, weight = (*found, observed), samples.weight[:, None, None]
-        table = np.empty((len(parts), len(parts), samples.texels, *found.e.shape[1:]))
+        observed = np.broadcast_to(samples.radiance[:, None].astype(np.float64), columns.e.shape)
+        parts, weight = (*columns, observed), samples.weight[:, None, None]
+        table = np.empty((len(parts), len(parts), samples.texels, *columns.e.shape[1:]))
         for i, part in enumerate(parts):
             weighted = weight * part
             for j in range(i, len(parts)):

@@ -1,4 +1,4 @@
-"""The light of a capture: its own, a given one, or one estimated from the photographs and kept.
+"""Light of a capture: its own, a given one, or one estimated from the photographs and cached.
 
 An estimate is kept in the capture's folder, under ``light`` (``light-gains`` together with gains),
 and reused as long as the photographs are the same, whatever its options and version were.
@@ -32,7 +32,7 @@ from svu_mi.geometry.texels import texels
 
 EMITTER = "found_light"  # of the emitter
 FOLDER = "light"  # in the capture's folder
-WITH_GAINS = "-gains"  # at the end of its name, for light that was found together with gains
+WITH_GAINS = "-gains"  # at the end of its name, for light estimated together with gains
 RESOLUTION = 256  # texels per side for the estimate of the light
 OPTIONS = LightOptions()
 
@@ -98,12 +98,12 @@ def with_resolved_light(
         progress: displays the progress.
     """
     progress = progress or Progress()
-    lit, known = _resolved(capture, given, elsewhere, gains, progress)
-    if known is None:
+    lit, estimates = _resolved(capture, given, elsewhere, gains, progress)
+    if estimates is None:
         return lit
-    for sentence in gain_sentences(known, capture):
+    for sentence in gain_sentences(estimates, capture):
         progress.say(sentence)
-    return equalized(lit, known)
+    return equalized(lit, estimates)
 
 
 def photo_gains(
@@ -122,15 +122,15 @@ def _resolved(
     capture: Capture, given: Path | None, elsewhere: Path | None, gains: bool, progress: Progress
 ) -> tuple[Capture, FoundGains | None]:
     """Return the capture under a light, and gains estimated with the light or on request."""
-    lit, known = capture, None
+    lit, factors = capture, None
     if given is not None:
-        lit, known = _under_given(capture, given, progress)
+        lit, factors = _under_given(capture, given, progress)
     elif capture.environment is None:
-        found = _estimated(capture, elsewhere, gains, progress)
-        lit, known = with_light(capture, found), found.gains
-    if gains and known is None:
-        known = estimate_gains(lit, texels(lit.mesh, RESOLUTION), OPTIONS, progress)
-    return lit, known
+        light = _estimated(capture, elsewhere, gains, progress)
+        lit, factors = with_light(capture, light), light.gains
+    if gains and factors is None:
+        factors = estimate_gains(lit, texels(lit.mesh, RESOLUTION), OPTIONS, progress)
+    return lit, factors
 
 
 def _estimated(
@@ -142,15 +142,15 @@ def _estimated(
     if gains:
         places = [place.with_name(place.name + WITH_GAINS) for place in places]
     key = photographs_key(capture)
-    found = _load_kept(places, key, progress)
-    if found is None:
+    light = _load_kept(places, key, progress)
+    if light is None:
         progress.say("The capture has no light: it is found in the photographs first.")
         options = replace(OPTIONS, gains=gains)
-        found = estimate_light(capture, texels(capture.mesh, RESOLUTION), options, progress)
-        for sentence in summary_sentences(found):
+        light = estimate_light(capture, texels(capture.mesh, RESOLUTION), options, progress)
+        for sentence in summary_sentences(light):
             progress.say(sentence)
-        _keep(found, places, (key, options), progress)
-    return found
+        _keep(light, places, (key, options), progress)
+    return light
 
 
 def _under_given(
@@ -158,16 +158,16 @@ def _under_given(
 ) -> tuple[Capture, FoundGains | None]:
     """Return a capture under a given light, and gains that were estimated with it."""
     if given.is_dir():
-        found, key = load_light(given), photographs_of(given)
+        light, key = load_light(given), photographs_of(given)
         is_same = key == photographs_key(capture)
         if not is_same and key:
             progress.say(f"{given}: the light was found in other photographs; it is used as it is.")
-        if found.gains is not None and not is_same:
+        if light.gains is not None and not is_same:
             progress.say(
                 f"{given}: gains were found with this light, but maybe not of these photographs; "
                 "they stay as they are, and --gains estimate finds theirs."
             )
-        return with_light(capture, found), found.gains if is_same else None
+        return with_light(capture, light), light.gains if is_same else None
     if not given.is_file():
         raise CaptureError(
             f"{given}: no such file or folder; give a folder that svu light wrote, or a map of the "
@@ -188,17 +188,17 @@ def _load_kept(places: list[Path], key: str, progress: Progress) -> LightEstimat
             progress.say(f"{place}: the light there was found in other photographs.")
             continue
         try:
-            found = load_light(place)
+            light = load_light(place)
         except CaptureError as error:
             progress.say(f"{error.shell} It is found again.")
             continue
         progress.say(f"Using the light found before in {place}.")
-        return found
+        return light
     return None
 
 
 def _keep(
-    found: LightEstimate, places: list[Path], made: tuple[str, LightOptions], progress: Progress
+    light: LightEstimate, places: list[Path], made: tuple[str, LightOptions], progress: Progress
 ) -> None:
     """Keep light in the first folder that can be written, with its key and options."""
     key, options = made
@@ -206,7 +206,7 @@ def _keep(
     for place in places:
         try:
             with claimed(place, LIGHT, overwrite=True) as claim:  # by others, or damaged
-                save_light(found, claim, photographs=key, about=about)
+                save_light(light, claim, photographs=key, about=about)
         except OutputError as error:
             progress.say(error.shell)
             continue

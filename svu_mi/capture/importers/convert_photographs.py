@@ -101,9 +101,9 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
     """
     picture = open_picture(frame.image)
     if _can_be_copied(picture, frame, scale):
-        return _copied(picture, frame, path)
+        return _copy_jpeg(picture, frame, path)
     planes, bits = picture.planes(), picture.bits
-    mask = _mask(frame, planes, bits > 0)
+    mask = _read_mask(frame, planes, bits > 0)
     del planes[3:]
     clipped, black, invalid = np.zeros((3, *planes[0].shape), bool)
     over = {}
@@ -123,7 +123,7 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
         layers["A"] = mask
         clipped &= mask
     del planes, over
-    channels = _resampled(layers, frame, scale)
+    channels = _resample(layers, frame, scale)
     header = _mark_unusable(channels, bits, frame)
     if bits:
         first, last = quantization_steps(frame.transfer, bits)
@@ -131,7 +131,7 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
     # Eight bits lose nothing in half floats, unless a curve puts some close together.
     half = bits == 8 and not isinstance(frame.transfer, CameraResponse)
     write_exr(path, channels, header, half=half)
-    return _converted(picture, mask, clipped, black, int(invalid.sum()))
+    return _describe(picture, mask, clipped, black, int(invalid.sum()))
 
 
 def _can_be_copied(picture: Picture, frame: Frame, scale: tuple[float, float]) -> bool:
@@ -142,7 +142,7 @@ def _can_be_copied(picture: Picture, frame: Frame, scale: tuple[float, float]) -
     return jpeg and plain and width * height >= LARGE
 
 
-def _copied(picture: Picture, frame: Frame, path: Path) -> ConvertedPhotograph:
+def _copy_jpeg(picture: Picture, frame: Frame, path: Path) -> ConvertedPhotograph:
     """Copy a JPEG to ``path`` with its own suffix, and write its mask."""
     codes, mask = picture.stored()[:3], None
     most = SATURATED[8] * 255
@@ -154,10 +154,10 @@ def _copied(picture: Picture, frame: Frame, path: Path) -> ConvertedPhotograph:
         clipped &= mask
         beside = path.with_name(f"{masks_of(path.stem)[0]}.png")
         Image.fromarray(mask.astype(np.uint8) * 255).save(beside)
-    return _converted(picture, mask, clipped, black, 0)
+    return _describe(picture, mask, clipped, black, 0)
 
 
-def _converted(
+def _describe(
     picture: Picture, mask: np.ndarray | None, clipped: np.ndarray, black: np.ndarray, invalid: int
 ) -> ConvertedPhotograph:
     """Return the properties of a photograph with masks (H, W) of clipped and black pixels."""
@@ -191,7 +191,7 @@ def _is_inverted(mask: np.ndarray) -> bool:
     return bool(border.mean() > BORDER and not mask.all())
 
 
-def _resampled(
+def _resample(
     layers: dict[str, np.ndarray], frame: Frame, scale: tuple[float, float]
 ) -> dict[str, np.ndarray]:
     """Straighten and shrink layers, freeing each one: photographs may be huge."""
@@ -203,7 +203,7 @@ def _resampled(
     }
 
 
-def _mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray | None:
+def _read_mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray | None:
     """Return (H, W) bool from the alpha channel, the mask's file, or both; None without any."""
     opaque = None
     if len(planes) > 3 and planes[3].min() < 1:

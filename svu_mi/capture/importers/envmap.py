@@ -64,11 +64,11 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
     if np.linalg.det(rotation) < 0:
         pixels, rotation = pixels[:, ::-1], rotation @ MIRROR
     if not says_poles and width != ASPECT * (height - 1):
-        pixels = _from_pole_to_pole(pixels)
+        pixels = _with_pole_rows(pixels)
     return pixels * np.float32(light.scale), affine(rotation), notes
 
 
-def _from_pole_to_pole(pixels: np.ndarray) -> np.ndarray:
+def _with_pole_rows(pixels: np.ndarray) -> np.ndarray:
     """Return rows at the poles and evenly between of (H, W, 3) pixels, by linear interpolation."""
     between = np.empty((len(pixels) + 1, *pixels.shape[1:]), np.float32)
     between[1:-1] = (pixels[1:] + pixels[:-1]) / 2

@@ -39,7 +39,7 @@ def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
     counts = Counter(frame.image.name for frame in frames)
     changed = []
     for frame in frames:
-        key = next((name for name in _names(frame.image) if name in gains), None)
+        key = next((name for name in _possible_names(frame.image) if name in gains), None)
         if key is None:
             raise CaptureError(
                 f"{path}: has no exposure for {frame.image.name}; add a line NAME GAIN."
@@ -63,7 +63,7 @@ def with_exif_gains(frames: Sequence[Frame]) -> list[Frame]:
     return [replace(frame, exposure=g / middle) for frame, g in zip(frames, gains, strict=True)]
 
 
-def _names(path: Path) -> Iterator[str]:
+def _possible_names(path: Path) -> Iterator[str]:
     """Return possible names of a photograph: its path, or any end of it, longest first."""
     parts = path.parts
     return ("/".join(parts[first:]) for first in range(len(parts)))

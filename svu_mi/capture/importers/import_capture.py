@@ -108,7 +108,7 @@ class ImportPlan:
         """Sizes of the photographs that are in memory at a time, and of the light."""
         largest = sorted((frame.size for frame in self.frames), key=lambda size: size[0] * size[1])
         light = (0, 0) if self.light is None else open_picture(self.light.path).size
-        return Sizes(largest[-_at_a_time(self.frames) :], light)
+        return Sizes(largest[-_parallel_count(self.frames) :], light)
 
     def write(
         self, folder: str | os.PathLike[str], words: Sequence[str] = (),
@@ -117,12 +117,12 @@ class ImportPlan:
         """Write the capture folder (see ``import_capture``)."""
         source, options, frames, light = self.source, self.options, self.frames, self.light
         with writing(folder, "import", capture_folder.FILE) as draft:
-            geometry = _geometry(self.mesh, frames, options, self.fixes)
+            geometry = _read_object(self.mesh, frames, options, self.fixes)
             squares, views = _write_photographs(frames, draft.folder, options.shrink, progress)
             notes = [*source.notes, *self.notes, *geometry.notes, *photograph_notes(frames, views)]
             if light is not None:
                 light = replace(light, to_world=light.to_world @ fix_rotation(self.fixes, "light"))
-            sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame in squares]
+            sensors = [frame.sensor(_clip_planes(frame, geometry.mesh)) for frame in squares]
             notes += _write_scene(draft.folder, geometry, light, sensors)
             imported = {
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
@@ -144,7 +144,7 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
     between = up.get((options.mesh_up or "", options.world_up or ""), [])
     fixes = find_fixes([*between, *options.fixes])
     there, left_out = _existing_frames(source, options)
-    frames = _frames(there, source, options, fixes)
+    frames = _prepare_frames(there, source, options, fixes)
     return ImportPlan(source, options, fixes, frames, *_mesh_and_light(source, options), left_out)
 
 
@@ -161,7 +161,7 @@ def _mesh_and_light(source: Source, options: ImportOptions) -> tuple[str, Light 
     return str(mesh), light
 
 
-def _at_a_time(frames: Sequence[Frame]) -> int:
+def _parallel_count(frames: Sequence[Frame]) -> int:
     """Return the number of photographs that are converted at a time."""
     largest = max(frame.size[0] * frame.size[1] for frame in frames)
     return max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
@@ -186,7 +186,7 @@ def _existing_frames(source: Source, options: ImportOptions) -> tuple[list[Frame
     return there, [f"{lack}; left out."]
 
 
-def _frames(
+def _prepare_frames(
     there: Sequence[Frame], source: Source, options: ImportOptions, fixes: Sequence[AxisFix]
 ) -> list[Frame]:
     """Return frames of the size of their photographs, with corrected cameras."""
@@ -208,7 +208,7 @@ def _frames(
     return frames
 
 
-def _geometry(
+def _read_object(
     label: str, frames: Sequence[Frame], options: ImportOptions, fixes: Sequence[AxisFix]
 ) -> TexturedMesh:
     """Read the mesh, correct and scale it, and lay out missing UVs."""
@@ -225,7 +225,7 @@ def _geometry(
     return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes])
 
 
-def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
+def _clip_planes(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
     """Return near and far planes that suit the object, whatever its units."""
     low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
     distance = np.linalg.norm(frame.to_world[:3, 3] - (low + high) / 2)
@@ -266,7 +266,7 @@ def _write_photographs(
     views = [folder / f"view_{index:04d}.exr" for index in range(len(frames))]
     contexts = [copy_context() for _ in frames]  # threads know nothing of the run's marks
     converted: list[ConvertedPhotograph] = []
-    with ThreadPoolExecutor(_at_a_time(frames)) as threads:
+    with ThreadPoolExecutor(_parallel_count(frames)) as threads:
         work = contexts, [convert_photograph] * len(frames), frames, views, scales
         for photograph in threads.map(Context.run, *work):
             converted.append(photograph)

@@ -68,15 +68,15 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
     """
     path = Path(path)
     files = _FolderResolver(path.parent)
-    parts = _parts(path, files, geometry_only)
-    painted = {part.paint: part for part in parts if part.paint is not None}
+    parts = _read_parts(path, files, geometry_only)
+    painted = {part.material: part for part in parts if part.material is not None}
     several = len(painted) > 1
     if several and not geometry_only and any(is_textured(part.visual) for part in parts):
         raise MeshError(
             f"{path}: has {len(painted)} materials; bake them into one, or import only the "
             "geometry with --geometry-only."
         )
-    mesh = _buffers(parts, path)
+    mesh = _merge_parts(parts, path)
     if geometry_only:
         mesh = replace(mesh, uvs=None)
     textures: Textures = {}
@@ -106,15 +106,15 @@ def _ignored_notes(path: Path, parts: Sequence[_Part]) -> list[str]:
     return [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
 
 
-def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
+def _merge_parts(parts: Sequence[_Part], path: Path) -> MeshArrays:
     """Concatenate parts; UVs and normals only if each has them."""
     meshes = [part.mesh for part in parts]
     first = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
     mesh = MeshArrays(
         positions=np.concatenate([mesh.positions for mesh in meshes]),
         faces=np.concatenate([m.faces + k for m, k in zip(meshes, first, strict=False)]),
-        normals=_joined([mesh.normals for mesh in meshes]),
-        uvs=_joined([mesh.uvs for mesh in meshes]),
+        normals=_concatenate([mesh.normals for mesh in meshes]),
+        uvs=_concatenate([mesh.uvs for mesh in meshes]),
     )
     for name, values, width in (("positions", mesh.positions, 3), ("UVs", mesh.uvs, 2)):
         if values is not None and values.shape != (len(mesh.positions), width):
@@ -123,10 +123,10 @@ def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
             raise MeshError(f"{path}: some {name} are NaN, infinite or too large; export it again.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
         raise MeshError(f"{path}: a triangle refers to a missing vertex; export it again.")
-    return _without_strays(mesh)
+    return _without_unused(mesh)
 
 
-def _without_strays(mesh: MeshArrays) -> MeshArrays:
+def _without_unused(mesh: MeshArrays) -> MeshArrays:
     """Remove vertices without a triangle: scans keep some far away."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) == len(mesh.positions):
@@ -135,7 +135,7 @@ def _without_strays(mesh: MeshArrays) -> MeshArrays:
     return MeshArrays(mesh.positions[used], faces.reshape(mesh.faces.shape), normals, uvs)
 
 
-def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
+def _concatenate(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
     there = [array for array in arrays if array is not None]
     return np.concatenate(there) if len(there) == len(arrays) else None
 
@@ -144,12 +144,12 @@ def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
 class _Part:
     """One mesh of a file in its world, with trimesh's ``visual``.
 
-    ``paint``: a number that parts of the same material share; None without UVs.
+    ``material``: a number that parts of the same material share; None without UVs.
     """
 
     mesh: MeshArrays
     visual: Any
-    paint: int | None
+    material: int | None
 
     @staticmethod
     def of(scene: trimesh.Scene, node: str) -> _Part:
@@ -188,7 +188,7 @@ def _own_normals(part: Any) -> np.ndarray | None:
     return own.T if own.shape[1] == len(part.vertices) else None
 
 
-def _parts(path: Path, files: _FolderResolver, geometry_only: bool) -> list[_Part]:
+def _read_parts(path: Path, files: _FolderResolver, geometry_only: bool) -> list[_Part]:
     """Return the triangle meshes of a file."""
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: not a supported mesh format ({', '.join(SUFFIXES)}).")

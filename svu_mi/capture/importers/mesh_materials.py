@@ -60,7 +60,7 @@ def textures_of(visual: Any, path: Path) -> Textures:
     material = getattr(visual, "material", None)
     try:
         if hasattr(material, "baseColorTexture"):
-            return _of_gltf(material)
+            return _gltf_textures(material)
         picture = getattr(material, "image", None)
         return {"base_color": _rgb(picture)} if is_textured(visual) else {}
     except Exception as error:  # Pillow raises whatever its decoders meet
@@ -104,7 +104,7 @@ def write_pictures(textures: Textures, folder: Path) -> None:
             Image.fromarray(np.ascontiguousarray(pixels)).save(temporary)
 
 
-def _of_gltf(material: Any) -> Textures:
+def _gltf_textures(material: Any) -> Textures:
     base, factor = _rgb(material.baseColorTexture), material.baseColorFactor
     factor = np.ones(3) if factor is None else np.array(factor, np.float64)[:3]
     # trimesh keeps colours as bytes; the factor itself is linear.

@@ -32,14 +32,14 @@ NOT_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL"
 
 def recognises(path: Path, split: str) -> bool:
     """Whether a path is a JSON file, or a folder with transforms.json or a part of it."""
-    files = (path / FILE, *(_part(path, name) for name in (*SPLITS, split)))
+    files = (path / FILE, *(_split_file(path, name) for name in (*SPLITS, split)))
     return path.suffix.lower() == ".json" or any(file.is_file() for file in files)
 
 
 def read(path: Path, options: ReadOptions) -> Source:
     """Read a file, or that of a folder (see ``read_transforms``)."""
     if not path.is_file():
-        part = _part(path, options.split)
+        part = _split_file(path, options.split)
         if not part.is_file() and options.split not in SPLITS:
             raise OptionError(
                 f"{path}: has no {part.name}; use a split that it has, usually one of "
@@ -49,7 +49,7 @@ def read(path: Path, options: ReadOptions) -> Source:
     return read_transforms(path, original_world=options.original_world)
 
 
-def _part(folder: Path, split: str) -> Path:
+def _split_file(folder: Path, split: str) -> Path:
     return folder / f"transforms_{split}.json"
 
 
@@ -74,7 +74,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
     except (TypeError, ValueError) as error:
         raise CaptureError(f"{path}: applied_transform must be 3 x 4 numbers.") from error
     before = np.linalg.inv(applied) if original_world else np.eye(4)
-    usual = _usual_size(path, record, frames)
+    usual = _default_size(path, record, frames)
     notes = [] if original_world or np.allclose(applied, np.eye(4)) else [
         f"{path}: has an applied_transform; poses are used as they are, in the world after it. "
         "If the mesh is in the world before it, import with --original-world."
@@ -143,7 +143,7 @@ def parse_frame(
     try:
         known = {**record, **given}
         matrix = _matrix(known["transform_matrix"])
-        image = _image(root, known.get("file_path"), label)
+        image = _image_path(root, known.get("file_path"), label)
         masked = known.get("mask_path")
         size = width, height = _size(known, image, usual)
         fl_x = _focal(known, "x", width)
@@ -194,27 +194,27 @@ def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
 
 
 def _size(known: Mapping[str, Any], image: Path, usual: tuple[int, int] | None) -> tuple[int, int]:
-    if _says_size(known) or known.get("file_path") is None:
+    if _has_size(known) or known.get("file_path") is None:
         return int(known["w"]), int(known["h"])
     return usual if usual is not None and not image.is_file() else open_picture(image).size
 
 
-def _says_size(known: Mapping[str, Any]) -> bool:
+def _has_size(known: Mapping[str, Any]) -> bool:
     return "w" in known or "h" in known
 
 
-def _usual_size(
+def _default_size(
     path: Path, record: Mapping[str, Any], frames: Sequence[Any]
 ) -> tuple[int, int] | None:
     """Return the size of the first photograph that exists, for frames without a size."""
     named = {
         k: frame["file_path"] for k, frame in enumerate(frames)
-        if isinstance(frame, dict) and "file_path" in frame and not _says_size(frame)
+        if isinstance(frame, dict) and "file_path" in frame and not _has_size(frame)
     }  # fmt: skip
-    if _says_size(record) or not named:
+    if _has_size(record) or not named:
         return None
     label = f"{path}: frame "
-    images = [_image(path.parent, name, f"{label}{index}") for index, name in named.items()]
+    images = [_image_path(path.parent, name, f"{label}{index}") for index, name in named.items()]
     first = next((image for image in images if image.is_file()), None)
     if first is not None:
         return open_picture(first).size
@@ -233,7 +233,7 @@ def _focal(known: Mapping[str, Any], axis: str, side: int, default: float | None
     return side / 2 / math.tan(float(known[f"camera_angle_{axis}"]) / 2)
 
 
-def _image(root: Path, given: Any, label: str) -> Path:
+def _image_path(root: Path, given: Any, label: str) -> Path:
     """Return the photograph of a frame, which need not name one."""
     if given is None:
         return root / "none"

@@ -82,7 +82,7 @@ def _with_computed_normals(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[M
     weighted = np.nan_to_num(welded.face_angles)[..., None] * normal[:, None]
     total = np.stack([np.bincount(fan, weighted[..., k].ravel()) for k in range(3)], axis=-1)
     is_real = np.linalg.norm(total, axis=1) > 0
-    fan = _without_empty(fan, is_real[fan], welded.faces.ravel())
+    fan = _fill_empty_fans(fan, is_real[fan], welded.faces.ravel())
     key = mesh.faces.ravel() * count + fan
     _, corner, faces = np.unique(key, return_index=True, return_inverse=True)
     vertex = mesh.faces.ravel()[corner]
@@ -103,7 +103,7 @@ def _is_noisy(cosine: np.ndarray, triangles: int) -> bool:
     return bool((cosine < crease).mean() > NOISY and (cosine > flat).mean() < FLAT)
 
 
-def _without_empty(fan: np.ndarray, is_real: np.ndarray, vertex: np.ndarray) -> np.ndarray:
+def _fill_empty_fans(fan: np.ndarray, is_real: np.ndarray, vertex: np.ndarray) -> np.ndarray:
     """Give corners (N,) of triangles without area a fan of their vertex that has a normal."""
     real = np.full(vertex.max() + 1, -1)
     real[vertex[is_real]] = fan[is_real]

@@ -54,13 +54,13 @@ def thumbnail(folder: Path) -> PageImage | None:
     """Return the overview of a capture's results, small; None if there is none."""
     path = folder / "entropy" / "overview.png"
     try:
-        return _drawn(path, path.stat().st_mtime_ns)
+        return _draw_thumbnail(path, path.stat().st_mtime_ns)
     except OSError:
         return None
 
 
 @cache
-def _drawn(path: Path, _time: int) -> PageImage:
+def _draw_thumbnail(path: Path, _time: int) -> PageImage:
     """Draw a picture of some time, once: the page is written anew after every capture."""
     from PIL import Image
 

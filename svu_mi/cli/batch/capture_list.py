@@ -43,9 +43,9 @@ def read_list(path: Path) -> list[BatchItem]:
     column ``capture``, a path relative to the table, and may have ``name`` and ``OPTIONS``.
     """
     if path.is_dir():
-        items = _in_folder(path)
+        items = _read_folder(path)
     elif path.is_file():
-        items = _in_table(path)
+        items = _read_table(path)
     else:
         raise CaptureError(f"{path}: no such folder or table of captures.")
     if not items:
@@ -80,7 +80,7 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def _in_folder(folder: Path) -> list[BatchItem]:
+def _read_folder(folder: Path) -> list[BatchItem]:
     items = []
     for path in sorted(folder.iterdir()):
         if path.is_dir() and not path.name.startswith("."):
@@ -92,7 +92,7 @@ def _in_folder(folder: Path) -> list[BatchItem]:
     return items
 
 
-def _in_table(path: Path) -> list[BatchItem]:
+def _read_table(path: Path) -> list[BatchItem]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = [[word.strip() for word in row] for row in csv.reader(stream)]
@@ -107,13 +107,13 @@ def _in_table(path: Path) -> list[BatchItem]:
             f"{', '.join(OPTIONS)} those that are needed."
         )
     return [
-        _item(path, number, dict(zip(head, row, strict=False)))
+        _parse_row(path, number, dict(zip(head, row, strict=False)))
         for number, row in enumerate(rows[1:], 2)
         if any(row)
     ]
 
 
-def _item(table: Path, line: int, row: dict[str, str]) -> BatchItem:
+def _parse_row(table: Path, line: int, row: dict[str, str]) -> BatchItem:
     def require(fine: object, value: str, problem: str) -> None:
         if not fine:
             raise OptionError(f"{table}, line {line}: {excerpt(value, LONGEST)!r} {problem}")

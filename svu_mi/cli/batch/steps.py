@@ -84,12 +84,12 @@ def inputs_key(item: BatchItem, output: Path | None = None) -> str:
     files = stamps([*places, *scenes], lambda folder: folder == own)
     for scene in scenes:
         if not any(scene.is_relative_to(folder) for folder in folders):
-            files += stamps([scene.parent], partial(_is_apart, own))
+            files += stamps([scene.parent], partial(_is_separate, own))
             folders.add(scene.parent)
     return Key([list(file) for file in files]).digest()
 
 
-def _is_apart(output: Path | None, folder: Path) -> bool:
+def _is_separate(output: Path | None, folder: Path) -> bool:
     """Return whether a folder beside a scene is not part of it: captures, results, hidden ones."""
     return folder == output or folder.name.startswith(".") or (folder / FILE).is_file()
 

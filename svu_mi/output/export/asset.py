@@ -1,4 +1,4 @@
-"""An object in textures, and what is known about them."""
+"""``Asset``: a mesh, its textures and their uncertainty."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Asset:
 
     @property
     def maps(self) -> dict[str, np.ndarray]:
-        """Maps that there are, by name: entropy, coverage, ``roughness_sd`` and so on."""
+        """Available maps by name: entropy, coverage, ``roughness_sd`` and so on."""
         maps = {"entropy": self.entropy, "coverage": self.coverage}
         there = {name: image for name, image in maps.items() if image is not None}
         return there | {name + SD: image for name, image in self.deviations.items()}

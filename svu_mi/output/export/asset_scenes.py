@@ -130,7 +130,6 @@ def _input(parent: Element, name: str, kind: str, **attributes: str) -> Element:
 
 
 def _write_obj(asset: Asset, path: Path) -> None:
-
     mesh = as_trimesh(asset.mesh, TextureVisuals(uv=upward_uvs(asset.mesh)))
     text, _ = export_obj(
         mesh,

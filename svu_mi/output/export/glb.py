@@ -35,7 +35,6 @@ def write_asset_glb(
 
     Maps at the vertices (N,) become the attributes ``_ENTROPY`` and so on, which viewers ignore.
     """
-
     base_color = np.array(asset.textures.base_color)
     material = PBRMaterial(
         name=asset.name,
@@ -107,7 +106,6 @@ def as_trimesh(
     mesh: MeshArrays, visual: Any, attributes: Mapping[str, np.ndarray] | None = None
 ) -> Any:
     """Return a ``trimesh.Trimesh`` with the same vertices in the same order, and normals if any."""
-
     return trimesh.Trimesh(
         mesh.positions, front_faces(mesh), vertex_normals=mesh.normals, visual=visual,
         vertex_attributes=dict(attributes or {}), process=False,

@@ -53,7 +53,7 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
 
 @dataclass(frozen=True)
 class AssetPlan:
-    """A recovery of which no texel was read yet, and the folder of its maps."""
+    """Checked folders of a recovery and its maps, not read yet."""
 
     folder: Path
     maps: Path
@@ -101,7 +101,7 @@ def plan_asset(folder: Path, entropy: Path | None) -> AssetPlan:
 
 
 def _require_same_capture(folder: Path, textured: Path, *, asked: bool) -> None:
-    """Refuse maps of two runs, and those of another capture that nobody has asked for."""
+    """Refuse maps of two runs; of another capture, refuse or warn if ``asked``."""
     maps = [name for name in (ENTROPY, COVERAGE) if (folder / name).is_file()]
     runs = {marks_of(folder / name)[0] for name in maps}
     if len(runs - {""}) > 1:
@@ -136,7 +136,7 @@ def _object_node(scene: ElementTree.Element, path: Path) -> ElementTree.Element:
 
 
 def _camera_poses(scene: ElementTree.Element) -> np.ndarray:
-    """Return (V, 4, 4): the cameras as they were written; others, put in by hand, do not count."""
+    """Return the camera poses (V, 4, 4) of a scene; cameras without a matrix are skipped."""
     rows = [matrix.get("value", "").split() for matrix in scene.findall("sensor/transform/matrix")]
     try:
         return np.array([row for row in rows if len(row) == 16], np.float64).reshape(-1, 4, 4)

@@ -1,4 +1,4 @@
-"""Charts of an asset: what lies inside them, gutters around them, and means at vertices."""
+"""UV charts of an asset: their texels, gutters around them, and means at vertices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Assets that other programs can use.
+"""Export of textured meshes to other programs.
 
 export_asset("out", "asset")
 export_asset(Asset.of(capture, recovery, estimate), "asset", ExportOptions(bits=16))
@@ -32,7 +32,7 @@ NEEDS: dict[Format, Format] = {"xml": "exr", "materialx": "png"}
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Which files are written, and how."""
+    """Files to write, and their formats."""
 
     formats: tuple[Format, ...] = FORMATS
     """``exr``: linear masters; ``png``: sRGB base colour, grey maps and the packed ``orm``;
@@ -74,7 +74,7 @@ def export_asset(
 ) -> Path:
     """Write an object with its textures for other programs.
 
-    All of it takes the place of an older export in one step (``results.transaction``);
+    All of it takes the place of an older export in one step;
     ``asset.json`` says what each file is.
 
     Args:
@@ -120,7 +120,7 @@ def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[AssetFile
 
 
 def _record(asset: Asset, options: ExportOptions, files: list[AssetFile]) -> dict[str, Any]:
-    """Return what ``asset.json`` says."""
+    """Return the content of ``asset.json``."""
     low, high = asset.mesh.positions.min(axis=0), asset.mesh.positions.max(axis=0)
     return {
         "format": FORMAT,

@@ -1,4 +1,4 @@
-"""``report.html``: one file that says what photographs tell, to send to whom they belong to."""
+"""``report.html``: a self-contained page about a capture and its estimate."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def write_report(
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> IntervalSummary:
-    """Write what the photographs say as one HTML page, with all pictures inside.
+    """Write an estimate as one self-contained HTML page.
 
     It opens without a network, in any browser. Of many photographs some are shown and rendered,
     evenly through their order, so that page and time stay small.
@@ -67,7 +67,7 @@ def write_report(
         progress: called with (parts done, parts in all).
 
     Returns:
-        What the page says is known.
+        The intervals that the page summarises.
 
     Raises:
         OutputError: the file cannot be written.
@@ -96,7 +96,7 @@ def _pictures(
     capture: Capture, estimate: Estimate, textures: Textures | None, table: Turntable,
     intervals: Intervals, report: Callable[[int, int], None],
 ) -> dict[str, Any]:  # fmt: skip
-    """Return what the page shows of photographs, maps, textures and errors."""
+    """Return thumbnails, maps, textures and errors for the template."""
     thumbnails, left_out = report_pictures.thumbnails(capture, estimate)
     frames = list(report_pictures.turntable_pictures(table, estimate))
     report(1, 5)
@@ -124,7 +124,7 @@ def _pictures(
 
 
 def _light(capture: Capture) -> dict[str, Any] | None:
-    """What there is to say of light that was found in the photographs."""
+    """Return maps and sentences of estimated light, None for given light."""
     light = capture.found_light
     if light is None:
         return None
@@ -180,7 +180,7 @@ def _summary(
 
 
 def _settings(capture: Capture, estimate: Estimate) -> dict[str, Any]:
-    """What the estimate was made with, as rows of words."""
+    """Return the settings of the estimate as rows of a table."""
     preset = dataclasses.asdict(estimate.preset)
     width, height = estimate.texels.resolution
     sizes = sorted({f"{image.shape[1]} × {image.shape[0]}" for image in capture.images})
@@ -199,7 +199,7 @@ def _settings(capture: Capture, estimate: Estimate) -> dict[str, Any]:
 
 
 def _environment(timings: Mapping[str, float]) -> dict[str, Any]:
-    """Times, versions and the machine, as rows of words."""
+    """Return times, versions and machine as rows of a table."""
     environment = environment_record()
     machine = {
         "Platform": environment["platform"], "Mitsuba variant": environment["variant"],
@@ -216,7 +216,7 @@ def _environment(timings: Mapping[str, float]) -> dict[str, Any]:
 
 
 def _setting_text(value: Any) -> str:
-    """Write a setting; of a file its name alone, as a page is sent to others."""
+    """Format a setting; of a path only its name, since pages are shared."""
     if isinstance(value, Path):
         return value.name or str(value)
     if isinstance(value, bool):
@@ -230,7 +230,7 @@ def _setting_text(value: Any) -> str:
 
 
 def _without_folder(folder: Path | None, sentence: str) -> str:
-    """Leave a folder out of the names of its files, which is the sender's own affair."""
+    """Remove a folder from the paths in a sentence, since pages are shared."""
     return sentence if folder is None else sentence.replace(f"{folder}{os.sep}", "")
 
 

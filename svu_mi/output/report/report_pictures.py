@@ -84,7 +84,7 @@ def thumbnails(
 
 
 def subsample(views_: Sequence[int], most: int) -> list[int]:
-    """Return at most so many of some views, evenly through their order, the first and the last."""
+    """Return at most ``most`` views, evenly spaced, with the first and the last."""
     return [views_[k] for k in evenly_spaced(len(views_), most)]
 
 
@@ -113,7 +113,7 @@ def _why_left_out(image: np.ndarray) -> str:
 def turntable_pictures(
     table: Turntable, estimate: Estimate
 ) -> Iterator[tuple[PageImage, str, str]]:
-    """Yield the entropy on the object, from all around: pictures, descriptions, captions."""
+    """Yield pictures of the entropy on the turntable, with descriptions and captions."""
     colors = map_colors(estimate)
     for number in range(len(table.sensors)):
         angle = f"{360 * number / len(table.sensors):.0f}°"
@@ -135,7 +135,7 @@ def map_pictures(table: Turntable, estimate: Estimate, intervals: Intervals) -> 
 def texture_maps(
     table: Turntable, estimate: Estimate, textures: Textures, field: TextureField | None = None
 ) -> list[MapPictures]:
-    """Return recovered textures as maps, and how sure they are if there is a field around them."""
+    """Return recovered textures as maps, and their uncertainty if there is a field."""
     inside = estimate.texels.inside()
     if textures.resolution != estimate.texels.resolution:
         inside = np.ones(textures.resolution[::-1], bool)
@@ -145,7 +145,7 @@ def texture_maps(
 
 
 def light_maps(light: LightEstimate) -> list[tuple[str, str, PageImage]]:
-    """Return names, sentences and pictures of light that was found."""
+    """Return names, sentences and pictures of estimated light."""
     maps = (
         ("Radiance", "Lat-long map: the top is +Y, the centre +Z.", light_colors(light.radiance)),
         ("Standard deviation", "Of the logarithm of radiance: black is certain, and what is "
@@ -157,7 +157,7 @@ def light_maps(light: LightEstimate) -> list[tuple[str, str, PageImage]]:
 
 
 def _chequers(estimate: Estimate) -> np.ndarray:
-    """Return what nobody saw where grey is a colour: fields (H, W, 3) of two greys."""
+    """Return a chequered image (H, W, 3) that marks unseen texels of colour maps."""
     width, height = estimate.texels.resolution
     rows, columns = np.mgrid[:height, :width]
     size = max(max(height, width) / CHECKS, 1)
@@ -178,7 +178,7 @@ def _pictures(
 
 
 def rerender_errors(capture: Capture, textures: Textures, grey: bool) -> dict[str, Any] | None:
-    """Render views in some textures and compare them with the photographs; ``grey``: brightness.
+    """Compare renders in textures with the photographs; only brightness if ``grey``.
 
     Mean differences of views that are spread evenly over their order, as sentences have them, and
     pictures of the best, a typical and the worst; None if no photograph shows the object.

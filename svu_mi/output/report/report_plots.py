@@ -66,12 +66,12 @@ class Plot:
         return LEFT, self.width - RIGHT, self.height - BOTTOM
 
     def x(self, value: float) -> float:
-        """Return how far a value is from the left."""
+        """Return the x coordinate of a value."""
         (left, right, _), low, high = self.box, self.edges[0], self.edges[-1]
         return round(float(left + (value - low) / (high - low) * (right - left)), 2)
 
     def y(self, value: float) -> float:
-        """Return how far a value is from the top; beyond the ends of the axis, an end."""
+        """Return the y coordinate of a value, clamped to the axis."""
         floor = self.box[2]
         return round(float(floor - min(max(value / self.top, 0), 1) * (floor - TOP)), 2)
 
@@ -93,7 +93,7 @@ class Plot:
 
 
 def entropy_histogram(result: EstimateArrays) -> Plot | None:
-    """Return how often which entropy occurs, None if nothing is seen."""
+    """Return the histogram of the entropy, None if nothing is seen."""
     values = result.entropy[result.seen]
     if len(values) == 0:
         return None
@@ -156,7 +156,7 @@ def _single(marginal: Any) -> np.ndarray:
 
 
 def _interval_text(intervals: Intervals, name: str) -> str:
-    """Word the interval of a single texel: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
+    """Return the interval of a single texel: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
     low, high = (end[0] for end in intervals.ends(name))
     told = [f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True)]
     return told[0] if len(told) == 1 else ", ".join(map(" ".join, zip("RGB", told, strict=True)))
@@ -165,7 +165,7 @@ def _interval_text(intervals: Intervals, name: str) -> str:
 def _marginal(
     posterior: Any, name: str, p: np.ndarray, lowest: np.ndarray | None = None
 ) -> Plot:  # fmt: skip
-    """Bars, or lines for three channels; dashed: of lowest entropy; dotted: knowing nothing."""
+    """Return bars, or lines for three channels; dashed: lowest entropy, dotted: prior."""
     nodes, prior, several = posterior.axes[name], prior_marginal(posterior, name), p.shape[1] == 3
     lines = [("prior", nodes, prior)]
     if several:

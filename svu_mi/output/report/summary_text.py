@@ -1,4 +1,4 @@
-"""Findings of a report: parts of the surface by interval width, and sentences."""
+"""Summary of a report: surface shares by interval width, and sentences."""
 
 from __future__ import annotations
 

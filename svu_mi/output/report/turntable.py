@@ -1,4 +1,4 @@
-"""The object from all around, upright, as on a turntable; and where on it a texel is."""
+"""Renders of the object on a turntable, and positions of texels in them."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Turntable:
         return object_views.crop(np.dstack([color, alpha]), self.window)
 
     def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
-        """Return the one of some texels (t,) that is shown best: its index, frame, x and y.
+        """Return the best visible one of some texels (t,): its index, frame, x and y.
 
         x and y are from the left and the top, in parts of the frame. None if no frame shows any.
         """
@@ -107,5 +107,5 @@ class Turntable:
 
 
 def _places(points: np.ndarray, sensor: Any) -> np.ndarray:
-    """Return where a sensor shows points (N, 3): (N, 2) from the left and the top, in [0, 1]."""
+    """Project points (N, 3) into a sensor: (N, 2) from the left and the top, in [0, 1]."""
     return projected(sensor, points)[0] / film_size(sensor)

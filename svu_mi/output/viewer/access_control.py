@@ -144,7 +144,7 @@ def require_viser() -> Any:
 
 
 def require_port(port: int) -> None:
-    """Refuse with an ``OptionError`` what is not a port."""
+    """Refuse an invalid port with an ``OptionError``."""
     if not 0 <= port < 65536:
         raise OptionError(f"--port must be 0 to 65535, got {port}.")
 
@@ -180,6 +180,6 @@ def stop(server: Any) -> None:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """Keep viser from printing, which it does whatever it is told."""
+    """Keep viser from printing."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

@@ -1,4 +1,4 @@
-"""Rays to texels, and the posterior of a texel in words and pictures."""
+"""Picking of texels by rays, and their posteriors as text and pictures."""
 
 from __future__ import annotations
 

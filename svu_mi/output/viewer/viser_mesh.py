@@ -42,7 +42,6 @@ def textured_mesh(mesh: Any, colors: np.ndarray) -> Any:
 
     ``colors`` (H, W, 3) are those that it appears in under white light of ``LIGHT_STRENGTH``.
     """
-
     source = meshes.arrays(mesh)
     assert source.uvs is not None
     material = trimesh.visual.material.PBRMaterial(

@@ -40,9 +40,9 @@ from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.initialisation import supports_texture_field
-from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.recover import PRIOR_WEIGHT
 from svu_mi.recovery.recovery_options import ShOptions
-from svu_mi.recovery.recovery_run import PRIOR_WEIGHT
+from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.sh.likelihood import texel_moments
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.recovery.uncertainty import clipped_normal

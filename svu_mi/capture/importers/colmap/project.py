@@ -100,10 +100,10 @@ def read_project(
     if model is None:
         raise CaptureError(f"{path}: not a COLMAP model; expected cameras.bin or .txt in sparse/0.")
     cameras, views = read_model(model)
-    images = find_folder(IMAGES, images, _near(model, IMAGES))
+    images = find_folder(IMAGES, images, _possible_folders(model, IMAGES))
     if images is None:
         raise missing_folder(IMAGES, model / IMAGES)
-    masks = find_folder(MASKS, masks, _near(model, MASKS))
+    masks = find_folder(MASKS, masks, _possible_folders(model, MASKS))
     files = [safe_path(images, view.name, _label(model, view)) for view in views]
     missing = [file for file in files if not file.is_file()]
     if missing and not (partly and len(missing) < len(files)):
@@ -125,7 +125,7 @@ def _label(model: Path, view: Pose) -> str:
     return f"{model}: image {excerpt(repr(view.name))}"
 
 
-def _near(model: Path, name: str) -> list[Path]:
+def _possible_folders(model: Path, name: str) -> list[Path]:
     """Return places of a folder in the model's own or one above, as deep as projects nest it."""
     nested = model.absolute().parts[-3:-2] == ("colmap",)
     ways = (".", "..", "../..", *(["../../.."] if nested else []))
