@@ -105,17 +105,7 @@ def estimate(
     observed = _observations(source, texels, skip, progress)
     plan = make_plan(skip, switches, observed, nodes, prior_tables)
     inputs = EstimatorInputs(observed, nodes, prior, plan, progress, whole)
-    from_views: Any = _from_statistics if angular else _from_spectra
-    posterior: Posterior = from_views(inputs, inflated(switches, capture))
-    with progress.stage("Computing entropy"):
-        result = Estimate(
-            method=method, preset=switches, texels=texels, posterior=posterior,
-            coverage=to_drjit(mi.UInt32, view_counts(observed, switches)),
-            seen_per_view=observed.visibility.per_view, skipped=plan.skipped,
-            timings=progress.timings, observed=observed, prior=prior,
-        )  # fmt: skip
-        dr.eval(result.entropy)
-    return result
+    return _computed(inputs, method, switches)
 
 
 def _observations(
@@ -133,6 +123,23 @@ def _observations(
     with progress.stage("Reading the light"):
         _ = observed.lighting
     return observed
+
+
+def _computed(inputs: EstimatorInputs, method: Method, switches: Any) -> Estimate:
+    """Compute the posterior by the method of ``switches``, and its entropy."""
+    observed, progress = inputs.observed, inputs.progress
+    sure: Any = inflated(switches, observed.capture)
+    from_views = _from_statistics if isinstance(sure, AngularPreset) else _from_spectra
+    posterior = from_views(inputs, sure)
+    with progress.stage("Computing entropy"):
+        result = Estimate(
+            method=method, preset=switches, texels=observed.texels, posterior=posterior,
+            coverage=to_drjit(mi.UInt32, view_counts(observed, switches)),
+            seen_per_view=observed.visibility.per_view, skipped=inputs.plan.skipped,
+            timings=progress.timings, observed=observed, prior=inputs.prior,
+        )  # fmt: skip
+        dr.eval(result.entropy)
+    return result
 
 
 def _from_statistics(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:

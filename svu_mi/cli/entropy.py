@@ -30,15 +30,13 @@ class Entropy(EstimateCommand, ResultCommand):
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Run the pipeline, write the four files, and say what is known."""
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
-        from svu_mi.output.interval_summary import IntervalSummary
         from svu_mi.output.write_entropy import write_outputs
         from svu_mi.presets import NOTHING, Skip
 
         size, skip = opt.parse_resolution(self.resolution), Skip() if self.skip else NOTHING
         capture, result = self.load_and_estimate(progress, size, "entropy", skip=skip)
-        warn_if_too_bright(result)
         with progress.stage("Writing the results"):
-            summary = IntervalSummary.of(result)
             run = self.run_info(progress)
-            write_outputs(capture, result, place, run, summary=summary, pictures=self.pictures)
+            summary = write_outputs(capture, result, place, run, pictures=self.pictures)
+        warn_if_too_bright(result)
         return [summary.summary()]

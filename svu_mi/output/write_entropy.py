@@ -20,22 +20,23 @@ def write_outputs(
     folder: str | os.PathLike[str],
     run: RunInfo | None = None,
     *,
-    summary: IntervalSummary | None = None,
     pictures: bool = True,
-) -> None:
+) -> IntervalSummary:
     """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json`` in one step.
 
-    ``summary`` is computed if not given.
+    Returns:
+        How much of the surface has narrow intervals.
 
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    summary = summary or IntervalSummary.of(estimate)
     # Photographs that are in other processes have no digest here.
     key = "" if estimate.observed is None else capture_key(capture)
     with writing(folder, "entropy", RECORD, capture=key) as draft:
         write_maps(estimate, draft.folder)
+        summary = IntervalSummary.of(estimate)
         if pictures:
             write_overview(capture, estimate, draft.folder / "overview.png", summary)
         record = run_record(capture, estimate, summary)
         write_run(draft, record, run or RunInfo())
+    return summary
