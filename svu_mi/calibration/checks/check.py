@@ -32,7 +32,7 @@ from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.axis_fixes import find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
-from svu_mi.capture.load_warnings import MOST, has_front_outside, ignored, part_from_behind
+from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward, unsupported
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.core.progress import Progress
@@ -207,7 +207,7 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
 
 def _ignored(capture: Capture) -> tuple[Finding, ...]:
     """Return a note about ignored parts of scene or import, if there are any."""
-    notes = ignored(capture.scene, capture.shape)
+    notes = unsupported(capture.scene, capture.shape)
     description = None if capture.source is None else capture_folder.read(capture.source)
     said = description.imported.get("notes") if description else None
     notes += [n for n in said if str(n).endswith(LEFT_OUT)] if isinstance(said, list) else []
