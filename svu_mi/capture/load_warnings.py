@@ -94,13 +94,13 @@ def unsupported(scene: Any, target: Any) -> list[str]:
     notes = []
     if features := list(dict.fromkeys(_of_material(target.bsdf()))):
         notes.append(
-            f"Shape '{excerpt(target.id())}' has {_enumeration(features)}, which svu does not account "
-            "for: if the photographs show that, roughness and base colour will be off."
+            f"Shape '{excerpt(target.id())}' has {_listed(features)}, which svu does not account for: "
+            "if the photographs show that, roughness and base colour will be off."
         )
     others = [shape for shape in scene.shapes() if not is_same(shape, target)]
     near = [shape for shape in others if _extent(shape, target) > SMALL]
     if bright := [_name(shape) for shape in near if not _is_black(shape.bsdf())]:
-        names = _enumeration(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
+        names = _listed(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
         notes.append(
             f"Light reflected by {names} falls on '{excerpt(target.id())}', which svu does not "
             "account for: base colours near there will be too bright; put something black around "
@@ -158,7 +158,7 @@ def _name(shape: Any) -> str:
     return f"'{excerpt(shape.id())}'" if shape.id() else f"without an id ({shape.class_name()})"
 
 
-def _enumeration(words: list[str]) -> str:
+def _listed(words: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
