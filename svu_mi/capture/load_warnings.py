@@ -94,8 +94,8 @@ def unsupported(scene: Any, target: Any) -> list[str]:
     notes = []
     if features := list(dict.fromkeys(_of_material(target.bsdf()))):
         notes.append(
-            f"Shape '{excerpt(target.id())}' has {_listed(features)}, which svu does not account for: "
-            "if the photographs show that, roughness and base colour will be off."
+            f"Shape '{excerpt(target.id())}' has {_listed(features)}, which svu does not account "
+            "for: if the photographs show that, roughness and base colour will be off."
         )
     others = [shape for shape in scene.shapes() if not is_same(shape, target)]
     near = [shape for shape in others if _extent(shape, target) > SMALL]
