@@ -106,8 +106,8 @@ def find_axis_mistakes(
     capture = limit_views(reduce_photographs(capture, SIDE), VIEWS)
     eyes = [to_world(sensor)[:3, 3] for sensor in capture.used_sensors]
     mesh = arrays(capture.shape)
-    behind = part_from_behind(capture.scene, mesh, eyes)
-    if behind < MOST or has_front_outside(mesh):  # with the cameras inside
+    behind = back_face_share(capture.scene, mesh, eyes)
+    if behind < MOST or faces_outward(mesh):  # with the cameras inside
         return _find_axis_mistakes(capture, progress)
     turned = apply_fixes(capture, find_fixes([decisions.INSIDE_OUT]))
     (poses, light, flip), axes = _find_axis_mistakes(turned, progress)
