@@ -16,7 +16,6 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import scene
-from svu_mi.capture.image_io import clamp_negative
 from svu_mi.errors import SceneError, SvuWarning
 from svu_mi.light import latlong
 from svu_mi.light.latlong import directions, emitter_label, quadrature, radiance_from
