@@ -158,7 +158,11 @@ def _copy_jpeg(picture: ImageFile, frame: Frame, path: Path) -> ConvertedPhotogr
 
 
 def _describe(
-    picture: ImageFile, mask: np.ndarray | None, clipped: np.ndarray, black: np.ndarray, invalid: int
+    picture: ImageFile,
+    mask: np.ndarray | None,
+    clipped: np.ndarray,
+    black: np.ndarray,
+    invalid: int,
 ) -> ConvertedPhotograph:
     """Return the properties of a photograph with masks (H, W) of clipped and black pixels."""
     return ConvertedPhotograph(
