@@ -481,14 +481,14 @@ def test_what_is_ignored_has_the_last_word(capture):
     scene = make_scene([capture.shape, table, *capture.scene.emitters()])
     result = svu.check(replace(capture, scene=scene))
     unsupported = result.findings[-1]
-    assert (unsupported.question, unsupported.verdict, result.fits) == ("unsupported", "note", True)
-    assert ignored.sentence.startswith("Light reflected by 'table' falls on")
+    assert (unsupported.question, unsupported.verdict, result.fits) == ("ignored", "note", True)
+    assert unsupported.sentence.startswith("Light reflected by 'table' falls on")
     assert verdict(result) == (
         "The capture fits its photographs, as far as can be determined; results may be off by what "
         "is ignored."
     )
     gain = replace(result.findings[3], verdict="unclear")
-    unsure = replace(result, findings=(*result.findings[:3], gain, ignored))
+    unsure = replace(result, findings=(*result.findings[:3], gain, unsupported))
     assert not unsure.fits
     assert verdict(unsure) == "Axes fit, but results may be wrong for another reason: gain."
     assert svu.check(capture).findings[-1].question == "gain"
