@@ -12,7 +12,7 @@ import mitsuba as mi
 from svu_mi.capture.replace_material import is_principled, is_two_sided
 from svu_mi.capture.scene import find_environment
 from svu_mi.errors import OptionError, SceneError, SvuWarning
-from svu_mi.geometry.texel_materials import attributes
+from svu_mi.geometry.texel_materials import principled_attributes
 from svu_mi.light.band_limited import MomentMap, band_limited_lighting, moment_map
 from svu_mi.light.environment import read_environment
 from svu_mi.parameters import NAMES
@@ -136,7 +136,7 @@ class ShIntegrator(mi.SamplingIntegrator):
         bsdf, lit = si.bsdf(), hit & faces
         for name in NAMES:
             lit &= bsdf.has_attribute(name, hit)
-        values = attributes(bsdf, si, lit)
+        values = principled_attributes(bsdf, si, lit)
         roughness = dr.clip(values["roughness"][0], 0, 1)
         moments, visible = light.moments.at(side.normal), None
         if self.occlusion:

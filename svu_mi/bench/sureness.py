@@ -29,7 +29,7 @@ from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measureme
 from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.film_rays import Pictures
+from svu_mi.capture.film_rays import SensorPixels
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.evaluation.correlation import spearman
 from svu_mi.geometry.texels import Texels
@@ -174,7 +174,7 @@ def interval_coverage(recovery: Recovery, field: TextureField, truth: TrueTextur
 
 def _truth(capture: Capture) -> list[np.ndarray]:
     """Render the true object as ``relight_draws`` renders others, with the same random numbers."""
-    pictures = Pictures(capture.sensors)
+    pictures = SensorPixels(capture.sensors)
     integrator = mi.load_dict({"type": "path", "max_depth": path_length(capture.scene)})
     everything = [np.ones((height, width), bool) for width, height in pictures.sizes]
     return pictures.traced(capture.scene, integrator, everything, SPP)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.pixel_buffer import PixelBuffer
-from svu_mi.capture.quantization import Clipped, Rounding
+from svu_mi.capture.quantization import Rounding, Saturation
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Capture:
     used: tuple[bool, ...]
     source: Path | None = None
     warnings: tuple[str, ...] = field(default=())
-    clipped: tuple[Clipped | None, ...] = field(default=())
+    clipped: tuple[Saturation | None, ...] = field(default=())
     rounding: tuple[Rounding | None, ...] = field(default=())
     files: tuple[str, ...] = ()
     light_uncertainty: LightUncertainty | None = None

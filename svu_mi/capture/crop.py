@@ -102,13 +102,13 @@ class Detail:
         large = [width * height >= LARGE for width, height in films]
         if (self.texels is None and self.side is None) or not any(large):
             return [Window.whole(film) for film in films]
-        surface = _Surface.of(target, self.texels) if target.is_mesh() else None
+        surface = _ObjectExtent.of(target, self.texels) if target.is_mesh() else None
         return [
             self._window(film, sensor, surface) if is_large else Window.whole(film)
             for film, sensor, is_large in zip(films, sensors, large, strict=True)
         ]
 
-    def _window(self, film: Size, sensor: Any, surface: _Surface | None) -> Window:
+    def _window(self, film: Size, sensor: Any, surface: _ObjectExtent | None) -> Window:
         shrink = 1
         if self.side is not None:
             shrink = -(-max(film) // self.side)
@@ -126,7 +126,7 @@ WHOLE = Detail()
 
 
 @dataclass(frozen=True)
-class _Surface:
+class _ObjectExtent:
     """What of an object says where it is in a photograph, and how large its texels are.
 
     Attributes:
@@ -142,7 +142,7 @@ class _Surface:
     areas: np.ndarray
 
     @staticmethod
-    def of(mesh: mi.Mesh, texels: Size | None) -> _Surface:
+    def of(mesh: mi.Mesh, texels: Size | None) -> _ObjectExtent:
         """Measure an ``mi.Mesh`` with a texture of (W, H)."""
         source = arrays(mesh)
         chosen = source.faces[:: max(len(source.faces) // FACES, 1)]
@@ -150,7 +150,7 @@ class _Surface:
         sides = np.zeros(0)
         if texels is not None:
             sides = _sides(source, chosen, areas, texels)
-        return _Surface(source.positions, source.positions[chosen].mean(axis=1), sides, areas)
+        return _ObjectExtent(source.positions, source.positions[chosen].mean(axis=1), sides, areas)
 
     def bounds_in(self, sensor: Any, film: Size) -> tuple[np.ndarray, np.ndarray]:
         """Return the first and the last but one pixel (2,) int64 of the object, with a margin; the

@@ -47,7 +47,7 @@ def ray_floats(sensor: Any) -> np.ndarray:
     )
 
 
-def table_of(sensors: Sequence[Any]) -> Any:
+def ray_table(sensors: Sequence[Any]) -> Any:
     """Return (V * 24,) Float, what the rays of V perspective sensors are made of."""
     return to_drjit(mi.Float, np.array([ray_floats(each) for each in sensors], np.float32).ravel())
 
@@ -89,10 +89,10 @@ def pixel_rays(
     """Make so many ``mi.Ray3f`` through each of N pixels, those of a pixel one after the other.
 
     Args:
-        floats: (V * 24,) Float, see ``table_of``.
+        floats: (V * 24,) Float, see ``ray_table``.
         pixels: (N,) UInt32 each: number of the view, row and column.
         count: rays of a pixel.
-        place: where in its pixel ray k is, UInt32 -> two Floats in [0, 1]; such as ``evenly``.
+        place: where in its pixel ray k is, UInt32 -> two Floats in [0, 1]; such as ``stratified``.
     """
     index, number = dr.arange(mi.UInt32, dr.width(pixels[0]) * count), dr.opaque(mi.UInt32, count)
     of_pixel = index // number
@@ -101,13 +101,13 @@ def pixel_rays(
     return film_ray(floats, view, mi.Float(column) + x, mi.Float(row) + y)
 
 
-def evenly(side: int) -> Callable[[Any], Any]:
+def stratified(side: int) -> Callable[[Any], Any]:
     """Return a ``place`` for ``side``^2 rays, on a grid in the pixel."""
     return lambda k: ((mi.Float(k % side) + 0.5) / side, (mi.Float(k // side) + 0.5) / side)
 
 
 @dataclass(frozen=True)
-class Pictures:
+class SensorPixels:
     """Pictures of V perspective sensors, pixel by pixel; all are numbered, one row after another.
 
     Attributes:
@@ -131,7 +131,7 @@ class Pictures:
         unoccluded; 1 where it shows nothing else."""
         part = np.zeros(self.first[-1], np.float32)
         for span, rays in self._launches(np.arange(self.first[-1]), MASK_GRID**2):
-            hit = scene.ray_intersect_preliminary(rays(evenly(MASK_GRID)), coherent=True)
+            hit = scene.ray_intersect_preliminary(rays(stratified(MASK_GRID)), coherent=True)
             # Opaque: as a literal, every scene would get a kernel of its own.
             on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))
             hits = dr.block_sum(dr.select(on_target, mi.UInt32(1), 0), MASK_GRID**2)
@@ -175,7 +175,7 @@ class Pictures:
         where in the pixel the rays of a number are."""
         view = np.searchsorted(self.first, pixels, "right") - 1
         row, column = np.divmod(pixels - self.first[view], self.sizes[view, 0])
-        table = table_of(self.sensors)
+        table = ray_table(self.sensors)
         size = max(LAUNCH // rays, 1)
         for start in range(0, len(pixels), size):
             span = slice(start, min(start + size, len(pixels)))

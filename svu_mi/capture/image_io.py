@@ -38,7 +38,7 @@ Transfer = Literal["srgb", "gamma 2.2", "linear"]
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImageFile:
     """A picture file of which the header was read.
 
     Attributes:
@@ -70,7 +70,7 @@ class Picture:
         suffix = self.path.suffix.lower()
         with _readable(self.path):
             if suffix == ".exr":
-                return _of_exr(self.path, read_pixels(self.path, self.header))
+                return _exr_planes(self.path, read_pixels(self.path, self.header))
             _, read = FLOATS.get(suffix, (None, _integers))
             values = read(self.path)
         planes = [values[..., k] for k in range(values.shape[2])]
@@ -110,7 +110,7 @@ class Picture:
         return clauses
 
 
-def open_picture(path: Path) -> Picture:
+def open_image(path: Path) -> ImageFile:
     """Read the header of a picture."""
     if not path.is_file():
         raise CaptureError(f"{path}: no such photograph.")
@@ -131,12 +131,12 @@ def open_picture(path: Path) -> Picture:
             f"{path}: the image is too large ({width} x {height} pixels) or damaged; export it "
             "again."
         )
-    return Picture(path, header, bits)
+    return ImageFile(path, header, bits)
 
 
 def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
-    """Return what ``Picture.planes`` does, and whether the file holds integers."""
-    picture = open_picture(path)
+    """Return what ``ImageFile.planes`` does, and whether the file holds integers."""
+    picture = open_image(path)
     return picture.planes(), picture.bits > 0
 
 
@@ -160,9 +160,9 @@ def quantized(image: np.ndarray, bits: int = 8) -> np.ndarray:
     return (np.clip(image, 0, 1) * most + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def _of_exr(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]:
+def _exr_planes(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]:
     """Return red, green, blue and, if there is one, alpha among the channels of an EXR."""
-    channels = _of_one_layer(channels)
+    channels = _layer_channels(channels)
     for names, what in OTHER_COLORS.items():
         if channels.keys() >= set(names) and not channels.keys() >= set("RGB"):
             raise CaptureError(
@@ -179,7 +179,7 @@ def _of_exr(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]:
     return planes + ([channels["A"]] if "A" in channels else [])
 
 
-def _of_one_layer(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _layer_channels(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return channels without a layer; else those of the only layer of colours, or Blender's."""
     if "R" in channels or "Y" in channels:
         return channels
@@ -248,7 +248,7 @@ def _jpeg(path: Path) -> Any:
         return JpegImageFile(path)
 
 
-def positive(
+def clamp_negative(
     pixels: np.ndarray, label: str, error: type[SvuError] = CaptureError
 ) -> tuple[np.ndarray, list[str]]:
     """Set negative pixels to 0; filters and conversions of colour leave some.

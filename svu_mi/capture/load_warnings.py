@@ -42,7 +42,7 @@ POINTS, EYES = 400, 32  # that are looked at, and from
 OFFSET = 1e-4  # of the object's size, that rays start above the surface
 
 
-def judged(
+def check_photographs(
     photographs: Sequence[Photograph], paths: Sequence[Path | None], names: Sequence[str], *,
     some: bool,
 ) -> tuple[list[str], tuple[bool, ...]]:  # fmt: skip
@@ -89,18 +89,18 @@ def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
     return f"{path.parent}: {len(group)} of {count} photographs ({some}{rest})"
 
 
-def ignored(scene: Any, target: Any) -> list[str]:
+def unsupported(scene: Any, target: Any) -> list[str]:
     """Return a sentence about what the object's material has, and one about other shapes."""
     notes = []
     if features := list(dict.fromkeys(_of_material(target.bsdf()))):
         notes.append(
-            f"Shape '{excerpt(target.id())}' has {_and(features)}, which svu does not account for: "
-            "if the photographs show that, roughness and base colour will be off."
+            f"Shape '{excerpt(target.id())}' has {_listed(features)}, which svu does not account "
+            "for: if the photographs show that, roughness and base colour will be off."
         )
     others = [shape for shape in scene.shapes() if not is_same(shape, target)]
     near = [shape for shape in others if _extent(shape, target) > SMALL]
     if bright := [_name(shape) for shape in near if not _is_black(shape.bsdf())]:
-        names = _and(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
+        names = _listed(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
         notes.append(
             f"Light reflected by {names} falls on '{excerpt(target.id())}', which svu does not "
             "account for: base colours near there will be too bright; put something black around "
@@ -158,25 +158,25 @@ def _name(shape: Any) -> str:
     return f"'{excerpt(shape.id())}'" if shape.id() else f"without an id ({shape.class_name()})"
 
 
-def _and(words: list[str]) -> str:
+def _listed(words: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def seen_from_behind(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[str]:
+def warn_of_back_faces(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[str]:
     """Say that the cameras see mostly the back of an object, if they do."""
     mesh = arrays(shape)
-    behind = part_from_behind(scene, mesh, [to_world(each)[:3, 3] for each in sensors])
+    behind = back_face_share(scene, mesh, [to_world(each)[:3, 3] for each in sensors])
     if behind < MOST:
         return []
     why = ", where nothing is found; its normals point the wrong way: set flip_normals on the shape"
-    if has_front_outside(mesh):
+    if faces_outward(mesh):
         inside = "it is closed, so the cameras are inside it"
         why = f"; {inside}: see that its units are those of the poses"
     what = f"{behind:.0%} of what the photographs show of it is its back"
     return [f"Shape '{shape.id()}': {what}{why}."]
 
 
-def has_front_outside(mesh: MeshArrays) -> bool:
+def faces_outward(mesh: MeshArrays) -> bool:
     """Return whether a surface is closed, and its front is where its volume is not."""
     if not is_closed(mesh):
         return False
@@ -187,7 +187,7 @@ def has_front_outside(mesh: MeshArrays) -> bool:
     return bool(volume > 0)
 
 
-def part_from_behind(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -> float:
+def back_face_share(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -> float:
     """Return how much of what is seen of a surface is its back, in [0, 1], by apparent area."""
     cross = mesh.crosses
     if not cross.any() or not len(eyes):

@@ -16,10 +16,10 @@ from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.crop import WHOLE, Detail, Window
-from svu_mi.capture.image_io import Picture
-from svu_mi.capture.load_warnings import ignored, judged, seen_from_behind
+from svu_mi.capture.image_io import ImageFile
+from svu_mi.capture.load_warnings import check_photographs, unsupported, warn_of_back_faces
 from svu_mi.capture.match_photographs import Match, Missing, match_photographs, photographs_of
-from svu_mi.capture.mesh import covered_by_charts, has_uvs
+from svu_mi.capture.mesh import chart_coverage, has_uvs
 from svu_mi.capture.photographs import open_photographs, read_photographs
 from svu_mi.capture.pixel_buffer import room_for_photographs
 from svu_mi.capture.scene import (
@@ -30,7 +30,7 @@ from svu_mi.capture.scene import (
     require_variant,
 )
 from svu_mi.capture.sensors import LARGEST, film_size
-from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
+from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.core.io.provenance import require_no_result
 from svu_mi.core.memory import Size, Sizes
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
@@ -187,7 +187,7 @@ class CapturePlan:
     description: Description
     match: Match
     paths: Sequence[Path | None]
-    pictures: Mapping[int, Picture]
+    pictures: Mapping[int, ImageFile]
     windows: Sequence[Window]
     exposures: Sequence[float]
     unwrap: bool
@@ -197,7 +197,7 @@ class CapturePlan:
         """Return how large everything is, with photographs in ``memory`` bytes (``read``)."""
         return Sizes(
             [self.windows[view].size for view in self.pictures], map_size(self.light),
-            1.0 if self.unwrap else covered_by_charts(self.target), self.light is not None,
+            1.0 if self.unwrap else chart_coverage(self.target), self.light is not None,
             stored=[picture.size for picture in self.pictures.values()],
             memory=self._room(memory), asked=memory is not None,
         )  # fmt: skip
@@ -218,10 +218,10 @@ class CapturePlan:
         if len(self.description.photographs) == len(names):  # else capture.json was edited
             names = [excerpt(name) for name in self.description.photographs]
         sensors = [w.seen_by(each) for w, each in zip(self.windows, self.sensors, strict=True)]
-        notes, used = judged(photographs, self.paths, names, some=self.partial)
+        notes, used = check_photographs(photographs, self.paths, names, some=self.partial)
         mesh, unwrapping = _texel_mesh(self.target, self.unwrap, self.folder)
-        notes = [*self.match.notes, *notes, *unwrapping, *ignored(self.scene, self.target)]
-        notes += seen_from_behind(self.scene, self.target, sensors)
+        notes = [*self.match.notes, *notes, *unwrapping, *unsupported(self.scene, self.target)]
+        notes += warn_of_back_faces(self.scene, self.target, sensors)
         for sentence in notes:
             warnings.warn(sentence, SvuWarning, stacklevel=3)
         return Capture(
@@ -328,4 +328,4 @@ def _texel_mesh(shape: Any, unwrap: bool, folder: Path) -> tuple[Any, list[str]]
         return shape, []
     reason = "is unwrapped again, as requested" if has_uvs(shape) else "has no UVs"
     where = f"UVs are laid out by xatlas; they are kept in {folder / UNWRAPPED}."
-    return unwrapped(shape, folder), [f"Shape '{shape.id()}' {reason}: {where}"]
+    return unwrap_cached(shape, folder), [f"Shape '{shape.id()}' {reason}: {where}"]

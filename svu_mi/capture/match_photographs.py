@@ -60,7 +60,7 @@ def match_photographs(
         raise CaptureError(
             f"{folder}: no such folder; --images needs the one that holds view_0000.exr, ..."
         )
-    pictures = _pictures(folder)
+    pictures = _image_files(folder)
     numbers = [f"{VIEW}{index:04d}" for index in range(len(ids))]
     stems = {path.stem for path in pictures}
     if not stems.isdisjoint(numbers):
@@ -89,7 +89,7 @@ def photographs_of(path: Path, ids: Collection[str] = ()) -> Path:
     beside = path.parent / "images"
     if has_photographs(beside) or (beside / FILE).is_file():
         return beside
-    by_id = beside.is_dir() and not {picture.stem for picture in _pictures(beside)}.isdisjoint(ids)
+    by_id = beside.is_dir() and not {file.stem for file in _image_files(beside)}.isdisjoint(ids)
     return beside if by_id and not has_photographs(path.parent) else path.parent
 
 
@@ -104,7 +104,7 @@ def masks_of(stem: str) -> tuple[str, ...]:
     return (*numbered, f"{MASK}{stem}", f"{stem}_mask")
 
 
-def _pictures(folder: Path) -> list[Path]:
+def _image_files(folder: Path) -> list[Path]:
     """Return the pictures of a folder without masks and hidden files, in their natural order."""
     paths = [
         path for path in folder.iterdir()
@@ -124,14 +124,14 @@ def _by_name(
     folder: Path, expected: Sequence[str], pictures: Iterable[Path], missing: Missing
 ) -> Match:
     """Give each sensor the picture with its name."""
-    by_name = _once(folder, pictures)
+    by_name = _by_stem(folder, pictures)
     if absent := [name for name in expected if name not in by_name]:
         lack = (
             f"{folder}: {len(absent)} of {len(expected)} photographs are missing, first "
             f"{absent[0]}.exr"
         )
         if len(absent) == len(expected):
-            error = NoPhotographsError(f"{lack}; {_instead(folder)}.")
+            error = NoPhotographsError(f"{lack}; {_remedy(folder)}.")
             error.sensors = len(expected)
             raise error
         if missing == "refuse":
@@ -147,9 +147,9 @@ def _by_name(
     return Match([by_name.get(name) for name in expected], names, [])
 
 
-def _instead(folder: Path) -> str:
+def _remedy(folder: Path) -> str:
     """Say what a folder holds that has no photograph, and what to do."""
-    if _pictures(folder):
+    if _image_files(folder):
         return (
             "no picture there has such a name: put the photographs into a folder of their own, "
             "and give it with --images"
@@ -167,7 +167,7 @@ def _in_order(
     folder: Path, ids: Sequence[str], pictures: Sequence[Path], missing: Missing
 ) -> Match:
     """Give each sensor one of as many pictures, by their order."""
-    _once(folder, pictures)
+    _by_stem(folder, pictures)
     if len(pictures) != len(ids):
         leaves_out = missing == "leave-out" and len(pictures) < len(ids)
         raise CaptureError(
@@ -185,7 +185,7 @@ def _in_order(
     return Match(list(pictures), [path.name for path in pictures], [note])
 
 
-def _once(folder: Path, pictures: Iterable[Path]) -> dict[str, Path]:
+def _by_stem(folder: Path, pictures: Iterable[Path]) -> dict[str, Path]:
     """Return pictures by their names without suffix."""
     by_name: dict[str, Path] = {}
     for path in sorted(pictures, key=lambda path: (path.stem, path.name)):

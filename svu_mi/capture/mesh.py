@@ -129,13 +129,13 @@ def read_ply(path: Path) -> MeshArrays:
     try:
         loaded: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": True})
     except READING as error:
-        raise MeshError(f"{path}: cannot be read: {refusal(error)}") from error
+        raise MeshError(f"{path}: cannot be read: {mesh_error(error)}") from error
     if problem := missing_corner(loaded):
         raise MeshError(f"{path}: {problem}")
     return arrays(loaded)
 
 
-def covered_by_charts(mesh: Any) -> float:
+def chart_coverage(mesh: Any) -> float:
     """Return the part of its texture that the UV charts of a ``mi.Mesh`` cover at most, in [0, 1];
     1 without UVs."""
     loaded = arrays(mesh)
@@ -145,7 +145,7 @@ def covered_by_charts(mesh: Any) -> float:
     return float(min(MARGIN * area, 1)) if np.isfinite(area) else 1.0
 
 
-def refusal(error: Exception) -> str:
+def mesh_error(error: Exception) -> str:
     """Return why Mitsuba refuses a mesh file, without the places in its code."""
     text = " ".join(str(error).split()).split('plugin of type "', 1)[-1].split('": ', 1)[-1]
     return excerpt(re.sub(r"\[\w+(\.\w+:\d+)?\] ", "", text)).rstrip(".!")
@@ -154,7 +154,7 @@ def refusal(error: Exception) -> str:
 def write_ply(path: Path, name: str, mesh: MeshArrays, comment: str = "") -> None:
     """Write a mesh as PLY, atomically."""
     stream = mi.MemoryStream()  # to a file on a full disk, Mitsuba loses the last bytes in silence
-    make(name, mesh).write_ply(stream)
+    make_mesh(name, mesh).write_ply(stream)
     data = stream.raw_buffer()[: stream.size()]
     lines = "".join(f"comment {line}\n" for line in (comment, mark_text()) if line)
     head, mark, rest = data.partition(b"element ")
@@ -163,7 +163,7 @@ def write_ply(path: Path, name: str, mesh: MeshArrays, comment: str = "") -> Non
         temporary.write_bytes(data)
 
 
-def make(name: str, mesh: MeshArrays) -> Any:
+def make_mesh(name: str, mesh: MeshArrays) -> Any:
     """Build a ``mi.Mesh`` from arrays."""
     uvs, normals = mesh.uvs, mesh.normals
     has = {"has_vertex_normals": normals is not None, "has_vertex_texcoords": uvs is not None}

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi.capture.crop import Window
-from svu_mi.capture.image_io import SUFFIXES, Picture, decoded, open_picture, read_planes
+from svu_mi.capture.image_io import SUFFIXES, ImageFile, decoded, open_image, read_planes
 from svu_mi.capture.match_photographs import masks_of
 from svu_mi.capture.pixel_buffer import PixelBuffer
-from svu_mi.capture.quantization import Clipped, Rounding
+from svu_mi.capture.quantization import Rounding, Saturation
 from svu_mi.core.io.provenance import RUN
 from svu_mi.core.memory import STORED, Size, decoders
 from svu_mi.core.validation import require_photographs
@@ -45,7 +45,7 @@ class Photograph:
         saturated: number of clipped pixels of a photograph of integers.
         bits: 8 or 16 for a photograph of integers, which is not HDR; 0 for floats.
         black: True where no usable pixel holds any light.
-        remarks: what the file says about itself that is not followed (``Picture.remarks``).
+        remarks: what the file says about itself that is not followed (``ImageFile.remarks``).
         run: id of the run that wrote the file; empty = it is not known.
     """
 
@@ -58,22 +58,22 @@ class Photograph:
     black: bool = True
     remarks: tuple[str, ...] = ()
     run: str = ""
-    clipped: Clipped | None = None
+    clipped: Saturation | None = None
     rounding: Rounding | None = None
 
 
-def open_photographs(paths: Sequence[Path | None], films: Sequence[Size]) -> dict[int, Picture]:
+def open_photographs(paths: Sequence[Path | None], films: Sequence[Size]) -> dict[int, ImageFile]:
     """Read the headers of photographs, by view; views without a path are left out."""
-    pictures: dict[int, Picture] = {}
+    pictures: dict[int, ImageFile] = {}
     for view, (path, film) in enumerate(zip(paths, films, strict=True)):
         if path is not None:
-            pictures[view] = open_picture(path)
+            pictures[view] = open_image(path)
             _require_size(path, pictures[view].size, film)  # films may promise any size
     return pictures
 
 
 def read_photographs(
-    pictures: Mapping[int, Picture], windows: Sequence[Window], exposures: Sequence[float],
+    pictures: Mapping[int, ImageFile], windows: Sequence[Window], exposures: Sequence[float],
     memory: float = inf,
 ) -> tuple[list[Photograph], PixelBuffer]:  # fmt: skip
     """Read photographs and their masks, on as many threads as Dr.Jit has and memory allows.
@@ -105,7 +105,7 @@ def read_photographs(
 
 
 def _read_photograph(
-    picture: Picture, window: Window, exposure: float,
+    picture: ImageFile, window: Window, exposure: float,
     pixels: np.ndarray, masked: np.ndarray, channels: np.ndarray,
 ) -> Photograph:  # fmt: skip
     """Read one photograph into arrays (H, W, ...) of a buffer."""
@@ -121,7 +121,7 @@ def _read_photograph(
     masked[:] = True if mask is None else window.joined(mask, np.logical_and)
     clipped = None
     if channels.any():
-        clipped = Clipped(channels, np.full(3, np.float32(least) / np.float32(exposure)))
+        clipped = Saturation(channels, np.full(3, np.float32(least) / np.float32(exposure)))
     rounding = Rounding.of(bits) if bits else _steps(picture)
     return Photograph(
         pixels=pixels, mask=None if mask is None else masked, invalid=invalid,
@@ -137,7 +137,7 @@ Found = tuple[int, int, int, bool, float]
 
 
 def _read_integers(
-    picture: Picture, planes: Sequence[np.ndarray], window: Window, exposure: float,
+    picture: ImageFile, planes: Sequence[np.ndarray], window: Window, exposure: float,
     pixels: np.ndarray, channels: np.ndarray,
 ) -> Found:  # fmt: skip
     """Decode sRGB integers by a table. Channels that are clipped become NaN; of a block that is
@@ -159,7 +159,7 @@ def _read_integers(
 
 
 def _read_floats(
-    picture: Picture, planes: Sequence[np.ndarray], window: Window, exposure: float,
+    picture: ImageFile, planes: Sequence[np.ndarray], window: Window, exposure: float,
     pixels: np.ndarray, channels: np.ndarray,
 ) -> Found:  # fmt: skip
     """Take linear values. What holds no radiance becomes NaN, and so does what an import has marked
@@ -171,7 +171,7 @@ def _read_floats(
     if least is not None:
         over = color == np.float32(CLIPPED)
         color[over] = np.nan
-        clipped = Clipped.of(over, least)
+        clipped = Saturation.of(over, least)
     invalid, marked, black = _mark(color, exposure, clipped)
     if window.shrink > 1:
         for channel in range(3):
@@ -183,7 +183,7 @@ def _read_floats(
     return invalid - marked, marked, saturated, black, least or 0.0
 
 
-def _mask_of(picture: Picture, planes: Sequence[np.ndarray], window: Window) -> np.ndarray | None:
+def _mask_of(picture: ImageFile, planes: Sequence[np.ndarray], window: Window) -> np.ndarray | None:
     """Return the mask of what is kept of a photograph, before it is made smaller."""
     if len(planes) > 3:
         alpha = picture.scaled(planes[3]) if picture.bits else planes[3]
@@ -203,13 +203,13 @@ def _require_size(path: Path, size: Sequence[int], film: Sequence[int]) -> None:
         )
 
 
-def _steps(picture: Picture) -> Rounding | None:
+def _steps(picture: ImageFile) -> Rounding | None:
     """Return the steps of the integers that an import has made a photograph of; None of floats."""
     first, last = (_positive(picture, name) for name in (FIRST_STEP, LAST_STEP))
     return None if first is None or last is None else Rounding.between(first, last)
 
 
-def _positive(picture: Picture, name: str) -> float | None:
+def _positive(picture: ImageFile, name: str) -> float | None:
     """Return an attribute that is a positive number; None if it is not there, or something else."""
     try:
         value = float(picture.header.attributes.get(name, np.nan))
@@ -218,7 +218,7 @@ def _positive(picture: Picture, name: str) -> float | None:
     return value if 0 < value < np.inf else None
 
 
-def _mark(color: np.ndarray, exposure: float, clipped: Clipped | None) -> tuple[int, int, bool]:
+def _mark(color: np.ndarray, exposure: float, clipped: Saturation | None) -> tuple[int, int, bool]:
     """Divide by the exposure and set pixels that hold no radiance to NaN, in place.
 
     Returns:

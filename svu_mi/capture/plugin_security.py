@@ -48,7 +48,7 @@ def pin_own_plugins() -> frozenset[str]:
     files = map(Path, _names(folder / FOLDER))
     names = frozenset(file.stem for file in files if file.suffix in SUFFIXES)
     manager = mi.PluginManager.instance()
-    with searching(str(folder)):
+    with search_folder_first(str(folder)):
         for name in sorted(names):
             with contextlib.suppress(RuntimeError):  # one that cannot run here
                 manager.plugin_type(name)
@@ -87,7 +87,7 @@ def _searched_folders() -> list[Path]:
 
 
 @contextlib.contextmanager
-def searching(folder: str) -> Iterator[None]:
+def search_folder_first(folder: str) -> Iterator[None]:
     """Let Mitsuba look for files in a folder first, as ``mi.load_file`` does for the scene's.
 
     ``<path>`` tags extend the search, too; all of that ends with the block.

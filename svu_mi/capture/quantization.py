@@ -14,7 +14,7 @@ CURVE = 1.4 / 2.4  # exponent of how the steps of sRGB grow with radiance, above
 
 
 @dataclass(frozen=True)
-class Clipped:
+class Saturation:
     """The clipped channels of one photograph.
 
     Attributes:
@@ -26,17 +26,17 @@ class Clipped:
     least: np.ndarray
 
     @staticmethod
-    def of(over: np.ndarray, least: float) -> Clipped:
+    def of(over: np.ndarray, least: float) -> Saturation:
         """Take flags (H, W, 3), and what all channels are at least."""
         bits = np.array([1, 2, 4], np.uint8)
-        return Clipped((over * bits).sum(axis=-1, dtype=np.uint8), np.full(3, least, np.float32))
+        return Saturation((over * bits).sum(axis=-1, dtype=np.uint8), np.full(3, least, np.float32))
 
     @property
     def flags(self) -> np.ndarray:
         """(H, W, 3) bool."""
         return (self.channels[..., None] & np.array([1, 2, 4], np.uint8)) > 0
 
-    def divided(self, gain: np.ndarray | np.floating) -> Clipped:
+    def divided(self, gain: np.ndarray | np.floating) -> Saturation:
         """Return what it is of a photograph without its gain, of all channels or of each."""
         return replace(self, least=(self.least / gain).astype(np.float32))
 

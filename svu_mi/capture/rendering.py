@@ -18,9 +18,9 @@ from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.content_hash import integrator_key, scene_key
-from svu_mi.capture.film_rays import Pictures
+from svu_mi.capture.film_rays import SensorPixels
 from svu_mi.capture.loading import map_size, plan_photographs
-from svu_mi.capture.mesh import covered_by_charts
+from svu_mi.capture.mesh import chart_coverage
 from svu_mi.capture.scene import (
     find_environment,
     find_sensors,
@@ -116,7 +116,7 @@ class RenderPlan:
     @property
     def sizes(self) -> Sizes:
         """How large everything is."""
-        charts = 1.0 if self.unwrap else covered_by_charts(self.target)
+        charts = 1.0 if self.unwrap else chart_coverage(self.target)
         return Sizes([film_size(sensor) for sensor in self.sensors], map_size(self.light), charts)
 
     def render(
@@ -271,4 +271,4 @@ def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:
 
 def object_mask(scene: Any, target: Any, sensor: Any) -> np.ndarray:
     """Return (H, W) float32: the part of each pixel that the target covers, unoccluded."""
-    return Pictures([sensor]).covered(scene, target)[0]
+    return SensorPixels([sensor]).covered(scene, target)[0]

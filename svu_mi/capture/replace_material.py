@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.mesh import arrays, make
+from svu_mi.capture.mesh import arrays, make_mesh
 from svu_mi.parameters import NAMES, PARAMETERS
 
 
@@ -40,7 +40,7 @@ def constant_parameters(shape: Any) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Repainted:
+class RepaintedScene:
     """A scene of its own; it shares the emitters and the other shapes with the capture's.
 
     Attributes:
@@ -52,17 +52,17 @@ class Repainted:
     shape: Any
 
 
-def repaint(capture: Capture, material: Any, mesh: Any = None) -> Repainted:
+def replace_material(capture: Capture, material: Any, mesh: Any = None) -> RepaintedScene:
     """Copy the object, give the copy a material, and put it in the place of the object."""
-    shape = make(capture.shape.id(), arrays(capture.mesh if mesh is None else mesh))
-    shape.set_bsdf(_as_sided_as(capture.shape.bsdf(), material))
+    shape = make_mesh(capture.shape.id(), arrays(capture.mesh if mesh is None else mesh))
+    shape.set_bsdf(_with_sides_of(capture.shape.bsdf(), material))
     # An area light belongs to its shape and comes with it.
     lights = [e for e in capture.scene.emitters() if e.is_environment()]
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
-    return Repainted(scene=scene_of([shape, *lights, *others]), shape=shape)
+    return RepaintedScene(scene=make_scene([shape, *lights, *others]), shape=shape)
 
 
-def scene_of(objects: Sequence[Any]) -> Any:
+def make_scene(objects: Sequence[Any]) -> Any:
     """Make a scene of live shapes and emitters, which may be in other scenes, too."""
     names = [thing.id() for thing in objects]
     parts = {f"part_{index}": thing for index, thing in enumerate(objects)}
@@ -82,7 +82,7 @@ def is_two_sided(bsdf: Any) -> bool:
     return bsdf is not None and "TwoSided" in bsdf.class_name()
 
 
-def _as_sided_as(bsdf: Any, material: Any) -> Any:
+def _with_sides_of(bsdf: Any, material: Any) -> Any:
     if not is_two_sided(bsdf):
         return material
     return mi.load_dict({"type": "twosided", "material": material})

@@ -17,7 +17,7 @@ from svu_mi.capture.plugin_security import (
     pin_own_plugins,
     refuse_foreign,
     require_own_plugins,
-    searching,
+    search_folder_first,
 )
 from svu_mi.capture.scene_files import check_files, check_xml
 from svu_mi.core.threads import ensure_threads
@@ -70,7 +70,7 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
     # Merging would lose the ids of equal textures and meshes.
     config.merge_equivalent = config.merge_meshes = False
     ensure_threads()
-    with searching(os.path.dirname(path)):
+    with search_folder_first(os.path.dirname(path)):
         try:
             check_xml(path, defines)
             state = mi.parser.parse_file(config, str(path), **defines)

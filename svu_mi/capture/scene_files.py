@@ -16,7 +16,7 @@ from xml.parsers import expat
 
 import mitsuba as mi
 
-from svu_mi.capture.mesh import READING, missing_corner, refusal
+from svu_mi.capture.mesh import READING, mesh_error, missing_corner
 from svu_mi.core.validation import require_views
 from svu_mi.errors import SceneError, excerpt
 
@@ -39,8 +39,8 @@ def check_xml(path: Path, defines: Mapping[str, str]) -> None:
         reader = _Reader(file, parameters)
         sensors += reader.sensors
         for name in reader.others:
-            require_file(_found(name, file), path)
-        waiting += [_found(name, file) for name in reader.includes]
+            require_file(_resolve(name, file), path)
+        waiting += [_resolve(name, file) for name in reader.includes]
     require_views(sensors, f"{path}: sensors", SceneError)
 
 
@@ -52,7 +52,7 @@ def require_file(file: Path, label: str | Path) -> None:
         )
 
 
-def _found(name: str, file: Path) -> Path:
+def _resolve(name: str, file: Path) -> Path:
     """Return the file of a name: beside the one that names it, or where Mitsuba looks."""
     beside = file.parent / name
     return beside if exists(beside) else Path(str(mi.file_resolver().resolve(name)))
@@ -134,7 +134,7 @@ def _check_mesh(settings: dict[str, Any], label: str) -> None:
         mesh: Any = mi.load_dict({**settings, "face_normals": True})
     except READING as error:
         raise SceneError(
-            f"{label}: cannot be read: {refusal(error)}; export the mesh again."
+            f"{label}: cannot be read: {mesh_error(error)}; export the mesh again."
         ) from error
     if problem := missing_corner(mesh):
         raise SceneError(f"{label}: {problem}; export the mesh again.")

@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture import image_io as pictures
 from svu_mi.capture import mesh as meshes
-from svu_mi.capture.film_rays import evenly, pixel_rays, table_of
+from svu_mi.capture.film_rays import pixel_rays, ray_table, stratified
 from svu_mi.capture.sensors import film_size, projected, scaled_sensor
 from svu_mi.core.arrays import to_drjit
 
@@ -22,7 +22,7 @@ MANY = 2**17  # vertices that take longer to look at than the rays beside the ob
 AMBIENT = 0.35  # brightness of a surface that is seen edge on
 
 
-def exposure(photograph: np.ndarray, mask: np.ndarray | None = None) -> float:
+def white_radiance(photograph: np.ndarray, mask: np.ndarray | None = None) -> float:
     """Return the radiance that becomes white when a photograph is exposed for its object.
 
     Arguments are those of ``tone_mapped``.
@@ -42,7 +42,7 @@ def tone_mapped(
     Returns:
         (H, W, 3) float32 in [0, 1].
     """
-    linear = photograph / (exposure(photograph, mask) if white is None else white)
+    linear = photograph / (white_radiance(photograph, mask) if white is None else white)
     return srgb(np.clip(linear, 0, 1))
 
 
@@ -52,7 +52,7 @@ def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     if (width, height) == size:
         return np.array(photograph)
     if width % size[0] == 0 and height % size[1] == 0:
-        return shrunk(photograph, width // size[0], height // size[1])
+        return block_means(photograph, width // size[0], height // size[1])
     unusable = ~np.isfinite(photograph).all(axis=2, keepdims=True)
     planes = np.concatenate([np.where(unusable, 0, photograph), unusable], axis=2)
     bitmap = mi.Bitmap(np.ascontiguousarray(planes, np.float32)).resample(mi.ScalarVector2u(size))
@@ -60,7 +60,7 @@ def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.where(np.abs(small[..., 3:]) > 1e-3, np.nan, np.maximum(small[..., :3], 0))
 
 
-def shrunk(photograph: np.ndarray, across: int, down: int) -> np.ndarray:
+def block_means(photograph: np.ndarray, across: int, down: int) -> np.ndarray:
     """Return means of so many pixels across and down; those left over at the ends are cut off."""
     height, width = photograph.shape[0] // down, photograph.shape[1] // across
     means = np.zeros((height, width, photograph.shape[2]), np.float32)
@@ -77,7 +77,7 @@ def srgb(linear: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Look:
+class ObjectView:
     """What a sensor sees of an object: traced once, for any number of textures.
 
     Attributes:
@@ -93,8 +93,8 @@ class Look:
     covered: np.ndarray
 
     @staticmethod
-    def of(scene: Any, sensor: Any) -> Look:
-        """Trace the rays of a sensor, a few to a pixel, in a scene as of ``alone``."""
+    def of(scene: Any, sensor: Any) -> ObjectView:
+        """Trace the rays of a sensor, a few to a pixel, in a scene as of ``object_only_scene``."""
         width, height = film_size(sensor)
         rows, columns = window = _window(_outline(scene.shapes()[0]), sensor)
         shape = rows.stop - rows.start, columns.stop - columns.start
@@ -102,7 +102,7 @@ class Look:
         pixel = dr.arange(mi.UInt32, shape[0] * shape[1])
         row = pixel // across
         place = dr.zeros(mi.UInt32, dr.width(pixel)), top + row, left + pixel - row * across
-        ray = pixel_rays(table_of([sensor]), place, SAMPLES**2, evenly(SAMPLES))
+        ray = pixel_rays(ray_table([sensor]), place, SAMPLES**2, stratified(SAMPLES))
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         hit = si.is_valid()
         # Darker where the surface turns away, so that its form can be seen.
@@ -112,12 +112,12 @@ class Look:
         part = dr.block_sum(dr.select(shade > 0, mi.Float(1), 0), SAMPLES**2) / SAMPLES**2
         covered = np.zeros((height, width), np.float32)
         covered[window] = part.numpy().reshape(shape)
-        return Look(window, uv, shade, covered)
+        return ObjectView(window, uv, shade, covered)
 
     @staticmethod
-    def at(scene: Any, sensor: Any, side: int = SIDE) -> Look:
+    def at(scene: Any, sensor: Any, side: int = SIDE) -> ObjectView:
         """Trace the rays of a sensor whose picture has at most so many pixels on a side."""
-        return Look.of(scene, scaled_sensor(sensor, side))
+        return ObjectView.of(scene, scaled_sensor(sensor, side))
 
     def painted(self, texture: np.ndarray) -> np.ndarray:
         """Show a texture on the object, slightly shaded.
@@ -177,10 +177,10 @@ def _window(points: np.ndarray, sensor: Any) -> tuple[slice, slice]:
     return slice(top, bottom), slice(left, right)
 
 
-def alone(capture: Any) -> Any:
+def object_only_scene(capture: Any) -> Any:
     """Return a scene of the capture's ``mesh`` and nothing else."""
     return mi.load_dict(
         # A copy: a live shape belongs to one scene, and the capture's may have no UVs.
-        {"type": "scene", "object": meshes.make("object", meshes.arrays(capture.mesh))},
+        {"type": "scene", "object": meshes.make_mesh("object", meshes.arrays(capture.mesh))},
         optimize=False,
     )

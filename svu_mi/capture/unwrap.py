@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import xatlas
 
-from svu_mi.capture.mesh import MeshArrays, arrays, make, read_ply, write_ply
+from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh, read_ply, write_ply
 from svu_mi.core.io.files import clear_temporaries
 from svu_mi.errors import MeshError
 
@@ -29,7 +29,7 @@ def unwrap(mesh: Any, label: str = "") -> Any:
     """Return a copy of a mesh with new, non-overlapping UVs.
 
     The atlas differs between xatlas versions, so whoever needs the same texels twice
-    saves the result (``unwrapped``).
+    saves the result (``unwrap_cached``).
     """
 
     source, label = arrays(mesh), label or f"Shape '{mesh.id()}'"
@@ -49,13 +49,13 @@ def unwrap(mesh: Any, label: str = "") -> Any:
             "it again."
         )
     normals = None if source.normals is None else source.normals[vmap]
-    return make(
+    return make_mesh(
         mesh.id(),
         MeshArrays(source.positions[vmap], faces.astype(np.int64), normals, uvs.astype(np.float64)),
     )
 
 
-def unwrapped(mesh: Any, folder: Path | None) -> Any:
+def unwrap_cached(mesh: Any, folder: Path | None) -> Any:
     """Unwrap a mesh, or take the UVs that an earlier run left in the capture's folder.
 
     A file that belongs to another mesh, that was changed, or that is damaged is made again, with
@@ -64,7 +64,7 @@ def unwrapped(mesh: Any, folder: Path | None) -> Any:
     path, source = None if folder is None else folder / UNWRAPPED, arrays(mesh)
     if path is not None and path.exists():
         try:
-            return make(mesh.id(), _saved(path, source))
+            return make_mesh(mesh.id(), _saved(path, source))
         except MeshError as error:
             log.warning("%s; the mesh is unwrapped again.", error)
     made = unwrap(mesh)

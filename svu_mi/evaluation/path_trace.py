@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.replace_material import repaint
+from svu_mi.capture.replace_material import replace_material
 from svu_mi.parameters import PARAMETERS
 
 LANES = 1 << 20  # paths in memory at a time
@@ -68,7 +68,7 @@ class UniformScene:
             for p in PARAMETERS.values()
         }
         material = mi.load_dict({"type": "principled", "specular": 0.5} | middle)
-        made = repaint(capture, material, capture.shape)
+        made = replace_material(capture, material, capture.shape)
         return UniformScene(scene=made.scene, shape=made.shape, params=mi.traverse(material))
 
     def paint(self, psi: Mapping[str, float]) -> None:

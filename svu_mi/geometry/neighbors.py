@@ -78,14 +78,14 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     Texels adjacent in the UV map are neighbours, unless they are over two texels apart in space or
     have opposite normals. At chart edges, the texel nearest to the extrapolated position is used.
     """
-    right, down = _in_the_map(texels)
+    right, down = _grid_pairs(texels)
     if mesh is None:
         return Neighbors.of(np.concatenate([right, down]), texels.count)
-    surface = _Surface.of(texels, mesh)
+    surface = _TexelFrames.of(texels, mesh)
     right = right[surface.near(right, surface.steps[0])]
     down = down[surface.near(down, surface.steps[1])]
     inside = np.concatenate([right, down])
-    across = _across_seams(surface, right, down)
+    across = _seam_pairs(surface, right, down)
     return Neighbors.of(np.concatenate([inside, across]), texels.count, len(across))
 
 
@@ -118,7 +118,7 @@ def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state:
 
 
 @dataclass(frozen=True)
-class _Surface:
+class _TexelFrames:
     """Positions, normals and steps of texels, in float64.
 
     Attributes:
@@ -130,7 +130,7 @@ class _Surface:
     steps: tuple[np.ndarray, np.ndarray]
 
     @classmethod
-    def of(cls, texels: Texels, mesh: Any) -> _Surface:
+    def of(cls, texels: Texels, mesh: Any) -> _TexelFrames:
         source = arrays(mesh)
         assert source.uvs is not None
         corner, uv = source.positions[source.faces], source.uvs[source.faces]
@@ -164,7 +164,7 @@ def _length(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
-def _in_the_map(texels: Texels) -> tuple[np.ndarray, np.ndarray]:
+def _grid_pairs(texels: Texels) -> tuple[np.ndarray, np.ndarray]:
     """Return pairs (P, 2) of texels side by side, and of texels one above the other."""
     width, height = texels.resolution
     index = texels.index.numpy().astype(np.int64)
@@ -178,10 +178,10 @@ def _in_the_map(texels: Texels) -> tuple[np.ndarray, np.ndarray]:
     return result[0], result[1]
 
 
-def _across_seams(surface: _Surface, right: np.ndarray, down: np.ndarray) -> np.ndarray:
+def _seam_pairs(surface: _TexelFrames, right: np.ndarray, down: np.ndarray) -> np.ndarray:
     """Return pairs (P, 2) of texels that meet at a seam."""
     count = len(surface.position)
-    start, way = _loose_ends(surface, right, down)
+    start, way = _chart_borders(surface, right, down)
     border = np.unique(start)
     if len(border) < 2:
         return np.empty((0, 2), np.int64)
@@ -196,18 +196,18 @@ def _across_seams(surface: _Surface, right: np.ndarray, down: np.ndarray) -> np.
     scale = np.maximum(_length(way)[:, None], longest[other])
     usable = surface.alike(here, other) & ((gap * way[:, None]).sum(axis=-1) > 0)
     usable &= (_length(gap) <= REACH * scale) & (distance <= scale)
-    usable &= ~_reached(count, np.concatenate([right, down]), border, here, other)
+    usable &= ~_within_steps(count, np.concatenate([right, down]), border, here, other)
     distance = np.where(usable, distance, np.inf)
     best = distance.argmin(axis=1)[:, None]
     nearest = np.take_along_axis(distance, best, axis=1)[:, 0]
     pairs = np.stack([start, np.take_along_axis(other, best, axis=1)[:, 0]], axis=-1)
     kept = np.isfinite(nearest)
     inside = np.bincount(np.concatenate([right, down]).ravel(), minlength=count)
-    return _thinned(np.sort(pairs[kept], axis=1), nearest[kept], MOST - inside)
+    return _limit_neighbors(np.sort(pairs[kept], axis=1), nearest[kept], MOST - inside)
 
 
-def _loose_ends(
-    surface: _Surface, right: np.ndarray, down: np.ndarray
+def _chart_borders(
+    surface: _TexelFrames, right: np.ndarray, down: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return texels (E,) without a neighbour on one side, and the way (E, 3) to that side."""
     starts, ways = [], []
@@ -221,7 +221,7 @@ def _loose_ends(
     return np.concatenate(starts), np.concatenate(ways)
 
 
-def _reached(
+def _within_steps(
     count: int, pairs: np.ndarray, border: np.ndarray, start: np.ndarray, other: np.ndarray
 ) -> np.ndarray:
     """Whether ``other`` is ``start`` or within a few steps of it without crossing a seam."""
@@ -239,7 +239,7 @@ def _reached(
     return np.asarray(near[rows, other.ravel()]).reshape(other.shape) > 0
 
 
-def _thinned(pairs: np.ndarray, distance: np.ndarray, room: np.ndarray) -> np.ndarray:
+def _limit_neighbors(pairs: np.ndarray, distance: np.ndarray, room: np.ndarray) -> np.ndarray:
     """Return unique pairs, nearest first, no more for any texel than it has room for."""
     pairs = pairs[np.argsort(distance, kind="stable")]
     pairs = pairs[np.sort(np.unique(pairs, axis=0, return_index=True)[1])]
@@ -257,7 +257,7 @@ def _place(owner: np.ndarray, order: np.ndarray) -> np.ndarray:
     return place
 
 
-def connected(around: Sequence[Any]) -> np.ndarray:
+def connected_components(around: Sequence[Any]) -> np.ndarray:
     """Return the connected piece of every texel, (T,) int64, given columns of neighbours."""
     columns = [np.array(column, np.int64) for column in around]
     count = len(columns[0])
@@ -267,20 +267,20 @@ def connected(around: Sequence[Any]) -> np.ndarray:
     return np.asarray(scipy.sparse.csgraph.connected_components(links, directed=False)[1], np.int64)
 
 
-def squares_of(texels: Texels) -> np.ndarray:
+def texel_squares(texels: Texels) -> np.ndarray:
     """Return row and column of T texels in the map, (T, 2) int64."""
     index, width = texels.index.numpy().astype(np.int64), texels.resolution[0]
     return np.stack(np.divmod(index, width), axis=1)
 
 
-def owners_of(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def occupied_squares(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the G squares that are taken, (G, 2), and which one each of T is in, (T,) int64."""
     width = int(squares[:, 1].max(initial=0)) + 1
     numbers, owner = np.unique(squares[:, 0] * width + squares[:, 1], return_inverse=True)
     return np.stack(np.divmod(numbers, width), axis=1), owner
 
 
-def grouped(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
+def group_neighbors(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
     """Return which groups of texels are next to each other, as ``Neighbors.around`` has them."""
     count = int(owner.max()) + 1
     numbers = []
@@ -292,14 +292,14 @@ def grouped(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
     return Neighbors.of(np.stack(pairs, axis=1), count).around
 
 
-def means(
+def group_means(
     values: np.ndarray, weights: np.ndarray, owner: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return weighted means of (N, T) values over groups, and sums of weights: (N, G) each."""
-    total = sums(weights, owner)
-    return sums(weights * values, owner) / total, total
+    total = group_sums(weights, owner)
+    return group_sums(weights * values, owner) / total, total
 
 
-def sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
+def group_sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
     """Return sums of values (N, T) over groups, (N, G), by the group (T,) that each texel is of."""
     return np.stack([np.bincount(owner, row) for row in values])

@@ -109,7 +109,7 @@ def black() -> Any:
     return dr.zeros(mi.Color3f)
 
 
-def interpolated(views: Views, pixels: list[Any], weights: list[Any], active: Any = True) -> Any:
+def interpolate(views: Views, pixels: list[Any], weights: list[Any], active: Any = True) -> Any:
     """Interpolate between four pixels; without any photograph there is no light."""
     total = black()
     if views.pixels is None:
@@ -163,7 +163,7 @@ def mean_over_texel(
 
     zeros = (mi.UInt32(0), mi.Float(0), black(), mi.Float(0), *([black()] if clipped else []))
     _, weight, total, squares, *parts = dr.while_loop(zeros, lambda tap, *_: tap < number, add)
-    alone = interpolated(views, *_bilinear(camera, x, y), seen & (weight == 0))
+    alone = interpolate(views, *_bilinear(camera, x, y), seen & (weight == 0))
     total, inverse = dr.select(weight > 0, total, alone), dr.rcp(dr.select(weight > 0, weight, 1))
     mean = inverse * total
     variance = dr.maximum(inverse * squares - dr.square(as_channels(mean, 1)[0]), 0)

@@ -16,7 +16,7 @@ import mitsuba as mi
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import (
     black,
-    interpolated,
+    interpolate,
     mean_over_texel,
     read_camera,
     taps_at,
@@ -152,7 +152,7 @@ def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = F
         seen = seen & free
         if views.outline is not None:
             seen = views.outline.encloses(views.scene, view, pixels[0], seen)
-        radiance = dr.select(seen, interpolated(views, pixels, weights, seen), 0)
+        radiance = dr.select(seen, interpolate(views, pixels, weights, seen), 0)
         return radiance, seen, *([] if views.clipped is None else [shown & free & ~seen])
 
     # Mitsuba's own spawn_ray offset has an absolute part, which drowns small meshes.

@@ -29,7 +29,7 @@ def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
     si = dr.zeros(mi.SurfaceInteraction3f, texels.count)
     si.uv = texels.uv
     parameters = {}
-    for name, values in attributes(bsdf, si).items():
+    for name, values in principled_attributes(bsdf, si).items():
         # A uniform texture gives one value for all.
         columns = [
             np.broadcast_to(np.array(x, np.float64).ravel(), (texels.count,)) for x in values
@@ -38,7 +38,7 @@ def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
     return parameters
 
 
-def attributes(bsdf: Any, si: Any, active: Any = True) -> dict[str, list[Any]]:
+def principled_attributes(bsdf: Any, si: Any, active: Any = True) -> dict[str, list[Any]]:
     """Evaluate all parameters of a ``principled`` BSDF, by name: a Float for every channel."""
     return {
         name: list(bsdf.eval_attribute(name, si, active)) if channels > 1

@@ -69,9 +69,9 @@ class Texels:
         return int(dr.width(self.index))
 
     @property
-    def places(self) -> Places:
+    def layout(self) -> TexelLayout:
         """Where they are in the texture, without Dr.Jit."""
-        return Places(self.resolution, np.array(self.index))
+        return TexelLayout(self.resolution, np.array(self.index))
 
     def to_image(self, values: Any, fill: float = 0.0) -> np.ndarray:
         """Lay per-texel values out as a texture.
@@ -86,15 +86,15 @@ class Texels:
         Raises:
             ShapeError: the number of values is not T.
         """
-        return self.places.to_image(values, fill)
+        return self.layout.to_image(values, fill)
 
     def inside(self) -> np.ndarray:
         """Return (H, W) bool: True where there is a texel."""
-        return self.places.inside()
+        return self.layout.inside()
 
 
 @dataclass(frozen=True)
-class Places:
+class TexelLayout:
     """Layout of T texels in a texture, without Dr.Jit: usable in any thread."""
 
     resolution: tuple[int, int]

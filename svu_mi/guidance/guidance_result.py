@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.geometry.neighbors import squares_of
+from svu_mi.geometry.neighbors import texel_squares
 from svu_mi.geometry.texels import Texels
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.guidance_options import GuidanceOptions
@@ -127,7 +127,7 @@ class Guidance:
         """Return one texel of each block of (t,) texels, and the block number of each, (t,)."""
         width, height = self.texels.resolution
         side = -(-max(width, height) // MAP_SIZE)
-        row, column = squares_of(self.texels)[chosen].T
+        row, column = texel_squares(self.texels)[chosen].T
         of_block = row // side * width + column // side
         _, first, block = np.unique(of_block, return_index=True, return_inverse=True)
         order = np.argsort(first)  # neighbours in order are near each other

@@ -27,7 +27,7 @@ from svu_mi.posterior.estimate import Estimate, observations_of
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.quadrature import cell_edges, cell_widths
+from svu_mi.posterior.quadrature import bin_edges, bin_widths
 from svu_mi.posterior.spectrum import SpectrumKernel
 from svu_mi.posterior.tables import row_colors
 from svu_mi.presets import AngularPreset, AnyPreset, Preset
@@ -102,8 +102,8 @@ def _angular_forecast(
         model.surface, angular_forecast.respond(observed.views.scene, model),
         angular_forecast.columns(grid.shape[0], lobes),
     )  # fmt: skip
-    edges = cell_edges(grid.base_color_nodes)
-    usual = cell_widths(edges)
+    edges = bin_edges(grid.base_color_nodes)
+    usual = bin_widths(edges)
     if by_nodes:  # a prior of nodes, of which none is more likely
         usual = np.full(len(usual), 1 / len(usual))
     prior, given = prior_tables(posterior.prior, usual)

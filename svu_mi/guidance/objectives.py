@@ -197,12 +197,12 @@ class Colors:
         elif density is None:
             # Mean and variance in double precision, which is left out where nobody asks for them.
             integrals = channel.integrate(edges)
-            mass, cells = channel.integrate_masses(edges)
-            integrals = replace(integrals, mass=mass, cells=cells)
+            mass, bins = channel.integrate_masses(edges)
+            integrals = replace(integrals, mass=mass, bins=bins)
         else:
             log_mass, integrals = channel.integrate_with_prior(edges, density)
             mass = dr.exp(log_mass)
-        nats = -sum(p * dr.log(dr.maximum(p, 1e-30)) for p in integrals.cells)
+        nats = -sum(p * dr.log(dr.maximum(p, 1e-30)) for p in integrals.bins)
         return mass, nats, integrals.mean, integrals.variance
 
 
@@ -217,10 +217,10 @@ def _sum_over_nodes(
         worse = dr.square(channel.s) * (y - best) * (y + best - 2 * channel.mu)
         p.append(prior * dr.exp(-worse))
     mass = dr.maximum(sum(p), 1e-37)
-    cells = [x / mass for x in p]
-    mean = sum(x * node for x, node in zip(cells, nodes, strict=True))
-    variance = sum(x * dr.square(node - mean) for x, node in zip(cells, nodes, strict=True))
-    return ColorIntegrals(mass, cells, mean, variance)
+    bins = [x / mass for x in p]
+    mean = sum(x * node for x, node in zip(bins, nodes, strict=True))
+    variance = sum(x * dr.square(node - mean) for x, node in zip(bins, nodes, strict=True))
+    return ColorIntegrals(mass, bins, mean, variance)
 
 
 def prior_tables(prior: np.ndarray, usual: np.ndarray) -> tuple[Any, Any | None]:

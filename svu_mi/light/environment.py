@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import scene
-from svu_mi.capture.image_io import positive
+from svu_mi.capture.image_io import clamp_negative
 from svu_mi.errors import SceneError, SvuWarning
 from svu_mi.light import latlong
 from svu_mi.light.latlong import directions, emitter_label, quadrature, radiance_from
@@ -76,7 +76,7 @@ def read_environment(emitter: Any) -> Environment:
     if not np.isfinite(grid).all():
         raise SceneError(f"{emitter_label(emitter)} has NaN or infinite radiance; repair its map.")
     pixels = latlong.envmap_pixels(emitter, grid)
-    for note in positive(pixels, emitter_label(emitter), SceneError)[1]:
+    for note in clamp_negative(pixels, emitter_label(emitter), SceneError)[1]:
         warnings.warn(note, SvuWarning, stacklevel=2)
     grid = np.maximum(grid, 0)
     if not (grid.max() > 0 or disk[2].max(initial=0) > 0):

@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import film_size, resized_sensor
-from svu_mi.capture.tonemap import SIDE, Look, alone
+from svu_mi.capture.tonemap import SIDE, ObjectView, object_only_scene
 from svu_mi.core.identifiers import plain_name
 from svu_mi.guidance.guidance_result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
@@ -39,15 +39,15 @@ WHITE = 0.99  # part of the positive gains of texels that colours do not clip
 CROWDED = 0.04  # part of the candidates within which two numbers would overlap
 
 
-def proposal_views(capture: Capture, guidance: Guidance) -> list[Look]:
+def proposal_views(capture: Capture, guidance: Guidance) -> list[ObjectView]:
     """Return the view of the object from each proposed camera."""
-    scene = alone(capture)
-    return [Look.at(scene, _enlarged(one.sensor)) for one in guidance.proposals]
+    scene = object_only_scene(capture)
+    return [ObjectView.at(scene, _enlarged(one.sensor)) for one in guidance.proposals]
 
 
 def write_guidance_overview(
     capture: Capture, estimate: Estimate, guidance: Guidance, maps: np.ndarray,
-    looks: Sequence[Look], path: str | Path, up: tuple[float, float, float] = UP,
+    looks: Sequence[ObjectView], path: str | Path, up: tuple[float, float, float] = UP,
 ) -> None:  # fmt: skip
     """Draw directions, ranking and the views of proposed cameras: 1800 x 1120 pixels.
 
@@ -89,7 +89,7 @@ def write_guidance_overview(
 
 
 def _draw_view(
-    axes: Axes, look: Look, colors: np.ndarray, words: str, rank: int = 0, row: str = ""
+    axes: Axes, look: ObjectView, colors: np.ndarray, words: str, rank: int = 0, row: str = ""
 ) -> None:
     """Draw the view of a proposed camera, cropped to the object."""
     draw_look(axes, look, colors)
@@ -197,14 +197,14 @@ def information_gain_picture(
 
     ``maps`` (proposals, T) of ``Guidance.gain_maps`` have one scale of colours.
     """
-    look = Look.at(alone(capture), _enlarged(guidance.proposals[proposal].sensor))
+    look = ObjectView.at(object_only_scene(capture), _enlarged(guidance.proposals[proposal].sensor))
     return information_gain_pictures(
         [look], guidance, maps[proposal : proposal + 1], information_gain_limit(maps)
     )[0]
 
 
 def information_gain_pictures(
-    looks: Sequence[Look], guidance: Guidance, maps: np.ndarray, limit: float
+    looks: Sequence[ObjectView], guidance: Guidance, maps: np.ndarray, limit: float
 ) -> list[np.ndarray]:
     """Return information gains as seen from proposed cameras (see ``information_gain_picture``)."""
     everywhere, scale = fully_seen(guidance.texels), information_gain_colors()

@@ -11,7 +11,7 @@ from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.output.estimate_arrays import is_seen, label_of, open_axes, texel_areas
 from svu_mi.output.html import NARROW_SPACE, percent
 from svu_mi.posterior.intervals import LEVEL, spread
-from svu_mi.posterior.quadrature import cell_edges
+from svu_mi.posterior.quadrature import bin_edges
 
 TOLERANCE = 0.05  # half-width of an interval from which on a parameter counts as known
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
@@ -196,4 +196,4 @@ def _widest_bin(posterior: Any, name: str) -> float:
     """Return the width of the widest bin of the grid; 0 for continuous intervals."""
     if posterior.continuous:
         return 0.0
-    return float(np.diff(cell_edges(posterior.axes[name])).max())
+    return float(np.diff(bin_edges(posterior.axes[name])).max())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.tonemap import Look, alone
+from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.output import object_views, style
 from svu_mi.output.estimate_arrays import (
     EstimateArrays,
@@ -83,7 +83,7 @@ def _objects(capture: Capture, estimate: Estimate) -> Iterator[Panel]:
     """Yield photograph and entropy side by side, for two views far apart."""
     texture = map_colors(estimate)
     for view in object_views.distant_views(capture, getattr(estimate, "seen_per_view", None)):
-        shown = Look.at(alone(capture), capture.sensors[view]).painted(texture)
+        shown = ObjectView.at(object_only_scene(capture), capture.sensors[view]).painted(texture)
         window = object_views.object_window(shown[..., 3] > 0)
         draw = partial(draw_photograph, capture=capture, view=view, window=window)
         yield f"Photograph {view}", draw

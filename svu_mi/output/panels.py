@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.tonemap import Look, alone, srgb, tone_mapped
+from svu_mi.capture.tonemap import ObjectView, object_only_scene, srgb, tone_mapped
 from svu_mi.errors import OptionError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
@@ -102,11 +102,11 @@ def draw_on_object(
 
     Texels that no view sees are grey; ``options`` (limits, colormap) are those of ``map_colors``.
     """
-    look = Look.at(alone(capture), capture.sensors[view])
+    look = ObjectView.at(object_only_scene(capture), capture.sensors[view])
     draw_look(axes, look, map_colors(estimate, values, **options))
 
 
-def draw_look(axes: Axes, look: Look, colors: np.ndarray) -> None:
+def draw_look(axes: Axes, look: ObjectView, colors: np.ndarray) -> None:
     """Draw screen colours (H, W, 3) on what a sensor sees of the object, cut to it."""
     shown = look.painted(colors)
     style.draw_image(
@@ -152,7 +152,7 @@ def _laid_out(estimate: Estimate, colors: np.ndarray, gutter: float, unseen: Any
 
 def fully_seen(texels: Texels) -> Any:
     """Return what the functions here take for an estimate that has seen every texel."""
-    return SimpleNamespace(texels=texels.places, coverage=np.ones(texels.count, np.uint32))
+    return SimpleNamespace(texels=texels.layout, coverage=np.ones(texels.count, np.uint32))
 
 
 def draw_posterior(

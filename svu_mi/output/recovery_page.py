@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.tonemap import Look, alone, srgb
+from svu_mi.capture.tonemap import ObjectView, object_only_scene, srgb
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import is_seen, label_of
 from svu_mi.output.html import grouped
@@ -48,10 +48,10 @@ def write_recovery_overview(
 
     Of an ``estimate`` the entropy is drawn, and standard deviations if there is no ``field``.
     """
-    scene = alone(capture)
+    scene = object_only_scene(capture)
     objects: list[Panel | None] = []
     for row, comparison in enumerate(comparisons[:2]):
-        look = Look.at(scene, capture.sensors[comparison.view], SIDE)
+        look = ObjectView.at(scene, capture.sensors[comparison.view], SIDE)
         objects += _comparison_panels(comparison)
         objects += (_other_panels(look, recovery, comparison, estimate) if row else
                     _parameter_panels(look, recovery))  # fmt: skip
@@ -138,7 +138,7 @@ def _comparison_panels(comparison: RenderComparison) -> list[Panel]:
             for title, image in zip(titles, images, strict=False)]  # fmt: skip
 
 
-def _parameter_panels(look: Look, recovery: Recovery) -> list[Panel]:
+def _parameter_panels(look: ObjectView, recovery: Recovery) -> list[Panel]:
     """Return the three parameters on the object."""
     return [
         (title, partial(draw_look, look=look, colors=texture_colors(
@@ -148,7 +148,7 @@ def _parameter_panels(look: Look, recovery: Recovery) -> list[Panel]:
 
 
 def _other_panels(
-    look: Look, recovery: Recovery, comparison: RenderComparison, estimate: Estimate | None
+    look: ObjectView, recovery: Recovery, comparison: RenderComparison, estimate: Estimate | None
 ) -> list[Panel | None]:
     """Return the other light, entropy and coverage on the object."""
     coverage, made = np.array(recovery.coverage), cast(Any, recovery)  # has texels and coverage

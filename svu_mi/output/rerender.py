@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.film_rays import Pictures
+from svu_mi.capture.film_rays import SensorPixels
 from svu_mi.capture.sensors import film_size, scaled_sensor
-from svu_mi.capture.tonemap import exposure, resized, tone_mapped
+from svu_mi.capture.tonemap import resized, tone_mapped, white_radiance
 from svu_mi.output import object_views, style
 from svu_mi.output.style import DIFFERENCE_COLORMAP, FAINT, INK
 from svu_mi.recovery.relighting import novel_light, relight
@@ -80,7 +80,7 @@ class RenderComparison:
     @cached_property
     def _exposed(self) -> tuple[np.ndarray, np.ndarray]:
         """Photograph and render as sRGB values, both exposed for the object as photographed."""
-        white = exposure(self.photograph, self.inside)
+        white = white_radiance(self.photograph, self.inside)
         return (tone_mapped(self.photograph, white=white),
                 tone_mapped(self.render, white=white))  # fmt: skip
 
@@ -97,7 +97,7 @@ def compare_renders(
     ``side`` is the longer side of the pictures, in pixels; the other light only if ``relit``.
     """
     sensors = [scaled_sensor(capture.sensors[view], side) for view in chosen]
-    covered = Pictures(sensors).covered(capture.scene, capture.shape)
+    covered = SensorPixels(sensors).covered(capture.scene, capture.shape)
     inside = [part == 1 for part in covered]
     under, lit = [None, novel_light(capture)] if relit else [None], []
     for light in under:

@@ -13,7 +13,7 @@ from PIL import Image
 from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import mesh_key
-from svu_mi.capture.mesh import make, read_ply
+from svu_mi.capture.mesh import make_mesh, read_ply
 from svu_mi.core.io.files import read_json
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.provenance import text_in
@@ -94,7 +94,7 @@ def _maps_of_folder(path: Path, name: str) -> ResultMaps:
             f"({', '.join(NAMES)} as EXR or PNG); give a folder that does."
         )
     record = read_json(path / RECORD) if (path / RECORD).is_file() else {}
-    mesh = make("object", read_ply(file)) if file.is_file() else None
+    mesh = make_mesh("object", read_ply(file)) if file.is_file() else None
     about = "a result of svu recover" if record else "textures"
     maps = {key: image for key, (image, _) in textures.items()}
     return ResultMaps(

@@ -13,7 +13,7 @@ import svu_mi
 from svu_mi.capture import scene_xml
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key, mesh_key
-from svu_mi.capture.image_io import decoded, open_picture
+from svu_mi.capture.image_io import decoded, open_image
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.replace_material import is_same, is_two_sided
 from svu_mi.core.io.exr import read_exr, write_exr
@@ -169,7 +169,7 @@ def read_texture(path: Path, name: str) -> tuple[np.ndarray, str]:
     """
     if path.suffix.lower() == ".exr":
         return _read_exr_texture(path, CHANNELS[name]), ""
-    picture = open_picture(path)
+    picture = open_image(path)
     planes = picture.planes()[:3]
     if CHANNELS[name] == 1:
         return _single_channel(path, planes), ""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.tonemap import Look, alone, srgb
+from svu_mi.capture.tonemap import ObjectView, object_only_scene, srgb
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import CaptureError
@@ -80,7 +80,7 @@ def write_sheet(
 ) -> None:
     """Draw the recovered textures and some draws on the object, a row for every parameter."""
     columns = [recovery.textures, *draws]
-    look = Look.at(alone(capture), capture.sensors[view])
+    look = ObjectView.at(object_only_scene(capture), capture.sensors[view])
     panels: list[Panel] = []
     for name in NAMES:
         for number, textures in enumerate(columns):

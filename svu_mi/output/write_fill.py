@@ -14,7 +14,7 @@ import svu_mi
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.tonemap import Look, alone
+from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import style
@@ -122,7 +122,7 @@ def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Pat
     rows = ("before", "after", "standard deviation")
     model, texels = result.invented, before.texels
     heading = LIKE if model is None else INVENTED.format(model.model)
-    look = Look.at(alone(capture), capture.sensors[_best_sensor(capture, result)])
+    look = ObjectView.at(object_only_scene(capture), capture.sensors[_best_sensor(capture, result)])
     everywhere = fully_seen(texels)
     mask = partial(draw_map, estimate=everywhere, colormap=style.GREY)
     masks = {"before": ("Filled, in the texture", partial(mask, values=result.filled))}

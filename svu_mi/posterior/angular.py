@@ -1,6 +1,6 @@
 """Posterior from angular statistics (Eq. 3 to 6, without a frequency domain).
 
-A row is a cell of all parameters but base colour. On the (roughness, Ks) grid it is a roughness;
+A row is a bin of all parameters but base colour. On the (roughness, Ks) grid it is a roughness;
 Kd then takes its best value in [0, 1] for each Ks.
 """
 
@@ -19,7 +19,7 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.kernel import CellKernel, Pair, Prior, observed_by, require_scale
+from svu_mi.posterior.kernel import GridKernel, Pair, Prior, observed_by, require_scale
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
@@ -27,7 +27,7 @@ from svu_mi.reflection.principled import Mixture, mixture, paper_mixture
 from svu_mi.statistics.cholesky_factors import FLOOR, Factors, apply_factor
 from svu_mi.statistics.statistics import Statistics
 
-UNLIKELY = 1e30  # energy, in single precision, of a cell that the prior excludes
+UNLIKELY = 1e30  # energy, in single precision, of a bin that the prior excludes
 HOPELESS = 1e30  # an energy beyond single precision would be infinite, its differences NaN
 
 
@@ -41,7 +41,7 @@ class AngularProblem:
         sigma: Float, opaque: standard deviation of a texel's error, in radiance.
         averaged: whether d is the mean of squared errors over views, or the sum.
         mixed: (M,) nodes of every parameter that mixes the columns, or None for a grid of Ks.
-        prior: (-log prior of a row, of a cell given its row) as Float64 and Float, or None.
+        prior: (-log prior of a row, of a bin given its row) as Float64 and Float, or None.
     """
 
     factors: Factors
@@ -52,7 +52,7 @@ class AngularProblem:
     sigma: Any
     averaged: bool
     mixed: list[np.ndarray] | None
-    cells: np.ndarray
+    bins: np.ndarray
     prior: tuple[Any, Any] | None
 
     @property
@@ -62,7 +62,7 @@ class AngularProblem:
 
 
 @dataclass(frozen=True)
-class AngularKernel(CellKernel):
+class AngularKernel(GridKernel):
     """p over the axes of a ``PrincipledGrid``, or over (roughness, specular)."""
 
     grid: ParameterGrid | PrincipledGrid
@@ -84,8 +84,8 @@ class AngularKernel(CellKernel):
         return self._entropies[self._lane[texels]]
 
     def tables(self, texels: np.ndarray) -> Pair:
-        """Return p of every cell and the best nodes (see ``CellKernel``)."""
-        rows = self.problem.total // len(self.problem.cells)
+        """Return p of every bin and the best nodes (see ``GridKernel``)."""
+        rows = self.problem.total // len(self.problem.bins)
         energies = partial(_row_energies, self.problem)
         base, offsets = row_entropy.energy_tables(energies, self._lane[texels], rows)
         return row_entropy.probabilities(base, offsets, self.grid.shape)
@@ -125,7 +125,7 @@ def angular_posterior(
     levels: np.ndarray | None = None,
     texels: int | None = None,
 ) -> Posterior[AngularKernel]:
-    """Compare photographs with what every cell of a grid predicts for them.
+    """Compare photographs with what every bin of a grid predicts for them.
 
         p ~ exp(-d / (2 sigma^2)) prior,    d = 1/n sum_i w_i (b_i - r_i(psi))^2   (Eq. 3, 4)
 
@@ -138,7 +138,7 @@ def angular_posterior(
             ``parameters`` say which, by default 8 nodes each.
         scale: radiance that sigma is a part of, unless the preset's noise is ``fixed``.
         preset: switches.
-        prior: non-negative weights of the cells, of the grid's shape, or one per roughness.
+        prior: non-negative weights of the bins, of the grid's shape, or one per roughness.
         copies: how many equal colour channels each channel of the statistics stands for.
         levels: (R,) bool, the roughness nodes that the statistics have; all by default. The
             prior must exclude the others.
@@ -170,7 +170,7 @@ def angular_posterior(
         sigma=dr.opaque(mi.Float, switches.sigma * (1 if switches.noise == "fixed" else scale)),
         averaged=switches.errors == "mean",
         mixed=grid.mixed_nodes if isinstance(grid, PrincipledGrid) else None,
-        cells=list(grid.axes.values())[-1],
+        bins=list(grid.axes.values())[-1],
         prior=_prior(tables),
     )
     return Posterior(kernel=AngularKernel(grid, len(observed), problem), observed=observed)
@@ -217,16 +217,16 @@ def _row_energies(problem: AngularProblem, lane: Any) -> row_entropy.RowEnergies
         groups = []
         for of_channel in reader.entries(slot):
             *entries, floor = (scale * entry for entry in of_channel)
-            x = _cells(problem, row - level * problem.columns, [*entries, scale * floor])
+            x = _bins(problem, row - level * problem.columns, [*entries, scale * floor])
             groups.append([dr.minimum(value, HOPELESS) for value in x])
         return row_entropy.with_prior(groups * problem.copies, problem.prior, row)
 
     return energies
 
 
-def _cells(problem: AngularProblem, column: Any, U: list[Any]) -> list[Any]:
-    """Mean squared error of every cell of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
-    nodes = [mi.Float(node) for node in row_entropy.cell_values(problem.cells)]
+def _bins(problem: AngularProblem, column: Any, U: list[Any]) -> list[Any]:
+    """Mean squared error of every bin of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
+    nodes = [mi.Float(node) for node in row_entropy.bin_values(problem.bins)]
     if problem.mixed is None:
         return [_error_at_best_diffuse(U, paper_mixture(Ks)) for Ks in nodes]
     mix = mixture(*row_entropy.row_values(mi.Float, problem.mixed, column))

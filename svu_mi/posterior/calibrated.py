@@ -3,7 +3,7 @@
     log p(psi | B, L) = -sum_i w_i |r_i(psi) - b_i|^2 / (2 s^2 tau) + log p(psi)
 
 Base colour is integrated in closed form (``truncated_normal``), others on nodes (``quadrature``).
-Probabilities and entropy (Eq. 5) are those of the integrated masses of a grid's cells.
+Probabilities and entropy (Eq. 5) are those of the integrated masses of a grid's bins.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from svu_mi.posterior.quadrature import (
     COLOR_PARTS,
     MIXED_PARTS,
     ProductAxis,
-    cell_edges,
-    cell_widths,
+    bin_edges,
+    bin_widths,
     mixed_axis,
     uniform_axis,
 )
@@ -49,13 +49,13 @@ FEWEST = 4  # levels of roughness that a spline goes through
 
 @dataclass(frozen=True)
 class CalibratedPrior(Prior):
-    """Prior with a density within cells."""
+    """Prior with a density within bins."""
 
     problem: CalibratedProblem
 
     @staticmethod
     def of(problem: CalibratedProblem, grid: PrincipledGrid) -> CalibratedPrior:
-        """Take the mean over channels for the cells, (R, M ..., K) float64."""
+        """Take the mean over channels for the bins, (R, M ..., K) float64."""
         return CalibratedPrior(
             prior_tables(problem).mean(axis=3).reshape(grid.shape), grid.axes, problem
         )
@@ -83,29 +83,30 @@ class CalibratedPrior(Prior):
 
     def draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
         """Draw parameters, equal in all channels (see ``Prior``)."""
-        picked = random.choice(self.cells.size, count, p=self.cells.ravel())
+        picked = random.choice(self.probabilities.size, count, p=self.probabilities.ravel())
         drawn = {}
-        for name, cell in zip(self.axes, np.unravel_index(picked, self.cells.shape), strict=True):
+        indices = np.unravel_index(picked, self.probabilities.shape)
+        for name, bin_index in zip(self.axes, indices, strict=True):
             low, high, p = self._parts(name)
-            own = cell
+            own = bin_index
             if name != "base_color":
                 axis = self.problem.axis(name)
                 below = np.concatenate([[0], np.cumsum(p)])
-                first, last = below[axis.first[cell]], below[axis.first[cell + 1]]
+                first, last = below[axis.first[bin_index]], below[axis.first[bin_index + 1]]
                 at = first + random.random(count) * (last - first)
-                own = np.clip(np.searchsorted(below, at, "right") - 1, axis.first[cell],
-                              axis.first[cell + 1] - 1)  # fmt: skip
+                own = np.clip(np.searchsorted(below, at, "right") - 1, axis.first[bin_index],
+                              axis.first[bin_index + 1] - 1)  # fmt: skip
             drawn[name] = low[own] + random.random(count) * (high - low)[own]
         return drawn
 
     def _parts(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Ends of parts of a parameter, and their probability by the prior: (N,) each."""
-        of_cells = self.marginal(name)
+        of_bins = self.marginal(name)
         if name == "base_color":
             edges = self.problem.edges
-            return edges[:-1], edges[1:], of_cells
+            return edges[:-1], edges[1:], of_bins
         axis = self.problem.axis(name)
-        return axis.low, axis.high, of_cells[axis.cell] * axis.mass / axis.of_cells()[axis.cell]
+        return axis.low, axis.high, of_bins[axis.bin] * axis.mass / axis.of_bins()[axis.bin]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +138,7 @@ class CalibratedKernel(Kernel):
 
     @cached_property
     def summary(self) -> kernel.PosteriorSummary:
-        """Entropy, moments and best cells of the S texels."""
+        """Entropy, moments and best bins of the S texels."""
         return kernel.summarize(self.problem)
 
     @cached_property
@@ -153,18 +154,18 @@ class CalibratedKernel(Kernel):
     def entropy(self, texels: np.ndarray) -> np.ndarray:
         """Return the normalised entropy (see ``Kernel``)."""
         most = self.prior.most
-        if most <= 0:  # a prior that leaves one cell
+        if most <= 0:  # a prior that leaves one bin
             return np.zeros(len(texels), np.float32)
         return np.clip(np.array(self.summary.entropy) / np.float32(most), 0, 1)[self.lane[texels]]
 
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """Return p of every cell (see ``Kernel``)."""
-        p = kernel.cell_probabilities(self.problem, self.lane[texels])
+        """Return p of every bin (see ``Kernel``)."""
+        p = kernel.bin_probabilities(self.problem, self.lane[texels])
         p = np.repeat(p, self.problem.copies, -1) if self.problem.copies > 1 else p
         return p.reshape(len(p), *self.grid.shape, -1)
 
     def rows(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return masses and colours of cells of all other parameters (``calibrated_kernel.rows``),
+        """Return masses and colours of bins of all other parameters (``calibrated_kernel.rows``),
         of a few texels."""
         return kernel.row_masses_and_colors(self.problem, self.lane[texels])
 
@@ -270,12 +271,12 @@ def calibrated_posterior(
 
     Args:
         statistics: of S texels at levels of roughness, uniform on [0, 1]; or their factors.
-        grid: whose cells probabilities are of; 8 x 8 x 8 by default.
+        grid: whose bins probabilities are of; 8 x 8 x 8 by default.
         scale: radiance of about the size of the photographs'.
         preset: switches: overdispersion, degrees of freedom and metals.
-        prior: non-negative weights of the cells, of the grid's shape, or one per roughness; they
-            take the place of the preset's prior, which goes on within a cell. A cell at an end of
-            a range is half as wide as others, and 1 for every cell is not the default.
+        prior: non-negative weights of the bins, of the grid's shape, or one per roughness; they
+            take the place of the preset's prior, which goes on within a bin. A bin at an end of
+            a range is half as wide as others, and 1 for every bin is not the default.
         copies: how many equal colour channels each channel of the statistics stands for.
         texels: T, how many there are in all, seen or not; by default up to the last of S.
         light_uncertainty: of the light, whose scale base colours have in common.
@@ -324,16 +325,16 @@ def _problem(
         mixed_axis(grid.axes[name], MIXED_PARTS, switches.metals * PARAMETERS[name].extremes)
         for name in MIXED
     ))  # fmt: skip
-    edges = cell_edges(grid.base_color_nodes)
+    edges = bin_edges(grid.base_color_nodes)
     tables = row_entropy.log_prior(prior, grid.shape, "calibrated_posterior()")
     given = None
     if tables is None:
-        rows = -np.log(np.outer(r.of_cells(), mixed.of_cells()).ravel())
+        rows = -np.log(np.outer(r.of_bins(), mixed.of_bins()).ravel())
     else:
         rows = tables[0]
-        width = cell_widths(edges)
+        width = bin_widths(edges)
         given = to_drjit(mi.Float, (np.exp(-tables[1]).reshape(-1, len(width)) / width).ravel())
-        possible = rows.reshape(r.cells, -1) < row_entropy.IMPOSSIBLE
+        possible = rows.reshape(r.bins, -1) < row_entropy.IMPOSSIBLE
         r = r.subset(np.any(possible, axis=1))
     empty = dr.zeros(mi.Float, factors.count)
     return CalibratedProblem(factors, copies, r, mixed, edges, rows, given, empty, empty)
@@ -367,10 +368,10 @@ def _with_noise(
 
 
 def prior_tables(problem: CalibratedProblem) -> np.ndarray:
-    """Return the prior probability of every cell by channel, (R, M, K, C) float64, of sum 1."""
+    """Return the prior probability of every bin by channel, (R, M, K, C) float64, of sum 1."""
     shape = (*problem.shape[:2], problem.tables, problem.shape[2])
     rows = np.exp(-problem.rows).reshape(*shape[:2], 1, 1)
-    width = cell_widths(problem.edges)
+    width = bin_widths(problem.edges)
     given = (
         np.ones(shape)
         if problem.color_prior is None

@@ -48,11 +48,11 @@ class PosteriorSummary:
     """Results of one pass over all nodes of S texels.
 
     Attributes:
-        entropy: (S,) Float, nats, of the masses of the cells; mean over channels.
+        entropy: (S,) Float, nats, of the masses of the bins; mean over channels.
         total: (S,) Float, integral of the posterior before normalisation.
         mean, sd: Floats (S,) of roughness, the mixing parameters, and base colour by channel.
-        best: (S,) UInt32, the first of the R M cells of largest mass.
-        best_colors: UInt32s (S,), the best of the K cells of base colour, given that.
+        best: (S,) UInt32, the first of the R M bins of largest mass.
+        best_colors: UInt32s (S,), the best of the K bins of base colour, given that.
     """
 
     entropy: Any
@@ -92,21 +92,21 @@ class MomentSums:
 
 
 @dataclass
-class BestCell:
-    """Cell of the largest mass so far: of all parameters but base colour, then of base colours."""
+class BestBin:
+    """Bin of the largest mass so far: of all parameters but base colour, then of base colours."""
 
     mass: Any
     row: Any
     colors: list[Any]
 
     @staticmethod
-    def zeros(channels: int, count: int) -> BestCell:
-        """Start without a cell."""
+    def zeros(channels: int, count: int) -> BestBin:
+        """Start without a bin."""
         row, *colors = (dr.zeros(mi.UInt32, count) for _ in range(1 + channels))
-        return BestCell(dr.zeros(mi.Float, count), row, colors)
+        return BestBin(dr.zeros(mi.Float, count), row, colors)
 
     def add(self, mass: Any, row: Any, colors: list[Any]) -> None:
-        """Replace the best cell by one of larger mass."""
+        """Replace the best bin by one of larger mass."""
         more = mass > self.mass
         self.colors = [dr.select(more, new, old)
                        for new, old in zip(colors, self.colors, strict=True)]  # fmt: skip
@@ -115,78 +115,78 @@ class BestCell:
 
 
 @dataclass
-class CellMasses:
-    """Masses of (column, channel, base colour) of one cell of roughness, in local memory.
+class BinMasses:
+    """Masses of (column, channel, base colour) of one bin of roughness, in local memory.
 
     Attributes:
-        logs: Float, sum of a log a over the masses a of all finished cells.
+        logs: Float, sum of a log a over the masses a of all finished bins.
     """
 
     memory: Any
     logs: Any
 
     @staticmethod
-    def zeros(problem: CalibratedProblem, count: int) -> CellMasses:
-        """Start with empty cells."""
+    def zeros(problem: CalibratedProblem, count: int) -> BinMasses:
+        """Start with empty bins."""
         _, of_column, of_color = problem.shape
         number = of_column * problem.factors.channels * of_color
-        return CellMasses(zeroed_memory(number), dr.zeros(mi.Float, count))
+        return BinMasses(zeroed_memory(number), dr.zeros(mi.Float, count))
 
     def add(self, problem: CalibratedProblem, node: Node) -> None:
-        """Add a node to its cells."""
+        """Add a node to its bins."""
         of_color = problem.shape[2]
         of_row = problem.factors.channels * of_color
         column = dr.gather(mi.UInt32, problem.nodes.column, node.column) * of_row
         for channel, color in enumerate(node.colors):
-            for k, part in enumerate(color.cells):
+            for k, part in enumerate(color.bins):
                 place = column + (channel * of_color + k)
                 self.memory[place] = self.memory[place] + node.weight * part
 
-    def finish_row(self, problem: CalibratedProblem, row: Any, best: BestCell) -> tuple[Any, Any]:
-        """At the last node of a cell of roughness, empty its cells and update the best one."""
+    def finish_row(self, problem: CalibratedProblem, row: Any, best: BestBin) -> tuple[Any, Any]:
+        """At the last node of a bin of roughness, empty its bins and update the best one."""
         channels, of_color = problem.factors.channels, dr.opaque(mi.UInt32, problem.shape[2])
         end = dr.gather(mi.UInt32, problem.nodes.last, row)
         first = dr.gather(mi.UInt32, problem.nodes.row, row) * problem.shape[1]
 
-        def of_column(column: Any, cells: CellMasses, best: BestCell) -> tuple[Any, ...]:
+        def of_column(column: Any, bins: BinMasses, best: BestBin) -> tuple[Any, ...]:
             places = [(column * channels + channel) * of_color for channel in range(channels)]
-            finished = [cells.finish(place, of_color) for place in places]
+            finished = [bins.finish(place, of_color) for place in places]
             # All channels have the same total.
             best.add(finished[0][0], first + column, [color for _, color in finished])
-            return column + 1, cells, best
+            return column + 1, bins, best
 
         return dr.while_loop(
             (mi.UInt32(0), self, best), lambda column, *_: column < end, of_column
         )[1:]
 
     def finish(self, place: Any, number: Any) -> tuple[Any, Any]:
-        """Empty ``number`` cells; return the sum of their masses and the index of the largest."""
+        """Empty ``number`` bins; return the sum of their masses and the index of the largest."""
 
-        def add_cell(k: Any, cells: CellMasses, total: Any, top: Any, best: Any) -> tuple[Any, ...]:
-            a = cells.memory[place + k]
-            cells.memory[place + k] = mi.Float(0)
-            cells.logs = dr.fma(a, dr.log(dr.maximum(a, 1e-37)), cells.logs)
-            return k + 1, cells, total + a, dr.maximum(top, a), dr.select(a > top, k, best)
+        def add_bin(k: Any, bins: BinMasses, total: Any, top: Any, best: Any) -> tuple[Any, ...]:
+            a = bins.memory[place + k]
+            bins.memory[place + k] = mi.Float(0)
+            bins.logs = dr.fma(a, dr.log(dr.maximum(a, 1e-37)), bins.logs)
+            return k + 1, bins, total + a, dr.maximum(top, a), dr.select(a > top, k, best)
 
         count = dr.width(self.logs)
         zero, none = dr.zeros(mi.Float, count), dr.zeros(mi.UInt32, count)
-        _, cells, total, _, best = dr.while_loop(
-            (mi.UInt32(0), self, zero, zero, none), lambda k, *_: k < number, add_cell
+        _, bins, total, _, best = dr.while_loop(
+            (mi.UInt32(0), self, zero, zero, none), lambda k, *_: k < number, add_bin
         )
-        self.memory, self.logs = cells.memory, cells.logs
+        self.memory, self.logs = bins.memory, bins.logs
         return total, best
 
 
 @dataclass
 class SummarySums:
-    """Sums of ``summarize``: of the present node and cell of roughness, and of all finished."""
+    """Sums of ``summarize``: of the present node and bin of roughness, and of all finished."""
 
-    cells: CellMasses
+    bins: BinMasses
     of_row: Any
     total: Any
     roughness: MomentSums
     others: MomentSums
-    best: BestCell
+    best: BestBin
 
     @staticmethod
     def zeros(problem: CalibratedProblem) -> SummarySums:
@@ -194,14 +194,14 @@ class SummarySums:
         count, channels = problem.factors.count, problem.factors.channels
         others = MomentSums.zeros(len(problem.nodes.columns) + channels, count)
         return SummarySums(
-            CellMasses.zeros(problem, count), dr.zeros(mi.Float, count),
+            BinMasses.zeros(problem, count), dr.zeros(mi.Float, count),
             dr.zeros(mi.Float64, count), MomentSums.zeros(1, count), others,
-            BestCell.zeros(channels, count),
+            BestBin.zeros(channels, count),
         )  # fmt: skip
 
     def add(self, problem: CalibratedProblem, node: Node) -> None:
         """Add a node."""
-        self.cells.add(problem, node)
+        self.bins.add(problem, node)
         self.of_row = self.of_row + node.weight
         values = [of_column.moments(node.column) for of_column in problem.nodes.columns]
         for color in node.colors:
@@ -214,7 +214,7 @@ class SummarySums:
         self.total = self.total + mi.Float64(self.of_row)
         self.roughness.add(self.of_row, [problem.nodes.rows.moments(row)])
         self.of_row = mi.Float(0)
-        self.cells, self.best = self.cells.finish_row(problem, row, self.best)
+        self.bins, self.best = self.bins.finish_row(problem, row, self.best)
 
 
 def summarize(problem: CalibratedProblem) -> PosteriorSummary:
@@ -233,16 +233,16 @@ def summarize(problem: CalibratedProblem) -> PosteriorSummary:
     roughness, others = sums.roughness.finish(total), sums.others.finish(total)
     mean, sd = (roughness[k] + others[k] for k in range(2))
     total = mi.Float(total)
-    entropy = dr.log(total) - sums.cells.logs / (total * problem.factors.channels)
+    entropy = dr.log(total) - sums.bins.logs / (total * problem.factors.channels)
     dr.eval(entropy, total, mean, sd, sums.best)
     return PosteriorSummary(entropy, total, mean, sd, sums.best.row, sums.best.colors)
 
 
-def cell_probabilities(problem: CalibratedProblem, chosen: np.ndarray) -> np.ndarray:
-    """Return cell masses of t texels, (t, R, M, K, C) float32, of sum 1 per texel and channel."""
+def bin_probabilities(problem: CalibratedProblem, chosen: np.ndarray) -> np.ndarray:
+    """Return bin masses of t texels, (t, R, M, K, C) float32, of sum 1 per texel and channel."""
     rows, of_column, of_color = problem.shape
     shape = (len(chosen), rows, of_column, problem.factors.channels, of_color)
-    masses = _cell_masses(problem, chosen).numpy().reshape(shape)
+    masses = _bin_masses(problem, chosen).numpy().reshape(shape)
     total = masses.sum(axis=(1, 2, 4), keepdims=True, dtype=np.float64)
     masses = masses * (1 / np.where(total > 0, total, 1)).astype(np.float32)
     return np.moveaxis(masses, 3, 4)
@@ -251,18 +251,18 @@ def cell_probabilities(problem: CalibratedProblem, chosen: np.ndarray) -> np.nda
 def row_masses_and_colors(
     problem: CalibratedProblem, chosen: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return unnormalised masses of cells of all but base colour, (t, R M) float64, and their
+    """Return unnormalised masses of bins of all but base colour, (t, R M) float64, and their
     mean colours (``row_colors``), (t, R M, C) float64."""
     shape = (len(chosen), -1, problem.factors.channels, problem.shape[2])
-    masses = _cell_masses(problem, chosen).numpy().reshape(shape)
+    masses = _bin_masses(problem, chosen).numpy().reshape(shape)
     # All channels have the same masses.
     totals = np.einsum("trk->tr", masses[:, :, 0], dtype=np.float64)
     return totals, row_colors(np.moveaxis(masses, 2, 3), problem.edges)
 
 
-def _cell_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
-    """Return the masses of all cells of some texels, not normalised: (t R M C K,) Float."""
-    masses, first = _row_cell_masses(problem, chosen)
+def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
+    """Return the masses of all bins of some texels, not normalised: (t R M C K,) Float."""
+    masses, first = _row_bin_masses(problem, chosen)
     size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
     result = dr.empty(mi.Float, len(chosen) * problem.shape[0] * size_of_row)  # all is written
     result = _write(masses, size_of_row, result, first * size_of_row)
@@ -270,24 +270,24 @@ def _cell_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
     return result
 
 
-def _row_cell_masses(problem: CalibratedProblem, chosen: np.ndarray) -> tuple[Any, Any]:
-    """Return masses in local memory and cell indices; one lane per texel and roughness cell."""
+def _row_bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> tuple[Any, Any]:
+    """Return masses in local memory and bin indices; one lane per texel and roughness bin."""
     rows, nodes = problem.shape[0], problem.nodes
     launch = dr.arange(mi.UInt32, len(chosen) * rows)
-    # A packet is about one cell of roughness of many texels, which leave out the same nodes.
+    # A packet is about one bin of roughness of many texels, which leave out the same nodes.
     number = dr.opaque(mi.UInt32, len(chosen))
-    texel, cell = launch % number, launch // number
+    texel, bin_index = launch % number, launch // number
     integrator = NodeIntegrator(problem, dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), texel))
 
-    def visit(node: Node, masses: CellMasses) -> tuple[CellMasses]:
+    def visit(node: Node, masses: BinMasses) -> tuple[BinMasses]:
         masses.add(problem, node)
         return (masses,)
 
+    begin, end = (dr.gather(mi.UInt32, nodes.first, bin_index + step) for step in (0, 1))
     (masses,) = integrator.fold_rows(
-        dr.gather(mi.UInt32, nodes.first, cell), dr.gather(mi.UInt32, nodes.first, cell + 1),
-        visit, (CellMasses.zeros(problem, 1),),
+        begin, end, visit, (BinMasses.zeros(problem, 1),),
     )  # fmt: skip
-    return masses.memory, texel * dr.opaque(mi.UInt32, rows) + cell
+    return masses.memory, texel * dr.opaque(mi.UInt32, rows) + bin_index
 
 
 def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> Any:
@@ -320,7 +320,7 @@ def color_masses(
 
     def visit(node: Node, masses: Any) -> tuple[Any]:
         for number, color in enumerate(node.colors):
-            for k, part in enumerate(color.cells):
+            for k, part in enumerate(color.bins):
                 masses[number * K + k] = masses[number * K + k] + node.weight * part
         return (masses,)
 

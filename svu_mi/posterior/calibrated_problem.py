@@ -25,9 +25,9 @@ class CalibratedProblem:
     """Inputs of a posterior.
 
     Attributes:
-        edges: (K + 1,) of the cells of base colour; two equal ones if it is known.
-        rows: (R * M,) float64, -log of the prior of a row of cells, all but base colour.
-        color_prior: (R * M * tables * K,) Float, density of base colour in a cell, given all
+        edges: (K + 1,) of the bins of base colour; two equal ones if it is known.
+        rows: (R * M,) float64, -log of the prior of a row of bins, all but base colour.
+        color_prior: (R * M * tables * K,) Float, density of base colour in a bin, given all
             others; None: 1 everywhere.
         scale: Float of S values or one, sqrt(W / (s^2 tau)): noise units per unit of weight.
         min_energy: (S,) Float, energy of the best node, less the residual floor.
@@ -47,8 +47,8 @@ class CalibratedProblem:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Cells (R, M, K)."""
-        return self.roughness.cells, self.mixed.cells, len(self.edges) - 1
+        """Bins (R, M, K)."""
+        return self.roughness.bins, self.mixed.bins, len(self.edges) - 1
 
     def axis(self, name: str) -> QuadratureAxis:
         """Return the quadrature axis of a parameter."""
@@ -116,10 +116,10 @@ class NodeTables:
         levels, weights: (N * 4,) UInt32 and Float, to interpolate between levels of roughness.
         rows: (N,) Floats of roughness: value, and variance within a part.
         columns: (L,) the same of every mixing parameter.
-        row, column: (N,), (L,) UInt32, cells.
+        row, column: (N,), (L,) UInt32, bins.
         prior: (N * L,) Float, -log of the prior.
-        first: (R + 1,) UInt32, first node of roughness of each cell.
-        last: (N,) UInt32, number of mixing cells at the last node of a cell of roughness, else 0.
+        first: (R + 1,) UInt32, first node of roughness of each bin.
+        last: (N,) UInt32, number of mixing bins at the last node of a bin of roughness, else 0.
     """
 
     levels: Any
@@ -136,18 +136,18 @@ class NodeTables:
     def of(problem: CalibratedProblem) -> NodeTables:
         r, m = problem.roughness, problem.mixed
         levels, weights = spline_weights(r.value, problem.factors.roughness)
-        ends = np.diff(r.cell, append=r.cells) != 0
-        inside = [axis.mass / axis.of_cells()[axis.cell] for axis in (r, m)]
-        values, variances = m.at_all("value"), m.at_all("bin_variance")
-        rows = problem.rows.reshape(problem.shape[:2])[r.cell][:, m.cell]
+        ends = np.diff(r.bin, append=r.bins) != 0
+        inside = [axis.mass / axis.of_bins()[axis.bin] for axis in (r, m)]
+        values, variances = m.at_all("value"), m.at_all("part_variance")
+        rows = problem.rows.reshape(problem.shape[:2])[r.bin][:, m.bin]
         prior = np.minimum(rows - np.log(inside[0])[:, None] - np.log(inside[1]), NEVER)
         return NodeTables(
             levels=to_drjit(mi.UInt32, levels.ravel().astype(np.uint32)),
             weights=to_drjit(mi.Float, weights.ravel()),
-            rows=NodeValues.of(r.value, r.bin_variance),
+            rows=NodeValues.of(r.value, r.part_variance),
             columns=[NodeValues.of(*x) for x in zip(values, variances, strict=True)],
-            row=to_drjit(mi.UInt32, r.cell.astype(np.uint32)),
-            column=to_drjit(mi.UInt32, m.cell.astype(np.uint32)),
+            row=to_drjit(mi.UInt32, r.bin.astype(np.uint32)),
+            column=to_drjit(mi.UInt32, m.bin.astype(np.uint32)),
             prior=to_drjit(mi.Float, prior.ravel()),
             first=to_drjit(mi.UInt32, r.first.astype(np.uint32)),
             last=to_drjit(mi.UInt32, (ends * problem.shape[1]).astype(np.uint32)),

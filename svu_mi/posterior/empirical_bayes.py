@@ -23,7 +23,7 @@ from svu_mi.posterior import row_entropy
 from svu_mi.posterior.calibrated import CalibratedKernel, prior_tables
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.quadrature import cell_widths
+from svu_mi.posterior.quadrature import bin_widths
 
 ROUNDS = 2  # more of them drift where all texels err alike; chosen on our own scenes
 SHARPNESS = 1.3
@@ -37,7 +37,7 @@ def with_empirical_prior(
 ) -> Posterior[CalibratedKernel]:
     """Return the posterior with a shared prior, learned in ``rounds`` of expectation maximisation.
 
-    Base colours of R, G and B each have a prior, given all others. Cells that the given prior
+    Base colours of R, G and B each have a prior, given all others. Bins that the given prior
     excludes stay excluded. A posterior that has a learned prior is returned unchanged.
     """
     problem = posterior.kernel.problem
@@ -48,12 +48,12 @@ def with_empirical_prior(
     sample, everyone = problem.subset(chosen), np.arange(len(chosen))
     alone = prior_tables(problem)
     learned = _sharpened(
-        kernel.cell_probabilities(sample, everyone).mean(axis=0, dtype=float), alone
+        kernel.bin_probabilities(sample, everyone).mean(axis=0, dtype=float), alone
     )
     for _ in range(rounds - 1):
         updated = _with_prior(sample, learned)
         learned = _sharpened(
-            kernel.cell_probabilities(updated, everyone).mean(axis=0, dtype=float), alone
+            kernel.bin_probabilities(updated, everyone).mean(axis=0, dtype=float), alone
         )
     of_texels = replace(posterior.kernel, problem=_with_prior(problem, learned), learned=True)
     return replace(posterior, kernel=of_texels)
@@ -71,11 +71,11 @@ def _sharpened(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:
 
 
 def _with_prior(problem: CalibratedProblem, prior: np.ndarray) -> CalibratedProblem:
-    """Return the problem with a prior (R, M, K, C) of the masses of cells."""
+    """Return the problem with a prior (R, M, K, C) of the masses of bins."""
     rows = prior.sum(axis=2).mean(axis=2).ravel()
     energies = np.where(rows > 0, -np.log(np.maximum(rows, LEAST)), row_entropy.IMPOSSIBLE)
     given = prior / np.maximum(prior.sum(axis=2, keepdims=True), LEAST)
-    density = np.moveaxis(given, 3, 2) / cell_widths(problem.edges)
+    density = np.moveaxis(given, 3, 2) / bin_widths(problem.edges)
     density = to_drjit(mi.Float, density.ravel())
     problem = replace(problem, rows=energies, color_prior=density, tables=prior.shape[-1])
     # Energies are relative to the best node, which depends on the prior.

@@ -14,13 +14,13 @@ import numpy as np
 from svu_mi.errors import OptionError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import shortest
-from svu_mi.posterior.quadrature import axis_of_cells
+from svu_mi.posterior.quadrature import bin_axis
 from svu_mi.posterior.row_entropy import entropy_of
-from svu_mi.posterior.tables import draw_cells, marginals
+from svu_mi.posterior.tables import draw_bins, marginals
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.texel_blocks import to_blocks
 
-CHUNK = 1 << 22  # cells per pass of everything that is not the entropy
+CHUNK = 1 << 22  # bins per pass of everything that is not the entropy
 
 Pair = tuple[np.ndarray, np.ndarray]
 
@@ -30,25 +30,25 @@ class Prior:
     """Prior of all texels: the posterior of texels that no photograph shows.
 
     Attributes:
-        cells: float64 of the grid's shape, of sum 1.
+        probabilities: float64 of the grid's shape, of sum 1.
     """
 
-    cells: np.ndarray
+    probabilities: np.ndarray
     axes: Mapping[str, np.ndarray]
 
     @property
     def most(self) -> float:
-        """Nats that entropies are relative to: log n, for the n cells of the grid (Eq. 5)."""
-        return float(np.log(self.cells.size))
+        """Nats that entropies are relative to: log n, for the n bins of the grid (Eq. 5)."""
+        return float(np.log(self.probabilities.size))
 
     @property
     def entropy(self) -> float:
         """Normalised entropy, in [0, 1]."""
-        return min(entropy_of(self.cells) / self.most, 1.0)
+        return min(entropy_of(self.probabilities) / self.most, 1.0)
 
     def marginal(self, name: str) -> np.ndarray:
         """Return the probability of every node of a parameter."""
-        return marginals(self.cells, list(self.axes))[name]
+        return marginals(self.probabilities, list(self.axes))[name]
 
     def moments(self, name: str) -> tuple[Any, Any]:
         """Return mean and standard deviation of a parameter: numbers, or (g,) by channel."""
@@ -58,8 +58,8 @@ class Prior:
 
     def draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
         """Draw parameters, equal in all channels: (count,) by name."""
-        picked = random.choice(self.cells.size, count, p=self.cells.ravel())
-        index = np.unravel_index(picked, self.cells.shape)
+        picked = random.choice(self.probabilities.size, count, p=self.probabilities.ravel())
+        index = np.unravel_index(picked, self.probabilities.shape)
         return {name: nodes[k] for (name, nodes), k in zip(self.axes.items(), index, strict=True)}
 
 
@@ -88,7 +88,7 @@ class Kernel(ABC):
 
     @abstractmethod
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """Return p of every cell, (t, *grid, G) float32; of a few texels."""
+        """Return p of every bin, (t, *grid, G) float32; of a few texels."""
 
     @abstractmethod
     def best(self, texels: np.ndarray) -> np.ndarray:
@@ -129,24 +129,24 @@ class Kernel(ABC):
         return self.groups if name == list(self.grid.axes)[-1] else 1
 
     def chunks(self, count: int) -> Iterator[slice]:
-        """Yield spans of texels whose cells are computed together."""
+        """Yield spans of texels whose bins are computed together."""
         size = max(CHUNK // (int(np.prod(self.grid.shape)) * self.groups), 1)
         for first in range(0, count, size):
             yield slice(first, min(first + size, count))
 
 
-class CellKernel(Kernel):
-    """Kernel that evaluates the cells of a grid."""
+class GridKernel(Kernel):
+    """Kernel that evaluates the bins of a grid."""
 
     count: int
     continuous = False
 
     @abstractmethod
     def tables(self, texels: np.ndarray) -> Pair:
-        """Return p of every cell, (t, *grid, G) float32, and the best nodes, (t, axes, G)."""
+        """Return p of every bin, (t, *grid, G) float32, and the best nodes, (t, axes, G)."""
 
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """Return p of every cell (see ``Kernel``)."""
+        """Return p of every bin (see ``Kernel``)."""
         return self.tables(texels)[0]
 
     def best(self, texels: np.ndarray) -> np.ndarray:
@@ -165,8 +165,8 @@ class CellKernel(Kernel):
         return mean.astype(np.float32), np.sqrt(variance).astype(np.float32)
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
-        """Return the ends of runs of cells (see ``Kernel``)."""
-        p, parts = self._marginal(name)[texels], axis_of_cells(self.grid.axes[name])
+        """Return the ends of runs of bins (see ``Kernel``)."""
+        p, parts = self._marginal(name)[texels], bin_axis(self.grid.axes[name])
         ends = [
             shortest(to_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
             for g in range(p.shape[-1])
@@ -180,7 +180,7 @@ class CellKernel(Kernel):
         found: dict[str, np.ndarray] = {}
         for span in self.chunks(len(texels)):
             part = texels[span]
-            drawn = draw_cells(self.probabilities(part), self.grid.axes, random[..., part])
+            drawn = draw_bins(self.probabilities(part), self.grid.axes, random[..., part])
             for name, values in drawn.items():
                 shape = (count, len(texels), values.shape[-1])
                 found.setdefault(name, np.empty(shape, np.float32))[:, span] = values

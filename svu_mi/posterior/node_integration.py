@@ -39,7 +39,7 @@ class Node:
 
 
 class NodeIntegrator:
-    """Integrator over the nodes of texels ``lane``, with colour cells ``edges`` (default: the
+    """Integrator over the nodes of texels ``lane``, with colour bins ``edges`` (default: the
     grid's), of all channels or one of each texel, ``only`` (UInt32; needs a uniform prior)."""
 
     def __init__(
@@ -161,8 +161,8 @@ class NodeIntegrator:
             if prior is not None:
                 table = prior[k // problem.copies]
                 _, integrals = channel.integrate_with_prior(problem.edges.tolist(), table)
-                cell = _sample_index(integrals.cells, v)
-                low, high = (dr.gather(mi.Float, ends, cell + step) for step in (0, 1))
+                bin_index = _sample_index(integrals.bins, v)
+                low, high = (dr.gather(mi.Float, ends, bin_index + step) for step in (0, 1))
             colors.append(channel.quantile(u, low, high))
         return colors
 
@@ -223,25 +223,25 @@ class NodeIntegrator:
         own = parts[0]
         for number, other in enumerate(parts[1:], 1):
             own = dr.select(self._only == number, other, own)
-        mass, cells = ChannelLikelihood(*own).integrate_masses(self.edges.tolist())
-        return Node(row, column, weight, [ColorIntegrals(mass, cells, mi.Float(0), mi.Float(0))])
+        mass, bins = ChannelLikelihood(*own).integrate_masses(self.edges.tolist())
+        return Node(row, column, weight, [ColorIntegrals(mass, bins, mi.Float(0), mi.Float(0))])
 
     def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:
-        """Density of every channel's base colour in every cell of ``edges``, given a node."""
+        """Density of every channel's base colour in every bin of ``edges``, given a node."""
         problem, nodes = self.problem, self.nodes
         if problem.color_prior is None:
             return None
-        _, columns, cells = problem.shape
+        _, columns, bins = problem.shape
         place = dr.gather(mi.UInt32, nodes.row, row) * columns
-        place = (place + dr.gather(mi.UInt32, nodes.column, column)) * (problem.tables * cells)
+        place = (place + dr.gather(mi.UInt32, nodes.column, column)) * (problem.tables * bins)
         middle = (self.edges[1:] + self.edges[:-1]) / 2
         own = np.searchsorted(problem.edges, middle) - 1
         tables = [
             [
                 dr.gather(mi.Float, problem.color_prior, place + k)
-                for k in range(first, first + cells)
+                for k in range(first, first + bins)
             ]
-            for first in range(0, problem.tables * cells, cells)
+            for first in range(0, problem.tables * bins, bins)
         ]
         of_channels = tables if problem.tables > 1 else tables * problem.factors.channels
         return [[density[k] for k in own] for density in of_channels]
@@ -257,8 +257,8 @@ def energy_at(U: list[Any], x: list[Any]) -> Any:
 
 def _sample_index(parts: list[Any], random: Any) -> Any:
     """Sample an index of K probabilities by a random number in [0, 1): UInt32."""
-    below, cell = mi.Float(0), dr.zeros(mi.UInt32, dr.width(random))
+    below, bin_index = mi.Float(0), dr.zeros(mi.UInt32, dr.width(random))
     for part in parts[:-1]:
         below += part
-        cell += dr.select(random >= below, mi.UInt32(1), 0)
-    return cell
+        bin_index += dr.select(random >= below, mi.UInt32(1), 0)
+    return bin_index

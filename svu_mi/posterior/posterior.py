@@ -14,7 +14,7 @@ from svu_mi.core.arrays import tensor, to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import Kernel
-from svu_mi.posterior.quadrature import cell_edges
+from svu_mi.posterior.quadrature import bin_edges
 
 MAX_PROBABILITIES = 1 << 29  # floats; 2 GiB
 
@@ -56,17 +56,17 @@ class Posterior(Generic[K]):
 
     @property
     def continuous(self) -> bool:
-        """Whether intervals are made of finer parts than the cells of the grid."""
+        """Whether intervals are made of finer parts than the bins of the grid."""
         return self.kernel.continuous
 
     @property
     def prior(self) -> np.ndarray:
-        """Probability of every cell where nobody looked: float64 of the grid's shape, of sum 1."""
-        return self.kernel.prior.cells
+        """Probability of every bin where nobody looked: float64 of the grid's shape, of sum 1."""
+        return self.kernel.prior.probabilities
 
     @property
     def most(self) -> float:
-        """Nats that entropies are a part of: log n, of the n cells of the grid (Eq. 5); those of
+        """Nats that entropies are a part of: log n, of the n bins of the grid (Eq. 5); those of
         the prior if it is calibrated."""
         return self.kernel.prior.most
 
@@ -75,7 +75,7 @@ class Posterior(Generic[K]):
         """Normalised entropy of a texel nobody saw, in [0, 1]: that of the prior (Eq. 5).
 
         1 without weights of one's own, or if all are equal. The part of log n otherwise: a prior
-        that leaves k of n cells, all as likely, says log k / log n. Always 1 where entropies are
+        that leaves k of n bins, all as likely, says log k / log n. Always 1 where entropies are
         parts of the prior's.
         """
         return self.kernel.prior.entropy
@@ -83,7 +83,7 @@ class Posterior(Generic[K]):
     def entropy(self) -> Any:
         """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
 
-        n is the number of cells of the grid, also of those that a prior excludes; a texel nobody
+        n is the number of bins of the grid, also of those that a prior excludes; a texel nobody
         saw has ``prior_entropy``. A calibrated posterior has the prior's entropy in place of
         log(n), of which more is cut off: 1 says that photographs add nothing. When each
         channel has a distribution of its own, the mean of their entropies. Computed in one kernel,
@@ -176,9 +176,9 @@ class Posterior(Generic[K]):
         return _tensor(np.clip(bits / np.log(nodes), 0, 1) if nodes > 1 else 0 * bits)
 
     def map(self, chosen: Any | None = None) -> dict[str, Any]:
-        """Return the most probable cell by parameter: (T,), or (T, 3) per channel.
+        """Return the most probable bin by parameter: (T,), or (T, 3) per channel.
 
-        A texel nobody saw gets the most probable cell of the prior; of several that are as
+        A texel nobody saw gets the most probable bin of the prior; of several that are as
         likely, that which is nearest to the middle of the grid, and the first of these.
 
         Args:
@@ -241,7 +241,7 @@ class Posterior(Generic[K]):
     def interval(self, name: str, level: float = 0.9, chosen: Any | None = None) -> tuple[Any, Any]:
         """Return the shortest interval that holds a parameter with a probability.
 
-        It is made of parts of the parameter's range (cells of the grid, or finer), and goes to
+        It is made of parts of the parameter's range (bins of the grid, or finer), and goes to
         the outer edges of the first and the last. Where nobody looked it is all that the prior
         allows, [0, 1] without a prior of one's own.
 
@@ -271,7 +271,7 @@ class Posterior(Generic[K]):
         if not 0 < level < 1:
             raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")
         texels = np.arange(self.count) if chosen is None else self._indices(chosen)
-        edges = cell_edges(self.axes[name])
+        edges = bin_edges(self.axes[name])
         allowed = np.flatnonzero(self.kernel.prior.marginal(name))
         low, high = (
             np.full((len(texels), self.kernel.channels_of(name)), edges[end], np.float32)
@@ -353,11 +353,11 @@ class Posterior(Generic[K]):
         Raises:
             ShapeError: the grids differ.
         """
-        cells = int(np.prod(self.grid.shape)) * self.groups
+        bins = int(np.prod(self.grid.shape)) * self.groups
         if self.grid != other.grid or self.groups != other.groups:
             raise ShapeError(f"Posterior.kl(): the grids differ: {self.grid} and {other.grid}.")
-        p = np.array(self.probabilities, np.float64).reshape(self.count, cells)
-        q = np.array(other.probabilities, np.float64).reshape(other.count, cells)
+        p = np.array(self.probabilities, np.float64).reshape(self.count, bins)
+        q = np.array(other.probabilities, np.float64).reshape(other.count, bins)
         log_p, log_q = np.log(np.maximum(p, 1e-30)), np.log(np.maximum(q, 1e-30))
         divergence = (p * log_p).sum(axis=1)[:, None] - p @ log_q.T
         return _tensor(np.maximum(divergence, 0) / self.groups)
@@ -378,7 +378,7 @@ class Posterior(Generic[K]):
 
 
 def _best_of_prior(prior: np.ndarray) -> np.ndarray:
-    """Return the index (axes,) of the cell that stands for a prior; see ``Posterior.map``."""
+    """Return the index (axes,) of the bin that stands for a prior; see ``Posterior.map``."""
     # The tables that a prior is kept in are rounded, some in single precision.
     likely = np.argwhere(prior >= (1 - 1e-5) * prior.max())
     away = likely - (np.array(prior.shape) // 2 if len(likely) == prior.size

@@ -1,6 +1,6 @@
 """Quadrature nodes of all parameters but base colour, and their prior.
 
-The cells of a grid are nearest to each of its nodes; the outermost are half as wide. Each is cut
+The bins of a grid are nearest to each of its nodes; the outermost are half as wide. Each is cut
 into parts of equal width, with a node in the middle and a uniform density. Base colour needs no
 nodes: it is integrated in closed form (``truncated_normal``).
 """
@@ -22,15 +22,15 @@ class QuadratureAxis:
 
     Attributes:
         low, high: (N,) float64 ends; equal for a single value with a probability.
-        cell: (N,) int64, cell of the grid.
+        bin: (N,) int64, bin of the grid.
         mass: (N,) float64, prior probability, of sum 1.
     """
 
     low: np.ndarray
     high: np.ndarray
-    cell: np.ndarray
+    bin: np.ndarray
     mass: np.ndarray
-    cells: int
+    bins: int
 
     @property
     def value(self) -> np.ndarray:
@@ -52,23 +52,23 @@ class QuadratureAxis:
 
     @property
     def first(self) -> np.ndarray:
-        """(cells + 1,) int64, where the parts of every cell begin."""
-        return np.searchsorted(self.cell, np.arange(self.cells + 1))
+        """(bins + 1,) int64, where the parts of every bin begin."""
+        return np.searchsorted(self.bin, np.arange(self.bins + 1))
 
     @property
-    def bin_variance(self) -> np.ndarray:
+    def part_variance(self) -> np.ndarray:
         """(N,) float64, variance of a uniform distribution over each part."""
         return (self.high - self.low) ** 2 / 12
 
-    def of_cells(self) -> np.ndarray:
-        """(cells,) float64, prior probability of every cell."""
-        return np.bincount(self.cell, self.mass, self.cells)
+    def of_bins(self) -> np.ndarray:
+        """(bins,) float64, prior probability of every bin."""
+        return np.bincount(self.bin, self.mass, self.bins)
 
-    def subset(self, cells: np.ndarray) -> QuadratureAxis:
-        """Return the parts of some cells, (cells,) bool."""
-        kept = cells[self.cell]
+    def subset(self, bins: np.ndarray) -> QuadratureAxis:
+        """Return the parts of some bins, (bins,) bool."""
+        kept = bins[self.bin]
         return QuadratureAxis(
-            self.low[kept], self.high[kept], self.cell[kept], self.mass[kept], self.cells
+            self.low[kept], self.high[kept], self.bin[kept], self.mass[kept], self.bins
         )
 
 
@@ -94,14 +94,14 @@ class ProductAxis:
         return int(np.prod(self.shape))
 
     @property
-    def cells(self) -> int:
-        """Number of cells of the grid, those of all combinations."""
-        return int(np.prod([axis.cells for axis in self.axes]))
+    def bins(self) -> int:
+        """Number of bins of the grid, those of all combinations."""
+        return int(np.prod([axis.bins for axis in self.axes]))
 
     @property
-    def cell(self) -> np.ndarray:
-        """(N,) int64, the cell of each combination."""
-        places, sizes = self.at_all("cell"), [axis.cells for axis in self.axes]
+    def bin(self) -> np.ndarray:
+        """(N,) int64, the bin of each combination."""
+        places, sizes = self.at_all("bin"), [axis.bins for axis in self.axes]
         return np.asarray(np.ravel_multi_index(tuple(places), sizes))
 
     @property
@@ -109,42 +109,42 @@ class ProductAxis:
         """(N,) float64, prior probability, of sum 1."""
         return np.asarray(np.prod(self.at_all("mass"), axis=0))
 
-    def of_cells(self) -> np.ndarray:
-        """(cells,) float64, prior probability of every cell."""
-        return np.bincount(self.cell, self.mass, self.cells)
+    def of_bins(self) -> np.ndarray:
+        """(bins,) float64, prior probability of every bin."""
+        return np.bincount(self.bin, self.mass, self.bins)
 
 
-def cell_edges(nodes: np.ndarray) -> np.ndarray:
-    """Return the (N + 1,) borders of the cells of N nodes on [0, 1]; of one node twice itself."""
+def bin_edges(nodes: np.ndarray) -> np.ndarray:
+    """Return the (N + 1,) borders of the bins of N nodes on [0, 1]; of one node twice itself."""
     if len(nodes) == 1:
         return np.repeat(nodes, 2)
     return np.concatenate([[0.0], (nodes[1:] + nodes[:-1]) / 2, [1.0]])
 
 
-def cell_widths(edges: np.ndarray) -> np.ndarray:
-    """Return the widths of cells, (N,); 1 for a known value."""
+def bin_widths(edges: np.ndarray) -> np.ndarray:
+    """Return the widths of bins, (N,); 1 for a known value."""
     return np.diff(edges) if len(edges) > 2 else np.ones(1)
 
 
-def axis_of_cells(nodes: np.ndarray) -> QuadratureAxis:
-    """Return the cells of a grid as parts, all of one probability."""
-    edges, count = cell_edges(nodes), len(nodes)
+def bin_axis(nodes: np.ndarray) -> QuadratureAxis:
+    """Return the bins of a grid as parts, all of one probability."""
+    edges, count = bin_edges(nodes), len(nodes)
     return QuadratureAxis(edges[:-1], edges[1:], np.arange(count), np.full(count, 1 / count), count)
 
 
 def uniform_axis(nodes: np.ndarray, parts: int) -> QuadratureAxis:
-    """Divide the cells of (N,) nodes evenly into ``parts`` or more; a single node has one part."""
+    """Divide the bins of (N,) nodes evenly into ``parts`` or more; a single node has one part."""
     if len(nodes) == 1:
         return QuadratureAxis(nodes, nodes, np.zeros(1, np.int64), np.ones(1), 1)
     per_half = max(1, -(-parts // (2 * (len(nodes) - 1))))
     count = 2 * (len(nodes) - 1) * per_half
     edges = np.linspace(0, 1, count + 1)
-    cell = (np.arange(count) // per_half + 1) // 2
-    return QuadratureAxis(edges[:-1], edges[1:], cell, np.full(count, 1 / count), len(nodes))
+    bin_index = (np.arange(count) // per_half + 1) // 2
+    return QuadratureAxis(edges[:-1], edges[1:], bin_index, np.full(count, 1 / count), len(nodes))
 
 
 def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> QuadratureAxis:
-    """Divide cells into ``parts`` or more; 0 and 1 share the prior probability ``extremes``."""
+    """Divide bins into ``parts`` or more; 0 and 1 share the prior probability ``extremes``."""
     between = uniform_axis(nodes, parts)
     if len(nodes) == 1 or extremes == 0:
         return between
@@ -152,7 +152,7 @@ def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> QuadratureAxis
     return QuadratureAxis(
         np.concatenate([[0.0], between.low, [1.0]]),
         np.concatenate([[0.0], between.high, [1.0]]),
-        np.concatenate([[0], between.cell, [between.cell[-1]]]),
+        np.concatenate([[0], between.bin, [between.bin[-1]]]),
         np.concatenate([[ends], (1 - extremes) * between.mass, [ends]]),
         len(nodes),
     )

@@ -1,7 +1,7 @@
 """Entropy of a grid, row by row in one kernel, without stored probabilities.
 
 A row is a value of the parameters that all channel groups share (roughness, or roughness and
-metallic); its cells differ in one parameter of each group. Several groups factorise given the row:
+metallic); its bins differ in one parameter of each group. Several groups factorise given the row:
 the entropy is that of (row, parameter of a channel), averaged over channels.
 """
 
@@ -18,7 +18,7 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 
 FAR = 1e4  # exp(-FAR) is 0, FAR * 0 is not NaN
-IMPOSSIBLE = 1e200  # energy of a cell the prior excludes: above any other, and finite
+IMPOSSIBLE = 1e200  # energy of a bin the prior excludes: above any other, and finite
 
 RowEnergies = Callable[[Any], list[tuple[Any, list[Any]]]]
 """Row index -> per group the smallest energy (Float64) and all others' distance to it."""
@@ -83,14 +83,14 @@ def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:
 def with_prior(
     energies: list[list[Any]], prior: tuple[Any, Any] | None, row: Any
 ) -> list[tuple[Any, list[Any]]]:
-    """Add -log prior of a row and of its cells; return the base and the energies of each group."""
+    """Add -log prior of a row and of its bins; return the base and the energies of each group."""
     if prior is None:
         return [above_smallest(x) for x in energies]
-    of_row, of_cell = prior
+    of_row, of_bin = prior
     groups = []
     for x in energies:
         place = row * len(x)
-        known = [dr.gather(type(of_cell), of_cell, place + j) for j in range(len(x))]
+        known = [dr.gather(type(of_bin), of_bin, place + j) for j in range(len(x))]
         groups.append(above_smallest([a + b for a, b in zip(x, known, strict=True)]))
     low, offsets = groups[0]
     return [(low + dr.gather(mi.Float64, of_row, row), offsets), *groups[1:]]
@@ -107,7 +107,7 @@ def above_smallest(energies: list[Any]) -> tuple[Any, list[Any]]:
 def energy_tables(
     energies_of: Callable[[Any], RowEnergies], chosen: np.ndarray, rows: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return energies of t texels: row minima (t, rows) float64, (t, rows, G, cells) above them."""
+    """Return energies of t texels: row minima (t, rows) float64, (t, rows, G, bins) above them."""
     count = len(chosen)
     lane = dr.arange(mi.UInt32, count * rows)
     place = lane // dr.opaque(mi.UInt32, rows)
@@ -128,29 +128,29 @@ def probabilities(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return p, (t, *shape, G) float32, and the best node, (t, axes, G) int64, of row energies.
 
-    ``base`` is (t, rows) float64; ``offsets`` (t, rows, G, cells) are relative to it.
+    ``base`` is (t, rows) float64; ``offsets`` (t, rows, G, bins) are relative to it.
     """
-    # p(row) p(cell of a group | row): the groups factorise.
+    # p(row) p(bin of a group | row): the groups factorise.
     terms = np.exp(-np.swapaxes(offsets, 2, 3))
     z = terms.sum(axis=2)
     weight = np.exp(base.min(axis=1, keepdims=True) - base) * z.prod(axis=-1, dtype=np.float64)
     weight /= weight.sum(axis=1, keepdims=True)
     p = weight[:, :, None, None] * (terms / z[:, :, None])
     row = base.argmin(axis=1)
-    cell = offsets[np.arange(len(row)), row].argmin(axis=-1)
+    bin_index = offsets[np.arange(len(row)), row].argmin(axis=-1)
     shared = np.unravel_index(row, shape[:-1])
-    best = [np.broadcast_to(node[:, None], cell.shape) for node in shared]
+    best = [np.broadcast_to(node[:, None], bin_index.shape) for node in shared]
     count = len(base)
     return (
         p.reshape(count, *shape, -1).astype(np.float32),
-        np.stack([*best, cell], axis=1).astype(np.int64),
+        np.stack([*best, bin_index], axis=1).astype(np.int64),
     )
 
 
 def log_prior(
     prior: Any | None, shape: tuple[int, ...], caller: str
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return -log prior of a row, (rows,), and of a cell given its row, (rows * cells,).
+    """Return -log prior of a row, (rows,), and of a bin given its row, (rows * bins,).
 
     Weights have the grid's ``shape``, or that of its first axis; None is uniform.
     """
@@ -169,7 +169,7 @@ def log_prior(
     row = weights.sum(axis=1)
     with np.errstate(divide="ignore"):
         given = np.where(row[:, None] > 0, weights / np.maximum(row[:, None], 1e-300), 1.0)
-        # An impossible cell is far away, not infinitely far: infinity times 0 is NaN.
+        # An impossible bin is far away, not infinitely far: infinity times 0 is NaN.
         return (
             np.minimum(-np.log(row / row.sum()), IMPOSSIBLE),
             np.minimum(-np.log(given), IMPOSSIBLE).ravel(),
@@ -177,7 +177,7 @@ def log_prior(
 
 
 def _numbers(prior: Any, shape: tuple[int, ...], caller: str) -> np.ndarray:
-    """Return weights of cells as float64, of any shape."""
+    """Return weights of bins as float64, of any shape."""
     try:
         weights = np.asarray(prior)
         if weights.dtype.kind not in "fiub":  # NumPy would read text, and drop imaginary parts
@@ -191,11 +191,11 @@ def _numbers(prior: Any, shape: tuple[int, ...], caller: str) -> np.ndarray:
 
 
 def prior_table(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the prior of every cell, float64 of ``shape``, of sum 1, from ``log_prior`` tables."""
+    """Return the prior of every bin, float64 of ``shape``, of sum 1, from ``log_prior`` tables."""
     if tables is None:
         return np.full(shape, 1 / np.prod(shape))
-    of_row, of_cell = (np.array(table, np.float64) for table in tables)
-    p = np.exp(-of_row)[:, None] * np.exp(-of_cell.reshape(len(of_row), -1))
+    of_row, of_bin = (np.array(table, np.float64) for table in tables)
+    p = np.exp(-of_row)[:, None] * np.exp(-of_bin.reshape(len(of_row), -1))
     return np.asarray(p / p.sum()).reshape(shape)
 
 
@@ -215,7 +215,7 @@ def row_values(kind: Any, axes: list[np.ndarray], index: Any) -> list[Any]:
     return [axis_value(kind, axes[0], index), *values[::-1]]
 
 
-def cell_values(nodes: np.ndarray) -> list[Any]:
+def bin_values(nodes: np.ndarray) -> list[Any]:
     """Return the nodes along a row: literals, or an opaque value if there is only one."""
     return nodes.tolist() if len(nodes) > 1 else [dr.opaque(mi.Float64, nodes[0])]
 

@@ -15,7 +15,7 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior import spectrum_kernel as kernel
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.kernel import CellKernel, Pair, Prior
+from svu_mi.posterior.kernel import GridKernel, Pair, Prior
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import Preset
 from svu_mi.presets import preset as find_preset
@@ -26,7 +26,7 @@ DARK = 1e-4  # part of the incident power that is the unit if all observations a
 
 
 @dataclass(frozen=True)
-class SpectrumKernel(CellKernel):
+class SpectrumKernel(GridKernel):
     """p over (roughness, specular) or the axes of a ``PrincipledGrid``, from power spectra."""
 
     grid: ParameterGrid | PrincipledGrid
@@ -48,7 +48,7 @@ class SpectrumKernel(CellKernel):
         return self._entropies[texels]
 
     def tables(self, texels: np.ndarray) -> Pair:
-        """Return p of every cell and the best nodes (see ``CellKernel``)."""
+        """Return p of every bin and the best nodes (see ``GridKernel``)."""
         base, offsets = kernel.energy_tables(self.problem, texels)
         return row_entropy.probabilities(base, offsets, self.grid.shape)
 
@@ -71,7 +71,7 @@ def spectrum_posterior(
     irradiance: Any | None = None,
     copies: int = 1,
 ) -> Posterior[SpectrumKernel]:
-    """Compare observed spectra with those of every cell of a grid.
+    """Compare observed spectra with those of every bin of a grid.
 
         d = sum_{l=1}^{l*} (S_B(l) - Ks^2 exp(-2 (alpha l)^2) S_L(l))^2        (Eq. 11)
         p ~ exp(-d / (2 sigma^2)) prior                                        (Eq. 3, 4)
@@ -91,7 +91,7 @@ def spectrum_posterior(
         preset: switches; ``paper`` is Eq. 3, 5, 11 as printed with alpha = roughness^2.
         prefilter: alpha' that the light was band-limited with; used if the preset undoes it:
             the exponent is then max(alpha^2 - alpha'^2, 0).
-        prior: non-negative weights of the cells, of the grid's shape, or one per roughness.
+        prior: non-negative weights of the bins, of the grid's shape, or one per roughness.
         observed: (T,) bool, False for texels nobody saw; all by default.
         scale: power that a relative sigma is a part of; by default the mean over the observed
             texels and channels of sum_l S_B(l). Give it when these texels are only some of a
@@ -126,7 +126,7 @@ def _problem(
     """Return the inputs of the energy, without degree 0."""
     S_L, S_B = spectra
     _, degrees, channels = S_L.shape
-    *_, cells = grid.axes.values()
+    *_, bins = grid.axes.values()
     return kernel.SpectrumProblem(
         incoming=S_L.array,
         outgoing=S_B.array,
@@ -138,7 +138,7 @@ def _problem(
         total=int(np.prod(grid.shape)),
         decay=to_drjit(mi.Float64, falloff),
         albedo=to_drjit(mi.Float64, np.square(_albedo(switches, grid))),
-        cells=cells,
+        bins=bins,
         prior=None if tables is None else tuple(to_drjit(mi.Float64, t) for t in tables),
     )
 

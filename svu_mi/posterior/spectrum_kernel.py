@@ -1,11 +1,11 @@
-"""Posterior of Eq. 11 in one kernel: energies of grid cells, and their entropy.
+"""Posterior of Eq. 11 in one kernel: energies of grid bins, and their entropy.
 
 For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2,
 
     d(K) = sum S_B^2 - 2 K sum e_l S_L S_B + K^2 sum e_l^2 S_L^2,
 
 whose products of spectra are computed once per texel. It cancels, so it is in double precision.
-On a principled grid, base colours are the cells of a row, and degree 0 takes part: a constant
+On a principled grid, base colours are the bins of a row, and degree 0 takes part: a constant
 Kd E / pi has the coefficient c_00 = 2 Kd E / sqrt(pi) (Eq. 7).
 """
 
@@ -59,7 +59,7 @@ class SpectrumProblem:
         groups: channel indices that share one Ks.
         rows: UInt32, rows that the prior does not exclude.
         decay, albedo: (R,) Float64, q and a^2 of e_l = a^2 q^(l^2), by roughness.
-        prior: ((rows,), (rows * cells,)) Float64, -log prior of a row, and of a cell given it.
+        prior: ((rows,), (rows * bins,)) Float64, -log prior of a row, and of a bin given it.
     """
 
     incoming: Any
@@ -72,7 +72,7 @@ class SpectrumProblem:
     total: int
     decay: Any
     albedo: Any
-    cells: np.ndarray
+    bins: np.ndarray
     prior: tuple[Any, Any] | None
     constant: ConstantTerm | None = None
 
@@ -98,7 +98,7 @@ def _row_energies(problem: SpectrumProblem, texel: Any) -> row_entropy.RowEnergi
         decay = _decay(problem, level)
         result = []
         for product, constant in zip(products, constants, strict=True):
-            R0, first = _cells(problem, level, row - level * problem.columns, constant)
+            R0, first = _bins(problem, level, row - level * problem.columns, constant)
             x = row_distances([R * R for R in R0], product, decay)
             if first is not None:
                 x = [value + more for value, more in zip(x, first, strict=True)]
@@ -108,19 +108,19 @@ def _row_energies(problem: SpectrumProblem, texel: Any) -> row_entropy.RowEnergi
     return energies
 
 
-def _cells(
+def _bins(
     problem: SpectrumProblem, level: Any, column: Any, read: tuple[Any, Any, Any] | None
 ) -> tuple[list[Any], list[Any] | None]:
-    """Return R0 of every cell of a row, and the energies of degree 0."""
-    cells = row_entropy.cell_values(problem.cells)
+    """Return R0 of every bin of a row, and the energies of degree 0."""
+    bins = row_entropy.bin_values(problem.bins)
     if problem.constant is None or read is None:
-        return cells, None
+        return bins, None
     mixed = row_entropy.row_values(mi.Float64, problem.constant.mixed, column)
     seen, diffuse, specular = read
     specular = specular * dr.gather(mi.Float64, problem.constant.albedo, level)
-    R0 = [specular_from_principled(c, *mixed) for c in cells]
+    R0 = [specular_from_principled(c, *mixed) for c in bins]
     energies = []
-    for c, R in zip(cells, R0, strict=True):
+    for c, R in zip(bins, R0, strict=True):
         residual = seen - diffuse_from_principled(c, *mixed) * diffuse - R * specular
         energies.append(residual * residual)
     return R0, energies
@@ -191,5 +191,5 @@ def row_distances(squares: list, products: SpectrumProducts, decay: list) -> lis
 
 def energy_tables(problem: SpectrumProblem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the energies of chosen texels, as ``row_entropy.energy_tables`` does."""
-    rows = problem.total // len(problem.cells)
+    rows = problem.total // len(problem.bins)
     return row_entropy.energy_tables(partial(_row_energies, problem), chosen, rows)

@@ -1,4 +1,4 @@
-"""Marginals, draws and mean colours of tables of cell probabilities (NumPy)."""
+"""Marginals, draws and mean colours of tables of bin probabilities (NumPy)."""
 
 from __future__ import annotations
 
@@ -31,25 +31,27 @@ def normalize_energies(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def row_colors(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return mean colours (t, rows, C); the best cell's middle where the mean is excluded."""
+    """Return mean colours (t, rows, C); the best bin's middle where the mean is excluded."""
     middle = (edges[1:] + edges[:-1]) / 2
     # NumPy's einsum() sums over axes before the last much faster than sum().
     mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(np.einsum("trkc->trc", p), 1e-30)
-    cell = np.clip(np.searchsorted(edges, mean, "right") - 1, 0, len(middle) - 1)
-    at = texel, row, channel = np.nonzero(np.take_along_axis(p, cell[:, :, None], 2)[:, :, 0] <= 0)
+    bin_index = np.clip(np.searchsorted(edges, mean, "right") - 1, 0, len(middle) - 1)
+    at = texel, row, channel = np.nonzero(
+        np.take_along_axis(p, bin_index[:, :, None], 2)[:, :, 0] <= 0
+    )
     mean[at] = middle[p[texel, row, :, channel].argmax(axis=1)]
     return np.asarray(mean)
 
 
-def draw_cells(
+def draw_bins(
     p: np.ndarray, axes: Mapping[str, np.ndarray], random: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Draw nodes by parameter: (count, t, 1) float32, (count, t, G) of the last one.
 
     Channels are independent given all other parameters. ``random`` is (1 + G, count, t) in [0, 1).
     """
-    *shape, cells, groups = p.shape[1:]
-    table = p.reshape(len(p), -1, cells, groups).astype(np.float64)
+    *shape, bins, groups = p.shape[1:]
+    table = p.reshape(len(p), -1, bins, groups).astype(np.float64)
     rows = sample_index(table[..., 0].sum(axis=2), random[0])
     *shared, (name, nodes) = axes.items()
     index = np.unravel_index(rows, shape)
@@ -57,6 +59,6 @@ def draw_cells(
         name: nodes[k][..., None].astype(np.float32)
         for (name, nodes), k in zip(shared, index, strict=True)
     }
-    given = table[np.arange(len(p)), rows]  # (count, t, cells, G)
+    given = table[np.arange(len(p)), rows]  # (count, t, bins, G)
     picked = [sample_index(given[..., g], random[1 + g]) for g in range(groups)]
     return drawn | {name: nodes[np.stack(picked, axis=-1)].astype(np.float32)}

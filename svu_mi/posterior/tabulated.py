@@ -8,14 +8,14 @@ import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.grid import Grid
-from svu_mi.posterior.kernel import CellKernel, Pair, Prior
+from svu_mi.posterior.kernel import GridKernel, Pair, Prior
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.row_entropy import nats, prior_table
 from svu_mi.posterior.tables import normalize_energies
 
 
 @dataclass(frozen=True)
-class TabulatedKernel(CellKernel):
+class TabulatedKernel(GridKernel):
     """p ~ exp(-energy), with (T, *grid) float64 energies up to a constant per texel."""
 
     grid: Grid
@@ -29,7 +29,7 @@ class TabulatedKernel(CellKernel):
 
     @property
     def prior(self) -> Prior:
-        """The same for every cell."""
+        """The same for every bin."""
         return Prior(prior_table(None, self.grid.shape), self.grid.axes)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
@@ -37,12 +37,12 @@ class TabulatedKernel(CellKernel):
         flat = self.energies[texels].reshape(len(texels), -1)
         x = flat - flat.min(axis=1, keepdims=True)
         p = np.exp(-x)
-        # An infinitely unlikely cell adds nothing.
+        # An infinitely unlikely bin adds nothing.
         zx = np.einsum("tn,tn->t", p, np.minimum(x, 1e4))
         return np.clip(nats(p.sum(axis=1), zx) / np.log(x.shape[1]), 0, 1).astype(np.float32)
 
     def tables(self, texels: np.ndarray) -> Pair:
-        """Return p of every cell and the best nodes (see ``CellKernel``)."""
+        """Return p of every bin and the best nodes (see ``GridKernel``)."""
         return normalize_energies(self.energies[texels])
 
 

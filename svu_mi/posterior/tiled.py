@@ -49,7 +49,7 @@ class TiledKernel(Kernel):
 
     @property
     def continuous(self) -> bool:  # type: ignore[override]
-        """Whether intervals are made of finer parts than cells (see ``Kernel``)."""
+        """Whether intervals are made of finer parts than bins (see ``Kernel``)."""
         return self._one.continuous
 
     @property
@@ -75,7 +75,7 @@ class TiledKernel(Kernel):
         return self._first[0][texels]
 
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """Return p of every cell (see ``Kernel``)."""
+        """Return p of every bin (see ``Kernel``)."""
         return self._joined(texels, lambda tile, own: tile.probabilities(own))
 
     def best(self, texels: np.ndarray) -> np.ndarray:

@@ -19,8 +19,8 @@ import mitsuba as mi
 
 FLATTEST = 1e-3  # least A, of hardly lit channels; energies change by less than this
 HALVINGS = 24  # of [0, 1], in a search
-TINIEST = 1e-290  # least mass of a cell in double precision
-IMPOSSIBLE = 1e9  # nats, of a cell that the prior excludes
+TINIEST = 1e-290  # least mass of a bin in double precision
+IMPOSSIBLE = 1e9  # nats, of a bin that the prior excludes
 FULL_SUPPORT = 1e-4  # density from which a prior of colours counts as without zeros
 DIM = 0.1  # sqrt(A / 2) below which a variance is not a difference of tails in single precision
 CLEAR, FAR_BELOW = 1.0, 1.5  # s, and -mu s, from and up to which single precision is enough
@@ -80,7 +80,7 @@ class ChannelLikelihood:
         return ChannelLikelihood(energy, mirrored, slope / A, dr.sqrt(0.5 * A))
 
     def integrate(self, edges: list[float]) -> ColorIntegrals:
-        """Integrate over cells of (K + 1,) symmetric ``edges`` in [0, 1], under a uniform prior."""
+        """Integrate over bins of (K + 1,) symmetric ``edges`` in [0, 1], under a uniform prior."""
         # With x = (y - mu) s, exp(-(E - min_energy)) is exp(x_0^2 - x^2), x_0 where it is 1.
         inner = [self._tail(mi.Float(y)).beyond for y in edges[1:-1]]
         ends = dr.if_stmt(
@@ -102,13 +102,13 @@ class ChannelLikelihood:
         return tuple(mi.Float(x) for x in (first.beyond, last.beyond, whole, mean, variance))
 
     def integrate_masses(self, edges: list[float]) -> tuple[Any, list[Any]]:
-        """Return the mass and each cell's part of it, in single precision (relative error 1e-5)."""
+        """Return the mass and each bin's part of it, in single precision (relative error 1e-5)."""
         beyond = [self._tail(mi.Float(y)).beyond for y in edges]
         whole = beyond[0] - beyond[-1]
         inverse = dr.rcp(whole)
         parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
-        cells = [dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)]
-        return 0.5 * sqrt(pi) * whole / self.s, cells
+        bins = [dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)]
+        return 0.5 * sqrt(pi) * whole / self.s, bins
 
     def integrate_full_support(
         self, edges: list[float], prior: list[Any]
@@ -134,7 +134,7 @@ class ChannelLikelihood:
         scale = dr.rcp(sqrt(pi) * s * total)
         mean = dr.clip(mu + scale * offset, 0, 1)
         variance = dr.maximum(0.5 / dr.square(s) + scale * around - dr.square(scale * offset), 0)
-        # All but even within cells.
+        # All but even within bins.
         ends = list(zip(edges[:-1], edges[1:], strict=True))
         even = sum(
             mass / total * (dr.square(0.5 * (a + b) - mean) + (b - a) ** 2 / 12)
@@ -148,18 +148,18 @@ class ChannelLikelihood:
     def integrate_with_prior(
         self, edges: list[float], prior: list[Any]
     ) -> tuple[Any, ColorIntegrals]:
-        """Return log of the integral of exp(min_energy - E) times the prior, and cells of mass 1.
+        """Return log of the integral of exp(min_energy - E) times the prior, and bins of mass 1.
 
-        ``prior`` is K Floats, the density of c in every cell; it may contradict the likelihood.
+        ``prior`` is K Floats, the density of c in every bin; it may contradict the likelihood.
         """
         density = [
             mi.Float64(dr.select(self.mirrored, b, a))
             for a, b in zip(prior, prior[::-1], strict=True)
         ]
-        of_cells = [self._cell(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        of_bins = [self._bin(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
         logs = [
             dr.select(g > 0, dr.log(dr.select(g > 0, g, 1)) + log_mass, -IMPOSSIBLE)
-            for g, (log_mass, *_) in zip(density, of_cells, strict=True)
+            for g, (log_mass, *_) in zip(density, of_bins, strict=True)
         ]
         top = logs[0]
         for value in logs[1:]:
@@ -167,9 +167,9 @@ class ChannelLikelihood:
         masses = [dr.exp(value - top) for value in logs]
         total = sum(masses)
         parts = [mass / total for mass in masses]
-        mean = sum(p * m for p, (_, m, _) in zip(parts, of_cells, strict=True))
+        mean = sum(p * m for p, (_, m, _) in zip(parts, of_bins, strict=True))
         variance = sum(
-            p * (v + dr.square(m - mean)) for p, (_, m, v) in zip(parts, of_cells, strict=True)
+            p * (v + dr.square(m - mean)) for p, (_, m, v) in zip(parts, of_bins, strict=True)
         )
         log_mass = top + dr.log(0.5 * sqrt(pi) * total / mi.Float64(self.s))
         parts = [mi.Float(part) for part in parts]
@@ -198,7 +198,7 @@ class ChannelLikelihood:
         y = mi.Float(0.5 * (a + b))
         return dr.select(self.mirrored, 1 - y, y)
 
-    def _cell(self, low: float, high: float) -> tuple[Any, Any, Any]:
+    def _bin(self, low: float, high: float) -> tuple[Any, Any, Any]:
         """Return log of 2 / sqrt(pi) times the integral over x, mean and variance of y."""
         s, mu = mi.Float64(self.s), mi.Float64(self.mu)
         best, best_of_all = dr.clip(mu, low, high), dr.maximum(mu, 0)
@@ -222,7 +222,7 @@ class ChannelLikelihood:
         mean = mi.Float(dr.clip(mean, 0, 1))
         return ColorIntegrals(
             mass=mass,
-            cells=[dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)],
+            bins=[dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)],
             mean=dr.select(self.mirrored, 1 - mean, mean),
             variance=mi.Float(variance),
         )
@@ -252,12 +252,12 @@ class ColorIntegrals:
 
     Attributes:
         mass: Float, integral of exp(-(E - min_energy)) over [0, 1].
-        cells: K Floats, each cell's part of it.
+        bins: K Floats, each bin's part of it.
         mean, variance: Floats, of c.
     """
 
     mass: Any
-    cells: list[Any]
+    bins: list[Any]
     mean: Any
     variance: Any
 

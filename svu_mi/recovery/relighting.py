@@ -15,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.film_rays import Pictures
-from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.film_rays import SensorPixels
+from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.core.validation import require_spp
 from svu_mi.errors import OptionError
@@ -72,7 +72,7 @@ def relight(
     scene, integrator = with_environment(scene, environment), _integrator(capture, max_depth)
     sensors = capture.sensors if sensors is None else sensors
     if pixels is not None:
-        return Pictures(sensors).traced(scene, integrator, pixels, spp, seed)
+        return SensorPixels(sensors).traced(scene, integrator, pixels, spp, seed)
     images = (
         mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=(seed + k) % 2**32)
         for k, sensor in enumerate(sensors)
@@ -131,7 +131,7 @@ def with_environment(scene: Any, environment: Any | None) -> Any:
     if environment is None:
         return scene
     light = mi.load_dict(environment) if isinstance(environment, dict) else environment
-    return scene_of([light, *scene.shapes()])
+    return make_scene([light, *scene.shapes()])
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def relight_draws(
         with_environment(painted.scene, environment),
         _integrator(capture, max_depth),
     )
-    pictures = Pictures(capture.sensors if sensors is None else sensors)
+    pictures = SensorPixels(capture.sensors if sensors is None else sensors)
     inside = [part > 0 for part in pictures.covered(painted.scene, painted.shape)]
     middle = pictures.traced(scene, integrator, [np.ones_like(m) for m in inside], spp, seed)
     # Relative to pictures that have the same noise, so that nothing cancels.

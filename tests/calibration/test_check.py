@@ -46,7 +46,7 @@ from svu_mi.capture.importers.axis_fixes import FIXES, find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, OPENGL
 from svu_mi.capture.rendering import object_mask
-from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.cli.main import main
@@ -81,7 +81,7 @@ def cluster():
         ball = meshes.revolve(radius * profile, 24) + [x, y, z]
         parts.append(meshes.sheet(ball, low, (low[0] + 0.5, low[1] + 0.5)))
     points, faces, uvs = meshes.join(parts)
-    return capture_mesh.make("cluster", capture_mesh.MeshArrays(points, faces, None, uvs))
+    return capture_mesh.make_mesh("cluster", capture_mesh.MeshArrays(points, faces, None, uvs))
 
 
 def photographed(shape, light, bsdf, count=VIEWS, film=FILM):
@@ -117,7 +117,7 @@ def capture():
 @pytest.fixture(scope="module")
 def grey_ball():
     """A ball of one colour: nothing is more symmetric."""
-    shape = capture_mesh.make("ball", ball(24, 12))
+    shape = capture_mesh.make_mesh("ball", ball(24, 12))
     bsdf = {"type": "principled", "base_color": {"type": "rgb", "value": 0.4}, "roughness": 0.4}
     return photographed(shape, sky(lights.studio()), bsdf, count=8)
 
@@ -309,7 +309,8 @@ def test_of_one_plane_the_light_is_not_told():
     """Highlights alone would speak for a turn of the map; they are not believed."""
     points = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    plane = capture_mesh.make("plane", capture_mesh.MeshArrays(points, faces, None, points[:, :2]))
+    mesh = capture_mesh.MeshArrays(points, faces, None, points[:, :2])
+    plane = capture_mesh.make_mesh("plane", mesh)
     bsdf = {"type": "principled", "base_color": {"type": "rgb", "value": 0.3}, "roughness": 0.3}
     taken = photographed(plane, sky(lights.window()), bsdf, count=6)
     lit = seen_by(taken)
@@ -425,7 +426,7 @@ def test_the_command_says_what_is_wrong_and_how_to_mend_it(knot, tmp_path, capsy
 
 def without_light(capture):
     others = [s for s in capture.scene.shapes() if s is not capture.shape]
-    return replace(capture, scene=scene_of([capture.shape, *others]))
+    return replace(capture, scene=make_scene([capture.shape, *others]))
 
 
 def test_poses_and_texture_are_checked_without_a_light(capture):
@@ -477,17 +478,17 @@ def test_what_is_ignored_has_the_last_word(capture):
     table = mi.load_dict(
         {"type": "rectangle", "id": "table", "to_world": below, "bsdf": {"type": "diffuse"}}
     )
-    scene = scene_of([capture.shape, table, *capture.scene.emitters()])
+    scene = make_scene([capture.shape, table, *capture.scene.emitters()])
     result = svu.check(replace(capture, scene=scene))
-    ignored = result.findings[-1]
-    assert (ignored.question, ignored.verdict, result.fits) == ("ignored", "note", True)
-    assert ignored.sentence.startswith("Light reflected by 'table' falls on")
+    unsupported = result.findings[-1]
+    assert (unsupported.question, unsupported.verdict, result.fits) == ("ignored", "note", True)
+    assert unsupported.sentence.startswith("Light reflected by 'table' falls on")
     assert verdict(result) == (
         "The capture fits its photographs, as far as can be determined; results may be off by what "
         "is ignored."
     )
     gain = replace(result.findings[3], verdict="unclear")
-    unsure = replace(result, findings=(*result.findings[:3], gain, ignored))
+    unsure = replace(result, findings=(*result.findings[:3], gain, unsupported))
     assert not unsure.fits
     assert verdict(unsure) == "Axes fit, but results may be wrong for another reason: gain."
     assert svu.check(capture).findings[-1].question == "gain"

@@ -170,7 +170,7 @@ def test_no_material_is_taken_for_a_gain(vase, material, count):
 @pytest.fixture(scope="module")
 def lit_ball():
     """A ball, the light of a window in double precision, and what a white surface shows in it."""
-    shape = capture_mesh.make("ball", ball())
+    shape = capture_mesh.make_mesh("ball", ball())
     picture = np.ascontiguousarray(lights.window(), np.float32)
     scene = mi.load_dict(
         {"type": "scene", "light": {"type": "envmap", "bitmap": mi.Bitmap(picture)},

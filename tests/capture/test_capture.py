@@ -15,13 +15,13 @@ from support.helpers import ball, fails, names, run, sensor_xml, write_scene
 
 from svu_mi.capture import rendering
 from svu_mi.capture.capture_folder import Description
-from svu_mi.capture.image_io import open_picture
-from svu_mi.capture.load_warnings import ignored
+from svu_mi.capture.image_io import open_image
+from svu_mi.capture.load_warnings import unsupported
 from svu_mi.capture.loading import load_capture, plan_photographs
 from svu_mi.capture.match_photographs import NoPhotographsError
-from svu_mi.capture.mesh import arrays, make
+from svu_mi.capture.mesh import arrays, make_mesh
 from svu_mi.capture.rendering import render_capture
-from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
@@ -485,7 +485,7 @@ def test_the_first_bad_image_in_order_is_named_whichever_thread_meets_it_first(t
 
 def test_a_photograph_that_is_exchanged_while_it_is_read_is_refused(scene):
     path = scene.parent / "images" / "view_0000.exr"
-    picture = open_picture(path)
+    picture = open_image(path)
     write_exr(path, {"RGB": np.ones((24, 24, 3))}, {"svu:run": "12ab"})
     with pytest.raises(CaptureError, match="view_0000.exr: changed while it was being read"):
         picture.planes()
@@ -651,7 +651,7 @@ def shape_of(bsdf, name="ball", **changes):
 @pytest.mark.parametrize(("bsdf", "words"), IGNORED.values(), ids=IGNORED)
 def test_parts_of_a_material_that_are_not_accounted_for_are_said(bsdf, words):
     shape = shape_of(bsdf)
-    assert ignored(scene_of([shape]), shape) == [
+    assert unsupported(make_scene([shape]), shape) == [
         f"Shape 'ball' has {words}, which svu does not account for: if the photographs show that, "
         "roughness and base colour will be off."
     ]
@@ -663,7 +663,7 @@ def test_parts_of_a_material_that_are_not_accounted_for_are_said(bsdf, words):
 ])  # fmt: skip
 def test_nothing_is_said_of_materials_that_are_accounted_for(bsdf):
     shape = shape_of(bsdf)
-    assert ignored(scene_of([shape]), shape) == []
+    assert unsupported(make_scene([shape]), shape) == []
 
 
 def test_a_grey_table_under_the_object_is_said(tmp_path):
@@ -722,19 +722,19 @@ BRIGHT = {
 )
 def test_shapes_that_are_not_black_are_said(bsdf, said):
     target = shape_of(PRINCIPLED)
-    found = ignored(scene_of([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
+    found = unsupported(make_scene([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
     assert [each.startswith("Light reflected by 'wall' falls") for each in found] == [True] * said
 
 
 def test_several_shapes_that_reflect_are_one_sentence():
     target = shape_of(PRINCIPLED)
     others = [shape_of({"type": "diffuse"}, f"wall{k}", center=[3 + k, 0, 0]) for k in range(7)]
-    (sentence,) = ignored(scene_of([target, *others[:2]]), target)
+    (sentence,) = unsupported(make_scene([target, *others[:2]]), target)
     assert sentence.startswith("Light reflected by 'wall0' and 'wall1' falls on 'ball', which")
     far = shape_of({"type": "diffuse"}, "moon", center=[1000, 0, 0], radius=100.0)
-    (sentence,) = ignored(scene_of([target, others[0], far]), target)
+    (sentence,) = unsupported(make_scene([target, others[0], far]), target)
     assert sentence.startswith("Light reflected by 'wall0' falls on 'ball', which")
-    (sentence,) = ignored(scene_of([target, *others]), target)
+    (sentence,) = unsupported(make_scene([target, *others]), target)
     assert "'wall0', 'wall1', 'wall2', 'wall3', 'wall4' and others falls on" in sentence
 
 
@@ -837,7 +837,7 @@ def test_somebody_elses_photographs_are_not_overwritten(scene):
 def test_tiny_meshes_are_unwrapped_like_large_ones():
     """xatlas alone takes the triangles of a ball of 3 mm, in metres, for degenerate ones."""
     given = ball(24, 12)
-    small = make("ball", replace(given, positions=given.positions * 1e-3, uvs=None))
+    small = make_mesh("ball", replace(given, positions=given.positions * 1e-3, uvs=None))
     assert np.isfinite(arrays(unwrap(small)).uvs).all()
 
 

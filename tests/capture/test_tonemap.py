@@ -12,7 +12,7 @@ import pytest
 from svu_mi.capture import tonemap as module
 from svu_mi.capture.mesh import positions
 from svu_mi.capture.sensors import film_size, make_sensor, projected
-from svu_mi.capture.tonemap import Look, alone
+from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.core.arrays import to_drjit
 
 
@@ -37,11 +37,11 @@ def test_nothing_of_the_object_lies_beyond_the_window(
     """From afar, near, at the edge, beside it, and from within; of many vertices their box."""
     monkeypatch.setattr(module, "MANY", many)
     place = sensor(distance, aside=aside)
-    scene, texture = alone(vase.capture), np.random.default_rng(5).random((9, 7, 3))
-    found = Look.of(scene, place)
+    scene, texture = object_only_scene(vase.capture), np.random.default_rng(5).random((9, 7, 3))
+    found = ObjectView.of(scene, place)
     width, height = film_size(place)
     monkeypatch.setattr(module, "_window", lambda *_: (slice(0, height), slice(0, width)))
-    whole = Look.of(scene, place)
+    whole = ObjectView.of(scene, place)
     np.testing.assert_array_equal(found.covered, whole.covered)
     np.testing.assert_array_equal(found.painted(texture), whole.painted(texture))
     np.testing.assert_array_equal(found.values(texture), whole.values(texture))

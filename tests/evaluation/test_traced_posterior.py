@@ -79,7 +79,7 @@ def valley() -> capture_mesh.MeshArrays:
 
 def valley_capture(tmp_path, max_depth: int):
     path = tmp_path / "valley.ply"
-    capture_mesh.make("valley", valley()).write_ply(str(path))
+    capture_mesh.make_mesh("valley", valley()).write_ply(str(path))
     scene = mi.load_dict(
         {
             "type": "scene",

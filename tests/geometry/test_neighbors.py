@@ -10,7 +10,7 @@ from support.helpers import ball
 
 import svu_mi.errors
 import svu_mi.scenes
-from svu_mi.capture.mesh import MeshArrays, make
+from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.geometry.neighbors import (
     MOST,
     OPPOSITE,
@@ -35,7 +35,7 @@ def quad(origin, along_u, along_v, uv) -> MeshArrays:
 def together(*parts: MeshArrays):
     """One mesh of several charts that share no vertex."""
     offsets = np.cumsum([0, *(len(part.positions) for part in parts)])
-    return make("parts", MeshArrays(
+    return make_mesh("parts", MeshArrays(
         np.concatenate([part.positions for part in parts]),
         np.concatenate([part.faces + o for part, o in zip(parts, offsets, strict=False)]),
         None,
@@ -70,7 +70,7 @@ def check_consistent(found: Neighbors, count: int) -> None:
 @pytest.mark.parametrize("resolution", [(64, 32), 96, (33, 71)])
 def test_the_borders_of_a_sphere_meet(resolution):
     """Left and right border of the map are one meridian, and the chart has no other end."""
-    mesh = make("ball", ball())
+    mesh = make_mesh("ball", ball())
     where = texels(mesh, resolution)
     found = neighbors(where, mesh)
     check_consistent(found, where.count)
@@ -162,7 +162,7 @@ def test_a_single_texel_has_no_neighbour():
 @pytest.mark.parametrize("size", [1, 2, 3])
 def test_a_fold_finds_every_neighbour_of_every_lane_once(size):
     """Up to five of a ball's texels along its seam, fewer at the poles."""
-    mesh = make("ball", ball(96, 48))
+    mesh = make_mesh("ball", ball(96, 48))
     found = neighbors(texels(mesh, (48, 32)), mesh)
     table, own = found.table(), np.arange(found.count)
     assert ((table != own).sum(axis=0) > 4).any() and ((table != own).sum(axis=0) < 4).any()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.helpers import ball
 
-from svu_mi.capture.mesh import MeshArrays, make
-from svu_mi.capture.unwrap import unwrap, unwrapped
+from svu_mi.capture.mesh import MeshArrays, make_mesh
+from svu_mi.capture.unwrap import unwrap, unwrap_cached
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.geometry import texels as texels_module
 from svu_mi.geometry.rasterize_uv import rasterize
@@ -18,7 +18,7 @@ from svu_mi.geometry.texels import texels
 
 @pytest.mark.parametrize("resolution", [64, (96, 40), (33, 71)])
 def test_texels_lie_where_mitsuba_puts_them(resolution):
-    mesh = make("ball", ball())
+    mesh = make_mesh("ball", ball())
     found = texels(mesh, resolution)
     si = mesh.eval_parameterization(found.uv)
     hit = si.is_valid().numpy()
@@ -31,7 +31,7 @@ def test_texels_lie_where_mitsuba_puts_them(resolution):
 
 
 def test_every_texel_of_the_charts_is_found():
-    mesh = make("ball", ball())
+    mesh = make_mesh("ball", ball())
     found = texels(mesh, (80, 50))
     u, v = np.meshgrid((np.arange(80) + 0.5) / 80, (np.arange(50) + 0.5) / 50)
     si = mesh.eval_parameterization(mi.Point2f(u.ravel().astype("f4"), v.ravel().astype("f4")))
@@ -58,7 +58,7 @@ def test_overlapping_charts_are_refused_with_the_fix():
         np.concatenate([flat.uvs, flat.uvs]),
     )
     with pytest.raises(MeshError, match="overlapping UV charts.*unwrap=True"):
-        texels(make("twice", doubled), 64)
+        texels(make_mesh("twice", doubled), 64)
 
 
 def test_a_small_overlap_is_left_out_and_counted():
@@ -70,7 +70,7 @@ def test_a_small_overlap_is_left_out_and_counted():
         None,
         np.concatenate([flat.uvs, flat.uvs[flat.faces[400]]]),
     )
-    whole, found = texels(make("ball", flat), 128), texels(make("patched", patch), 128)
+    whole, found = texels(make_mesh("ball", flat), 128), texels(make_mesh("patched", patch), 128)
     assert 0 < found.overlapping < 20
     assert found.count == whole.count - found.overlapping
 
@@ -86,7 +86,7 @@ def test_a_small_overlap_is_left_out_and_counted():
 )
 def test_unusable_uvs_are_refused(uvs, message):
     flat = ball()
-    mesh = make("bad", MeshArrays(flat.positions, flat.faces, flat.normals, uvs))
+    mesh = make_mesh("bad", MeshArrays(flat.positions, flat.faces, flat.normals, uvs))
     with pytest.raises(MeshError, match=message):
         texels(mesh, 32)
 
@@ -96,29 +96,29 @@ def test_faces_without_area_in_space_are_left_out():
     flat = ball()
     line = flat.positions * [0, 1, 0]
     with pytest.raises(MeshError, match="no texel centre"):
-        texels(make("line", MeshArrays(line, flat.faces, None, flat.uvs)), 32)
+        texels(make_mesh("line", MeshArrays(line, flat.faces, None, flat.uvs)), 32)
 
 
 @pytest.mark.parametrize("resolution", [0, -3, (64, 0), 20000])
 def test_impossible_resolutions_are_refused(resolution):
     with pytest.raises(OptionError, match="texels per side"):
-        texels(make("ball", ball()), resolution)
+        texels(make_mesh("ball", ball()), resolution)
 
 
 @pytest.mark.parametrize("resolution", ["a", 64.0, (1, 2, 3), (32.5, 16), None])
 def test_resolutions_that_are_no_whole_numbers_are_refused(resolution):
     with pytest.raises(OptionError, match="whole number"):
-        texels(make("ball", ball()), resolution)
+        texels(make_mesh("ball", ball()), resolution)
 
 
 def test_numpy_numbers_are_resolutions_and_spheres_have_no_texels():
-    assert texels(make("ball", ball()), np.int64(16)).resolution == (16, 16)
+    assert texels(make_mesh("ball", ball()), np.int64(16)).resolution == (16, 16)
     with pytest.raises(MeshError, match="not a triangle mesh"):
         texels(mi.load_dict({"type": "sphere"}), 16)
 
 
 def test_to_image_puts_values_back(variant):
-    found = texels(make("ball", ball()), (20, 10))
+    found = texels(make_mesh("ball", ball()), (20, 10))
     image = found.to_image(found.uv.numpy().T, -1)
     assert image.shape == (10, 20, 2)
     inside = found.inside()
@@ -131,10 +131,10 @@ def test_to_image_puts_values_back(variant):
 
 def test_unwrapping_gives_texels_and_is_kept(tmp_path):
     flat = ball()
-    mesh = make("ball", MeshArrays(flat.positions, flat.faces, flat.normals, None))
-    first = unwrapped(mesh, tmp_path)
+    mesh = make_mesh("ball", MeshArrays(flat.positions, flat.faces, flat.normals, None))
+    first = unwrap_cached(mesh, tmp_path)
     assert (tmp_path / "unwrapped.ply").exists()
-    again = unwrapped(mesh, tmp_path)
+    again = unwrap_cached(mesh, tmp_path)
     a, b = texels(first, 64), texels(again, 64)
     assert a.count > 1500
     assert a.overlapping <= 0.01 * a.count
@@ -145,7 +145,7 @@ def test_unwrapping_gives_texels_and_is_kept(tmp_path):
 def test_an_empty_mesh_cannot_be_unwrapped():
     nothing = MeshArrays(np.zeros((3, 3)), np.zeros((0, 3), int), None, None)
     with pytest.raises(MeshError, match="no faces"):
-        unwrap(make("nothing", nothing))
+        unwrap(make_mesh("nothing", nothing))
 
 
 def test_texels_interpolated_some_at_a_time_are_the_same(monkeypatch, vase):
@@ -160,7 +160,7 @@ def test_texels_interpolated_some_at_a_time_are_the_same(monkeypatch, vase):
 
 
 def test_footprints_add_up_to_the_area_of_the_surface():
-    found = texels(make("ball", ball(192, 96)), 256)
+    found = texels(make_mesh("ball", ball(192, 96)), 256)
     area = float(dr.sum(dr.square(found.footprint))[0])
     assert area == pytest.approx(4 * np.pi, rel=5e-3)  # the polyhedron is a little smaller
 

@@ -31,7 +31,7 @@ from svu_mi.guidance.spectral_forecast import SpectrumForecast
 from svu_mi.guidance.strategies import STRATEGIES, TABLE
 from svu_mi.guidance.strategy_inputs import StrategyInputs
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.quadrature import cell_edges
+from svu_mi.posterior.quadrature import bin_edges
 from svu_mi.presets import preset
 
 SUN = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0.4, 0.8, 0.45]}
@@ -77,7 +77,7 @@ def angular_forecast(
     table[..., 0] = rng.uniform(0.05, 1.0, (views, count))
     table *= rng.random((views, count, 1)) < 0.6
     p = posteriors(rng, count, levels * metallic)
-    edges, axis = cell_edges(grid.base_color_nodes), grid.axes["base_color"]
+    edges, axis = bin_edges(grid.base_color_nodes), grid.axes["base_color"]
     width = np.diff(edges) if cells > 1 else np.ones(1)
     if nodes:
         truths, width = rng.choice(axis, (count, levels * metallic, channels)), np.ones(cells)
@@ -108,7 +108,7 @@ def angular_oracle(forecast, table, texel, views, prior=None):
     if prior is None:
         width = np.ones(cells)
         if colors.nodes is None and cells > 1:
-            width = np.diff(cell_edges(grid.base_color_nodes))
+            width = np.diff(bin_edges(grid.base_color_nodes))
         prior = np.ones((levels * metallic, 1)) * width
     exact = oracle.Angular(
         lobes=table[seen, texel, 1:].reshape(len(seen), levels, -1, 4),

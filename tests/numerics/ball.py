@@ -16,7 +16,7 @@ from oracle.rounding import Exact, angular_entropy
 from numerics.samples import noise_of
 from svu_mi.bench.captures import capture_in_memory
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.mesh import MeshArrays, make
+from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.capture.sensors import make_sensor
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
@@ -104,7 +104,7 @@ class Ball:
             self.mesh.positions @ linear.T + shift, self.mesh.faces,
             None if self.mesh.normals is None else self.mesh.normals @ unit.T, self.mesh.uvs,
         )  # fmt: skip
-        make("ball", moved).write_ply(str(path))
+        make_mesh("ball", moved).write_ply(str(path))
         color = {"type": "rgb", "value": [self.paint["base_color"]] * 3}
         bsdf = {"type": "principled", **self.paint, "base_color": color}
         return mi.load_dict(

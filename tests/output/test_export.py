@@ -226,7 +226,7 @@ def test_means_at_vertices_know_no_seam(asset):
     """A constant stays; a linear function of position returns; a pole has one value."""
     ones = np.ones((160, 192), np.float32)
     np.testing.assert_allclose(at_vertices(asset.mesh, ones), 1, rtol=1e-6)
-    laid_out = svu.texels(meshes.make("ball", asset.mesh), (192, 160))
+    laid_out = svu.texels(meshes.make_mesh("ball", asset.mesh), (192, 160))
     heights = at_vertices(asset.mesh, laid_out.to_image(np.array(laid_out.position)[1]))
     middle = np.abs(asset.mesh.positions[:, 1]) < 0.8
     edge = np.pi / 24

@@ -16,7 +16,7 @@ from support.helpers import lettered, recovered_folder, write_known
 
 import svu_mi as svu
 from svu_mi.capture.image_io import srgb
-from svu_mi.capture.mesh import MeshArrays, make
+from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.capture.sensors import describe, make_sensor
 from svu_mi.evaluation.image_metrics import psnr
 from svu_mi.output.texture_files import MESH
@@ -111,7 +111,7 @@ def unpack(glb, folder):
     (mesh,) = trimesh.load_scene(glb, process=False).geometry.values()  # to_mesh() drops normals
     uvs = mesh.visual.uv * [1, -1] + [0, 1]  # trimesh has v = 0 at the bottom, Mitsuba at the top
     arrays = MeshArrays(mesh.vertices, mesh.faces, mesh.vertex_normals, uvs)
-    make("read", arrays).write_ply(str(folder / "read.ply"))
+    make_mesh("read", arrays).write_ply(str(folder / "read.ply"))
     material = mesh.visual.material
     material.baseColorTexture.save(folder / "base_color.png")
     _, rough, metal = material.metallicRoughnessTexture.split()

@@ -8,9 +8,9 @@ import pytest
 from support.helpers import names, run
 
 import svu_mi as svu
-from svu_mi.capture.film_rays import Pictures
+from svu_mi.capture.film_rays import SensorPixels
 from svu_mi.capture.sensors import scaled_sensor
-from svu_mi.capture.tonemap import shrunk
+from svu_mi.capture.tonemap import block_means
 from svu_mi.guidance.forecast import Forecast
 from svu_mi.recovery.relighting import relight
 from svu_mi.recovery.svbrdf_textures import uniform_textures
@@ -53,7 +53,7 @@ def test_pixels_that_are_asked_for_are_those_of_the_picture(vase):
     """Of 4 views in one launch and one by one: both noisy, without a bias."""
     capture, textures = vase.capture, uniform_textures(vase.texels, 0.5)
     sensors = [scaled_sensor(sensor, 32) for sensor in capture.sensors]
-    inside = [part == 1 for part in Pictures(sensors).covered(capture.scene, capture.shape)]
+    inside = [part == 1 for part in SensorPixels(sensors).covered(capture.scene, capture.shape)]
     some = relight(capture, textures, None, sensors, 256, pixels=inside)
     every = relight(capture, textures, None, sensors, 256)
     for mask, one, other in zip(inside, some, every, strict=True):
@@ -67,7 +67,7 @@ def test_pixels_that_are_asked_for_are_those_of_the_picture(vase):
 def test_shrinking_takes_means_and_keeps_what_is_not_usable():
     image = np.arange(24, dtype=np.float32).reshape(4, 6, 1).repeat(3, axis=2)
     image[0, 0] = np.nan
-    small = shrunk(image, 3, 2)
+    small = block_means(image, 3, 2)
     assert small.shape == (2, 2, 3) and np.isnan(small[0, 0]).all()
     np.testing.assert_allclose(small[1, 1], image[2:, 3:].mean(axis=(0, 1)))
 

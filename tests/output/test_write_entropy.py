@@ -15,7 +15,7 @@ from matplotlib import pyplot
 from support.unseen import blind
 
 import svu_mi as svu
-from svu_mi.capture.tonemap import Look, alone, tone_mapped
+from svu_mi.capture.tonemap import ObjectView, object_only_scene, tone_mapped
 from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.errors import OutputError
 from svu_mi.output import object_views
@@ -113,7 +113,7 @@ def test_the_views_shown_are_far_apart(vase):
 
 def test_a_picture_shows_the_object_where_the_photograph_does(vase):
     color = np.broadcast_to(np.float32([0.2, 0.4, 0.8]), (8, 8, 3))
-    shown = Look.at(alone(vase.capture), vase.capture.sensors[1]).painted(color)
+    shown = ObjectView.at(object_only_scene(vase.capture), vase.capture.sensors[1]).painted(color)
     assert shown.shape == (36, 48, 4)
     covered, empty = shown[..., 3] == 1, shown[..., 3] == 0
     assert covered.any() and empty.any()

@@ -18,7 +18,7 @@ from support.helpers import ball, memory_capture, sensor_xml, write_older, write
 import svu_mi as svu
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture import scene_xml
-from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
@@ -202,12 +202,12 @@ def odd_capture(tmp_path, **changes):
 def without(capture, *kinds):
     """The same capture without shapes of some classes."""
     kept = [s for s in capture.scene.shapes() if s.class_name() not in kinds]
-    return replace(capture, scene=scene_of([*capture.scene.emitters(), *kept]))
+    return replace(capture, scene=make_scene([*capture.scene.emitters(), *kept]))
 
 
 def under(capture, emitter):
     """The same capture under another light, in a scene of its own."""
-    scene = scene_of([mi.load_dict(emitter), *capture.scene.shapes()])
+    scene = make_scene([mi.load_dict(emitter), *capture.scene.shapes()])
     return replace(capture, scene=scene)
 
 

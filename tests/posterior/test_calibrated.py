@@ -151,7 +151,7 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     assert np.abs(np.array(found.mean) - mean).max() < 1e-6
     assert np.abs(np.sqrt(np.array(found.variance, float)) - sd).max() < 1e-5
     cells = [integral(a, b, 0) / whole for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    assert np.abs(np.array([np.array(x) for x in found.cells]) - cells).max() < 1e-5
+    assert np.abs(np.array([np.array(x) for x in found.bins]) - cells).max() < 1e-5
     mass, parts = likelihood.integrate_masses(edges.tolist())
     assert np.abs(np.array(mass) / whole - 1).max() < 2e-5
     assert np.abs(np.array([np.array(x) for x in parts]) - cells).max() < 1e-5

@@ -20,7 +20,7 @@ from support.helpers import as_values, ball, render_ball
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.mesh import make
+from svu_mi.capture.mesh import make_mesh
 from svu_mi.core.arrays import to_drjit
 from svu_mi.frequency.spectra import Coefficients
 from svu_mi.geometry.neighbors import neighbors
@@ -566,7 +566,7 @@ RESOLUTION = (16, 10)
 @pytest.fixture(scope="module")
 def sphere() -> SimpleNamespace:
     """Texels of a ball, their neighbours, and posteriors that nobody measured."""
-    mesh = make("ball", ball())
+    mesh = make_mesh("ball", ball())
     where = svu.texels(mesh, RESOLUTION)
     rng = np.random.default_rng(104)
     energies = rng.gamma(1.0, 2.0, (where.count, 4, 3))

@@ -148,7 +148,7 @@ def test_work_is_really_left_out(grey, name):
     else:
         assert few.factors.levels == all_of_it.factors.levels == 8
         assert few.roughness.count == all_of_it.roughness.count == 2 * 42 / 7
-        assert set(few.roughness.cell) == {2, 3}
+        assert set(few.roughness.bin) == {2, 3}
 
 
 def test_one_channel_stands_for_three(grey):

@@ -16,7 +16,7 @@ from support.helpers import fails, names, run
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError, ShapeError
-from svu_mi.geometry.neighbors import neighbors
+from svu_mi.geometry.neighbors import connected_components, neighbors
 from svu_mi.output.texture_files import read_textures, recovery_settings
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.inpaint import texel_hierarchy
@@ -34,7 +34,7 @@ from svu_mi.recovery.inpaint.symmetry_predictors import (
     KnownTexels,
     SymmetryPredictor,
 )
-from svu_mi.recovery.inpaint.texel_hierarchy import Pieces, TexelGraph, connected, normalized_points
+from svu_mi.recovery.inpaint.texel_hierarchy import Pieces, TexelGraph, normalized_points
 from svu_mi.recovery.recover import recover
 from svu_mi.recovery.recovery_options import ShOptions
 from svu_mi.recovery.svbrdf_textures import lay_out
@@ -134,7 +134,9 @@ def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[TexelGraph, n
     values, deviation = np.where(hole, 0.5, true), np.where(hole, 0.3, 0.01)[None]
     lanes = [to_drjit(mi.UInt32, column.astype(np.uint32)) for column in around]
     smoother = Smoother.of(1 / deviation**2, values, lanes, 3.0, 0.01)
-    pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), connected(list(around)))
+    pieces = Pieces(
+        np.zeros((side**2, 3)), np.zeros((side**2, 3)), connected_components(list(around))
+    )
     squares = np.stack([rows, columns], axis=1)
     weights, ones = 1 / deviation**2, np.ones(side**2)
     return TexelGraph(values, weights, values, ~hole, ones, squares, pieces, smoother), true

@@ -17,7 +17,7 @@ import pytest
 from support.helpers import fails, names, write_older
 
 from svu_mi.capture.sensors import film_size, windowed_sensor
-from svu_mi.capture.tonemap import Look, alone
+from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.errors import OptionError, SvuEnvironmentError
 from svu_mi.geometry.neighbors import neighbors
 from svu_mi.output.write_fill import fill_sentences, write_filled
@@ -134,7 +134,7 @@ class Truth:
     ) -> dict[str, np.ndarray]:
         self.asked.append((picture, seed))
         self.steps.append((steps, free))
-        look, maps = Look.of(alone(self.object.capture), picture.sensor), {}
+        look, maps = ObjectView.of(object_only_scene(self.object.capture), picture.sensor), {}
         for name in NAMES:
             image = np.array(self.object.truth[name])
             shown = look.values(np.broadcast_to(image, (*image.shape[:2], 3)))
@@ -209,7 +209,7 @@ def test_a_model_is_given_what_is_known(painted, by_truth) -> None:
     # The first of a task; what others are given holds what the model has said before.
     for place in (0, -len(filled.invented.answers[0].pictures)):
         picture = model.asked[place][0]
-        look = Look.of(alone(painted.capture), picture.sensor)
+        look = ObjectView.of(object_only_scene(painted.capture), picture.sensor)
         image = np.array(painted.truth.roughness)
         true = look.values(np.broadcast_to(image, (*image.shape[:2], 3)))[..., 0]
         off = np.abs(true - picture.maps["roughness"])
@@ -267,7 +267,7 @@ def test_photographs_are_cut_to_the_object(painted, by_quarter) -> None:
     for picture, _ in model.asked[: len(answer.pictures)]:
         assert max(picture.certain.shape) <= 48
         (render,) = relight(painted.capture, None, None, [picture.sensor], 64, seed=3)
-        look = Look.of(alone(painted.capture), picture.sensor)
+        look = ObjectView.of(object_only_scene(painted.capture), picture.sensor)
         inside = np.flatnonzero(look.covered == 1)
         shown, render = picture.photograph.mean(axis=2), np.minimum(render, 1).mean(axis=2)
         fits = {

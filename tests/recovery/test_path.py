@@ -11,7 +11,7 @@ import pytest
 from support.helpers import ball_scene, memory_capture, render_ball
 
 from svu_mi.capture.mesh import arrays
-from svu_mi.capture.replace_material import is_same, repaint
+from svu_mi.capture.replace_material import is_same, replace_material
 from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sensors
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError, OptionError, ShapeError
@@ -104,7 +104,7 @@ def test_repainting_leaves_the_capture_alone_and_shares_the_rest(capture):
     before = arrays(capture.mesh)
     material = mi.load_dict({"type": "twosided", "bsdf": {"type": "diffuse"}})
     bsdf = str(capture.shape.bsdf())
-    made = repaint(capture, material)
+    made = replace_material(capture, material)
     assert str(capture.shape.bsdf()) == bsdf
     assert not is_same(made.shape, capture.shape)
     assert len(made.scene.shapes()) == len(capture.scene.shapes())
@@ -113,11 +113,11 @@ def test_repainting_leaves_the_capture_alone_and_shares_the_rest(capture):
 
 
 def test_an_unwrapped_mesh_brings_its_own_uvs(capture):
-    from svu_mi.capture.mesh import MeshArrays, make
+    from svu_mi.capture.mesh import MeshArrays, make_mesh
 
     old = arrays(capture.mesh)
-    mesh = make("new", MeshArrays(old.positions, old.faces, old.normals, old.uvs * 0.5))
-    made = repaint(replace(capture, mesh=mesh), mi.load_dict({"type": "diffuse"}))
+    mesh = make_mesh("new", MeshArrays(old.positions, old.faces, old.normals, old.uvs * 0.5))
+    made = replace_material(replace(capture, mesh=mesh), mi.load_dict({"type": "diffuse"}))
     assert np.allclose(arrays(made.shape).uvs, old.uvs * 0.5)
 
 
@@ -125,7 +125,7 @@ def test_both_sides_reflect_if_they_did(tmp_path):
     scene = ball_scene(tmp_path, light(), {"type": "twosided", "bsdf": paint()})
     sensors = sphere_sensors(scene.shapes()[0], 1, (8, 8))
     capture = memory_capture(scene, [np.zeros((8, 8, 3))], sensors)
-    assert "TwoSided" in repaint(capture, mi.load_dict(paint())).shape.bsdf().class_name()
+    assert "TwoSided" in replace_material(capture, mi.load_dict(paint())).shape.bsdf().class_name()
 
 
 @pytest.mark.slow
@@ -145,7 +145,7 @@ def test_uniform_textures_render_as_the_uniform_material(capture, grid):
         images = [
             np.array(mi.render(scene, sensor=capture.sensors[0], spp=4, seed=1,
                                integrator=mi.load_dict({"type": "prb", "max_depth": 2})))
-            for scene in (target.scene, repaint(capture, plain).scene)
+            for scene in (target.scene, replace_material(capture, plain).scene)
         ]  # fmt: skip
         assert np.allclose(*images, rtol=1e-3, atol=1e-4)
 

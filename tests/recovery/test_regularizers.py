@@ -13,7 +13,7 @@ import pytest
 from geometry.test_neighbors import links, quad, together
 from support.helpers import ball
 
-from svu_mi.capture.mesh import make
+from svu_mi.capture.mesh import make_mesh
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.geometry.neighbors import neighbors
@@ -33,7 +33,7 @@ GRID = ParameterGrid(4, 3)
 
 @cache
 def sphere() -> tuple[Texels, Any]:
-    mesh = make("ball", ball())
+    mesh = make_mesh("ball", ball())
     return texels(mesh, RESOLUTION), mesh
 
 
@@ -351,7 +351,7 @@ def test_nothing_seen_shares_nothing():
 
 
 def test_a_single_texel_shares_with_itself():
-    mesh = make("ball", ball())
+    mesh = make_mesh("ball", ball())
     where = texels(mesh, 1)
     estimate = an_estimate(np.zeros((1, *GRID.shape)), np.ones(1, bool), where)
     sharing = GlobalSharing(estimate, mesh)

@@ -37,7 +37,7 @@ def spotted() -> np.ndarray:
 
 def surroundings() -> tuple[object, Texels]:
     """A ball beside a wall, and its texels."""
-    mesh = capture_mesh.make("ball", ball())
+    mesh = capture_mesh.make_mesh("ball", ball())
     turn = mi.ScalarTransform4f().translate([1.3, 0, 0]).rotate([0, 1, 0], -90).scale(1.5)
     wall = {"type": "rectangle", "to_world": turn, "bsdf": {"type": "diffuse"}}
     scene = mi.load_dict({"type": "scene", "ball": mesh, "wall": wall}, optimize=False)
@@ -193,7 +193,7 @@ def test_one_channel_is_the_mean_of_three() -> None:
 def test_a_rough_metal_under_a_sun_is_what_mitsuba_renders() -> None:
     """Pre-filtered light is off by tens of percent here; the sum is not."""
     light = {"type": "envmap", "bitmap": mi.Bitmap(spotted())}
-    mesh = capture_mesh.make("ball", ball(96, 48))
+    mesh = capture_mesh.make_mesh("ball", ball(96, 48))
     mesh.set_bsdf(mi.load_dict({"type": "principled", "base_color": {"type": "rgb", "value": 0.8},
                                 "roughness": 0.6, "metallic": 1.0}))  # fmt: skip
     emitter = mi.load_dict(light)

@@ -14,7 +14,7 @@ from support.helpers import ball, memory_capture, python, sensor_xml, write_scen
 import svu_mi as svu
 from svu_mi.capture.content_hash import Key, capture_key, capture_parts
 from svu_mi.capture.loading import load_capture
-from svu_mi.capture.mesh import make
+from svu_mi.capture.mesh import make_mesh
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError, SvuWarning
 from svu_mi.evaluation import reference_cache
@@ -51,7 +51,7 @@ def write(folder):
     folder.mkdir(exist_ok=True)
     path = write_scene(folder, sensors=sensor_xml(2, 16, 8), extra=OTHERS)
     other = replace(ball(180, 90), normals=None)  # so many that the order of sums differs
-    make("other", other).write_ply(str(folder / "other.ply"))
+    make_mesh("other", other).write_ply(str(folder / "other.ply"))
     rng = np.random.default_rng(911)
     for name in ("texture", "sky", "images/view_0000", "images/view_0001"):
         (folder / "images").mkdir(exist_ok=True)

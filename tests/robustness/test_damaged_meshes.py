@@ -16,9 +16,9 @@ import pytest
 from support.helpers import ball, python, sensor_xml, write_ball, write_scene
 
 from svu_mi.capture.loading import load_capture
-from svu_mi.capture.mesh import MeshArrays, arrays, make, read_ply, write_ply
+from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh, read_ply, write_ply
 from svu_mi.capture.scene import load_scene
-from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
+from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.cli.main import main
 from svu_mi.errors import OutputError, SceneError
 
@@ -186,7 +186,7 @@ def test_commands_refuse_a_damaged_mesh(tmp_path, capsys, command):
 def bare(**changes: object) -> object:
     """The ball without UVs."""
     fields = {**vars(ball(12, 6)), "uvs": None, **changes}
-    return make("ball", MeshArrays(**fields))
+    return make_mesh("ball", MeshArrays(**fields))
 
 
 def spoilt(folder: Path, **changes: np.ndarray) -> None:
@@ -201,12 +201,12 @@ def spoilt(folder: Path, **changes: np.ndarray) -> None:
 
 def test_uvs_that_were_kept_are_taken_again(tmp_path, caplog):
     """The mesh's own normals are taken, whatever those in the file are."""
-    first = arrays(unwrapped(bare(), tmp_path))
+    first = arrays(unwrap_cached(bare(), tmp_path))
     header = (tmp_path / UNWRAPPED).read_bytes().partition(b"end_header")[0]
     assert b"\ncomment svu_mi unwrapped " in header and b" xatlas " in header
     spoilt(tmp_path, normals=np.full_like(first.positions, np.nan))
     written = (tmp_path / UNWRAPPED).stat()
-    again = arrays(unwrapped(bare(), tmp_path))
+    again = arrays(unwrap_cached(bare(), tmp_path))
     for name in ("positions", "faces", "normals", "uvs"):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
     assert (tmp_path / UNWRAPPED).stat() == written and not caplog.records
@@ -220,9 +220,9 @@ def test_normals_of_a_scene_that_are_no_numbers_are_refused(tmp_path):
 
 
 def test_other_normals_are_another_mesh(tmp_path, caplog):
-    unwrapped(bare(), tmp_path)
+    unwrap_cached(bare(), tmp_path)
     turned = np.roll(ball(12, 6).normals, 1, axis=1)
-    found = arrays(unwrapped(bare(normals=turned), tmp_path))
+    found = arrays(unwrap_cached(bare(normals=turned), tmp_path))
     assert "belongs to another mesh, or was changed; the mesh is unwrapped again." in caplog.text
     source = arrays(bare(normals=turned))
     np.testing.assert_array_equal(found.normals[found.faces], source.normals[source.faces])
@@ -253,12 +253,12 @@ SPOILT = {
 
 @pytest.mark.parametrize(("spoil", "reason"), SPOILT.values(), ids=SPOILT)
 def test_a_damaged_unwrapping_is_made_again(tmp_path, caplog, spoil, reason):
-    good = arrays(unwrapped(bare(), tmp_path))
+    good = arrays(unwrap_cached(bare(), tmp_path))
     path = tmp_path / UNWRAPPED
     data = path.read_bytes()
     spoil(path)
     with caplog.at_level(logging.WARNING):
-        again = arrays(unwrapped(bare(), tmp_path))
+        again = arrays(unwrap_cached(bare(), tmp_path))
     assert reason in caplog.text and f"{path}" in caplog.text
     np.testing.assert_array_equal(again.uvs, good.uvs)
     assert path.read_bytes() == data

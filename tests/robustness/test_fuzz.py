@@ -20,7 +20,7 @@ import trimesh
 from support import fuzz_formats
 
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.image_io import open_picture, read_planes
+from svu_mi.capture.image_io import open_image, read_planes
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.unwrap import unwrap
@@ -80,7 +80,7 @@ def test_float_pictures_are_those_that_mitsuba_reads(tmp_path, size):
         mi.Bitmap(values).write(str(path))
         planes, low_range = read_planes(path)
         np.testing.assert_array_equal(np.stack(planes, axis=-1), np.array(mi.Bitmap(str(path))))
-        assert not low_range and open_picture(path).size == size
+        assert not low_range and open_image(path).size == size
         for end in (0, 10, path.stat().st_size // 2, path.stat().st_size - 1):
             with pytest.raises(CaptureError, match="not a readable image"):
                 read_planes(written(tmp_path / f"cut{path.suffix}", path.read_bytes()[:end]))
@@ -152,7 +152,7 @@ def test_textures_that_are_no_file_are_told(tmp_path):
 def test_a_sliver_is_unwrapped_at_once(tmp_path):
     box = trimesh.creation.box((1, 1, 1))
     box.vertices[0, 2] = 65535
-    mesh = capture_mesh.make("box", MeshArrays(box.vertices, box.faces, None, None))
+    mesh = capture_mesh.make_mesh("box", MeshArrays(box.vertices, box.faces, None, None))
     started = time.process_time()
     uvs = arrays(unwrap(mesh)).uvs
     assert time.process_time() - started < 2

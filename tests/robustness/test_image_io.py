@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from support.helpers import render_ball, sensor_xml, write_scene
 
-from svu_mi.capture.image_io import decoded, open_picture, read_planes
+from svu_mi.capture.image_io import decoded, open_image, read_planes
 from svu_mi.capture.importers.convert_photographs import convert_photograph, photograph_notes
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.source import Frame, Light
@@ -112,7 +112,7 @@ def test_16_bits_are_decoded_as_16_and_called_so(scene):
     pixels[0, 0], pixels[0, 1] = 65_535, round(0.985 * 65_535)  # clipped, and merely bright
     path = scene.parent / "view_0000.png"
     write_16_bits(path, pixels)
-    assert open_picture(path).bits == 16
+    assert open_image(path).bits == 16
     assert any("view_0000.png: 16-bit, not HDR; decoded as sRGB, 1 sat" in note
                for note in notes_of(scene))  # fmt: skip
     with warnings.catch_warnings():

@@ -260,7 +260,7 @@ def prepared(command, folder, side):
         known = {"Y": np.full((side, side), 0.5, np.float32)}
         write_exr(folder / "recovered" / "entropy.exr", known)
         return command, folder / "recovered", "-o", folder / "out"
-    sensors = sphere_sensors(mesh.make("ball", ball()), 3, (side, side))
+    sensors = sphere_sensors(mesh.make_mesh("ball", ball()), 3, (side, side))
     frames = [frame_of(each, folder / f"{k}.exr") for k, each in enumerate(sensors)]
     for frame in frames:
         write_exr(frame.image, {"RGB": np.full((side, side, 3), 0.5, np.float32)})
@@ -340,7 +340,7 @@ def test_what_charts_cover_is_read_from_the_mesh(tmp_path):
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], float)
     faces = np.array([[0, 1, 2], [1, 3, 2]])
     for side, part in ((0.5, 0.25), (1.0, 1.0)):
-        made = mesh.make("plate", mesh.MeshArrays(corners, faces, None, side * corners[:, :2]))
-        assert mesh.covered_by_charts(made) == pytest.approx(min(part * mesh.MARGIN, 1))
-    bare = mesh.make("plate", mesh.MeshArrays(corners, faces, None, None))
-    assert mesh.covered_by_charts(bare) == 1
+        made = mesh.make_mesh("plate", mesh.MeshArrays(corners, faces, None, side * corners[:, :2]))
+        assert mesh.chart_coverage(made) == pytest.approx(min(part * mesh.MARGIN, 1))
+    bare = mesh.make_mesh("plate", mesh.MeshArrays(corners, faces, None, None))
+    assert mesh.chart_coverage(bare) == 1

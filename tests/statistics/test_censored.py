@@ -18,7 +18,7 @@ from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.content_hash import capture_key, photographs_key
 from svu_mi.capture.image_io import decoded
 from svu_mi.capture.photographs import SATURATED
-from svu_mi.capture.quantization import Clipped
+from svu_mi.capture.quantization import Saturation
 from svu_mi.errors import CaptureError
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
@@ -126,7 +126,7 @@ def test_gains_are_divided_out_of_what_is_clipped(shiny):
 
 def test_what_is_not_clipped_is_as_before(shiny):
     observed = observe(shiny, svu.texels(shiny.mesh, 32))
-    none = tuple(Clipped.of(np.zeros((64, 64, 3), bool), 1.0) for _ in range(16))
+    none = tuple(Saturation.of(np.zeros((64, 64, 3), bool), 1.0) for _ in range(16))
     same = observe(replace(shiny, clipped=none), observed.texels)
     assert same.views.clipped is None and same.visibility.clipped is None
 

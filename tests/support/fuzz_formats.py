@@ -27,7 +27,7 @@ from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.capture import capture_folder, loading
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture_folder import Description
-from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.convert_photographs import convert_photograph, with_response
 from svu_mi.capture.importers.envmap import write_environment
 from svu_mi.capture.importers.exposure_list import with_exif_gains, with_listed_gains
@@ -40,7 +40,7 @@ from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.source import Frame, Light, Source
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.scene import load_scene
-from svu_mi.capture.unwrap import UNWRAPPED, unwrap, unwrapped
+from svu_mi.capture.unwrap import UNWRAPPED, unwrap, unwrap_cached
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.output_folder import Draft
@@ -74,7 +74,7 @@ def picture(folder: Path, out: Path) -> None:
     label, size = f"{folder}: frame 0", (WIDTH, HEIGHT)
     frame = Frame(label=label, image=path, mask=path, to_world=np.eye(4), focal=(20.0, 20.0),
                   center=(8.0, 4.0), size=size)  # fmt: skip
-    frame = with_size(frame, open_picture(path).size)
+    frame = with_size(frame, open_image(path).size)
     convert_photograph(frame, out / "view.exr", (1.0, 1.0))
 
 
@@ -88,7 +88,7 @@ def mesh(folder: Path, out: Path) -> None:
     """Read a mesh with its textures, unwrap it if need be, and write it."""
     path = next(folder.glob("mesh.*"))
     geometry = read_textured_mesh(path)
-    made = capture_mesh.make("object", geometry.mesh)
+    made = capture_mesh.make_mesh("object", geometry.mesh)
     if geometry.mesh.uvs is None:
         made = unwrap(made, str(path))
     made.write_ply(str(out / "mesh.ply"))
@@ -99,7 +99,7 @@ def source(folder: Path, out: Path, *, place: str = ".") -> None:
     """Read poses, make their sensors, and straighten a photograph of a distorted lens."""
     source = read_source(folder / place)
     for frame in source.frames:
-        frame = with_size(frame, open_picture(frame.image).size)
+        frame = with_size(frame, open_image(frame.image).size)
         made, scale = square_pixel_frame(frame)
         made.sensor()
         if frame.lens is not None:
@@ -127,7 +127,7 @@ def response(folder: Path, out: Path) -> None:
 
 def capture(folder: Path, out: Path) -> None:
     """Read a capture folder, without what is kept there when a mesh has lost its UVs."""
-    with mock.patch.object(loading, "unwrapped", lambda shape, _: unwrapped(shape, None)):
+    with mock.patch.object(loading, "unwrap_cached", lambda shape, _: unwrap_cached(shape, None)):
         load_capture(folder)
 
 
@@ -155,10 +155,10 @@ def kept_uvs(folder: Path, out: Path) -> None:
 
 def _made_again(folder: Path, said: list[str]) -> Any:
     """Unwrap a ball, and keep what is logged about the file in the folder."""
-    bare = capture_mesh.make("ball", replace(ball(6, 4), uvs=None))
-    log = logging.getLogger(unwrapped.__module__)
+    bare = capture_mesh.make_mesh("ball", replace(ball(6, 4), uvs=None))
+    log = logging.getLogger(unwrap_cached.__module__)
     with mock.patch.object(log, "warning", lambda text, *values: said.append(text % values)):
-        return unwrapped(bare, folder)
+        return unwrap_cached(bare, folder)
 
 
 def program(folder: Path, out: Path) -> None:

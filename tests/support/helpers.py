@@ -25,7 +25,7 @@ from svu_mi.capture.importers import axis_fixes
 from svu_mi.capture.importers.resampling import square_pixel_frame
 from svu_mi.capture.importers.source import Frame, Source
 from svu_mi.capture.rendering import render_capture
-from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.cli.main import main
@@ -127,7 +127,7 @@ def write_ball(folder: Path, **changes: Any) -> Path:
     fields = {"positions": arrays.positions, "faces": arrays.faces, "normals": arrays.normals,
               "uvs": arrays.uvs, **changes}  # fmt: skip
     path = folder / "ball.ply"
-    capture_mesh.make("ball", capture_mesh.MeshArrays(**fields)).write_ply(str(path))
+    capture_mesh.make_mesh("ball", capture_mesh.MeshArrays(**fields)).write_ply(str(path))
     return path
 
 
@@ -370,7 +370,7 @@ def turning(capture: Capture, spp: int = 32) -> Capture:
             "type": "envmap", "bitmap": mi.Bitmap(pixels), "scale": brightness,
             "to_world": mi.ScalarTransform4f(pose @ to_world(emitter)),
         })  # fmt: skip
-        scene = scene_of([*capture.scene.shapes(), turned])
+        scene = make_scene([*capture.scene.shapes(), turned])
         direct = mi.load_dict({"type": "path", "max_depth": 2})
         image = mi.render(scene, sensor=sensor, spp=spp, seed=index, integrator=direct)
         images.append(np.array(image, np.float32)[..., :3])

@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import decoded, srgb
 from svu_mi.capture.photographs import SATURATED
-from svu_mi.capture.quantization import Clipped, Rounding
+from svu_mi.capture.quantization import Rounding, Saturation
 from svu_mi.posterior.observations import Observed
 
 WHITE = 0.97  # of the object's pixels that an 8-bit photograph does not clip
@@ -80,7 +80,7 @@ def in_integers(
     images, clipped = [], []
     for image in capture.images:
         encoded = np.round(last * srgb(np.nan_to_num(image) * exposure)) / last
-        saturated = Clipped.of(encoded > SATURATED[bits], limit / exposure)
+        saturated = Saturation.of(encoded > SATURATED[bits], limit / exposure)
         linear = (decoded(encoded.astype(np.float32)) / exposure).astype(np.float32)
         linear[saturated.flags] = np.nan
         images.append(np.ascontiguousarray(linear))

@@ -135,7 +135,7 @@ def fine_capture(views: int, film: int) -> Capture:
             points, faces, vertex_attributes={"uv": uvs}
         )
         uvs = attributes["uv"]
-    mesh = capture_mesh.make("vase", capture_mesh.MeshArrays(points, faces, None, uvs))
+    mesh = capture_mesh.make_mesh("vase", capture_mesh.MeshArrays(points, faces, None, uvs))
     scene = mi.load_dict(
         {"type": "scene", "light": {"type": "constant"}, "vase": mesh}, optimize=False
     )

@@ -20,8 +20,8 @@ from svu_mi.capture.importers.axis_fixes import (
     fix_rotation,
 )
 from svu_mi.capture.importers.source import OPENCV, OPENGL
-from svu_mi.capture.mesh import arrays, make
-from svu_mi.capture.replace_material import is_same, scene_of
+from svu_mi.capture.mesh import arrays, make_mesh
+from svu_mi.capture.replace_material import is_same, make_scene
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.light.environment import read_environment
@@ -122,15 +122,14 @@ def _apply_fix(capture: Capture, fix: AxisFix, camera_axes: np.ndarray) -> Captu
 
 def _with_corrected_mesh(capture: Capture, fix: AxisFix) -> Capture:
     """Correct the mesh of the object."""
-    shape = make(capture.shape.id(), correct_mesh(arrays(capture.shape), fix))
+    shape = make_mesh(capture.shape.id(), correct_mesh(arrays(capture.shape), fix))
     shape.set_bsdf(capture.shape.bsdf())
     mesh = shape
     if capture.mesh is not capture.shape:
-        mesh = make(capture.mesh.id(), correct_mesh(arrays(capture.mesh), fix))
+        mesh = make_mesh(capture.mesh.id(), correct_mesh(arrays(capture.mesh), fix))
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
-    return replace(
-        capture, shape=shape, mesh=mesh, scene=scene_of([shape, *capture.scene.emitters(), *others])
-    )
+    scene = make_scene([shape, *capture.scene.emitters(), *others])
+    return replace(capture, shape=shape, mesh=mesh, scene=scene)
 
 
 def _with_turned_light(capture: Capture, fix: AxisFix) -> Capture:
@@ -152,5 +151,5 @@ def _with_turned_light(capture: Capture, fix: AxisFix) -> Capture:
         "scale": scale,
         "to_world": mi.ScalarTransform4f(turned),
     })  # fmt: skip
-    scene = scene_of([*capture.scene.shapes(), light])
+    scene = make_scene([*capture.scene.shapes(), light])
     return replace(capture, scene=scene, light_uncertainty=None, found_light=None)

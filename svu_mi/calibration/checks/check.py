@@ -32,7 +32,7 @@ from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.axis_fixes import find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
-from svu_mi.capture.load_warnings import MOST, has_front_outside, ignored, part_from_behind
+from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward, unsupported
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.core.progress import Progress
@@ -106,8 +106,8 @@ def find_axis_mistakes(
     capture = limit_views(reduce_photographs(capture, SIDE), VIEWS)
     eyes = [to_world(sensor)[:3, 3] for sensor in capture.used_sensors]
     mesh = arrays(capture.shape)
-    behind = part_from_behind(capture.scene, mesh, eyes)
-    if behind < MOST or has_front_outside(mesh):  # with the cameras inside
+    behind = back_face_share(capture.scene, mesh, eyes)
+    if behind < MOST or faces_outward(mesh):  # with the cameras inside
         return _find_axis_mistakes(capture, progress)
     turned = apply_fixes(capture, find_fixes([decisions.INSIDE_OUT]))
     (poses, light, flip), axes = _find_axis_mistakes(turned, progress)
@@ -207,7 +207,7 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
 
 def _ignored(capture: Capture) -> tuple[Finding, ...]:
     """Return a note about ignored parts of scene or import, if there are any."""
-    notes = ignored(capture.scene, capture.shape)
+    notes = unsupported(capture.scene, capture.shape)
     description = None if capture.source is None else capture_folder.read(capture.source)
     said = description.imported.get("notes") if description else None
     notes += [n for n in said if str(n).endswith(LEFT_OUT)] if isinstance(said, list) else []

@@ -14,7 +14,7 @@ import numpy as np
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.geometry.neighbors import squares_of
+from svu_mi.geometry.neighbors import texel_squares
 from svu_mi.parameters import MIXED
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.estimate import Estimate
@@ -84,7 +84,7 @@ def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
         raise OptionError(f"The grey card: texture coordinates are in [0, 1], got {uv}.")
     layout = observed.texels
     width, height = layout.resolution
-    row, column = squares_of(layout).T
+    row, column = texel_squares(layout).T
     distance = np.hypot(column + 0.5 - uv[0] * width, row + 0.5 - uv[1] * height)
     near = np.argsort(distance, kind="stable")[:NEAR]
     near = near[(distance[near] <= np.sqrt(NEAR)) & (observed.coverage[near] > 0)]

@@ -21,7 +21,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.film_rays import evenly, pixel_rays, table_of
+from svu_mi.capture.film_rays import pixel_rays, ray_table, stratified
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import film_size
 from svu_mi.core.arrays import fibonacci, to_drjit
@@ -127,7 +127,7 @@ class BackgroundPixels:
         rows, columns = (np.concatenate(part) for part in zip(*pixels, strict=True))
         numbers = (to_drjit(mi.UInt32, part) for part in (view, rows, columns))
         rays = pixel_rays(
-            table_of([capture.sensors[k] for k in used]), tuple(numbers), 1, evenly(1)
+            ray_table([capture.sensors[k] for k in used]), tuple(numbers), 1, stratified(1)
         )
         hit, towards = capture.scene.ray_test(rays), mi.Vector3f(rays.d)
         dr.eval(hit, towards)

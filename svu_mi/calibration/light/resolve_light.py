@@ -23,7 +23,7 @@ from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.import_options import Light
-from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.replace_material import make_scene
 from svu_mi.core.io.output_folder import claimed
 from svu_mi.core.io.provenance import LIGHT
 from svu_mi.core.progress import Progress
@@ -75,7 +75,7 @@ def _scene_under(capture: Capture, radiance: np.ndarray) -> Any:
     })  # fmt: skip
     integrator = capture.scene.integrator()  # None in a scene that has none
     others = [] if integrator is None else [integrator]
-    return scene_of([*capture.scene.shapes(), *others, emitter])
+    return make_scene([*capture.scene.shapes(), *others, emitter])
 
 
 def with_resolved_light(

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from svu_mi.capture.crop import LARGE
-from svu_mi.capture.image_io import Picture, open_picture
+from svu_mi.capture.image_io import ImageFile, open_image
 from svu_mi.capture.importers.camera_response import (
     CameraResponse,
     linearize,
@@ -78,7 +78,7 @@ def with_response(frames: Sequence[Frame], response: str | Path | None) -> Seque
     """Return frames with a measured response, which ``read_response`` reads; None changes none."""
     if response is None:
         return frames
-    if not any(open_picture(frame.image).bits for frame in frames):
+    if not any(open_image(frame.image).bits for frame in frames):
         raise OptionError(
             f"--response: {frames[0].image.name} and all other photographs are linear (EXR, HDR, "
             "PFM), and need none; leave it out."
@@ -99,7 +99,7 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
         path: the EXR file.
         scale: of width and height, as ``square_pixel_frame`` returns it.
     """
-    picture = open_picture(frame.image)
+    picture = open_image(frame.image)
     if _can_be_copied(picture, frame, scale):
         return _copy_jpeg(picture, frame, path)
     planes, bits = picture.planes(), picture.bits
@@ -134,7 +134,7 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
     return _describe(picture, mask, clipped, black, int(invalid.sum()))
 
 
-def _can_be_copied(picture: Picture, frame: Frame, scale: tuple[float, float]) -> bool:
+def _can_be_copied(picture: ImageFile, frame: Frame, scale: tuple[float, float]) -> bool:
     """Return whether a photograph can be copied."""
     width, height = picture.size
     jpeg = picture.path.suffix.lower() in JPEG and picture.bits == 8
@@ -142,7 +142,7 @@ def _can_be_copied(picture: Picture, frame: Frame, scale: tuple[float, float]) -
     return jpeg and plain and width * height >= LARGE
 
 
-def _copy_jpeg(picture: Picture, frame: Frame, path: Path) -> ConvertedPhotograph:
+def _copy_jpeg(picture: ImageFile, frame: Frame, path: Path) -> ConvertedPhotograph:
     """Copy a JPEG to ``path`` with its own suffix, and write its mask."""
     codes, mask = picture.stored()[:3], None
     most = SATURATED[8] * 255
@@ -158,7 +158,11 @@ def _copy_jpeg(picture: Picture, frame: Frame, path: Path) -> ConvertedPhotograp
 
 
 def _describe(
-    picture: Picture, mask: np.ndarray | None, clipped: np.ndarray, black: np.ndarray, invalid: int
+    picture: ImageFile,
+    mask: np.ndarray | None,
+    clipped: np.ndarray,
+    black: np.ndarray,
+    invalid: int,
 ) -> ConvertedPhotograph:
     """Return the properties of a photograph with masks (H, W) of clipped and black pixels."""
     return ConvertedPhotograph(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.image_io import open_picture, positive
+from svu_mi.capture.image_io import clamp_negative, open_image
 from svu_mi.capture.importers.source import Light
 from svu_mi.capture.scene_xml import POLES, ROWS
 from svu_mi.capture.sensors import affine
@@ -44,7 +44,7 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
             f"{light.path}: the light must be an HDR map ({', '.join(SUFFIXES)}); 8-bit images "
             "clip lamps."
         )
-    picture = open_picture(light.path)
+    picture = open_image(light.path)
     pixels = np.stack(picture.planes()[:3], axis=-1)
     height, width = pixels.shape[:2]
     says_poles = picture.header.attributes.get(ROWS) == POLES and height > 1
@@ -56,7 +56,7 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
     if not np.isfinite(pixels).all():
         raise CaptureError(f"{light.path}: some pixels are NaN or infinite; repair the map.")
     notes = [f"{light.path}: {remark}" for remark in picture.remarks()]
-    pixels, note = positive(pixels, str(light.path))
+    pixels, note = clamp_negative(pixels, str(light.path))
     notes += note
     if not pixels.any():
         raise CaptureError(f"{light.path}: the map is entirely black.")

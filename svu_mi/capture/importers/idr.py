@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.source import LARGEST, OPENCV, RIGID, Frame, Source
 from svu_mi.capture.importers.source_files import find_folder, find_photographs, list_pictures
 from svu_mi.capture.sensors import affine
@@ -128,7 +128,7 @@ def _frame(matrix: np.ndarray, image: Path, mask: Path | None, label: str) -> Fr
         to_world=to_world @ OPENCV,
         focal=(float(K[0, 0]), float(K[1, 1])),
         center=(float(K[0, 2]) + FIRST_PIXEL, float(K[1, 2]) + FIRST_PIXEL),
-        size=open_picture(image).size,
+        size=open_image(image).size,
     )
 
 

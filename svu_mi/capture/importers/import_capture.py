@@ -16,7 +16,7 @@ import numpy as np
 from svu_mi.capture import capture_folder, scene_xml
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture_folder import Description
-from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.axis_fixes import (
     FIXES,
     AxisFix,
@@ -39,9 +39,9 @@ from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.source import Frame, Source
 from svu_mi.capture.importers.source_files import relative_name
-from svu_mi.capture.load_warnings import MOST, has_front_outside, part_from_behind
+from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward
 from svu_mi.capture.mesh import MeshArrays
-from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.core.io.output_folder import writing
@@ -107,7 +107,7 @@ class ImportPlan:
     def sizes(self) -> Sizes:
         """Sizes of the photographs that are in memory at a time, and of the light."""
         largest = sorted((frame.size for frame in self.frames), key=lambda size: size[0] * size[1])
-        light = (0, 0) if self.light is None else open_picture(self.light.path).size
+        light = (0, 0) if self.light is None else open_image(self.light.path).size
         return Sizes(largest[-_parallel_count(self.frames) :], light)
 
     def write(
@@ -198,7 +198,7 @@ def _prepare_frames(
         for fix in fixes:
             if fix.kind == "camera":
                 poses = correct_poses(poses, fix, source.camera_axes)
-        picture = open_picture(frame.image)
+        picture = open_image(frame.image)
         if picture.header.cropped:
             raise CaptureError(
                 f"{frame.image}: its data window differs from its display window, so its pixels "
@@ -220,7 +220,7 @@ def _read_object(
     mesh = replace(mesh, positions=mesh.positions * options.mesh_scale)
     mesh, notes = _facing_cameras(mesh, frames, fixes, label)
     if mesh.uvs is None:
-        mesh = capture_mesh.arrays(unwrap(capture_mesh.make(OBJECT, mesh), label))
+        mesh = capture_mesh.arrays(unwrap(capture_mesh.make_mesh(OBJECT, mesh), label))
         notes.append(f"{label}: has no UVs; they are laid out by xatlas and kept in {MESH}.")
     return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes])
 
@@ -237,14 +237,14 @@ def _facing_cameras(
     mesh: MeshArrays, frames: Sequence[Frame], fixes: Sequence[AxisFix], label: str
 ) -> tuple[MeshArrays, list[str]]:
     """Turn an open surface that is seen from behind, unless a correction exists; with a note."""
-    scene = scene_of([capture_mesh.make(OBJECT, mesh)])
-    behind = part_from_behind(scene, mesh, [frame.to_world[:3, 3] for frame in frames])
+    scene = make_scene([capture_mesh.make_mesh(OBJECT, mesh)])
+    behind = back_face_share(scene, mesh, [frame.to_world[:3, 3] for frame in frames])
     if behind < MOST:
         return mesh, []
     what = "its triangles are flipped."
     if any(fix.kind == "winding" for fix in fixes):
         what = "--fix mesh-inside-out has turned it so: leave it out if that was not meant."
-    elif has_front_outside(mesh):
+    elif faces_outward(mesh):
         what = (
             "it is closed, so the cameras are inside it: see that its units are those of the poses "
             "(--mesh-scale)."

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.image_io import SUFFIXES, open_picture
+from svu_mi.capture.image_io import SUFFIXES, open_image
 from svu_mi.capture.importers.lens_distortion import COEFFICIENTS, Lens
 from svu_mi.capture.importers.source import OPENGL, Frame, Source
 from svu_mi.capture.importers.source_files import relative_name, safe_path
@@ -196,7 +196,7 @@ def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
 def _size(known: Mapping[str, Any], image: Path, usual: tuple[int, int] | None) -> tuple[int, int]:
     if _has_size(known) or known.get("file_path") is None:
         return int(known["w"]), int(known["h"])
-    return usual if usual is not None and not image.is_file() else open_picture(image).size
+    return usual if usual is not None and not image.is_file() else open_image(image).size
 
 
 def _has_size(known: Mapping[str, Any]) -> bool:
@@ -217,7 +217,7 @@ def _default_size(
     images = [_image_path(path.parent, name, f"{label}{index}") for index, name in named.items()]
     first = next((image for image in images if image.is_file()), None)
     if first is not None:
-        return open_picture(first).size
+        return open_image(first).size
     raise CaptureError(
         f"{path}: {len(named)} of {len(frames)} photographs are missing, first "
         f"{relative_name(path.parent, images[0])}; put them where the poses name them."

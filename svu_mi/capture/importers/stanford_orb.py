@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.nerf import parse_frame, read_poses
 from svu_mi.capture.importers.source import OPENGL, Frame, Light, Source
 from svu_mi.capture.importers.source_files import safe_path
@@ -146,7 +146,7 @@ def _view(path: Path, record: dict[str, Any], given: Any, label: str) -> OrbView
         raise CaptureError(f"{label}: file_path must be text.")
     image = safe_path(capture, name + SUFFIXES[kind], label)
     mask = image.parent.with_name(f"{image.parent.name}_mask") / f"{image.stem}.png"
-    width, height = open_picture(image).size
+    width, height = open_image(image).size
     files = {"file_path": image.relative_to(root).as_posix(), "w": width, "h": height}
     if mask.is_file():
         files["mask_path"] = mask.relative_to(root).as_posix()

@@ -17,7 +17,7 @@ from trimesh.visual import TextureVisuals
 
 import svu_mi
 from svu_mi.capture import scene_xml
-from svu_mi.capture.mesh import make
+from svu_mi.capture.mesh import make_mesh
 from svu_mi.capture.sensors import bounding_sphere, sphere_sensors
 from svu_mi.core.identifiers import materialx_name, obj_name
 from svu_mi.core.io.files import write_text
@@ -64,7 +64,7 @@ def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[AssetFile]:
 
 def _preview(asset: Asset, up: Axis) -> list[Element]:
     """Return the nodes of a scene: the object in a grey room, lit from above the camera's left."""
-    shape = make(asset.name, asset.mesh)
+    shape = make_mesh(asset.name, asset.mesh)
     camera = sphere_sensors(shape, 1, FILM, up=DIRECTION[up], lowest=-0.4)[0]
     pose = np.array(camera.world_transform().matrix, np.float64).reshape(4, 4)
     center, radius = bounding_sphere(shape)

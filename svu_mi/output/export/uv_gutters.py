@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays, make
+from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.errors import CaptureError, MeshError
 from svu_mi.geometry.rasterize_uv import dilate, rasterize
 from svu_mi.geometry.texels import barycentric, texels
@@ -79,7 +79,7 @@ def at_vertices(mesh: MeshArrays, image: np.ndarray) -> np.ndarray:
     """
     assert mesh.uvs is not None
     height, width = image.shape
-    laid_out = texels(make("mesh", mesh), (width, height))
+    laid_out = texels(make_mesh("mesh", mesh), (width, height))
     corners = mesh.faces[np.array(laid_out.face)]
     weights = barycentric(mesh.uvs[corners], np.array(laid_out.uv, np.float64).T)
     weights *= np.array(laid_out.footprint, np.float64)[:, None] ** 2

@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.tonemap import shrunk, tone_mapped
+from svu_mi.capture.tonemap import block_means, tone_mapped
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.output import object_views, rerender, surface_maps
 from svu_mi.output.estimate_arrays import is_seen, open_axes
@@ -96,7 +96,7 @@ def _thumbnail(capture: Capture, view: int) -> np.ndarray:
     # By whole pixels, which takes no time; what is left to do, Pillow does.
     step = max(max(image.shape[:2]) // THUMBNAIL, 1)
     across, down = (min(step, size) for size in image.shape[1::-1])
-    small = shrunk(image, across, down)
+    small = block_means(image, across, down)
     if mask is not None:
         mask = mask[down // 2 :: down, across // 2 :: across][: len(small), : small.shape[1]]
     return tone_mapped(small, mask)

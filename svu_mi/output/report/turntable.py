@@ -12,7 +12,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere, film_size, make_sensor, projected
-from svu_mi.capture.tonemap import Look, alone
+from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
@@ -62,14 +62,14 @@ class Turntable:
         places = np.concatenate([_places(points, sensor) for sensor in sensors])
         (left, top), (right, bottom) = places.min(axis=0) - BORDER, places.max(axis=0) + BORDER
         window = max(left, 0.0), min(right, 1.0), max(top, 0.0), min(bottom, 1.0)
-        return cls(alone(capture), tuple(sensors), window, up)
+        return cls(object_only_scene(capture), tuple(sensors), window, up)
 
     def frame(self, texture: np.ndarray, number: int) -> np.ndarray:
         """Render a texture (H, W, 3) of screen colours on the object, as sensor ``number`` sees it.
 
         Returns (h, w, 4) screen colours and opacity, cut to ``window``.
         """
-        image = Look.of(self.scene, self.sensors[number]).painted(texture)
+        image = ObjectView.of(self.scene, self.sensors[number]).painted(texture)
         alpha = image[..., 3:]
         # Over white it is c = a x + 1 - a; a page may be dark.
         color = np.clip((image[..., :3] + alpha - 1) / np.maximum(alpha, EMPTY), 0, 1)

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.tonemap import alone
+from svu_mi.capture.tonemap import object_only_scene
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.rasterize_uv import dilate
@@ -64,7 +64,7 @@ class Picker:
         self._capture, self._estimate = capture, estimate
         self._intervals = intervals or Intervals(estimate.posterior)
         self._nearest = nearest_texel(estimate.texels)
-        self._scene = alone(capture)
+        self._scene = object_only_scene(capture)
 
     def pick(self, origin: Any, direction: Any) -> Pick | None:
         """Return the texel that a ray hits first, None if it misses the object.

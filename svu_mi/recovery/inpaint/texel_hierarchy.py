@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.mesh import unit_vectors
-from svu_mi.geometry.neighbors import connected, means, squares_of, sums
+from svu_mi.geometry.neighbors import connected_components, group_means, group_sums, texel_squares
 from svu_mi.geometry.texels import Texels
 from svu_mi.recovery.inpaint.fill_result import LEAST_SD
 from svu_mi.recovery.uncertainty.gmrf import GROUPING_LIMIT, Smoother
@@ -37,7 +37,7 @@ class Pieces:
     def of(texels: Texels, around: Sequence[Any]) -> Pieces:
         """Collect texels and their neighbours (``Neighbors.around``)."""
         position, normal = (np.array(x, np.float64).T for x in (texels.position, texels.normal))
-        return Pieces(normalized_points(position), normal, connected(around))
+        return Pieces(normalized_points(position), normal, connected_components(around))
 
     @cached_property
     def middle(self) -> np.ndarray:
@@ -49,7 +49,7 @@ class Pieces:
 
     def grouped(self, owner: np.ndarray) -> Pieces:
         """Return groups of texels of one piece each, by the group (T,) that every texel is of."""
-        point, normal = (sums(table.T, owner).T for table in (self.point, self.normal))
+        point, normal = (group_sums(table.T, owner).T for table in (self.point, self.normal))
         first = np.unique(owner, return_index=True)[1]
         size = np.bincount(owner)[:, None]
         return Pieces(point / size, unit_vectors(normal), self.piece[first])
@@ -98,7 +98,7 @@ class TexelGraph:
     def of(field: TextureField, known: np.ndarray) -> TexelGraph:
         """Collect the texels of a field, with those ``known``, (T,) bool."""
         weights = 1 / np.maximum(field.deviation, LEAST_SD) ** 2
-        square = squares_of(field.texels)
+        square = texel_squares(field.texels)
         pieces = Pieces.of(field.texels, field.smoother.around)
         return TexelGraph(
             field.values, weights, field.values, known, np.ones(len(known)), square, pieces,
@@ -130,11 +130,11 @@ class TexelGraph:
         square, own = self.square // 2, np.arange(self.count)
         alike = np.concatenate([square, self.known[:, None]], axis=1)
         columns = [np.array(column, np.int64) for column in self.smoother.around]
-        owner = connected([
+        owner = connected_components([
             np.where((alike[column] == alike).all(axis=1), column, own) for column in columns
         ])  # fmt: skip
         first = np.unique(owner, return_index=True)[1]
-        values, weights = means(self.values, self.weights, owner)
+        values, weights = group_means(self.values, self.weights, owner)
         smoother = self.smoother.halved(owner, weights, values)
         coarse = TexelGraph(
             values, weights, self.single[:, first], self.known[first],

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.replace_material import repaint
+from svu_mi.capture.replace_material import replace_material
 from svu_mi.errors import ShapeError
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.svbrdf_textures import Textures
@@ -39,7 +39,7 @@ class PathScene:
             {"type": "principled", "specular": 0.5}
             | {name: _bitmap(tensor) for name, tensor in start.items()}
         )
-        made = repaint(capture, material)
+        made = replace_material(capture, material)
         params = mi.traverse(material)
         # update() evaluates whatever it holds.
         params.keep([key_of(name) for name in NAMES])

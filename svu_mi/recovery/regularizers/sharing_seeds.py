@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from svu_mi.geometry.neighbors import Neighbors, connected
+from svu_mi.geometry.neighbors import Neighbors, connected_components
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.posterior import Posterior
 
@@ -62,7 +62,8 @@ def local_minima(
     for _ in range(rings):
         lowest = np.minimum(lowest, lowest[table].min(axis=0))
     own = np.arange(around.count)
-    plateau = connected([np.where(level[column] == level, column, own) for column in table])
+    links = [np.where(level[column] == level, column, own) for column in table]
+    plateau = connected_components(links)
     beaten = np.zeros(plateau.max(initial=-1) + 1, bool)
     beaten[plateau[(lowest < level) | ~allowed]] = True
     inside = np.flatnonzero(~beaten[plateau])

@@ -23,7 +23,14 @@ import numpy as np
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.local_memory import QUAD, padded_to_quads, quad_count
-from svu_mi.geometry.neighbors import grouped, lanes_of, means, over_neighbors, owners_of, sums
+from svu_mi.geometry.neighbors import (
+    group_means,
+    group_neighbors,
+    group_sums,
+    lanes_of,
+    occupied_squares,
+    over_neighbors,
+)
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 CHECK_EVERY = 8  # iterations between looks at it
@@ -89,7 +96,7 @@ class Smoother:
     def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> Smoother:
         """Return links between groups of 2 x 2 texels: two links of texels go from one group to
         the next, over twice the way."""
-        around = grouped([np.array(column, np.int64) for column in self.around], owner)
+        around = group_neighbors([np.array(column, np.int64) for column in self.around], owner)
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
         dr.eval(strength, epsilon)
         links = replace(
@@ -253,15 +260,15 @@ class Nested:
         """Group texels in squares of 2 x 2, then groups, until few are left."""
         if len(squares) <= FEW_TEXELS:
             return Nested(smoother)
-        wider, owner = owners_of(squares // 2)
+        wider, owner = occupied_squares(squares // 2)
         if len(wider) > GROUPING_LIMIT * len(squares):
             return Nested(smoother)
-        values, precision = means(smoother.values, smoother.precision, owner)
+        values, precision = group_means(smoother.values, smoother.precision, owner)
         return Nested(smoother, Nested.of(smoother.halved(owner, precision, values), wider), owner)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Return x with (D + K) x = right, (N, T) float64 each (``Smoother.solve``)."""
         if self.coarser is None or self.owner is None:
             return self.smoother.solve(right)
-        start = self.coarser.solve(sums(right, self.owner))
+        start = self.coarser.solve(group_sums(right, self.owner))
         return self.smoother.solve(right, start[:, self.owner])

@@ -33,7 +33,7 @@ from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_known
 from svu_mi.errors import OptionError
-from svu_mi.geometry.neighbors import Neighbors, neighbors, squares_of
+from svu_mi.geometry.neighbors import Neighbors, neighbors, texel_squares
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
@@ -162,7 +162,7 @@ class TextureField:
     @cached_property
     def _nested(self) -> Nested:
         """The smoother, from coarse to fine."""
-        return Nested.of(self.smoother, squares_of(self.texels))
+        return Nested.of(self.smoother, texel_squares(self.texels))
 
     @cached_property
     def _coherent(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from support.helpers import ball, fails, run
 
 import svu_mi as svu
 from svu_mi.capture.content_hash import photographs_key
-from svu_mi.capture.image_io import open_picture, srgb
+from svu_mi.capture.image_io import open_image, srgb
 from svu_mi.capture.importers.camera_response import LARGEST, linearize, read_response
 from svu_mi.capture.importers.convert_photographs import (
     CRUSHED,
@@ -76,7 +76,7 @@ def converted(frame, path):
     """Return the photograph, channels (H, W, 3) as written, and what clipped ones are at least."""
     picture = convert_photograph(frame, path, (1, 1))
     layers = read_exr(path)
-    header = open_picture(path).header.attributes
+    header = open_image(path).header.attributes
     return picture, np.stack([layers[name] for name in "RGB"], axis=-1), header.get(SATURATION)
 
 

@@ -14,7 +14,7 @@ from PIL import Image
 from support.colmap import write_colmap
 from support.helpers import projected
 
-from svu_mi.capture.image_io import open_picture
+from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers import idr
 from svu_mi.capture.importers.idr import decompose_projection
 from svu_mi.capture.importers.nerf import write_transforms
@@ -172,7 +172,7 @@ def test_smaller_copies_of_llffs_photographs_are_chosen(tmp_path):
     assert {f.image.parent.name for f in read_source(folder).frames} == {"images"}
     small = read_source(folder, ReadOptions(images=folder / "images_4"))
     for frame, camera in zip(small.frames, CENTERED, strict=True):
-        frame = with_size(frame, open_picture(frame.image).size)
+        frame = with_size(frame, open_image(frame.image).size)
         assert (frame.size, frame.focal, frame.center) == ((10, 6), (12.5, 12.5), (5.0, 3.0))
         wanted = camera.pixels(POINTS) / 4
         np.testing.assert_allclose(projected(frame, POINTS), wanted, atol=2e-3)

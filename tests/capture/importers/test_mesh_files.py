@@ -20,7 +20,7 @@ from support.colmap import write_colmap
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 import svu_mi as svu
-from svu_mi.capture.image_io import open_picture, read_planes
+from svu_mi.capture.image_io import open_image, read_planes
 from svu_mi.capture.importers.axis_fixes import FIXES
 from svu_mi.capture.importers.convert_photographs import convert_photograph
 from svu_mi.capture.importers.envmap import write_environment
@@ -231,13 +231,13 @@ def test_eight_bits_are_decoded_and_clipped_channels_marked(tmp_path):
     assert image["R"][0, 0] == pytest.approx(0.2158605, rel=1e-3)  # half floats
     assert image["R"][1, 2] == CLIPPED
     assert image["G"][1, 2] == pytest.approx((10 / 255) / 12.92, rel=1e-3)
-    header = open_picture(tmp_path / "view.exr").header.attributes
+    header = open_image(tmp_path / "view.exr").header.attributes
     assert header[SATURATION] == pytest.approx(((0.98 + 0.055) / 1.055) ** 2.4, rel=1e-5)
     convert_photograph(
         photograph(photo, pixels, transfer="gamma 2.2"), tmp_path / "view.exr", (1, 1)
     )
     assert read_exr(tmp_path / "view.exr")["R"][0, 0] == pytest.approx((128 / 255) ** 2.2, rel=1e-3)
-    header = open_picture(tmp_path / "view.exr").header.attributes
+    header = open_image(tmp_path / "view.exr").header.attributes
     assert header[SATURATION] == pytest.approx(0.98**2.2, rel=1e-5)
 
 

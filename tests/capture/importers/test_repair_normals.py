@@ -18,9 +18,9 @@ from svu_mi.capture.importers.import_capture import ImportOptions, import_captur
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.repair_normals import CREASE, DENSE, repair_normals
 from svu_mi.capture.importers.source import Frame, Light, Source
-from svu_mi.capture.load_warnings import has_front_outside, part_from_behind
+from svu_mi.capture.load_warnings import back_face_share, faces_outward
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.replace_material import scene_of
+from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.exr import write_exr
 
@@ -278,8 +278,8 @@ def test_where_the_front_of_a_closed_mesh_is(change, outside):
         np.array(ball.vertices) + 50, np.array(ball.faces)[:, :: change.get("faces", 1)],
         change["normals"] * np.array(ball.vertices) if "normals" in change else None, None,
     )  # fmt: skip
-    assert has_front_outside(mesh) == outside
-    assert not has_front_outside(replace(mesh, faces=mesh.faces[1:]))
+    assert faces_outward(mesh) == outside
+    assert not faces_outward(replace(mesh, faces=mesh.faces[1:]))
 
 
 def test_a_plate_seen_from_both_sides_stays_as_it_is():
@@ -287,20 +287,20 @@ def test_a_plate_seen_from_both_sides_stays_as_it_is():
         np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]]),
         np.array([[0, 1, 2], [0, 2, 3]]), None, None,
     )  # fmt: skip
-    scene = scene_of([capture_mesh.make("plate", plate)])
+    scene = make_scene([capture_mesh.make_mesh("plate", plate)])
     eyes = [pose[:3, 3] for h in (1.0, -1.0) for pose in around(height=h)]
-    assert part_from_behind(scene, plate, eyes) == pytest.approx(0.5, abs=1e-6)
-    assert part_from_behind(scene, plate, []) == 0
+    assert back_face_share(scene, plate, eyes) == pytest.approx(0.5, abs=1e-6)
+    assert back_face_share(scene, plate, []) == 0
 
 
 def test_what_hides_the_back_hides_it():
     """The near wall of a vase hides the far one, whichever way both are wound."""
     vase = buffers(open_vase())
-    scene = scene_of([capture_mesh.make("vase", vase)])
+    scene = make_scene([capture_mesh.make_mesh("vase", vase)])
     level = [pose[:3, 3] for pose in around(height=0.0)]
-    assert part_from_behind(scene, vase, level) < 0.02
+    assert back_face_share(scene, vase, level) < 0.02
     above = [np.array([0.0, 9.0, 0.1])]  # sees down into it, and the neck from outside
-    assert 0.15 < part_from_behind(scene, vase, above) < 0.5
+    assert 0.15 < back_face_share(scene, vase, above) < 0.5
 
 
 def test_loading_says_that_only_the_back_is_seen(tmp_path):

@@ -21,7 +21,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import film_size, scaled_sensor, sensors_like, windowed_sensor
-from svu_mi.capture.tonemap import Look, alone, exposure, resized
+from svu_mi.capture.tonemap import ObjectView, object_only_scene, resized, white_radiance
 from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.packed_views import LARGEST_FILM, Views, pack_sensors
 from svu_mi.geometry.rasterize_uv import dilate
@@ -99,7 +99,7 @@ class ConditioningViews:
         else:
             photograph = self.capture.images[self.photographs[place]]
             shown = resized(photograph[part], film_size(sensor))
-        white = exposure(shown, usable)
+        white = white_radiance(shown, usable)
         return ModelInput(
             # What holds no radiance is mostly what was too bright.
             photograph=np.clip(np.nan_to_num(shown / white, nan=1.0), 0, 1).astype(np.float32),
@@ -153,11 +153,11 @@ class ConditioningViews:
 
     @cached_property
     def _alone(self) -> Any:
-        return alone(self.capture)
+        return object_only_scene(self.capture)
 
     def _maps(self, sensor: Any, textures: Textures, known: np.ndarray) -> dict[str, np.ndarray]:
         """Return maps of all parameters as the sensor sees them, and of what is ``known``."""
-        seen = Look.of(self._alone, sensor)
+        seen = ObjectView.of(self._alone, sensor)
         maps = {}
         for name in NAMES:
             image = np.array(textures[name])
