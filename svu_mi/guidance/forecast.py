@@ -1,8 +1,8 @@
 """Expected entropy of texels with additional photographs: the interface of both methods.
 
-Eq. 13 averages over truths drawn from the posterior of each texel: cells of a grid, or rows with
+Eq. 13 averages over truths drawn from the posterior of each texel: bins of a grid, or rows with
 the colour that the photographs give (``objectives.py``). Small grids are enumerated. From large
-ones, K cells are drawn by systematic sampling; all candidates share the draws.
+ones, K bins are drawn by systematic sampling; all candidates share the draws.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from svu_mi.posterior.grid import Grid
 class Hypotheses:
     """Cells psi_0, number k T + t, and probabilities of T texels; ``counts`` (T,) of K are used."""
 
-    cells: Any
+    bins: Any
     weights: Any
     counts: Any
 
     def at(self, number: Any, texel: Any) -> tuple[Any, Any]:
         """Read cell and probability of a hypothesis of texels, by its number."""
         place = number * self._stride + texel
-        return dr.gather(mi.UInt32, self.cells, place), dr.gather(mi.Float, self.weights, place)
+        return dr.gather(mi.UInt32, self.bins, place), dr.gather(mi.Float, self.weights, place)
 
     def of_texels(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return which of L texels hypotheses are of, and their numbers: (N,) int64 each."""
@@ -49,9 +49,9 @@ class Hypotheses:
     def draw(
         probabilities: np.ndarray, most: int, starts: np.ndarray, possible: int | None = None
     ) -> Hypotheses:
-        """Draw ``most`` cells of (T, N) probabilities, or enumerate them if there are no more.
+        """Draw ``most`` bins of (T, N) probabilities, or enumerate them if there are no more.
 
-        ``starts`` is (T,) random in [0, 1); ``possible`` counts cells that the prior allows.
+        ``starts`` is (T,) random in [0, 1); ``possible`` counts bins that the prior allows.
         """
         total = probabilities.sum(axis=1, keepdims=True, dtype=np.float64)
         if most >= (probabilities.shape[1] if possible is None else possible):
@@ -62,22 +62,22 @@ class Hypotheses:
 
     @staticmethod
     def of(weights: np.ndarray) -> Hypotheses:
-        """Take the cells of positive weight (T, N), the heaviest first."""
+        """Take the bins of positive weight (T, N), the heaviest first."""
         counts = (weights > 0).sum(axis=1)
         most = max(int(counts.max(initial=0)), 1)
-        cells = np.argpartition(-weights, min(most, weights.shape[1] - 1), axis=1)[:, :most]
-        part = np.take_along_axis(weights, cells, axis=1)
+        bins = np.argpartition(-weights, min(most, weights.shape[1] - 1), axis=1)[:, :most]
+        part = np.take_along_axis(weights, bins, axis=1)
         order = np.argsort(-part, axis=1, kind="stable")
-        cells, part = (np.take_along_axis(x, order, axis=1) for x in (cells, part))
+        bins, part = (np.take_along_axis(x, order, axis=1) for x in (bins, part))
         return Hypotheses(
-            cells=to_drjit(mi.UInt32, cells.T.astype(np.uint32).ravel()),
+            bins=to_drjit(mi.UInt32, bins.T.astype(np.uint32).ravel()),
             weights=to_drjit(mi.Float, part.T.astype(np.float32).ravel()),
             counts=to_drjit(mi.UInt32, counts.astype(np.uint32)),
         )
 
 
 def _systematic_sample(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
-    """Return (T, N) shares k / K of cells drawn at equal steps of probability."""
+    """Return (T, N) shares k / K of bins drawn at equal steps of probability."""
     # How many of the points (i + start) / K lie below the end of every cell.
     below = np.clip(np.ceil(cumulative * most - starts[:, None]), 0, most)
     below[cumulative >= cumulative[:, -1:]] = most  # the last cell that is possible, and others

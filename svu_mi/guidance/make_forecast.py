@@ -192,9 +192,9 @@ def _growing_forecast(
     problem, seen = posterior.kernel.problem, posterior.observed[texels]
     (channels,) = problem.groups
     shown = problem.outgoing.numpy().reshape(posterior.count, problem.degree + 1, -1)
-    cells = np.broadcast_to(posterior.prior.ravel(), (len(texels), posterior.prior.size))
+    weights = np.broadcast_to(posterior.prior.ravel(), (len(texels), posterior.prior.size))
     return GrowingForecast(
-        responses=known.responses, hypotheses=Hypotheses.of(cells), grid=known.grid,
+        responses=known.responses, hypotheses=Hypotheses.of(weights), grid=known.grid,
         prior=known.prior, measure=known.measure, switches=switches, sigma=known.sigma,
         prefilter=known.prefilter, relight=relight, observed=to_drjit(mi.Bool, seen),
         photographs=to_drjit(mi.Float, shown[texels][:, :, list(channels)].ravel()),

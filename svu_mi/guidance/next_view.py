@@ -66,16 +66,11 @@ def next_best_view(
     require_band_limit(estimate.method, options)
     strategy = strategy_for(options.strategy, estimate.method)
     progress = progress or Progress()
-
     observed = observations_of(estimate, None)
     estimate = materialized(estimate, progress)
-    inputs = StrategyInputs(
-        estimate=estimate,
-        observed=observed,
-        candidates=candidates_or_default(candidates, observed.capture),
-        texels=_evenly_spaced(observed.texels.count, options),
-        options=options,
-    )
+    candidates = candidates_or_default(candidates, observed.capture)
+    texels = _evenly_spaced(observed.texels.count, options)
+    inputs = StrategyInputs(estimate, observed, candidates, texels, options)
     with progress.stage("Viewing from the candidates"):
         scorer = strategy.make_scorer(inputs)
         greedy = inputs.greedy if strategy.needs_forecast else None
@@ -86,7 +81,7 @@ def next_best_view(
             steps.append(step)
             stage.update(len(steps), count)
     return Guidance(
-        candidates=inputs.candidates,
+        candidates=candidates,
         proposals=tuple(proposal for proposal, _ in steps),
         scores=steps[0][1],
         entropy=entropy,

@@ -123,7 +123,7 @@ class SpectrumForecast(Forecast):
         return self.switches.degree, keep
 
     def _hypotheses(self, texel: Any, kept: list[Any]) -> SpectrumHypotheses:
-        """Return the cells of the lanes of a launch, from what was kept of their light."""
+        """Return the bins of the lanes of a launch, from what was kept of their light."""
         return SpectrumHypotheses(self, texel, kept)
 
     def _entropies(self, powers: Any, lane: Any, pairs: Any) -> np.ndarray:
@@ -158,7 +158,7 @@ def _samples(rows: Responses, views: np.ndarray) -> Any:
 
 
 class SpectrumHypotheses:
-    """Distances of Eq. 11 between cells, for the light of each lane."""
+    """Distances of Eq. 11 between bins, for the light of each lane."""
 
     def __init__(self, forecast: SpectrumForecast, texel: Any, light: list[Any]) -> None:
         grid, switches = forecast.grid, forecast.switches
@@ -177,7 +177,7 @@ class SpectrumHypotheses:
         return weight, [square * e for e in fall], self._prior_of(cell)
 
     def energies(self, level: Any, truth: list[Any], prior: Any) -> list[Any]:
-        """d / (2 sigma^2) - log prior of the cells of a roughness, less the truth's: Float."""
+        """d / (2 sigma^2) - log prior of the bins of a roughness, less the truth's: Float."""
         both = [t * S for t, S in zip(truth, self._light, strict=True)]
         observed = sum(t * x for t, x in zip(truth, both, strict=True))
         products = SpectrumProducts(self._light, both, observed)

@@ -58,19 +58,17 @@ def recover(
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
 
     Args:
-        source: a capture; or an estimate of one, whose rays are not traced again. ``sh`` starts
-            from the posterior of an estimate in colour (``default``); others are computed again
-            with their reflection model. Known parameters of an estimate stay as they are.
+        source: a capture; or an estimate of one, from whose posterior ``sh`` starts if it is in
+            colour, else computes it again. Known parameters of an estimate stay as they are.
         texels: of ``capture.mesh``, one per pixel of the textures; optional with an estimate.
         method: ``sh`` compares photographs with a reflection model; ``path`` with renderings by
             Mitsuba's ``prb``; ``sh+path`` continues the first with one epoch of the second.
         preset: ``default`` or ``paper``; ``coefficients`` and ``spectrum`` are the paper's other
             losses, of ``sh`` and of that part of ``sh+path``, whose epoch is then the paper's, too.
             For ``path``, also ``polish`` and ``paper_polish``, those epochs by themselves.
-        sharing: let uncertain texels be like others. True learns a prior that texels have in common
-            (``posterior/empirical_bayes.py``); with presets of the paper's, it is Eq. 14 and 15 as
-            printed, by the posterior of Eq. 11: that of ``source`` if it is one over (roughness,
-            Ks), or one made for it. Or your own ``GlobalSharing``.
+        sharing: let uncertain texels be like others. True learns a prior that texels have in
+            common; with presets of the paper, it is Eq. 14 and 15, by the posterior of Eq. 11 (that
+            of ``source`` if it is one over (roughness, Ks)). Or your own ``GlobalSharing``.
         tv: weight of total variation, instead of the options'.
         parameters: names of the textures to recover; others are those of ``start``, or the scene's.
         start: textures to start from, instead of the closed form (sh) or of 0.5 (path).
@@ -82,8 +80,7 @@ def recover(
         progress: shows the stages and collects timings.
 
     Raises:
-        OptionError: an unknown method or parameter, a preset that the method does not have, a
-            checkpoint of another run.
+        OptionError: an invalid choice, or a checkpoint of another run.
         ShapeError: ``start`` has another resolution than the texels.
         CaptureError: no texel is seen in any photograph.
         SvuError: the loss or a gradient is NaN or infinite.
@@ -100,7 +97,6 @@ def recover(
     given = source if isinstance(source, Estimate) else None
     run = RecoveryRun(method, observed, given, names, options, start, sharing, progress)
     saved = None if checkpoint is None else run.checkpoint(checkpoint, resume, checkpoint_seconds)
-
     textures = start or run.default_start()
     if method != "path":
         textures, descent = _recover_by_sh(run, textures, saved if method == "sh" else None)

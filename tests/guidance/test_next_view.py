@@ -388,7 +388,7 @@ class TestHypotheses:
         for seed in range(400):
             drawn = Hypotheses.draw(p, 10, np.full(4, seed / 400))
             counts = drawn.counts.numpy()
-            cells = drawn.cells.numpy().reshape(-1, 4)
+            cells = drawn.bins.numpy().reshape(-1, 4)
             weights = drawn.weights.numpy().reshape(-1, 4)
             for t in range(4):
                 shares = weights[: counts[t], t]

@@ -177,9 +177,9 @@ def test_gradients_are_those_of_finite_differences(preset, twosided):
         dr.enable_grad(params[key])
         params.update()
         integrator.render_backward(scene, params, gradient, scene.sensors()[0], 7, 4)
-        found = np.array(dr.grad(params[key]), np.float64)
-        assert np.isfinite(found).all() and np.count_nonzero(found) > 20
-        along = rng.choice([-1.0, 1.0], size=found.shape)
+        computed = np.array(dr.grad(params[key]), np.float64)
+        assert np.isfinite(computed).all() and np.count_nonzero(computed) > 20
+        along = rng.choice([-1.0, 1.0], size=computed.shape)
         step, values = 1e-3, []
         for sign in (1, -1):
             moved = np.array(start, np.float64) + sign * step * along
@@ -191,7 +191,7 @@ def test_gradients_are_those_of_finite_differences(preset, twosided):
         params[key] = start
         params.update()
         # Single precision of the images, and kinks at the levels of roughness.
-        assert abs((found * along).sum() - difference) < 0.01 * np.abs(found).sum(), name
+        assert abs((computed * along).sum() - difference) < 0.01 * np.abs(computed).sum(), name
 
 
 @pytest.mark.slow

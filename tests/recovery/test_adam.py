@@ -62,14 +62,14 @@ def adam(wanted, options):
 def test_it_is_adam_with_a_falling_rate_and_projection():
     options = DescentOptions(steps=60, learning_rate=0.03, final_rate=0.2, low=0.1, high=0.8)
     wanted = truth()
-    found = descend(towards(wanted), half(), options)
+    descent = descend(towards(wanted), half(), options)
     value, losses = adam(wanted.astype(np.float64), options)
     # float32 moments, and gradients that vanish near the minimum: the direction is what is left
-    assert np.abs(np.array(found.values["base_color"]) - value).max() < 1e-4
-    assert np.allclose(found.losses, losses, rtol=1e-3)
-    assert found.steps == 60
-    assert found.stopped == "finished"
-    assert found.losses.dtype == np.float32
+    assert np.abs(np.array(descent.values["base_color"]) - value).max() < 1e-4
+    assert np.allclose(descent.losses, losses, rtol=1e-3)
+    assert descent.steps == 60
+    assert descent.stopped == "finished"
+    assert descent.losses.dtype == np.float32
 
 
 def test_start_is_left_alone():
@@ -87,8 +87,8 @@ def test_values_stay_within_bounds_from_the_start():
         return dr.sum(textures["base_color"].array)  # downhill for ever
 
     start = {"base_color": tensor(np.linspace(-1, 2, 12).reshape(2, 2, 3))}
-    found = descend(objective, start, DescentOptions(steps=25, learning_rate=0.2))
-    values = np.array([*seen, np.array(found.values["base_color"])])
+    descent = descend(objective, start, DescentOptions(steps=25, learning_rate=0.2))
+    values = np.array([*seen, np.array(descent.values["base_color"])])
     assert values.min() >= 0
     assert values.max() <= 1
     assert np.all(values[-1] == 0)
@@ -101,12 +101,12 @@ def test_it_stops_when_the_loss_falls_no_further():
     def objective(textures, step):
         return 1 + towards(truth())(textures, step)
 
-    found = descend(objective, half(), options)
-    assert found.stopped == "converged"
-    assert 40 <= found.steps < 200
-    assert found.steps % 20 == 0
-    assert len(found.losses) == found.steps
-    mean = found.losses.reshape(-1, 20).mean(axis=1)
+    descent = descend(objective, half(), options)
+    assert descent.stopped == "converged"
+    assert 40 <= descent.steps < 200
+    assert descent.steps % 20 == 0
+    assert len(descent.losses) == descent.steps
+    mean = descent.losses.reshape(-1, 20).mean(axis=1)
     fallen = 1 - mean[1:] / mean[:-1]
     assert fallen[-1] < 0.01
     assert np.all(fallen[:-1] >= 0.01)

@@ -45,8 +45,8 @@ def objective(textures, step):
 
 options = DescentOptions(steps=400, learning_rate=0.02, tolerance=1e-5)
 checkpoint = Checkpoint(path, {"seed": 5}, resume=resume, every=0.0)
-found = descend(objective, start, options, checkpoint=checkpoint)
-np.savez(out, texture=np.array(found.values["base_color"]), losses=found.losses)
+descent = descend(objective, start, options, checkpoint=checkpoint)
+np.savez(out, texture=np.array(descent.values["base_color"]), losses=descent.losses)
 """
 
 
@@ -66,11 +66,11 @@ def test_what_is_saved_is_what_is_loaded(tmp_path):
     assert checkpoint.load(SHAPES) is None
     checkpoint.save(state(4))
     checkpoint.save(state(9))
-    found, wanted = Checkpoint(tmp_path / "c.npz", SETTINGS).load(SHAPES), state(9)
-    assert found.step == 9
-    assert np.array_equal(found.losses, wanted.losses)
+    loaded, wanted = Checkpoint(tmp_path / "c.npz", SETTINGS).load(SHAPES), state(9)
+    assert loaded.step == 9
+    assert np.array_equal(loaded.losses, wanted.losses)
     for group in ("values", "first", "second"):
-        arrays = getattr(found, group)
+        arrays = getattr(loaded, group)
         assert set(arrays) == {"base_color", "roughness"}
         for name, array in arrays.items():
             assert np.array_equal(array, getattr(wanted, group)[name])
@@ -119,13 +119,13 @@ def test_no_flipped_bit_goes_unseen(tmp_path):
         broken[place] ^= 1 << (place % 8)
         path.write_bytes(bytes(broken))
         try:
-            found = Checkpoint(path, SETTINGS).load(SHAPES)
+            loaded = Checkpoint(path, SETTINGS).load(SHAPES)
         except (OutputError, OptionError):
             continue
-        assert found.step == wanted.step
+        assert loaded.step == wanted.step
         for name, texture in wanted.values.items():
-            assert np.array_equal(found.values[name], texture)
-            assert np.array_equal(found.second[name], wanted.second[name])
+            assert np.array_equal(loaded.values[name], texture)
+            assert np.array_equal(loaded.second[name], wanted.second[name])
 
 
 def test_settings_that_json_cannot_hold_are_refused(tmp_path):
@@ -199,10 +199,10 @@ def whole(tmp_path_factory):
 def test_killed_at_a_random_moment_and_resumed_it_ends_with_the_same_textures(tmp_path, whole):
     """Bit for bit: one thread, and no sum whose order depends on chance."""
     interrupt(tmp_path, float(np.random.default_rng(1).uniform(0, 0.7)), signal.SIGKILL)
-    found, first = finish(tmp_path, "resumed.npz", resume=True)
+    resumed, first = finish(tmp_path, "resumed.npz", resume=True)
     assert first > 0
-    assert np.array_equal(found["texture"], whole["texture"])
-    assert np.array_equal(found["losses"], whole["losses"])
+    assert np.array_equal(resumed["texture"], whole["texture"])
+    assert np.array_equal(resumed["losses"], whole["losses"])
 
 
 @pytest.mark.slow
@@ -210,9 +210,9 @@ def test_ctrl_c_leaves_a_checkpoint_of_the_last_step(tmp_path, whole):
     interrupt(tmp_path, 0.1, signal.SIGINT)
     stopped = Checkpoint(tmp_path / "c.npz", {"seed": 5}).load({"base_color": (16, 16, 3)})
     assert stopped.step == len(stopped.losses) > 0
-    found, first = finish(tmp_path, "resumed.npz", resume=True)
+    resumed, first = finish(tmp_path, "resumed.npz", resume=True)
     assert first == stopped.step
-    assert np.array_equal(found["texture"], whole["texture"])
+    assert np.array_equal(resumed["texture"], whole["texture"])
     again, first = finish(tmp_path, "again.npz")  # without resume a run starts anew
     assert first == 0
     assert np.array_equal(again["texture"], whole["texture"])

@@ -50,10 +50,10 @@ def test_it_is_the_pull_and_the_total_variation_of_textures(vase: SimpleNamespac
     dr.backward(expected)
 
     assert float(loss[0]) == pytest.approx(float(expected[0]), rel=1e-5)
-    found = smoothing.laid_out(textures, {key: dr.grad(x) for key, x in channels.items()})
+    gradients = smoothing.laid_out(textures, {key: dr.grad(x) for key, x in channels.items()})
     wanted = Textures.of({name: np.array(dr.grad(x)) for name, x in tensors.items()})
     for name in NAMES:
-        ours, theirs = (one.at(vase.texels, name) for one in (found, wanted))
+        ours, theirs = (one.at(vase.texels, name) for one in (gradients, wanted))
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6 * np.abs(theirs).max())
 
 

@@ -90,8 +90,8 @@ def test_losses_are_their_equations(name):
         "l2": np.mean((r - y) ** 2) / s**2,
         "relative": np.mean((r - y) ** 2 / (y**2 + (s * FLOOR) ** 2)),
     }[name]
-    found = LOSSES[name](tensor(r), tensor(y), dr.opaque(mi.Float, s))
-    assert np.allclose(np.array(found), wanted, rtol=1e-5)
+    loss = LOSSES[name](tensor(r), tensor(y), dr.opaque(mi.Float, s))
+    assert np.allclose(np.array(loss), wanted, rtol=1e-5)
     # The same at any exposure.
     brighter = LOSSES[name](tensor(7 * r), tensor(7 * y), dr.opaque(mi.Float, 7 * s))
     assert np.allclose(np.array(brighter), wanted, rtol=1e-5)
@@ -296,7 +296,7 @@ def test_gradients_are_those_of_finite_differences(capture, grid, loss):
         for halves in (False, True)
     )
     at = random_textures(grid)
-    losses, found = zip(*(loss_and_gradients(o, at) for o in (plain, halves)), strict=True)
+    losses, gradients = zip(*(loss_and_gradients(o, at) for o in (plain, halves)), strict=True)
     assert losses[1] == pytest.approx(losses[0], rel=0.03)  # each half is noisier
     h = 0.01  # the error of a central difference falls as h^2, its rounding rises as 1e-7 / h
     for name in NAMES:
@@ -306,7 +306,7 @@ def test_gradients_are_those_of_finite_differences(capture, grid, loss):
             for step in (h, -h)
         )
         wanted = (ahead - behind) / (2 * h)
-        for gradient in found:
+        for gradient in gradients:
             size = float(np.abs(gradient[name] * direction).sum())
             assert abs((gradient[name] * direction).sum() - wanted) < 0.03 * size, name
             assert abs(wanted) > 0.1 * size  # it is not the noise that agrees
@@ -318,12 +318,12 @@ def test_no_path_is_weighted_by_its_own_error(capture, grid):
     objective = path_objective(capture, grid, options(spp=2, pixels_per_batch=4096))
 
     truth = textures_of(grid)
-    found = np.array([
+    errors = np.array([
         [gradient.sum() for gradient in loss_and_gradients(objective, truth, step)[1].values()]
         for step in range(40)
     ])  # fmt: skip
-    error = found.std(axis=0, ddof=1) / np.sqrt(len(found))
-    assert np.all(np.abs(found.mean(axis=0)) < 4 * error)
+    error = errors.std(axis=0, ddof=1) / np.sqrt(len(errors))
+    assert np.all(np.abs(errors.mean(axis=0)) < 4 * error)
 
 
 def test_an_odd_number_of_paths_has_no_halves(capture, grid):
@@ -338,9 +338,9 @@ def test_parameters_that_are_not_given_stay_as_they_were_fixed(capture, grid):
     objective = path_objective(capture, grid, options(spp=64), fixed=fixed)
     whole = path_objective(capture, grid, options(spp=64))
     some = {"roughness": textures_of(grid, roughness=0.6)["roughness"]}
-    found = np.array(objective(some, 2))
+    pixels = np.array(objective(some, 2))
     wanted = np.array(whole({**dict(fixed.items()), **some}, 2))
-    assert np.allclose(found, wanted, rtol=1e-5)
+    assert np.allclose(pixels, wanted, rtol=1e-5)
 
 
 # ---- the loop ----
@@ -352,10 +352,10 @@ def test_descent_finds_the_colour_of_a_surface(capture, grid):
     fixed = Textures(**textures_of(grid))
     objective = path_objective(capture, grid, options(epochs=3, spp=8), fixed=fixed)
     start = {"base_color": uniform_textures(grid).base_color}
-    found = descend(objective, start, DescentOptions(steps=objective.steps, learning_rate=0.04))
-    color = np.array(found.values["base_color"])[1:5].mean(axis=(0, 1))  # off the poles
+    descent = descend(objective, start, DescentOptions(steps=objective.steps, learning_rate=0.04))
+    color = np.array(descent.values["base_color"])[1:5].mean(axis=(0, 1))  # off the poles
     assert np.abs(color - (0.6, 0.4, 0.2)).max() < 0.02
-    assert found.losses[-5:].mean() < 0.5 * found.losses[:3].mean()
+    assert descent.losses[-5:].mean() < 0.5 * descent.losses[:3].mean()
 
 
 @pytest.mark.slow

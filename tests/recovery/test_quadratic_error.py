@@ -29,19 +29,19 @@ def columns(seed: int = 48211) -> np.ndarray:
     return a + b * r * np.array([0.3, -0.8, -0.1, 0.5])[None, None, :, None, None]
 
 
-def upper(found: np.ndarray) -> np.ndarray:
+def upper(samples: np.ndarray) -> np.ndarray:
     """(R, C, 10, T) entries of U, by NumPy's QR factorisation."""
     entries = np.empty((LEVELS, 3, len(PAIRS), TEXELS))
     for r, c, t in np.ndindex(LEVELS, 3, TEXELS):
-        R = np.linalg.qr(found[r, c, :, :, t].T / np.sqrt(VIEWS))[1]
+        R = np.linalg.qr(samples[r, c, :, :, t].T / np.sqrt(VIEWS))[1]
         R *= np.sign(np.diag(R))[:, None]
         entries[r, c, :, t] = [R[pair] for pair in PAIRS]
     return entries
 
 
-def factors_of(found: np.ndarray) -> Factors:
+def factors_of(samples: np.ndarray) -> Factors:
     """``Factors`` of columns, by way of their sums."""
-    table = np.stack([(found[:, :, i] * found[:, :, j]).sum(axis=2) for i, j in PAIRS], axis=2)
+    table = np.stack([(samples[:, :, i] * samples[:, :, j]).sum(axis=2) for i, j in PAIRS], axis=2)
     views = np.full(TEXELS, VIEWS)
     return Statistics.of(table, views, views, np.linspace(0, 1, LEVELS)).factor()
 
@@ -75,24 +75,24 @@ def parameters(seed: int = 9022) -> np.ndarray:
 
 
 def test_factors_are_those_of_a_qr_factorisation() -> None:
-    found = columns()
-    np.testing.assert_allclose(factors_of(found).table(), upper(found), rtol=2e-4, atol=1e-5)
+    samples = columns()
+    np.testing.assert_allclose(factors_of(samples).table(), upper(samples), rtol=2e-4, atol=1e-5)
 
 
 def test_energy_is_the_mean_squared_error_at_a_level() -> None:
-    found, values = columns(), parameters()
+    samples, values = columns(), parameters()
     values[3] = 3 / (LEVELS - 1)
-    e, p, more, rest = np.moveaxis(found[3], 1, 0)  # (C, V, T) each: q - d, and d - b
+    e, p, more, rest = np.moveaxis(samples[3], 1, 0)  # (C, V, T) each: q - d, and d - b
     m, c = values[4], values[:3, None]
     residual = c * ((1 - m) * e + m * p) + m * more + rest
-    value, _ = energy(factors_of(found), as_values(values))
+    value, _ = energy(factors_of(samples), as_values(values))
     np.testing.assert_allclose(value.numpy(), (residual**2).mean(axis=(0, 1)), rtol=1e-5)
 
 
 def test_energy_and_its_derivatives_between_levels() -> None:
-    found, values = columns(), parameters()
-    entries = upper(found)
-    value, slopes = energy(factors_of(found), as_values(values))
+    samples, values = columns(), parameters()
+    entries = upper(samples)
+    value, slopes = energy(factors_of(samples), as_values(values))
     np.testing.assert_allclose(value.numpy(), exact(entries, values), rtol=2e-5)
     step = 1e-6
     for k, slope in enumerate(flatten_values(slopes)):
@@ -106,8 +106,8 @@ def test_energy_and_its_derivatives_between_levels() -> None:
 
 
 def test_loss_hands_derivatives_to_textures() -> None:
-    found, values = columns(), parameters()
-    factors, entries = factors_of(found), upper(found)
+    samples, values = columns(), parameters()
+    factors, entries = factors_of(samples), upper(samples)
     place = np.random.default_rng(5).permutation(12)[:TEXELS]  # of 3 x 4 texels
     variance = np.linspace(0.5, 2, TEXELS)
     weight = to_drjit(mi.Float, 1 / (2 * variance))

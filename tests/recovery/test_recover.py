@@ -73,10 +73,10 @@ def truth(grid: Texels) -> Textures:
     })  # fmt: skip
 
 
-def psnr(found: Textures, truth: Textures, grid: Texels) -> float:
+def psnr(textures: Textures, truth: Textures, grid: Texels) -> float:
     """Mean over the parameters, of all texels."""
     errors = [
-        ((found.at(grid, name) - truth.at(grid, name)) ** 2).mean() for name, _ in truth.items()
+        ((textures.at(grid, name) - truth.at(grid, name)) ** 2).mean() for name, _ in truth.items()
     ]
     return float(np.mean(-10 * np.log10(errors)))
 
@@ -132,12 +132,12 @@ def test_sharing_tells_materials_that_repeat_apart(
 @pytest.mark.slow
 def test_recovery_goes_on_from_an_estimate(known: svu.Estimate, alone: svu.Recovery) -> None:
     """The same as from the capture; of other presets and methods, too."""
-    found, again = known, svu.recover(known)
-    assert again.estimate is found
+    again = svu.recover(known)
+    assert again.estimate is known
     for name, tensor in alone.textures.items():
         np.testing.assert_array_equal(np.array(tensor), np.array(getattr(again.textures, name)))
     for method, preset in (("angular", "fast"), ("angular", "fixed"), ("spectrum", "paper")):
-        other = svu.estimate(found, method=method, preset=preset)  # type: ignore[arg-type]
+        other = svu.estimate(known, method=method, preset=preset)  # type: ignore[arg-type]
         recovered = svu.recover(other, sh=brief())
         assert isinstance(recovered.estimate.posterior.kernel, CalibratedKernel)
         assert recovered.settings["estimate"]["method"] == method
@@ -149,10 +149,10 @@ def test_what_an_estimate_knows_stays(capture: Capture, grid: Texels) -> None:
         ("metallic", 1.0, "default"), ("roughness", 0.5, "fixed"), ("base_color", 0.4, "default")
     ):  # fmt: skip
         known = svu.estimate(capture, grid, known={name: value}, preset=preset)
-        found = svu.recover(known, sh=brief(), sharing=True)
-        assert name not in found.settings["parameters"]
+        recovery = svu.recover(known, sh=brief(), sharing=True)
+        assert name not in recovery.settings["parameters"]
         for other in TRUE:
-            values = found.textures.at(grid, other)
+            values = recovery.textures.at(grid, other)
             assert np.isfinite(values).all()
             assert np.allclose(values, value) == (other == name)
     known = svu.estimate(capture, grid, known={"metallic": 0.0})
@@ -173,8 +173,8 @@ def test_a_prior_of_one_s_own_stays(
 ) -> None:
     """However often posteriors are made again."""
     believed = svu.estimate(capture, grid, preset=preset, prior=only_metals())
-    found = svu.recover(believed, sh=replace(brief(), robust=robust), sharing=True).estimate
-    p = np.array(found.posterior.probabilities)
+    shared = svu.recover(believed, sh=replace(brief(), robust=robust), sharing=True).estimate
+    p = np.array(shared.posterior.probabilities)
     assert p[:, :, :7].max() < 1e-6
     assert p[:, :3].max() < 1e-6
 
@@ -200,10 +200,10 @@ def test_nothing_known_is_one_also_where_texels_share(shared: svu.Recovery) -> N
 def test_it_starts_from_the_means_of_the_posterior(
     known: svu.Estimate, grid: Texels, truth: Textures
 ) -> None:
-    found, start = known, posterior_means(known)
-    seen = np.array(found.coverage) > 0
+    start = posterior_means(known)
+    seen = np.array(known.coverage) > 0
     for name in TRUE:
-        mean = np.array(found.posterior.mean(name))
+        mean = np.array(known.posterior.mean(name))
         np.testing.assert_allclose(start.at(grid, name)[seen], mean[seen], atol=1e-6)
         unseen = start.at(grid, name)[~seen]
         np.testing.assert_allclose(unseen, np.broadcast_to(mean[seen].mean(axis=0), unseen.shape),
@@ -282,11 +282,13 @@ def test_a_pull_is_that_of_the_moments(known: svu.Estimate, grid: Texels) -> Non
 def test_known_parameters_stay_as_the_scene_has_them(
     capture: Capture, grid: Texels, truth: Textures
 ) -> None:
-    found = svu.recover(capture, grid, parameters=["base_color"])
+    recovery = svu.recover(capture, grid, parameters=["base_color"])
     for name in ("roughness", "metallic"):
-        np.testing.assert_allclose(found.textures.at(grid, name), truth.at(grid, name), atol=1e-5)
+        np.testing.assert_allclose(
+            recovery.textures.at(grid, name), truth.at(grid, name), atol=1e-5
+        )
     color = [((t.at(grid, "base_color") - truth.at(grid, "base_color")) ** 2).mean()
-             for t in (found.textures, uniform_textures(grid))]  # fmt: skip
+             for t in (recovery.textures, uniform_textures(grid))]  # fmt: skip
     assert color[0] < 0.2 * color[1]
 
 
@@ -395,5 +397,5 @@ def test_a_checkpoint_of_another_capture_is_refused(
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["coefficients", "spectrum"])
 def test_losses_of_the_paper_fall(capture: Capture, grid: Texels, preset: str) -> None:
-    found = svu.recover(capture, grid, preset=preset)
-    assert found.losses[-10:].mean() < 0.9 * found.losses[0]
+    recovery = svu.recover(capture, grid, preset=preset)
+    assert recovery.losses[-10:].mean() < 0.9 * recovery.losses[0]

@@ -100,8 +100,8 @@ def seen(capture, grid):
 
 
 @dataclass
-class Told:
-    """What the parts of a recovery were told."""
+class RecordedCalls:
+    """What the parts of a recovery were recorded."""
 
     descents: list[DescentOptions] = field(default_factory=list)
     rules: list[list[tuple[float, Any]]] = field(default_factory=list)
@@ -111,18 +111,18 @@ class Told:
 
 
 @pytest.fixture
-def told(monkeypatch):
+def recorded(monkeypatch):
     """Every descent is one step, and all that it was asked for is written down."""
-    found = Told()
+    recorded = RecordedCalls()
     descend, regularized = entry.descend, entry.regularized
 
     def brief(objective, start, options, **rest):
-        found.descents.append(options)
+        recorded.descents.append(options)
         return descend(objective, start, replace(options, steps=1), **rest)
 
     def with_rules(data, rules, fixed=None):
-        found.data.append(data)
-        found.rules.append(list(rules))
+        recorded.data.append(data)
+        recorded.rules.append(list(rules))
         return regularized(data, rules, fixed)
 
     def watch(kind, made):
@@ -136,9 +136,9 @@ def told(monkeypatch):
 
     monkeypatch.setattr(entry, "descend", brief)
     monkeypatch.setattr(entry, "regularized", with_rules)
-    watch(TotalVariation, found.variations)
-    watch(GlobalSharing, found.sharing)
-    return found
+    watch(TotalVariation, recorded.variations)
+    watch(GlobalSharing, recorded.sharing)
+    return recorded
 
 
 def is_of_texture(variation: TotalVariation, grid: Any) -> bool:
@@ -153,18 +153,20 @@ def is_of_texture(variation: TotalVariation, grid: Any) -> bool:
     pytest.param(*asked, marks=[pytest.mark.slow] if asked[0] != "sh" else [])
     for asked in ASKED
 ])  # fmt: skip
-def test_a_run_uses_what_its_preset_says(seen, grid, told, method, name):
-    found = svu.recover(seen.observed, None, method, name)
+def test_a_run_uses_what_its_preset_says(seen, grid, recorded, method, name):
+    recovery = svu.recover(seen.observed, None, method, name)
     parts = expected(method, name)
-    said = json.loads(json.dumps(found.settings))
+    said = json.loads(json.dumps(recovery.settings))
     assert {part: said[part] for part in parts} == parts
     assert set(said) == {"method", "parameters", "sharing", *parts}
     assert said["sharing"] is False
-    last = dict(zip(reversed(parts), reversed(told.descents), strict=False))
+    last = dict(zip(reversed(parts), reversed(recorded.descents), strict=False))
     for part, options in parts.items():
         steps = {"steps": last[part].steps} if part == "path" else {}  # those of its epochs
         assert asdict(last[part]) == options["descent"] | steps
-    pairs = list(zip(reversed(parts), reversed(told.data), reversed(told.rules), strict=False))
+    pairs = list(
+        zip(reversed(parts), reversed(recorded.data), reversed(recorded.rules), strict=False)
+    )
     for part, data, rules in pairs:
         check_data(part, data, parts[part])
         ((weight, _),) = rules
@@ -172,8 +174,8 @@ def test_a_run_uses_what_its_preset_says(seen, grid, told, method, name):
         assert weight == pytest.approx(parts[part]["tv"] * nats)
     wanted = {(one["tv_space"], one["tv_epsilon"]) for one in parts.values()}
     made = {("texture" if is_of_texture(v, grid) else "surface", v.epsilon)
-            for v in told.variations}  # fmt: skip
-    assert made == wanted and len(told.variations) == len(wanted)
+            for v in recorded.variations}  # fmt: skip
+    assert made == wanted and len(recorded.variations) == len(wanted)
 
 
 def check_data(part: str, data: Any, options: dict[str, Any]) -> None:
@@ -190,12 +192,12 @@ def check_data(part: str, data: Any, options: dict[str, Any]) -> None:
         assert data.domain == options["loss"]
 
 
-def test_a_start_is_that_of_the_preset(seen, told):
+def test_a_start_is_that_of_the_preset(seen, recorded):
     """The paper starts from 0.5 everywhere: nothing smooths a closed form before."""
     svu.recover(seen, preset="paper")
-    assert len(told.descents) == 1
+    assert len(recorded.descents) == 1
     svu.recover(seen)
-    assert len(told.descents) == 3
+    assert len(recorded.descents) == 3
 
 
 # ---- sharing as printed ----
@@ -207,11 +209,11 @@ def test_a_start_is_that_of_the_preset(seen, told):
     [("sh", "paper", "observed"), ("sh", "spectrum", "estimate"), ("path", "paper", "estimate"),
      ("sh+path", "paper", "observed")],
 )  # fmt: skip
-def test_the_paper_s_presets_share_as_printed(seen, grid, told, method, name, source):
+def test_the_paper_s_presets_share_as_printed(seen, grid, recorded, method, name, source):
     """By power spectra over 8 x 8 cells, also where a recovery goes on from another estimate."""
     given = seen if source == "estimate" else seen.observed
-    found = svu.recover(given, None, method, name, sharing=True)
-    (sharing,) = told.sharing  # both parts of sh+path have the same one
+    recovery = svu.recover(given, None, method, name, sharing=True)
+    (sharing,) = recorded.sharing  # both parts of sh+path have the same one
     posterior = sharing.estimate.posterior
     assert isinstance(posterior.kernel, SpectrumKernel)
     assert posterior.grid == ParameterGrid(8, 8, "uniform")
@@ -220,58 +222,58 @@ def test_the_paper_s_presets_share_as_printed(seen, grid, told, method, name, so
     assert (sharing.divergence, sharing.seeding, sharing.anchored) == ("forward", "least", False)
     assert sharing.tau == 0.4
     assert 1 <= len(sharing.seeds) <= 20
-    for rules in told.rules:
+    for rules in recorded.rules:
         assert [weight for weight, _ in rules] == [1e-2, 1e-2]
-    assert found.settings["sharing"] == {
+    assert recovery.settings["sharing"] == {
         "seeds": 20, "tau": 0.4, "seeding": "least", "divergence": "forward", "anchored": False,
         "posterior": {
             "method": "spectrum", **asdict(PRESETS["paper"]), "prior": None,
             "grid": asdict(ParameterGrid()),
         },
     }  # fmt: skip
-    json.dumps(found.settings)
+    json.dumps(recovery.settings)
 
 
-def test_sharing_goes_on_from_power_spectra_that_are_there(seen, told):
+def test_sharing_goes_on_from_power_spectra_that_are_there(seen, recorded):
     own = svu.estimate(seen.observed, method="spectrum", preset=preset("paper", sigma=0.05))
-    found = svu.recover(own, preset="paper", sharing=True)
-    assert told.sharing[0].estimate is own
-    assert found.settings["sharing"]["posterior"]["sigma"] == 0.05
+    recovery = svu.recover(own, preset="paper", sharing=True)
+    assert recorded.sharing[0].estimate is own
+    assert recovery.settings["sharing"]["posterior"]["sigma"] == 0.05
     principled = svu.estimate(seen.observed, method="spectrum")
     svu.recover(principled, preset="paper", sharing=True)
-    assert told.sharing[1].estimate.preset == PRESETS["paper"]
+    assert recorded.sharing[1].estimate.preset == PRESETS["paper"]
 
 
-def test_what_is_known_of_roughness_is_known_to_the_printed_posterior(seen, told):
+def test_what_is_known_of_roughness_is_known_to_the_printed_posterior(seen, recorded):
     own = svu.estimate(seen, known={"roughness": 0.4})
-    found = svu.recover(own, preset="paper", sharing=True)
-    assert list(told.sharing[0].estimate.posterior.axes["roughness"]) == [0.4]
-    assert found.settings["sharing"]["posterior"]["grid"]["known"] == {"roughness": 0.4}
+    recovery = svu.recover(own, preset="paper", sharing=True)
+    assert list(recorded.sharing[0].estimate.posterior.axes["roughness"]) == [0.4]
+    assert recovery.settings["sharing"]["posterior"]["grid"]["known"] == {"roughness": 0.4}
     doubted = svu.estimate(seen, prior=np.arange(8.0))
     svu.recover(doubted, preset="paper", sharing=True)
-    prior = told.sharing[1].estimate.posterior.prior
+    prior = recorded.sharing[1].estimate.posterior.prior
     np.testing.assert_allclose(prior.sum(axis=1), np.arange(8) / 28, atol=1e-9)
     few = svu.estimate(seen, grid=svu.PrincipledGrid(roughness=4), prior=np.ones(4))
     with pytest.raises(SvuError, match="has 4 roughness nodes"):
         svu.recover(few, preset="paper", sharing=True)
 
 
-def test_a_prior_in_common_is_no_empty_promise(seen, told):
+def test_a_prior_in_common_is_no_empty_promise(seen, recorded):
     """Losses of the paper do not know it by themselves; a weight of 0 is none."""
     mixed = replace(SH_PRESETS["paper"], common_prior=True, sharing=8.0)
-    found = svu.recover(seen, sharing=True, sh=mixed)
-    assert found.settings["sharing"] is True and len(told.rules[-1]) == 2
+    recovery = svu.recover(seen, sharing=True, sh=mixed)
+    assert recovery.settings["sharing"] is True and len(recorded.rules[-1]) == 2
     none = svu.recover(seen, sharing=True, sh=replace(mixed, sharing=0.0))
     assert none.settings["sharing"] is False
 
 
-def test_a_rule_of_one_s_own_is_written_down(seen, told):
+def test_a_rule_of_one_s_own_is_written_down(seen, recorded):
     rule = GlobalSharing(seen, seeds=[3, 8], tau=0.3)
-    found = svu.recover(seen, sharing=rule)
-    assert found.settings["sharing"] == {
+    recovery = svu.recover(seen, sharing=rule)
+    assert recovery.settings["sharing"] == {
         "seeds": 2, "tau": 0.3, "seeding": "spread", "divergence": "reverse", "anchored": True,
     }  # fmt: skip
-    assert told.sharing == [rule]
+    assert recorded.sharing == [rule]
 
 
 # ---- checkpoints ----

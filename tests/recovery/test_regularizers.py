@@ -376,8 +376,8 @@ def test_all_posteriors_of_the_package_share():
     kernel = PerChannel(GRID, posterior.kernel.energies)
     colored = replace(posterior, kernel=kernel)
     expected = np.array(colored.kl(colored))[:, [5, 60]].T
-    found = divergences(colored, np.array([5, 60]), "forward")
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    computed = divergences(colored, np.array([5, 60]), "forward")
+    np.testing.assert_allclose(computed, expected, atol=1e-4)
     sharing = GlobalSharing(replace(estimate, posterior=colored), seeds=[5, 60])
     assert np.isfinite(differentiated(sharing, a_texture(8))[1]).all()
 
@@ -404,7 +404,7 @@ def oracle_minima(
         if observed[a] and observed[b]:
             beside[a].add(b)
             beside[b].add(a)
-    found, done = [], set()
+    lowest, done = [], set()
     for first in beside:
         plateau, front = {first}, [first]
         while front:
@@ -413,9 +413,9 @@ def oracle_minima(
             front += equal
         lower = any(values[n] < values[first] for t in plateau for n in beside[t])
         if not lower and first not in done:
-            found.append(min(plateau))
+            lowest.append(min(plateau))
         done |= plateau
-    return sorted(found, key=lambda t: (values[t], t))
+    return sorted(lowest, key=lambda t: (values[t], t))
 
 
 @pytest.mark.parametrize("scene", [sphere, two_charts])
@@ -432,9 +432,9 @@ def test_least_minima_are_those_of_a_walk_over_all_texels(scene, surface, steps,
     wanted = oracle_minima(values, observed, links(around))
     assert (len(wanted) > 3) == (part > 0)
     for count in (1, 3, 20, 10**6):
-        found = least_minima(values, observed, around, count)
-        assert found.dtype == np.int64
-        np.testing.assert_array_equal(found, wanted[:count])
+        seeds = least_minima(values, observed, around, count)
+        assert seeds.dtype == np.int64
+        np.testing.assert_array_equal(seeds, wanted[:count])
 
 
 def test_seeds_are_seen_certain_and_few():
@@ -442,10 +442,10 @@ def test_seeds_are_seen_certain_and_few():
     around = neighbors(where, mesh)
     entropy = np.array(estimate.entropy)
     for count in (1, 2, 5):
-        found = find_seeds(estimate, around, count)
-        assert 1 <= len(found) <= count and len(set(found)) == len(found)
-        assert (np.array(estimate.coverage)[found] > 0).all()
-        assert (entropy[found] < np.median(entropy)).all()
+        seeds = find_seeds(estimate, around, count)
+        assert 1 <= len(seeds) <= count and len(set(seeds)) == len(seeds)
+        assert (np.array(estimate.coverage)[seeds] > 0).all()
+        assert (entropy[seeds] < np.median(entropy)).all()
 
 
 def test_seeds_are_of_different_materials():
@@ -457,8 +457,8 @@ def test_seeds_are_of_different_materials():
     energies[left, 0, 0] -= rng.uniform(6, 12, left.sum())
     energies[~left, 3, 2] -= rng.uniform(5, 9, (~left).sum())
     estimate = an_estimate(energies, np.ones(where.count, bool), where)
-    found = find_seeds(estimate, neighbors(where, mesh), 2)
-    assert sorted(left[found]) == [False, True]
+    seeds = find_seeds(estimate, neighbors(where, mesh), 2)
+    assert sorted(left[seeds]) == [False, True]
 
 
 @pytest.mark.parametrize("epsilon", [1e-2, 0.0])

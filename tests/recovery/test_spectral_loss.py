@@ -80,8 +80,10 @@ def backward(objective, textures, step=0):
         dr.clear_grad(tensor)
     loss = objective(textures, step)
     dr.backward(loss)
-    found = [np.array(textures[name].grad, np.float64).reshape(SIZE * SIZE, -1) for name in NAMES]
-    return float(dr.detach(loss)[0]), np.concatenate(found, axis=1)
+    gradients = [
+        np.array(textures[name].grad, np.float64).reshape(SIZE * SIZE, -1) for name in NAMES
+    ]
+    return float(dr.detach(loss)[0]), np.concatenate(gradients, axis=1)
 
 
 # --- the model ------------------------------------------------------------------------------
@@ -91,8 +93,8 @@ def tables(lighting, name, levels=LEVELS):
     """Light grids and albedo of the levels, float64."""
     alpha = alpha_from_roughness(np.linspace(0, 1, levels))
     profile = lobe_profile("gaussian" if name == "gaussian" else "ggx")
-    found = filter_light(lighting, alpha.tolist(), profile)
-    grids = [np.array(texture.tensor(), np.float64) for texture in found.textures]
+    filtered = filter_light(lighting, alpha.tolist(), profile)
+    grids = [np.array(texture.tensor(), np.float64) for texture in filtered.textures]
     pair, exact = split_sum(alpha), dielectric_albedo(alpha)
     return grids, np.concatenate([pair, exact[..., None]], axis=2)
 

@@ -68,9 +68,9 @@ def made(fields: int = 2, seed: int = 5) -> tuple[Smoother, np.ndarray]:
 def test_smoothing_solves_the_equations_of_the_field(fields: int) -> None:
     smoother, matrix = made(fields)
     right = np.random.default_rng(1).standard_normal((fields, SIDE * SIDE))
-    found = smoother.solve(right)
+    solution = smoother.solve(right)
     wanted = np.linalg.solve(matrix, right[..., None])[..., 0]
-    np.testing.assert_allclose(found, wanted, atol=2e-3 * np.abs(wanted).max())
+    np.testing.assert_allclose(solution, wanted, atol=2e-3 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("few", [20, 600])
@@ -91,13 +91,13 @@ def test_from_coarse_to_fine_the_same_is_found_sooner(monkeypatch, few: int) -> 
     around = [to_drjit(mi.UInt32, column.astype(np.uint32)) for column in square(side)]
     smoother = Smoother.of(np.where(known, 100, 1e-2), values, around, 1.0, EPSILON)
     right = np.where(known, 100 * values, 0)
-    found, fine = Nested.of(smoother, squares).solve(right), sizes.count(side * side)
+    solution, fine = Nested.of(smoother, squares).solve(right), sizes.count(side * side)
     assert fine < len(sizes)
     sizes.clear()
     smoother.solve(right)
     taken = len(sizes)
     monkeypatch.setattr(smoothers, "TOLERANCE", 1e-6)
-    np.testing.assert_allclose(found, smoother.solve(right), atol=0.01)
+    np.testing.assert_allclose(solution, smoother.solve(right), atol=0.01)
     assert fine < 0.7 * taken
 
 
@@ -148,19 +148,19 @@ def test_widths_are_found_that_leave_a_standard_deviation_when_clipped() -> None
 def test_waves_are_a_field_of_their_correlation() -> None:
     place = np.zeros((3, 5), np.float32)
     place[0] = np.array([0, 0.3, 0.8, 1.5, 4])
-    random, found = np.random.default_rng(2), []
+    random, drawn = np.random.default_rng(2), []
     for _ in range(400):
-        found.append(np.array(smooth_fields(3, to_drjit(mi.Point3f, place), random)))
-    values = np.concatenate(found)  # (1200, 5)
+        drawn.append(np.array(smooth_fields(3, to_drjit(mi.Point3f, place), random)))
+    values = np.concatenate(drawn)  # (1200, 5)
     wanted = np.exp(-0.5 * (place[0] - place[0][:, None]) ** 2)
     np.testing.assert_allclose(values.T @ values / len(values), wanted, atol=0.1)
 
 
 def test_information_is_the_slope_of_the_residuals() -> None:
     """Against second differences of the error where the residuals are straight."""
-    found = columns()
-    entries, values = upper(found), parameters()
-    matrix = information(factors_of(found), as_values(values))
+    samples = columns()
+    entries, values = upper(samples), parameters()
+    matrix = information(factors_of(samples), as_values(values))
     got = np.array([[np.array(x) for x in row] for row in matrix])
     np.testing.assert_allclose(got, np.swapaxes(got, 0, 1), rtol=1e-4, atol=1e-6)
     step = 1e-3
@@ -282,9 +282,9 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     values = np.stack([draw.at(field.texels, "roughness") for draw in field.draw(200, seed=4)])
     centered = values - values.mean(axis=0)
     sd = values.std(axis=0)
-    found = (centered[:, i] * centered[:, j]).mean(axis=0) / (sd[i] * sd[j])
-    assert found.mean() == pytest.approx(wanted.mean(), abs=0.03)
-    assert np.abs(found - wanted).mean() < 0.08
+    correlation = (centered[:, i] * centered[:, j]).mean(axis=0) / (sd[i] * sd[j])
+    assert correlation.mean() == pytest.approx(wanted.mean(), abs=0.03)
+    assert np.abs(correlation - wanted).mean() < 0.08
 
 
 def test_draws_are_the_same_again_and_differ_by_seed(recovered: SimpleNamespace) -> None:
@@ -323,9 +323,9 @@ def test_pictures_are_less_sure_where_textures_are(
     vase: SimpleNamespace, recovered: SimpleNamespace
 ) -> None:
     field, sensors = recovered.field, vase.capture.sensors[:2]
-    found = relight_draws(vase.capture, field.textures, field.draw(6), None, sensors, spp=4)
-    assert len(found) == 2
-    for view in found:
+    relit = relight_draws(vase.capture, field.textures, field.draw(6), None, sensors, spp=4)
+    assert len(relit) == 2
+    for view in relit:
         assert view.picture.shape == view.sd.shape == (*view.inside.shape, 3)
         assert (view.sd[~view.inside] == 0).all()
         assert (view.sd[view.inside] > 0).mean() > 0.9

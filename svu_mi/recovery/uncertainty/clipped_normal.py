@@ -65,7 +65,7 @@ def _moments(place: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return mean, square - mean**2, 2 * (place * shift + spread) - 2 * mean * shift
 
 
-def interval(place: np.ndarray, width: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of what holds this much, in the middle."""
-    half = scipy.special.ndtri((1 + level) / 2) * width
+def interval(place: np.ndarray, width: np.ndarray, mass: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of the central interval of this probability mass."""
+    half = scipy.special.ndtri((1 + mass) / 2) * width
     return np.clip(place - half, 0, 1), np.clip(place + half, 0, 1)
