@@ -36,7 +36,7 @@ from svu_mi.calibration.checks.surface_samples import (
     emitter_of,
     open_cosines,
     read_texture,
-    sample_photographs,
+    sample_points,
     scatter_points,
     texture_fit,
 )
@@ -139,7 +139,7 @@ def lit(capture):
 
 def seen_by(capture):
     points = scatter_points(capture.shape, POINTS)
-    seen = sample_photographs(points, Thumbnails.of(reduce_photographs(capture, 64)))
+    seen = sample_points(points, Thumbnails.of(reduce_photographs(capture, 64)))
     cosines = open_cosines(capture.scene, points, DIRECTIONS)
     return points, seen, cosines, read_texture(capture, points)
 

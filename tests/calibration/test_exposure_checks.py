@@ -29,7 +29,7 @@ from svu_mi.calibration.checks.surface_samples import (
     DistantLight,
     PointSamples,
     emitter_of,
-    sample_photographs,
+    sample_points,
     scatter_points,
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, reduce_photographs
@@ -267,7 +267,7 @@ def test_mirrors_look_the_light_up_where_it_is(vase):
     """The model explains most of the vase's samples, and fewer if the map is turned."""
     small = reduce_photographs(vase, 64)
     points, emitter = scatter_points(small.shape), emitter_of(small)
-    seen = sample_photographs(points, Thumbnails.of(small))
+    seen = sample_points(points, Thumbnails.of(small))
     arriving = Irradiance.of(small.scene, points, read_environment(emitter))
     explained = []
     for turn in (np.eye(3), np.diag([-1.0, 1.0, -1.0])):

@@ -22,7 +22,7 @@ from svu_mi.calibration.checks.surface_samples import (
     is_constant,
     open_cosines,
     read_texture,
-    sample_photographs,
+    sample_points,
     scatter_points,
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, limit_views, reduce_photographs
@@ -129,7 +129,7 @@ def _find_axis_mistakes(capture: Capture, progress: Progress) -> tuple[Findings,
         flip = decisions.unknown("texture", f"V cannot be judged: {reason}")
         return (poses, decisions.unknown("light", reason), flip), axes
     frames = Thumbnails.of(capture)
-    seen = sample_photographs(points, frames.posed(chosen.hypothesis.relative_poses(frames.poses)))
+    seen = sample_points(points, frames.posed(chosen.hypothesis.relative_poses(frames.poses)))
     with progress.stage("Trying textures"):
         if texture is None:
             reason = "The object has no texture, so nothing depends on the V axis"
@@ -177,7 +177,7 @@ def _samples_and_light(
     """Return points with their samples and the light that arrives there."""
     points = scatter_points(small.shape)
     arriving = exposure_checks.Irradiance.of(small.scene, points, read_environment(emitter))
-    return sample_photographs(points, Thumbnails.of(small)), points, arriving
+    return sample_points(points, Thumbnails.of(small)), points, arriving
 
 
 def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Finding:

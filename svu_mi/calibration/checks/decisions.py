@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.calibration.checks.check_result import Finding, Question, ScoredHypothesis, Verdict
 from svu_mi.calibration.checks.envmap_orientation import LightScore, NormalDependence
-from svu_mi.calibration.checks.exposure_checks import VIEWS, Excess, RelativeGains
+from svu_mi.calibration.checks.exposure_checks import VIEWS, Excess, ViewGains
 from svu_mi.calibration.checks.pose_scores import PoseScore, is_significant, simplest
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.importers.axis_fixes import FIXES
@@ -184,9 +184,7 @@ def decide_constant_light(dependence: NormalDependence | None) -> Finding:
     )  # fmt: skip
 
 
-def decide_gains(
-    excess: Excess | None, gains: RelativeGains | None, names: Sequence[str]
-) -> Finding:
+def decide_gains(excess: Excess | None, gains: ViewGains | None, names: Sequence[str]) -> Finding:
     """Decide on the gains of photographs.
 
     Args:
@@ -223,7 +221,7 @@ def report_gains(excess: Excess | None, gains: FoundGains, sentences: Iterable[s
     return Finding(question="gain", verdict=verdict, sentence=" ".join(parts))
 
 
-def _odd_gains(gains: RelativeGains, names: Sequence[str]) -> str:
+def _odd_gains(gains: ViewGains, names: Sequence[str]) -> str:
     odd = np.flatnonzero(gains.odd)
     odd = odd[np.argsort(-np.abs(gains.log[odd]), kind="stable")]
     each = [f"{names[k]} (x {np.exp(gains.log[k]):.2f})" for k in odd[:NAMED]]

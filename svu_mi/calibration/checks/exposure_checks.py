@@ -36,7 +36,7 @@ from svu_mi.calibration.checks.surface_samples import (
     PointSamples,
     open_cosines,
     read_cells,
-    sample_photographs,
+    sample_points,
     scatter_points,
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails
@@ -173,9 +173,7 @@ def too_bright(estimate: Estimate) -> str | None:
     if seen is None:
         return None
     points = scatter_points(seen.capture.shape)
-    sightings = sample_photographs(
-        points, Thumbnails(seen.capture, seen.views, np.zeros((0, 4, 4)))
-    )
+    sightings = sample_points(points, Thumbnails(seen.capture, seen.views, np.zeros((0, 4, 4))))
     light = seen.lighting.environment, seen.light_tree(CELLS).fine
     arriving = Irradiance.of(seen.capture.scene, points, *light)
     excess = measure_excess(sightings, points, arriving, 1.0)
@@ -242,7 +240,7 @@ def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, wanted: np.ndarray
 
 
 @dataclass(frozen=True)
-class RelativeGains:
+class ViewGains:
     """The gains of V photographs, relative to their median.
 
     Attributes:
@@ -267,12 +265,12 @@ class RelativeGains:
         return self.known & (np.abs(self.log) > limit)
 
 
-def relative_gains(samples: Reflections) -> RelativeGains:
+def relative_gains(samples: Reflections) -> ViewGains:
     """Estimate gains and materials alternately, starting from equal gains."""
     seen, shown = samples.seen, samples.shown
     log = np.zeros(len(shown))
     if not seen.any():
-        return RelativeGains(log, np.full(len(log), np.inf), 0.0)
+        return ViewGains(log, np.full(len(log), np.inf), 0.0)
     unit = DARK * max(float(np.median(shown[seen])), 1e-30)
     count = seen.sum(axis=0)
     mean = np.where(seen, shown, 0).sum(axis=0) / count
@@ -289,9 +287,7 @@ def relative_gains(samples: Reflections) -> RelativeGains:
         known = np.where(error < EXPLAINED, ratio, np.nan)
         log = log + np.nan_to_num(_medians(known, 1))
         log = log - np.median(log)
-    return RelativeGains(
-        log, _noise(known, samples.side), float(np.isfinite(known).sum() / seen.sum())
-    )
+    return ViewGains(log, _noise(known, samples.side), float(np.isfinite(known).sum() / seen.sum()))
 
 
 def _fit_lobes(shown: np.ndarray, weight: np.ndarray, samples: Reflections) -> np.ndarray:

@@ -18,7 +18,7 @@ from svu_mi.calibration.checks.surface_samples import (
     emitter_of,
     open_cosines,
     read_texture,
-    sample_photographs,
+    sample_points,
     scatter_points,
 )
 from svu_mi.calibration.checks.thumbnails import (
@@ -97,7 +97,7 @@ def score_poses(
     spread, scores = frames.spread, []
     for index in dict.fromkeys([0, *order.tolist()]):
         hypothesis = hypotheses[index]
-        seen = sample_photographs(points, frames.posed(hypothesis.relative_poses(frames.poses)))
+        seen = sample_points(points, frames.posed(hypothesis.relative_poses(frames.poses)))
         best, misfit = 0.0, np.full(len(points.position), np.nan)
         if texture is not None:
             best, misfit = max(texture.fits(seen, points), key=lambda pair: pair[0])
@@ -204,7 +204,7 @@ def _color_errors(capture: Capture, frames: Thumbnails) -> list[float | None]:
     if emitter is None:
         return [None] * frames.views.number
     points = scatter_points(capture.shape)
-    sightings, texture = sample_photographs(points, frames), read_texture(capture, points)
+    sightings, texture = sample_points(points, frames), read_texture(capture, points)
     flux = DistantLight.of(emitter, np.eye(3)).arriving(np.eye(3))
     albedo = 1.0 if texture is None else texture.albedo
     predicted = albedo * (open_cosines(capture.scene, points, DIRECTIONS) @ flux) / np.pi

@@ -124,7 +124,7 @@ class PointSamples:
         return result, known
 
 
-def sample_photographs(points: Points, frames: Thumbnails) -> PointSamples:
+def sample_points(points: Points, frames: Thumbnails) -> PointSamples:
     """Sample all points in all photographs; poses are relative to the mesh of the scene."""
     shape = frames.views.number, len(points.position)
     view, point = _pairs(shape)

@@ -176,10 +176,8 @@ class LightProblem:
         step = scale_of(transport.samples, columns, now).best if leveled else np.zeros(3)
         posterior = SampleMoments.of(transport.samples, columns).posterior(now, np.exp(step))
         x = x + step
-        logarithm = None if gains is None else gains.logarithm
-        system = normal_equations(
-            transport, np.exp(x), posterior, now.overdispersion, priors, logarithm
-        )
+        tau, logarithm = now.overdispersion, None if gains is None else gains.logarithm
+        system = normal_equations(transport, np.exp(x), posterior, tau, priors, logarithm)
         change = system.step()
         if gains is not None:
             noise = posterior.kernel.noise if heat == 1 else None

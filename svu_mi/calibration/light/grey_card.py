@@ -26,9 +26,7 @@ FARTHEST = 3.0  # factor of one round: base colour is clipped at 1
 NEAR = 12  # texels around the spot
 SHARPEST = 0.02  # standard deviation that one of them is known to, at best
 
-BrightnessError = Callable[
-    [Estimate], np.ndarray
-]  # factor (3,) by which base colours are too bright
+Brightness = Callable[[Estimate], np.ndarray]  # factor (3,) by which base colours are too bright
 
 
 def require_albedo(value: float, option: str) -> None:
@@ -97,7 +95,7 @@ def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
 
 
 def _scaled(
-    light: LightEstimate, observed: Observed, excess: BrightnessError,
+    light: LightEstimate, observed: Observed, excess: Brightness,
     known: Mapping[str, float] | None = None,
 ) -> LightEstimate:  # fmt: skip
     """Scale light until the base colours are as wanted, to ``DONE``."""

@@ -175,16 +175,14 @@ def _balance(gains: FoundGains) -> Iterator[str]:
         )
 
 
-def comparison_sentence(result: LightComparison) -> str:
+def comparison_sentence(match: LightComparison) -> str:
     """Return a sentence that compares the light with the capture's own."""
-    factors = ", ".join(f"{x:.2f} ({c})" for c, x in zip(LETTERS, result.scale, strict=True))
-    where = {None: "", True: ", inside the interval", False: ", outside the interval"}[
-        result.inside
-    ]
+    factors = ", ".join(f"{x:.2f} ({c})" for c, x in zip(LETTERS, match.scale, strict=True))
+    where = "" if match.inside is None else f", {'in' if match.inside else 'out'}side the interval"
     return (
-        f"Against the capture's own light: correlation {result.correlation:.2f} at 15 degrees; "
+        f"Against the capture's own light: correlation {match.correlation:.2f} at 15 degrees; "
         f"that one is brighter by {factors}{where}; "
-        f"brightest directions {result.angle:.0f} degrees apart."
+        f"brightest directions {match.angle:.0f} degrees apart."
     )
 
 

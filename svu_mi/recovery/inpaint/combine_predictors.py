@@ -22,11 +22,10 @@ START_NEIGHBORS = 8  # known texels whose mean a texel of a hole starts from
 def tv_predictions(
     graph: TexelGraph, titles: Container[str] = MEAN_WEIGHTS
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield total-variation inpaintings (N, T) by title, by lagged diffusivity.
+    """Yield total-variation inpaintings (N, T) by lagged diffusivity [Vogel and Oman 1996].
 
-    Links have equal strengths at first, and are weak across edges of the last result afterwards
-    [Vogel and Oman 1996]. Pieces without known texels get the mean of all. Of many texels,
-    groups are filled first, and their result is the start.
+    Links have equal strengths first, then are weak across edges of the last result. Pieces without
+    known texels get the mean of all. Of many texels, groups are filled first.
     """
     known, values, weights = graph.known, graph.values, graph.weights
     mean = np.average(values[:, known], axis=1, weights=weights[:, known])[:, None]

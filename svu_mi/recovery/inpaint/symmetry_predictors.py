@@ -156,14 +156,11 @@ class SymmetryPredictor:
 
 
 def _knn_means(
-    rule: KnnSettings,
-    tree: scipy.spatial.cKDTree,
-    known: KnownTexels,
-    queries: Iterable[np.ndarray],
+    rule: KnnSettings, tree: scipy.spatial.cKDTree, known: KnownTexels, places: Iterable[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return weighted means of the neighbours of query points, and where there are any."""
     count, parts = min(rule.nearest, len(known.texels)), []
-    for points in queries:
+    for points in places:
         distance, index = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
         there = distance[:, 0] < rule.farthest
         usable = distance < (PIECE_DISTANCE / 2 if rule.inside else np.inf)
