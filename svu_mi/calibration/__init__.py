@@ -1,1 +1,1 @@
-"""What a capture leaves open: its light, its exposures, and whether its parts fit each other."""
+"""Calibration of a capture: its light, exposures, and whether its parts fit each other."""

@@ -132,18 +132,15 @@ def sparsification(error: Any, uncertainty: Any) -> Sparsification:
         raise OptionError("sparsification(): an error is negative; give absolute errors.")
     count = len(errors)
     removed = np.arange(count) / count
-    curve, oracle = _remaining(_sorted_errors(errors, uncertainties)), _remaining(np.sort(errors))
+    # Equally uncertain texels share their mean error.
+    _, group, counts = np.unique(uncertainties, return_inverse=True, return_counts=True)
+    curve = _remaining(np.repeat(np.bincount(group, errors) / counts, counts))
+    oracle = _remaining(np.sort(errors))
     area = float(scipy.integrate.trapezoid(curve - oracle, removed))
     # Rounding of two equal orders, summed differently.
     area = area if abs(area) > 1e-12 else 0.0
     chance = float(scipy.integrate.trapezoid(1 - oracle, removed))
     return Sparsification(removed, curve, oracle, area, area / chance if chance > 1e-12 else 0.0)
-
-
-def _sorted_errors(errors: np.ndarray, said: np.ndarray) -> np.ndarray:
-    """Return the errors from the most certain on; equally certain ones share their mean."""
-    _, group, counts = np.unique(said, return_inverse=True, return_counts=True)
-    return np.repeat(np.bincount(group, errors) / counts, counts)
 
 
 def _remaining(ascending: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from svu_mi.errors import OptionError, ShapeError
 
 
 def finite_vector(values: Any, name: str, count: int | None = None) -> np.ndarray:
-    """Return (n,) float64 after refusing what no metric can use.
+    """Return (n,) float64; refuse other shapes, NaN and infinity.
 
     Args:
         values: n finite numbers.

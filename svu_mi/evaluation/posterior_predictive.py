@@ -1,8 +1,7 @@
 """Posterior predictive radiance of texels in other views.
 
-For every draw of a texel's parameters the reflection model says what it sends to a camera, anywhere
-around the object; the draws together say how sure that is. Where there are photographs that no
-estimate has seen, they can be held against it (``svu bench real``).
+The reflection model evaluates every draw of a texel's parameters for a camera anywhere around the
+object. ``svu bench real`` compares the distribution with photographs that were held out.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ CHANNELS = 3
 
 @dataclass(frozen=True)
 class Prediction:
-    """What n texels send to cameras.
+    """Radiance of n texels towards cameras.
 
     Attributes:
-        scene: what stands in the way of light.
-        model: what the texels reflect, at even levels of roughness on [0, 1].
+        scene: that occludes.
+        model: of the texels, at even levels of roughness on [0, 1].
         draws: of the posterior, D dictionaries of their parameters: a Float per channel.
         shares: of each draw, how much every level counts at its roughness: R Floats.
     """
@@ -78,7 +77,7 @@ class Prediction:
     def seen_from(self, eye: np.ndarray) -> np.ndarray:
         """Return the radiance that a camera at a point (3,) gets: (D, n, 3) float32.
 
-        Of texels that do not face it, as at a grazing angle; what hides them is not looked at.
+        Texels that do not face it count as grazing; occluders are ignored.
         """
         lobes = columns_seen_from(self.scene, self.model, eye)
         radiance = np.empty((len(self.draws), self.model.surface.count, CHANNELS), np.float32)
@@ -91,7 +90,7 @@ class Prediction:
 
 
 def shares_of(roughness: np.ndarray, levels: np.ndarray) -> list[Any]:
-    """Return how much every level counts at roughnesses (n,), as the posterior has it: R Floats."""
+    """Return the spline weight of each level at roughnesses (n,): R Floats."""
     near, weights = spline_weights(roughness.astype(np.float64), levels)
     shares = np.zeros((len(roughness), len(levels)))
     np.add.at(shares, (np.arange(len(roughness))[:, None], near), weights)
@@ -101,7 +100,7 @@ def shares_of(roughness: np.ndarray, levels: np.ndarray) -> list[Any]:
 def diffuse_seen_from(
     observed: Observed, switches: AngularPreset, texels: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of a point (3,): what diffuse white texels send there, (n, 3) float32."""
+    """Return a function of a point (3,): radiance (n, 3) of white diffuse texels from there."""
     model = observed.model(np.ones(1), switches, CHANNELS, texels)
 
     def seen_from(eye: np.ndarray) -> np.ndarray:

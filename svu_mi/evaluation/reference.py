@@ -103,7 +103,7 @@ class Reference(TracedTables):
 
     @staticmethod
     def of(traced: TracedTables, options: ReferenceOptions, *, cached: bool) -> Reference:
-        """Compute the posteriors of what was traced."""
+        """Compute the posteriors of traced tables."""
         whole, first, second = traced.posteriors(options)
         return Reference(
             **{field.name: getattr(traced, field.name) for field in fields(traced)},

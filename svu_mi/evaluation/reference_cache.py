@@ -1,4 +1,4 @@
-"""References on disk: one file per key, the key made of everything that matters."""
+"""Cache of references on disk: one file per key of scene, photographs and options."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def load(path: Path, options: ReferenceOptions) -> Reference | None:
 
 
 def store(path: Path, traced: TracedTables) -> None:
-    """Write what was traced."""
+    """Write the tables of a reference."""
     values = {each.name: getattr(traced, each.name) for each in fields(traced)}
     stored = {name: value for name, value in values.items() if value is not None}
     write_arrays(path, {"name": path.stem, **stored})

@@ -1,4 +1,4 @@
-"""Squared deviation of every psi from what was observed, averaged over a texel's views.
+"""Squared error of every psi against the observation, averaged over a texel's views.
 
 With two independent renders A and B of one psi the reference takes their mean as r, and each of
 them to state its own noise. The square (b - r)^2 has the variance of r on top of its exact value;

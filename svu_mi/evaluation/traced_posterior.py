@@ -1,4 +1,4 @@
-"""p(psi | B, L) by path tracing every psi: slow, and free of the estimators' approximations."""
+"""Reference p(psi | B, L) by path tracing every psi, without the estimators' approximations."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def _renderer(
     target: UniformScene, pairs: VisiblePairs, options: ReferenceOptions, batch: int,
     update: Callable[[int], None],
 ) -> Render:  # fmt: skip
-    """Return what renders one psi after the other for a batch of pairs."""
+    """Return a function that renders a psi for a batch of pairs."""
     integrator = mi.load_dict({"type": "path", "max_depth": options.max_depth})
     # Own random numbers for each batch, the same for all psi.
     seed = int(np.random.default_rng((options.seed, batch)).integers(2**63))

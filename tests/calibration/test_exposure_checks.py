@@ -21,7 +21,7 @@ from svu_mi.calibration.checks.exposure_checks import (
     Excess,
     Irradiance,
     Reflections,
-    measure_excess,
+    excess_of,
     relative_gains,
     too_bright,
 )
@@ -222,7 +222,7 @@ def test_what_is_brighter_than_white_is_counted(lit_ball, albedo, part):
     count = len(points.position)
     shown = np.broadcast_to(albedo * white / 250, (4, count, 3))
     seen = PointSamples(np.ones((4, count), bool), shown, from_around(points, 40))
-    excess = measure_excess(seen, points, arriving, 250.0)
+    excess = excess_of(seen, points, arriving, 250.0)
     assert excess.part == pytest.approx(part, abs=0.01)
     assert excess.factor == pytest.approx(albedo, rel=0.04)
     assert (excess.sentence() is None) == (albedo < 1.2)  # paint is a little brighter at times
@@ -235,7 +235,7 @@ def test_what_is_seen_from_one_side_only_is_not_judged(lit_ball, degrees, judged
     count = len(points.position)
     shown = np.broadcast_to(3 * white, (4, count, 3))
     seen = PointSamples(np.ones((4, count), bool), shown, from_around(points, degrees))
-    assert (measure_excess(seen, points, arriving, 1.0) is not None) == judged
+    assert (excess_of(seen, points, arriving, 1.0) is not None) == judged
 
 
 def test_a_few_bright_points_are_not_a_gain():

@@ -103,21 +103,17 @@ def apply_fixes(
     only ``camera-inverse`` depends on it.
     """
     for fix in fixes:
-        capture = _apply_fix(capture, fix, camera_axes)
+        if fix.kind == "camera":
+            poses = np.array([to_world(sensor) for sensor in capture.sensors]).reshape(-1, 4, 4)
+            poses = correct_poses(poses, fix, camera_axes)
+            capture = replace(capture, sensors=tuple(
+                make_sensor({**describe(sensor), "to_world": pose.tolist()}, sensor.id())
+                for sensor, pose in zip(capture.sensors, poses, strict=True)
+            ))  # fmt: skip
+        else:
+            correct = _with_turned_light if fix.kind == "light" else _with_corrected_mesh
+            capture = correct(capture, fix)
     return capture
-
-
-def _apply_fix(capture: Capture, fix: AxisFix, camera_axes: np.ndarray) -> Capture:
-    if fix.kind == "camera":
-        poses = np.array([to_world(sensor) for sensor in capture.sensors]).reshape(-1, 4, 4)
-        poses = correct_poses(poses, fix, camera_axes)
-        return replace(capture, sensors=tuple(
-            make_sensor({**describe(sensor), "to_world": pose.tolist()}, sensor.id())
-            for sensor, pose in zip(capture.sensors, poses, strict=True)
-        ))  # fmt: skip
-    if fix.kind == "light":
-        return _with_turned_light(capture, fix)
-    return _with_corrected_mesh(capture, fix)
 
 
 def _with_corrected_mesh(capture: Capture, fix: AxisFix) -> Capture:

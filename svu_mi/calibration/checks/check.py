@@ -165,7 +165,7 @@ def _gain_finding(capture: Capture, small: Capture, find: Callable[[], FoundGain
         return decisions.unknown("gain", str(error).rstrip("."))
     emitter, excess = emitter_of(capture), None
     if emitter is not None:
-        excess = exposure_checks.measure_excess(
+        excess = exposure_checks.excess_of(
             *_samples_and_light(small, emitter), exposure_checks.unit_of(capture, small)
         )
     return decisions.report_gains(excess, gains, gain_sentences(gains, capture))
@@ -195,7 +195,7 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
         return decisions.unknown("gain", "cameras, mesh and light have to fit first")
     sightings, points, arriving = _samples_and_light(small, emitter)
     names, gains = list(compress(small.names, small.used)), None
-    excess = exposure_checks.measure_excess(
+    excess = exposure_checks.excess_of(
         sightings, points, arriving, exposure_checks.unit_of(capture, small)
     )
     if len(names) >= exposure_checks.VIEWS:

@@ -1,4 +1,4 @@
-"""Decisions: from scores to findings."""
+"""Decisions of the checks: findings from scores."""
 
 from __future__ import annotations
 

@@ -132,23 +132,23 @@ class Excess(NamedTuple):
         )
 
 
-def measure_excess(
-    sightings: PointSamples, points: Points, light: Irradiance, unit: float
+def excess_of(
+    samples: PointSamples, points: Points, light: Irradiance, unit: float
 ) -> Excess | None:
     """Compare N points in V views with the bound; None if too few points are reliable.
 
     ``unit``: radiance of a sighting of 1.
     """
-    cosine, _ = sightings.mirrored(points)
-    seen = sightings.seen & (cosine > FACING)
+    cosine, _ = samples.mirrored(points)
+    seen = samples.seen & (cosine > FACING)
     views, brightness = seen.sum(axis=0), light.white.mean(axis=1)
-    reliable = (views >= LEAST) & (light.free > OPEN) & _seen_from_many_sides(sightings, seen)
+    reliable = (views >= LEAST) & (light.free > OPEN) & _seen_from_many_sides(samples, seen)
     reliable &= (brightness >= LIT * np.median(brightness)) & (brightness > 0)
     if reliable.sum() < FEWEST:
         return None
-    around = AROUND * unit * sightings.radiance[sightings.seen].mean(axis=0)
+    around = AROUND * unit * samples.radiance[samples.seen].mean(axis=0)
     white = light.white + np.clip(1 - light.free, 0, 1)[:, None] * around
-    shown = np.where(seen[..., None], unit * sightings.radiance, np.inf)[:, reliable]
+    shown = np.where(seen[..., None], unit * samples.radiance, np.inf)[:, reliable]
     dim = views[reliable] // DIMMER
     dimmest = np.take_along_axis(np.sort(shown, axis=0), dim[None, :, None], axis=0)[0]
     ratio = (dimmest / np.maximum(white[reliable], 1e-300)).max(axis=1)
@@ -176,7 +176,7 @@ def too_bright(estimate: Estimate) -> str | None:
     sightings = sample_points(points, Thumbnails(seen.capture, seen.views, np.zeros((0, 4, 4))))
     light = seen.lighting.environment, seen.light_tree(CELLS).fine
     arriving = Irradiance.of(seen.capture.scene, points, *light)
-    excess = measure_excess(sightings, points, arriving, 1.0)
+    excess = excess_of(sightings, points, arriving, 1.0)
     return excess and excess.sentence(estimated=seen.capture.found_light is not None)
 
 

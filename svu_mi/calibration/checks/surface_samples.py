@@ -1,4 +1,4 @@
-"""Points of the surface: what photographs and texture show there, and which light arrives."""
+"""Surface points: their samples in photographs and texture, and the incident light."""
 
 from __future__ import annotations
 

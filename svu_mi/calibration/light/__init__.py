@@ -1,1 +1,1 @@
-"""Light estimated from the photographs, where nobody has measured it."""
+"""Light of a capture, estimated from its photographs where it was not measured."""

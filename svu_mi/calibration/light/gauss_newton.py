@@ -82,7 +82,7 @@ class LightPriors(NamedTuple):
     prior: LightPrior
     seen: SeenCells | None = None
 
-    def start(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def precision_and_gradient(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the precision (3 N, 3 N) and the gradient (3, N) of the light at x (N, 3)."""
         matrix, gradient = self.prior.precision(), self.prior.pull(x).T.copy()
         if self.seen is not None:
@@ -116,7 +116,7 @@ def normal_equations(
         J = transport.matrix(materials)
         J *= light.T[:, None].astype(np.float32)
         predicted = J.sum(axis=2).T.astype(np.float64)
-        matrix, gradient = priors.start(np.log(light))
+        matrix, gradient = priors.precision_and_gradient(np.log(light))
     if gains is not None:
         by_gain = np.zeros((3, samples.count, len(gains)), np.float32)
         by_gain[:, np.arange(samples.count), samples.view] = predicted.T

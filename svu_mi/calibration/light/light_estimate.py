@@ -96,14 +96,12 @@ class LightEstimate:
 
     @cached_property
     def sd(self) -> np.ndarray:
-        """(129, 256) float32, standard deviation of the logarithm of radiance, that of the scale
-        included: .1 is 10 %."""
+        """(129, 256) float32, standard deviation of log radiance, with the scale's: .1 is 10 %."""
         return np.hypot(self._details, np.mean(self.scale_sd)).astype(np.float32)
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(129, 256) float32 in [0, 1], part of the prior's variance that photographs remove, at
-        a given level."""
+        """(129, 256) float32, part of the prior's variance that is removed at a given scale."""
         return np.clip(1 - np.square(self._details / SD), 0, 1).astype(np.float32)
 
     @property

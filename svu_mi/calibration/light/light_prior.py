@@ -76,7 +76,7 @@ def prior_of(number: int) -> LightPrior:
 
 
 def refined(x: np.ndarray, number: int) -> np.ndarray:
-    """Return what is to be expected of other cells: (number, 3), given x (N, 3)."""
+    """Interpolate x (N, 3) to another number of cells: the prior's conditional mean."""
     old, new = fibonacci(len(x)), fibonacci(number)
     u = x.mean(axis=1, keepdims=True)
     parts = zip((u, x - u), (BRIGHTNESS, COLOR), strict=True)

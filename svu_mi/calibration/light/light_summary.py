@@ -12,12 +12,7 @@ from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
 from svu_mi.light.band_limited import degrees
-from svu_mi.light.environment import (
-    Environment,
-    basis_at,
-    polar_from_local,
-    read_environment,
-)
+from svu_mi.light.environment import Environment, basis_at, polar_from_local, read_environment
 
 BLUR = 15.0  # degrees, full width at half maximum, at which light is compared
 DEGREE = 48  # beyond which that leaves nothing

@@ -59,7 +59,7 @@ class Columns(NamedTuple):
         """Return the columns that a mixture is of, (S, 3) each, at one of the roughnesses."""
         return columns(*(part[:, level] for part in self))
 
-    def some(self, samples: np.ndarray) -> Columns:
+    def subset(self, samples: np.ndarray) -> Columns:
         """Return those of some samples."""
         return Columns(*(part[samples] for part in self))
 
@@ -95,7 +95,7 @@ class Transport:
 
     @staticmethod
     def of(samples: TexelSamples, number: int, moves: bool = False) -> Transport:
-        """Trace what the texels see of N cells."""
+        """Trace the visibility of N cells from the texels."""
         cameras = samples.cameras
         turned = cameras if moves else np.broadcast_to(np.eye(3), cameras.shape)
         transport = Transport(

@@ -89,7 +89,7 @@ def scale_of(samples: TexelSamples, columns: Columns, switches: AngularPreset) -
     like Fresnel reflection of brighter light.
     """
     samples, kept = samples.facing()
-    moments = SampleMoments.of(samples, columns.some(kept))
+    moments = SampleMoments.of(samples, columns.subset(kept))
 
     def worse(logarithm: np.ndarray) -> float:
         posterior = moments.posterior(switches, np.exp(logarithm))

@@ -1,1 +1,1 @@
-"""Texels that no photograph shows: filled by symmetry or by a model, with their uncertainty."""
+"""Filling of unseen texels by symmetry or a diffusion model, with uncertainty."""
