@@ -1,4 +1,4 @@
-"""Where Dr.Jit was imported before svu_mi, on a machine whose newest LLVM is 15 or 16."""
+"""Dr.Jit imported before svu_mi, on a machine whose newest LLVM is 15 or 16."""
 
 from __future__ import annotations
 

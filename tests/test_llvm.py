@@ -1,4 +1,4 @@
-"""Which LLVM library is chosen, and what happens when none will do."""
+"""The choice of the LLVM library, and errors without a usable one."""
 
 from __future__ import annotations
 

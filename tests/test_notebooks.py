@@ -1,4 +1,4 @@
-"""Notebooks run from top to bottom, and are committed with what they show."""
+"""Notebooks run from top to bottom, and are committed with their outputs."""
 
 from __future__ import annotations
 

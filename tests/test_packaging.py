@@ -1,4 +1,4 @@
-"""What is installed is what is in the tree, and importing it costs next to nothing."""
+"""The installed package equals the tree, and its import is fast."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the table of parameters promises: one more that only mixes columns is a few lines."""
+"""The table of parameters: a new one that only mixes columns takes a few lines."""
 
 from __future__ import annotations
 

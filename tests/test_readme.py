@@ -1,4 +1,4 @@
-"""What README, pages and CONTRIBUTING print works: commands, Python, the names of files."""
+"""Commands, Python code and file names in README, pages and CONTRIBUTING are valid."""
 
 from __future__ import annotations
 

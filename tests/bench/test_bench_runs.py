@@ -1,4 +1,4 @@
-"""All benchmarks on tiny sizes, run once, and how they judge what they find."""
+"""All benchmarks on tiny sizes, run once, and their scores."""
 
 from __future__ import annotations
 

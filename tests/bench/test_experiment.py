@@ -1,4 +1,4 @@
-"""The benchmark: what is resumed, kept and left out; on what it runs, and what it refuses."""
+"""Experiments: resumed, cached and failed cases; selection of cases; invalid input."""
 
 from __future__ import annotations
 

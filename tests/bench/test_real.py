@@ -1,4 +1,4 @@
-"""Photographs that are left out, predicted from the others; and a capture as a phone makes it."""
+"""Held-out photographs, predicted from the others; and a capture as a phone makes it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every benchmark on tiny sizes: figures for every row, tables, and what is stored."""
+"""Every benchmark on tiny sizes: figures for every row, tables, stored results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A headless Chromium, to look at pages as their readers do.
+"""Headless Chromium that opens pages.
 
 It is driven through the two pipes of ``--remote-debugging-pipe`` (Chrome DevTools Protocol, one
 JSON object and a zero byte per message): no port, no package, and a page can be 400 pixels wide,

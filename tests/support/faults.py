@@ -1,4 +1,4 @@
-"""Whether the tests notice faults: 28 of faults.toml, and 12 that are drawn.
+"""Mutation testing: 28 faults of faults.toml, and 12 random ones.
 
     python tests/support/faults.py [--only NAME ...] [--drawn 12] [--seed 43]
 

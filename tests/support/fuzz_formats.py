@@ -1,4 +1,4 @@
-"""A small valid file of each format that is read, and the call that reads it."""
+"""A small valid file of each input format, and the call that reads it."""
 
 from __future__ import annotations
 

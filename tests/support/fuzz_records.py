@@ -1,4 +1,4 @@
-"""Rows of the fuzzer for what svu has written itself and reads back: records, states, caches."""
+"""Fuzzed files that svu writes and reads back: records, checkpoints, caches."""
 
 from __future__ import annotations
 

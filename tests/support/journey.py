@@ -1,4 +1,4 @@
-"""A user's terminal: each line is a process of its own, and no variable is set for it."""
+"""A user's terminal: one process per command line, without environment variables."""
 
 from __future__ import annotations
 

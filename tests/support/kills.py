@@ -1,4 +1,4 @@
-"""Commands that are killed, and commands that meet in one folder.
+"""Killed commands, and concurrent commands in one folder.
 
     PYTHONPATH=tests python -m support.kills [--kills 60] [--pairs 12]
 

@@ -1,4 +1,4 @@
-"""Results whose files all hold one letter, so that a mixture of two is seen."""
+"""Results whose files contain one letter, to detect mixtures of two results."""
 
 from __future__ import annotations
 

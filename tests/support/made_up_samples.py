@@ -1,4 +1,4 @@
-"""Samples of texels that float in the open, under a light and of materials that are known."""
+"""Synthetic samples of unoccluded texels with known light and materials."""
 
 from __future__ import annotations
 

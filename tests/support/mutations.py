@@ -1,4 +1,4 @@
-"""Ways to damage a file: at random, by what its bytes spell, and by the structure of its format."""
+"""Damaged files: random bytes, changed words and numbers, and changed format structures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photographs changed as cameras and file formats change them."""
+"""Photographs with effects of cameras and file formats: integers, saturation, masks."""
 
 from __future__ import annotations
 

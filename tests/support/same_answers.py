@@ -1,4 +1,4 @@
-"""Whether two versions of svu_mi give the same answers on our own 12 cells, and on a real capture.
+"""Compare the results of two versions of svu_mi on 12 cases and a real capture.
 
     python tests/support/same_answers.py render CAPTURES        # once, by either version
     python tests/support/same_answers.py measure CAPTURES before.npz [--real CAPTURE]

@@ -1,4 +1,4 @@
-"""Whether this checkout computes as fast as another one, in pairs of runs.
+"""Compare the speed of two checkouts in pairs of runs.
 
     python tests/support/times.py OTHER [--pairs 3] [--side 512] [--views 60] [--commands | --cpu]
 

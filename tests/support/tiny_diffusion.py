@@ -1,4 +1,4 @@
-"""Folders of weights as Marigold and RGB<->X have them: the same classes, tiny, at random."""
+"""Tiny random weights of Marigold and RGB<->X, in the layout of the originals."""
 
 from __future__ import annotations
 

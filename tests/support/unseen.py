@@ -1,4 +1,4 @@
-"""What a posterior says of texels nobody saw, held against the prior."""
+"""Comparison of the posterior of unseen texels with the prior."""
 
 from __future__ import annotations
 

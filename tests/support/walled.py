@@ -1,4 +1,4 @@
-"""A ball beside a wall under a studio's light, photographs of it, and all of their samples."""
+"""A ball next to a wall in studio light, its photographs, and all samples."""
 
 from __future__ import annotations
 

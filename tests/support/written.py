@@ -1,4 +1,4 @@
-"""Captures written as other tools would, in every format that can be imported."""
+"""Captures written in every format that can be imported."""
 
 from __future__ import annotations
 
