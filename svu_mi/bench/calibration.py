@@ -24,7 +24,7 @@ import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
-from svu_mi.bench.markdown import Column, columns, digits, table
+from svu_mi.bench.markdown import Column, digits, table, tabulate
 from svu_mi.bench.study import Selection, Study
 from svu_mi.evaluation.correlation import pearson, sparsification, spearman
 from svu_mi.evaluation.credible_sets import credible_coverage, nearest_bins
@@ -181,11 +181,11 @@ def set_coverage(p: np.ndarray, truth: Truths) -> Record:
     }
     colors = list(zip(np.moveaxis(p.sum(axis=(1, 2)), 2, 0), bins["base_color"].T, strict=True))
     result = {}
-    for level in (0.9, 0.5):
-        key = f"{100 * level:.0f}"
+    for mass in (0.9, 0.5):
+        key = f"{100 * mass:.0f}"
         for name, (q, own) in of.items():
-            result[f"{key} {name}"] = credible_coverage(q, own, level).fractional
-        coverages = [credible_coverage(q, own, level).fractional for q, own in colors]
+            result[f"{key} {name}"] = credible_coverage(q, own, mass).fractional
+        coverages = [credible_coverage(q, own, mass).fractional for q, own in colors]
         result[f"{key} c"] = float(np.mean(coverages))
     return result
 
@@ -228,7 +228,7 @@ def _tables(record: Record) -> list[str]:
               for case in cases]  # fmt: skip
     return [
         f"{JUDGED} texels of each case at most; r, m and c are roughness, metallic, base colour.",
-        columns(shown, lines),
+        tabulate(shown, lines),
         table(("parameter", "CRPS", "part of that of tau = 3", "90 % intervals hold",
                "intervals within .05", "of these hold"), by_parameter),
         "Correlation of the entropy with path-traced texels, and of these texels' halves.",

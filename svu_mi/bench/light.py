@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
-from svu_mi.bench.markdown import Bar, Column, columns, digits
+from svu_mi.bench.markdown import Bar, Column, digits, tabulate
 from svu_mi.bench.study import Selection, Study
 from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import LightEstimate
@@ -197,4 +197,4 @@ def experiment(bench: BenchRun, selection: Selection) -> Experiment:
 
 
 STUDY = Study(title="Light from the photographs themselves", experiment=experiment, bars=bars,
-              own_sizes=True, tables=lambda record: [columns(SHOWN, rows_of(record))])  # fmt: skip
+              own_sizes=True, tables=lambda record: [tabulate(SHOWN, rows_of(record))])  # fmt: skip

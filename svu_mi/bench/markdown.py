@@ -62,7 +62,7 @@ class Column:
         return "" if value is None else self.show(value)
 
 
-def columns(wanted: Sequence[Column], records: Iterable[Any]) -> str:
+def tabulate(wanted: Sequence[Column], records: Iterable[Any]) -> str:
     """Return a Markdown table with a line per record."""
     rows = [[column.text(record) for column in wanted] for record in records]
     return table([column.head for column in wanted], rows)
@@ -127,7 +127,7 @@ def bar_table(bars: Sequence[dict[str, Any]], quick: bool = False, note: str = "
     """
     if quick:
         note += " Quick sizes, which the bars are not meant for."
-    parts = ["## Bars", note.strip(), columns(BAR_COLUMNS, bars)]
+    parts = ["## Bars", note.strip(), tabulate(BAR_COLUMNS, bars)]
     return [part for part in parts if part] if bars else []
 
 

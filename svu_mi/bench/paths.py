@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
-from svu_mi.bench.markdown import Column, columns, digits
+from svu_mi.bench.markdown import Column, digits, tabulate
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.evaluation.correlation import pearson
@@ -130,7 +130,7 @@ def tables(record: Record) -> list[str]:
         "of direct light, with noise that grows with radiance, and with noise that is estimated, "
         "as `default` and `fast` do. Last, the references of direct and of all light with each "
         "other.",
-        columns(shown, lines),
+        tabulate(shown, lines),
     ]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
-from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
+from svu_mi.bench.markdown import Bar, Column, digits, seconds, tabulate
 from svu_mi.bench.study import Selection, Study
 from svu_mi.bench.timing import allocated_mib, run, spread
 from svu_mi.capture.capture import Capture
@@ -186,10 +186,10 @@ def _tables(record: Record) -> list[str]:
     return [
         f"Least seconds of several runs by the clock, and a + b n; texels with {case['views']} "
         f"views, views with {case['resolution']} x {case['resolution']} texels.",
-        columns(SHOWN, curves),
+        tabulate(SHOWN, curves),
         "How the peak of Dr.Jit's allocator grows with texels; the formula counts all that is "
         "resident.",
-        columns(MEMORY, of_texels),
+        tabulate(MEMORY, of_texels),
     ]
 
 

@@ -26,7 +26,7 @@ from svu_mi.bench.captures import (
 )
 from svu_mi.bench.cases import Case, chosen_cases
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
-from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
+from svu_mi.bench.markdown import Bar, Column, digits, seconds, tabulate
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import SensorPixels
@@ -279,7 +279,7 @@ def tables(record: Record) -> list[str]:
     return [
         "The part of texels that a photograph shows whose 90 % interval holds the truth; and of "
         f"the object's pixels under other lights. Means over {count} cells: {words}.",
-        columns(shown, lines),
+        tabulate(shown, lines),
     ]
 
 

@@ -162,7 +162,7 @@ def _overlap(halves: Any, seen: np.ndarray) -> float:
     return float(np.minimum(p, q).reshape(len(p), -1).sum(axis=1).mean())
 
 
-LEVELS = (0.5, 0.9)
+MASSES = (0.5, 0.9)
 
 
 def agreement(entropy: np.ndarray, reference: np.ndarray) -> dict[str, float]:
@@ -219,7 +219,7 @@ def score_posterior(
             "ause_relative": curve.relative,
         }
         curves[name] = curve.sampled()
-    levels = [asdict(credible_coverage(p, bins, level)) for level in LEVELS]
+    levels = [asdict(credible_coverage(p, bins, mass)) for mass in MASSES]
     return {
         "credible": {f"{level['level']:g}": level for level in levels},
         "parameters": parameters,

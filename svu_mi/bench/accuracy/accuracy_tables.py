@@ -16,10 +16,10 @@ from svu_mi.bench.markdown import (
     INK,
     MARKS,
     Column,
-    columns,
     digits,
     page,
     seconds,
+    tabulate,
     tidy,
     time_axis,
 )
@@ -82,18 +82,18 @@ def accuracy_tables(record: Record) -> list[str]:
         "samples. AUSE: area between the sparsification curves by entropy and by true error of "
         "the most probable cell, over that of a random order: 0 perfect, 1 chance. Seconds are "
         "warm, mean over cells.",
-        columns(AGREEMENT, record["summary"]),
+        tabulate(AGREEMENT, record["summary"]),
         "## Credible sets against the true parameters",
         "How often the highest-density set holds the truth's cell. A set of whole cells holds at "
         "least its level, so even a calibrated posterior exceeds it; with the last cells taken "
         "in with the fitting probability it does not.",
-        columns(_sets(judged), judged),
+        tabulate(_sets(judged), judged),
         "## Error of the most probable cell",
-        columns(ERRORS, errors),
+        tabulate(ERRORS, errors),
         "## Pearson correlation by cell",
         "The halves are those of the reference's samples: the correlation of their entropies, "
         "and the part of their posteriors that they have in common.",
-        columns(_by_case(record), record["cells"]),
+        tabulate(_by_case(record), record["cells"]),
     ]
 
 
@@ -104,15 +104,15 @@ def agreement_lines(record: Record) -> list[str]:
 
 
 def _sets(judged: list[Record]) -> list[Column]:
-    def share(row: Record, level: str, name: str) -> float:
-        return row["credible"][level][name]
+    def share(row: Record, mass: str, name: str) -> float:
+        return row["credible"][mass][name]
 
     return [
         Column("posterior", lambda row: row["label"]),
         *(
-            Column(f"{float(level):.0%} {title}", partial(share, level=level, name=name),
+            Column(f"{float(mass):.0%} {title}", partial(share, mass=mass, name=name),
                    lambda value: f"{value:.0%}")
-            for level in judged[0]["credible"] for name, title in SETS
+            for mass in judged[0]["credible"] for name, title in SETS
         ),
     ]  # fmt: skip
 

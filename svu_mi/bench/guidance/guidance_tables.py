@@ -14,10 +14,10 @@ from svu_mi.bench.markdown import (
     MARKS,
     Bar,
     Column,
-    columns,
     number,
     page,
     table,
+    tabulate,
     tidy,
 )
 from svu_mi.bench.problem_sizes import GuidanceSizes
@@ -176,7 +176,7 @@ def guidance_tables(record: Record) -> list[str]:
     for name, what in (("psnr", "PSNR (dB)"), ("entropy", "entropy (positive: lower)")):
         parts += [
             f"Mean gain in {what} of one strategy over another; paired t-test over objects.",
-            columns(COMPARED, compare(runs, sizes, name)),
+            tabulate(COMPARED, compare(runs, sizes, name)),
         ]
     return [*parts, *_cases(runs, sizes)]
 

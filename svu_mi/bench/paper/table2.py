@@ -23,7 +23,7 @@ import numpy as np
 
 from svu_mi.bench.captures import uneven_views
 from svu_mi.bench.experiment import CaseSubject, Record
-from svu_mi.bench.markdown import Column, columns, digits, table
+from svu_mi.bench.markdown import Column, digits, table, tabulate
 from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, RecoveryMethod
 from svu_mi.capture.capture import Capture
 from svu_mi.evaluation.correlation import pearson
@@ -127,7 +127,7 @@ def table2_tables(cases: list[Record]) -> list[str]:
     return [
         "## Table 2: textures, photographs mostly from one side",
         f"PSNR (dB), means over {len(cases)} cells: {', '.join(case['cell'] for case in cases)}.",
-        columns(SHOWN, lines),
+        tabulate(SHOWN, lines),
         "Mean absolute error of the most and the least certain texels, by the paper's entropy "
         "(Fig. 8).",
         table(("part of the texels", *(f"{part:.0%}" for part in PARTS)), errors),

@@ -22,7 +22,7 @@ import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import CaseSubject, Record
-from svu_mi.bench.markdown import Column, columns, digits
+from svu_mi.bench.markdown import Column, digits, tabulate
 from svu_mi.evaluation.correlation import pearson
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.estimate import Estimate
@@ -181,4 +181,4 @@ def table3_tables(cases: list[Record]) -> list[str]:
         Column(f"mean of {len(cases)} cells", lambda line: np.mean(line[1]), digits(3)),
         Column("lowest", lambda line: np.min(line[1]), digits(3)),
     )
-    return ["## Table 3: entropy against path tracing", columns(shown, lines)]
+    return ["## Table 3: entropy against path tracing", tabulate(shown, lines)]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from svu_mi.bench.real import HoldoutCase
 
 
-LEVELS = (0.5, 0.8, 0.9, 0.95)  # of intervals
+MASSES = (0.5, 0.8, 0.9, 0.95)  # of intervals
 FEWEST = 20  # texels in each half of a photograph
 FACING = 0.7  # cosine from which a texel faces the camera
 
@@ -120,7 +120,7 @@ class Score:
         place = np.concatenate(self.place)
         inside = np.abs(place - 0.5)
         return {
-            "holds": {str(level): float((inside <= level / 2).mean()) for level in LEVELS},
+            "holds": {str(mass): float((inside <= mass / 2).mean()) for mass in MASSES},
             "below": float((place < 0.05).mean()), "above": float((place > 0.95).mean()),
         }  # fmt: skip
 

@@ -8,15 +8,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svu_mi.bench.experiment import Record
-from svu_mi.bench.markdown import COLORS, FAINT, MARKS, Column, columns, digits, page, seconds, tidy
-from svu_mi.bench.real.predictors import LEVELS
+from svu_mi.bench.markdown import (
+    COLORS,
+    FAINT,
+    MARKS,
+    Column,
+    digits,
+    page,
+    seconds,
+    tabulate,
+    tidy,
+)
+from svu_mi.bench.real.predictors import MASSES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def _held(level: float) -> Callable[[tuple[str, Record]], float | None]:
-    return lambda row: row[1]["holds"].get(str(level))
+def _held(mass: float) -> Callable[[tuple[str, Record]], float | None]:
+    return lambda row: row[1]["holds"].get(str(mass))
 
 
 def _quantile(row: Record, q: float) -> float | None:
@@ -32,7 +42,7 @@ PREDICTED = (
     Column("of photographs: median", lambda row: _quantile(row[1], 0.5), digits(3)),
     Column("worst tenth below", lambda row: _quantile(row[1], 0.1), digits(3)),
     Column("PSNR (dB)", lambda row: row[1]["psnr"], digits(1)),
-    *(Column(f"{100 * level:g} % intervals hold", _held(level), digits(3)) for level in LEVELS),
+    *(Column(f"{100 * mass:g} % intervals hold", _held(mass), digits(3)) for mass in MASSES),
     Column("time", lambda row: row[1]["seconds"], seconds),
 )  # fmt: skip
 
@@ -45,7 +55,7 @@ def real_tables(record: Record) -> list[str]:
     """
     parts = []
     for case in record["cells"]:
-        parts += [_about(case), columns(PREDICTED, list(case["rows"].items())), _made_of(case)]
+        parts += [_about(case), tabulate(PREDICTED, list(case["rows"].items())), _made_of(case)]
     return parts
 
 
@@ -85,8 +95,8 @@ def draw_real(records: dict[str, Record]) -> Figure | None:
     for (label, row), color, mark in zip(case["rows"].items(), COLORS, MARKS, strict=False):
         views.plot(row["views"], mark, color=color, label=f"{label} ({row['r2']:.3f})", ms=5)
         if row["holds"]:
-            parts = [row["holds"][str(level)] for level in LEVELS]
-            held.plot(LEVELS, parts, mark + "-", color=color, label=label)
+            parts = [row["holds"][str(mass)] for mass in MASSES]
+            held.plot(MASSES, parts, mark + "-", color=color, label=label)
     views.set_ylim(max(min(-0.1, *(min(row["views"], default=0) for row in case["rows"].values())),
                        -1), 1)  # fmt: skip
     views.set(xlabel="photograph that was left out", ylabel="R² of its radiance",

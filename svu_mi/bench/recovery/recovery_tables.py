@@ -16,11 +16,11 @@ from svu_mi.bench.markdown import (
     MARKS,
     Bar,
     Column,
-    columns,
     digits,
     page,
     seconds,
     table,
+    tabulate,
     tidy,
     time_axis,
 )
@@ -167,7 +167,7 @@ def recovery_tables(record: Record) -> list[str]:
         "radiance and of tone-mapped values. Times are warm, by the clock. Direct light.",
         f"{len(cases)} cells (object / light): {', '.join(map(title_of, cases))}; "
         f"{cases[0]['views']} photographs.",
-        columns(MEANS, _lines(cases, rows)),
+        tabulate(MEANS, _lines(cases, rows)),
         _by_case(cases, rows),
     ]
 

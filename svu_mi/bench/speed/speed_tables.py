@@ -11,12 +11,12 @@ from svu_mi.bench.markdown import (
     COLORS,
     INK,
     Column,
-    columns,
     digits,
     number,
     page,
     seconds,
     table,
+    tabulate,
     tidy,
 )
 
@@ -72,7 +72,7 @@ def speed_tables(record: Record) -> list[str]:
         f"## Run time against agreement: {case['cell']}",
         "Pearson correlation with the reference posterior of the same photographs; for the "
         "reference itself, with its largest number of samples.",
-        columns(CURVES, points),
+        tabulate(CURVES, points),
         *_brute(case["rows"]["brute"]),
         *_kernels(case),
         *_gather(case["rows"]["gather"]),
@@ -120,7 +120,7 @@ def _kernels(case: Record) -> list[str]:
         for stage, figures in variant["kernels"].items() if figures["operations"]
     ]  # fmt: skip
     return ["## Kernels", "Seconds in kernels, warm, those of an inner stage not counted.",
-            columns(KERNELS, lines)]  # fmt: skip
+            tabulate(KERNELS, lines)]  # fmt: skip
 
 
 def _gather(gather: Record) -> list[str]:
@@ -129,7 +129,7 @@ def _gather(gather: Record) -> list[str]:
         f"{gather['triangles']:,} triangles",
         f"The {gather['rays']:,} visibility rays that are left after all cheaper tests, traced by "
         f"the survey and by themselves; it reaches {gather['ratio']:.0%} of the faster of both.",
-        columns(GATHER, list(gather["ways"].items())),
+        tabulate(GATHER, list(gather["ways"].items())),
     ]
 
 
