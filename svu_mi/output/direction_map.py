@@ -55,9 +55,9 @@ def draw_directions(
 def _hammer(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Project (right, up, front) (V, 3) onto an ellipse of half-axes 2 sqrt(2) and sqrt(2)."""
     right, up, front = directions.T
-    half, level = np.arctan2(right, front) / 2, np.sqrt(np.maximum(1 - up**2, 0))
-    scale = np.sqrt(2 / (1 + level * np.cos(half)))
-    return 2 * scale * level * np.sin(half), scale * up
+    half, flat = np.arctan2(right, front) / 2, np.sqrt(np.maximum(1 - up**2, 0))
+    scale = np.sqrt(2 / (1 + flat * np.cos(half)))
+    return 2 * scale * flat * np.sin(half), scale * up
 
 
 def _graticule(axes: Axes) -> None:
@@ -65,8 +65,8 @@ def _graticule(axes: Axes) -> None:
     t = np.linspace(-np.pi, np.pi, 181)
 
     def line(azimuth: Any, elevation: Any, **options: Any) -> None:
-        level = np.cos(elevation)
-        parts = (level * np.sin(azimuth), np.sin(elevation) + 0 * azimuth, level * np.cos(azimuth))
+        flat = np.cos(elevation)
+        parts = (flat * np.sin(azimuth), np.sin(elevation) + 0 * azimuth, flat * np.cos(azimuth))
         axes.plot(*_hammer(np.stack(parts, axis=-1)), color=RULE, zorder=0, **options)
 
     edge = np.pi - 1e-6

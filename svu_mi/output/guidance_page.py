@@ -169,8 +169,8 @@ def draw_ranking(axes: Axes, guidance: Guidance) -> None:
     axes.bar(np.arange(1, len(order) + 1), gains, width=1 if len(order) > 60 else 0.9, color=colors)
     low, top = min(float(gains.min()), 0), 1.2 * float(max(gains.max(), 1e-9))
     tall = axes.get_window_extent().height * 72 / axes.figure.dpi  # points
-    for place, gain, rank, level in _labels(order, gains, guidance.proposals):
-        above = 3 + LINE * level
+    for place, gain, rank, line in _labels(order, gains, guidance.proposals):
+        above = 3 + LINE * line
         axes.annotate(
             str(rank), (place, gain), xytext=(0, above), ha="center", va="bottom",
             textcoords="offset points", size=9.5, weight="bold", color=INK,
@@ -230,14 +230,14 @@ def _labels(
     nine, only the first are given.
     """
     rank_of = {proposal.candidate: rank for rank, proposal in enumerate(proposals, 1)}
-    last, level, height = -np.inf, 0, 0.0
+    last, line, height = -np.inf, 0, 0.0
     for place, (candidate, gain) in enumerate(zip(order, gains, strict=True), 1):
         if int(candidate) not in rank_of:
             continue
-        level = level + 1 if place - last < CROWDED * len(order) else 0
-        height = height if level else max(float(gain), 0.0)
-        if level < LINES:
-            yield place, height, rank_of[int(candidate)], level
+        line = line + 1 if place - last < CROWDED * len(order) else 0
+        height = height if line else max(float(gain), 0.0)
+        if line < LINES:
+            yield place, height, rank_of[int(candidate)], line
         last = place
 
 

@@ -21,13 +21,13 @@ ROUNDING = 1e-6  # of interval ends in single precision
 class Intervals:
     """Intervals of the parameters of a posterior of T texels, computed on first use.
 
-    ``chosen`` (t,) are indices of texels, all by default; ``level`` is the probability.
+    ``chosen`` (t,) are indices of texels, all by default; ``mass`` is the probability.
     """
 
     def __init__(
-        self, posterior: Any, level: float = LEVEL, chosen: np.ndarray | None = None
+        self, posterior: Any, mass: float = LEVEL, chosen: np.ndarray | None = None
     ) -> None:
-        self.level = level
+        self.mass = mass
         self.chosen = np.arange(posterior.count) if chosen is None else chosen
         self._posterior = posterior
         self._ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -39,7 +39,7 @@ class Intervals:
         An unknown parameter raises an ``OptionError``.
         """
         if name not in self._ends:
-            ends = self._posterior.interval(name, self.level, self.chosen)
+            ends = self._posterior.interval(name, self.mass, self.chosen)
             low, high = (np.array(end) for end in ends)
             self._ends[name] = low.reshape(len(low), -1), high.reshape(len(high), -1)
         return self._ends[name]
@@ -48,19 +48,19 @@ class Intervals:
         """Return half the width of the intervals, (t,); of several channels, that of the widest
         (see ``Posterior.half_width``)."""
         if name not in self._half:
-            self._half[name] = np.array(self._posterior.half_width(name, self.level, self.chosen))
+            self._half[name] = np.array(self._posterior.half_width(name, self.mass, self.chosen))
         return self._half[name]
 
 
 class CoarseIntervals(Intervals):
     """Intervals whose half-widths (T,) are those of every n-th texel, repeated around it.
 
-    ``some`` (t,) are the texels that are computed, ``nearest`` (T,) the one of them for each texel.
+    ``chosen`` (t,) are the computed texels, ``nearest`` (T,) the closest of them to each texel.
     """
 
-    def __init__(self, posterior: Any, some: np.ndarray, nearest: np.ndarray) -> None:
+    def __init__(self, posterior: Any, chosen: np.ndarray, nearest: np.ndarray) -> None:
         super().__init__(posterior)
-        self._subset, self._nearest = Intervals(posterior, chosen=some), nearest
+        self._subset, self._nearest = Intervals(posterior, chosen=chosen), nearest
 
     def half_width(self, name: str) -> np.ndarray:
         """Return half-widths (T,), repeated."""
@@ -72,14 +72,14 @@ def picture_intervals(estimate: Any, side: int) -> Intervals:
     texels, seen = estimate.texels, is_seen(estimate)
     index, step = np.array(texels.index), -(-max(texels.resolution) // side)
     rows, columns = np.divmod(index, texels.resolution[0])
-    some = np.flatnonzero(seen & (rows % step == 0) & (columns % step == 0))
-    if step == 1 or not len(some):
+    chosen = np.flatnonzero(seen & (rows % step == 0) & (columns % step == 0))
+    if step == 1 or not len(chosen):
         return Intervals(estimate.posterior)
     numbers = np.full(texels.count, -1)
-    numbers[some] = np.arange(len(some))
+    numbers[chosen] = np.arange(len(chosen))
     image = texels.to_image(numbers, -1)
     nearest = dilate(image, image >= 0, float(np.hypot(*image.shape))).reshape(-1)[index]
-    return CoarseIntervals(estimate.posterior, some, nearest)
+    return CoarseIntervals(estimate.posterior, chosen, nearest)
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class IntervalSummary:
         every = np.logical_and.reduce(list(narrow.values())) if narrow else np.zeros(0, bool)
         widest = {name: _widest_bin(estimate.posterior, name) for name in names}
         return cls(
-            level=intervals.level,
+            level=intervals.mass,
             tolerance=tolerance,
             seen_part=seen_part,
             mean_entropy=float(entropy.mean()) if len(entropy) else None,
@@ -161,12 +161,12 @@ class IntervalSummary:
         (first, share), *others = [
             (label_of(n), plain_percent(x)) for n, x in self.known_part.items()
         ]
-        told = [f"{first} known to ±{self.tolerance:g} on {share} of the surface seen"]
-        told += [f"{name} on {share}" for name, share in others]
+        clauses = [f"{first} known to ±{self.tolerance:g} on {share} of the surface seen"]
+        clauses += [f"{name} on {share}" for name, share in others]
         limits = f"{100 * self.level:g} % intervals"
         if self.cell_width:
             limits += f"; the grid's cells are up to {max(self.cell_width.values()):.2f} wide"
-        text = f"{', '.join(told)} ({limits})."
+        text = f"{', '.join(clauses)} ({limits})."
         return text[0].upper() + text[1:]
 
 

@@ -132,10 +132,10 @@ class ToneCurve:
 
     def colors(self, radiance: np.ndarray) -> np.ndarray:
         """Return a map (H, W, 3) as screen colours."""
-        level = GREY * radiance / self.middle
+        scaled = GREY * radiance / self.middle
         white = GREY * 2 ** self.limits[1]
-        mean = level.mean(axis=-1, keepdims=True)
-        shrunk = level * (1 + mean / white**2) / (1 + mean)
+        mean = scaled.mean(axis=-1, keepdims=True)
+        shrunk = scaled * (1 + mean / white**2) / (1 + mean)
         return np.asarray(srgb(np.clip(shrunk, 0, 1)))
 
     def stops(self, radiance: np.ndarray) -> np.ndarray:

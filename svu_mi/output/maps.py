@@ -64,31 +64,31 @@ def write_field(field: TextureField, folder: Path, attributes: Mapping[str, Any]
     write_exr(folder / UNCERTAINTY, channels, about)
 
 
-def _channels(made: Any, name: str, values: Any) -> dict[str, np.ndarray]:
+def _channels(result: Any, name: str, values: Any) -> dict[str, np.ndarray]:
     """Return values (T,) or (T, C) as the channels of a file."""
     table = np.asarray(values, np.float32)
     columns = table.reshape(len(table), -1).T
     letters = [""] if len(columns) == 1 else [".R", ".G", ".B"]
     return {
-        f"{name}{letter}": padded_image(made, column, fill=0)
+        f"{name}{letter}": padded_image(result, column, fill=0)
         for letter, column in zip(letters, columns, strict=True)
     }
 
 
-def exr_attributes(made: Any, **more: Any) -> dict[str, Any]:
+def exr_attributes(result: Any, **more: Any) -> dict[str, Any]:
     """Return header entries for a file of an ``Estimate``, ``Guidance`` or ``Recovery``."""
-    entries = {"version": svu_mi.__version__, "method": made.method, **more}
+    entries = {"version": svu_mi.__version__, "method": result.method, **more}
     return {f"svu:{name}": value for name, value in entries.items()}
 
 
 def padded_image(
-    made: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1
+    result: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1
 ) -> np.ndarray:
     """Lay values (T,) out as an (H, W) texture with a gutter around the charts.
 
     Only texels outside the charts are filled: unseen ones keep their value.
     """
-    return dilate(made.texels.to_image(values, fill), made.texels.inside(), gutter)
+    return dilate(result.texels.to_image(values, fill), result.texels.inside(), gutter)
 
 
 def read_map(path: Path) -> np.ndarray | None:

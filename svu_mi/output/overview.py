@@ -143,8 +143,8 @@ def _marginal(
     style.title(axes, f"{label}: R, G, B" if several else label, pad=21)
     share = f"±{summary.tolerance:g} on {plain_percent(summary.known_part[name])}"
     width = summary.cell_width.get(name)
-    cells = " of the area seen" if width is None else f"; cells ±{width / 2:.2f}"
-    style.subtitle(axes, share + cells)
+    rest = " of the area seen" if width is None else f"; cells ±{width / 2:.2f}"
+    style.subtitle(axes, share + rest)
     for k, color in enumerate(style.CHANNEL_COLORS if several else (style.INK,)):
         axes.plot(nodes, of_all[:, k], "o-", color=color, lw=1.8, ms=3)
         axes.plot(nodes, of_lowest[:, k], color=color, lw=1.2, ls=(0, (3, 2)))

@@ -121,17 +121,17 @@ def write_relit(comparisons: Sequence[RenderComparison], path: str | Path) -> No
     figure = style.new_figure(CELL * len(COLUMNS), height)
     # Places that are known: matplotlib's own layout draws everything three times.
     room = {"left": 0.005, "right": 0.995, "top": 1 - 0.3 / height, "bottom": 0.22 / height}
-    cells = figure.subplots(
+    grid = figure.subplots(
         len(comparisons), len(COLUMNS), squeeze=False,
         gridspec_kw={**room, "wspace": 0.02, "hspace": 0.09},
     )  # fmt: skip
-    for row, comparison in zip(cells, comparisons, strict=True):
+    for row, comparison in zip(grid, comparisons, strict=True):
         error = comparison.mean_difference
         notes = (f"view {comparison.view}", "", "" if error is None else f"mean {error:.3f}", "")
         for axes, image, note in zip(row, comparison.cropped(), notes, strict=True):
             style.draw_image(axes, image)
             axes.text(0.5, -0.02, note, size=9.5, color=FAINT, ha="center", va="top",
                       transform=axes.transAxes)  # fmt: skip
-    for axes, title in zip(cells[0], COLUMNS, strict=True):
+    for axes, title in zip(grid[0], COLUMNS, strict=True):
         axes.set_title(title, y=1.0, size=12, color=INK)
     style.save_figure(figure, path)

@@ -140,14 +140,14 @@ def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
 
 def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceMap:
     """Return the map of half the width of a parameter's interval."""
-    half = f"half the width of the {100 * intervals.level:g} % interval"
+    half = f"half the width of the {100 * intervals.mass:g} % interval"
     several = name == "base_color" and estimate.posterior.groups == 3
     widest = "; of the three channels, the least known" if several else ""
     return SurfaceMap(
         name=f"uncertainty of {label_of(name)}", estimate=estimate,
         values=lambda: intervals.half_width(name),
         scale=Scale(high=WIDEST, label=half, ends=("±0", f"±{WIDEST:g} and more")),
-        sentence=f"Half the width of its {100 * intervals.level:g} % interval{widest}. Settled is "
+        sentence=f"Half the width of its {100 * intervals.mass:g} % interval{widest}. Settled is "
         f"±{TOLERANCE:g}, the darkest sixth of these colours.",
     )  # fmt: skip
 

@@ -90,9 +90,8 @@ def test_as_many_texels_are_taken_as_asked_for_at_equal_steps(most):
 def test_what_is_known_beforehand_is_no_finding(posterior):
     posterior.axes = {"roughness": np.array([0.3]), "base_color": AXES["base_color"]}
     summary = IntervalSummary.of(estimate_of(posterior))
-    assert list(summary.known_part) == ["base_color"] and summary.all_known_part == pytest.approx(
-        1 / 3
-    )
+    assert list(summary.known_part) == ["base_color"]
+    assert summary.all_known_part == pytest.approx(1 / 3)
     assert summary.sentence() == (
         "Base colour known to ±0.05 on 33 % of the surface seen (90 % intervals)."
     )

@@ -132,14 +132,14 @@ def _check_mesh(name: str, mesh: MeshArrays) -> None:
             raise MeshError(f"'{name}' has {words} that are NaN or infinite; repair the mesh.")
 
 
-def count_invalid(image: np.ndarray, most: float) -> int:
-    """Count values that are NaN, infinite, or outside [0, most]."""
-    return int((~((image >= 0) & (image <= most) & np.isfinite(image))).sum())  # NaN fails all
+def count_invalid(image: np.ndarray, maximum: float) -> int:
+    """Count values that are NaN, infinite, or outside [0, maximum]."""
+    return int((~((image >= 0) & (image <= maximum) & np.isfinite(image))).sum())  # NaN fails all
 
 
-def _check_values(name: str, image: np.ndarray, most: float) -> None:
-    bad = count_invalid(image, most)
+def _check_values(name: str, image: np.ndarray, maximum: float) -> None:
+    bad = count_invalid(image, maximum)
     if bad:
         raise OptionError(
-            f"Asset: {bad} values of {name} are NaN or outside [0, {most:g}]; clip them."
+            f"Asset: {bad} values of {name} are NaN or outside [0, {maximum:g}]; clip them."
         )

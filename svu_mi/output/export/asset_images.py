@@ -48,8 +48,8 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[AssetFile
     images["orm"] = (orm_image(asset), PACKED)
     for name, image in asset.maps.items():
         if name == "coverage":
-            most = max(float(image.max()), 1.0)
-            images[name] = (image / most, f"linear: white is {most:g} views")
+            maximum = max(float(image.max()), 1.0)
+            images[name] = (image / maximum, f"linear: white is {maximum:g} views")
         else:
             images[name] = (image, f"linear {VALUES.get(name, f'in [0, 1]: {SD_OF}')}")
     written = []

@@ -96,12 +96,12 @@ def plan_asset(folder: Path, entropy: Path | None) -> AssetPlan:
         restore(maps)
         if not (maps / ENTROPY).is_file():
             raise CaptureError(f"{maps}: has no {ENTROPY}; give the folder that svu entropy wrote.")
-    _require_same_capture(maps, folder / FILES["base_color"], asked=entropy is not None)
+    _require_same_capture(maps, folder / FILES["base_color"], explicit=entropy is not None)
     return AssetPlan(folder, maps)
 
 
-def _require_same_capture(folder: Path, textured: Path, *, asked: bool) -> None:
-    """Refuse maps of two runs; of another capture, refuse or warn if ``asked``."""
+def _require_same_capture(folder: Path, textured: Path, *, explicit: bool) -> None:
+    """Refuse maps of two runs; of another capture, refuse or warn if ``explicit``."""
     maps = [name for name in (ENTROPY, COVERAGE) if (folder / name).is_file()]
     runs = {marks_of(folder / name)[0] for name in maps}
     if len(runs - {""}) > 1:
@@ -112,7 +112,7 @@ def _require_same_capture(folder: Path, textured: Path, *, asked: bool) -> None:
         if are_of_one_capture(textured, path):
             continue
         sentence = f"{path}: comes from another capture than {textured}"
-        if not asked:
+        if not explicit:
             raise CaptureError(
                 f"{sentence}; compute both from one, or give the folder of the maps with --entropy."
             )
@@ -169,16 +169,16 @@ def _read_deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
     return deviations
 
 
-def _read_map(path: Path, most: float) -> np.ndarray | None:
+def _read_map(path: Path, maximum: float) -> np.ndarray | None:
     """Return an (H, W) map, None if there is no such file."""
     image = read_map(path)
     if image is not None:
-        _require_values(path, image, most)
+        _require_values(path, image, maximum)
     return image
 
 
-def _require_values(path: Path, image: np.ndarray, most: float, what: str = "") -> None:
-    if bad := count_invalid(image, most):
+def _require_values(path: Path, image: np.ndarray, maximum: float, what: str = "") -> None:
+    if bad := count_invalid(image, maximum):
         raise CaptureError(
-            f"{path}: {bad} values{what} are NaN or outside [0, {most:g}]; compute it again."
+            f"{path}: {bad} values{what} are NaN or outside [0, {maximum:g}]; compute it again."
         )

@@ -108,7 +108,7 @@ def _pictures(
     report(3, 5)
     turned = [frame[0] for frame in frames]
     result = EstimateArrays.of(estimate)
-    examples = list(report_plots.example_texels(table, estimate, result, intervals.level, turned))
+    examples = list(report_plots.example_texels(table, estimate, result, intervals.mass, turned))
     report(4, 5)
     warnings = [_without_folder(capture.source, sentence) for sentence in capture.warnings]
     return {
@@ -140,7 +140,7 @@ def _errors(
     grey = textures is None and estimate.posterior.groups == 1
     if textures is None and is_seen(estimate).any():
         textures = report_pictures.most_probable_textures(estimate)
-    return None if textures is None else report_pictures.rerender_errors(capture, textures, grey)
+    return None if textures is None else report_pictures.render_errors(capture, textures, grey)
 
 
 def _summary(
@@ -174,7 +174,7 @@ def _summary(
             ("Mean entropy", f"{seen.mean():.2f}" if len(seen) else "–",
              f"of the points seen: {style.ENTROPY_ENDS}"),
         ],
-        "cells": grouped(int(np.prod(estimate.posterior.grid.shape))),
+        "bins": grouped(int(np.prod(estimate.posterior.grid.shape))),
         "parameters": [label_of(name) for name in open_axes(estimate)],
     }  # fmt: skip
 

@@ -177,7 +177,7 @@ def _pictures(
     return drawn
 
 
-def rerender_errors(capture: Capture, textures: Textures, grey: bool) -> dict[str, Any] | None:
+def render_errors(capture: Capture, textures: Textures, grey: bool) -> dict[str, Any] | None:
     """Compare renders in textures with the photographs; only brightness if ``grey``.
 
     Mean differences of views that are spread evenly over their order, as sentences have them, and

@@ -122,7 +122,7 @@ def example_texels(
     table: Turntable,
     estimate: Any,
     result: EstimateArrays,
-    level: float,
+    mass: float,
     frames: list[PageImage],
 ) -> Iterator[dict[str, Any]]:
     """Yield texels of low, median and high entropy, if any is seen, with their marginals.
@@ -136,7 +136,7 @@ def example_texels(
         alike = order[max(rank - ALIKE // 2, 0) : rank + ALIKE // 2 + 1]
         place = table.find(estimate.texels, alike)
         texel, number, x, y = place or (int(order[rank]), -1, 0.0, 0.0)
-        intervals = Intervals(estimate.posterior, level, np.array([texel]))
+        intervals = Intervals(estimate.posterior, mass, np.array([texel]))
         marginals = estimate.posterior.marginals([texel])
         count = int(result.coverage[texel])
         column, row = column_and_row(estimate, texel)
@@ -158,8 +158,8 @@ def _single(marginal: Any) -> np.ndarray:
 def _interval_text(intervals: Intervals, name: str) -> str:
     """Return the interval of a single texel: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
     low, high = (end[0] for end in intervals.ends(name))
-    told = [f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True)]
-    return told[0] if len(told) == 1 else ", ".join(map(" ".join, zip("RGB", told, strict=True)))
+    texts = [f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True)]
+    return texts[0] if len(texts) == 1 else ", ".join(map(" ".join, zip("RGB", texts, strict=True)))
 
 
 def _marginal(

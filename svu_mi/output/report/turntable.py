@@ -50,8 +50,8 @@ class Turntable:
         high = np.radians(ELEVATION)
         sensors = []
         for turn in 2 * np.pi * np.arange(count) / count:
-            level = np.cos(turn) * front + np.sin(turn) * right
-            origin = center + distance * (np.cos(high) * level + np.sin(high) * up)
+            horizontal = np.cos(turn) * front + np.sin(turn) * right
+            origin = center + distance * (np.cos(high) * horizontal + np.sin(high) * up)
             pose = mi.ScalarTransform4f().look_at(list(origin), list(center), list(up))
             sensors.append(make_sensor({
                 "to_world": np.array(pose.matrix, np.float64), "x_fov": FOV,

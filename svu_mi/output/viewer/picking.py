@@ -42,7 +42,7 @@ class Pick:
         seen_by: indices of the sensors that see it.
         summaries: by parameter the most probable value, the mean, and both ends of the interval,
             of one or three channels; empty if no sensor sees the texel.
-        level: of the intervals.
+        mass: probability of the intervals.
     """
 
     texel: int
@@ -52,7 +52,7 @@ class Pick:
     entropy: float
     seen_by: tuple[int, ...]
     summaries: dict[str, tuple[np.ndarray, ...]]
-    level: float
+    mass: float
 
 
 class Picker:
@@ -98,7 +98,7 @@ class Picker:
             position=np.array(texels.position, np.float64)[:, texel],
             entropy=float(np.array(self._estimate.entropy)[texel]),
             seen_by=seen_by, summaries=self._summaries(texel) if seen_by else {},
-            level=self._intervals.level,
+            mass=self._intervals.mass,
         )  # fmt: skip
 
     def _summaries(self, texel: int) -> dict[str, tuple[np.ndarray, ...]]:
@@ -140,7 +140,7 @@ def texel_markdown(capture: Capture, pick: Pick) -> str:
 
 def _table(pick: Pick) -> list[str]:
     """Mean, interval and most probable value of each parameter, as lines of a Markdown table."""
-    lines = [f"| | mean | {100 * pick.level:g} % interval | most probable |", "|-|-|-|-|"]
+    lines = [f"| | mean | {100 * pick.mass:g} % interval | most probable |", "|-|-|-|-|"]
     for name, values in pick.summaries.items():
         channels = (" R", " G", " B") if len(values[0]) == 3 else ("",)
         for channel, best, mean, low, high in zip(channels, *values, strict=True):
