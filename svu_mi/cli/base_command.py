@@ -128,7 +128,7 @@ class ResultCommand(BaseCommand):
         """Refuse invalid options (OptionError)."""
 
     def work(self, progress: Progress, place: Claim) -> Iterable[str]:
-        """Write the result; return what to print of it."""
+        """Write the result; return lines to print."""
         raise NotImplementedError
 
 

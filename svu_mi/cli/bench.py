@@ -96,7 +96,7 @@ class Bench(BaseCommand):
         return 0
 
     def _selection(self, on_cases: bool) -> Selection:
-        """Return what is run; cases only where they are objects under lights."""
+        """Return the selected cases (objects under lights), rows and capture."""
         from svu_mi.bench.cases import chosen_cases
         from svu_mi.bench.study import Selection
 
@@ -111,7 +111,7 @@ class Bench(BaseCommand):
         )  # fmt: skip
 
     def _missed(self, record: dict[str, Any]) -> list[str]:
-        """Return a line for each bar of a record that is not met; quick sizes have none to meet."""
+        """Return a line for each missed target of a record; none for quick sizes."""
         return [
             f"Missed: {bar['what']}: {bar['value']:.3g} {bar['unit']}"
             for bar in record["bars"]
@@ -119,7 +119,7 @@ class Bench(BaseCommand):
         ]
 
     def _check_capture(self) -> None:
-        """Refuse a real capture where none is looked at, and none where one is."""
+        """Require a capture for ``real``, and refuse it for other benchmarks."""
         if self.what != "real":
             if self.capture is not None:
                 raise OptionError(

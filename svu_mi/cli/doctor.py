@@ -186,7 +186,7 @@ def render_test(variant: str) -> None:
 
     mi.set_variant(variant)
     pin_own_plugins()
-    # Minimum and maximum are what LLVM 15 and 16 cannot compile; 16 bits are the worst case.
+    # LLVM 15 and 16 cannot compile minimum and maximum; 16 bits are the worst case.
     for kind in (mi.Float16, mi.Float, mi.Float64):
         if variant.startswith("metal") and kind is mi.Float64:
             continue  # Metal has no double precision

@@ -28,7 +28,7 @@ class Entropy(EstimateCommand, ResultCommand):
     pictures: opt.Pictures = True
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
-        """Run the pipeline, write the four files, and say what is known."""
+        """Run the pipeline, write the four files, and return a summary."""
         from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
         from svu_mi.output.write_entropy import write_outputs
         from svu_mi.presets import NOTHING, Skip

@@ -95,7 +95,7 @@ class Guide(EstimateCommand):
         from svu_mi.guidance.candidates import Candidates
         from svu_mi.guidance.next_view import next_best_view
 
-        # What a file says is refused before photographs are read.
+        # Errors in files are reported before photographs are read.
         fixed = None if self._generated else self._reachable(Candidates.read(self.candidates))
         missing: opt.Missing | None = "leave-out" if self.candidates == SCENE else None
         size, model = opt.parse_resolution(self.resolution), self.estimation.model
@@ -203,7 +203,7 @@ def _number(word: str) -> int | None:
 
 
 def _flags(numbers: Sequence[int], count: int, label: str) -> np.ndarray:
-    """Return (count,) bool, True at some numbers, or as flags say that are given instead."""
+    """Return (count,) bool from numbers of candidates, or from flags."""
     if numbers and isinstance(numbers[0], bool):
         if len(numbers) != count:
             raise OptionError(

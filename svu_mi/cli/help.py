@@ -74,7 +74,7 @@ def _set_help_texts(options: Any) -> None:
 
 
 class _WrappingStream:
-    """A stream that breaks what is too long for the terminal between words."""
+    """Stream that wraps lines longer than the terminal between words."""
 
     def __init__(self, stream: TextIO, width: int) -> None:
         self._stream, self._width = stream, width

@@ -135,7 +135,7 @@ def reimport_command(capture: Capture, fixes: Sequence[str]) -> str:
 
     Args:
         capture: as loaded from its folder.
-        fixes: names of corrections besides those that it was imported with.
+        fixes: names of further corrections.
     """
     from svu_mi.capture import capture_folder
 
@@ -166,7 +166,7 @@ def _parse_arguments(words: Any) -> Import | None:
 
 
 def _without_reverted(fixes: Iterable[str]) -> tuple[str, ...]:
-    """Return corrections without those that the next one reverts."""
+    """Return corrections without pairs that cancel."""
     import numpy as np
 
     from svu_mi.capture.importers.axis_fixes import FIXES
@@ -182,7 +182,7 @@ def _without_reverted(fixes: Iterable[str]) -> tuple[str, ...]:
 
 
 def _changed_options(options: Any) -> dict[str, Any]:
-    """Return options that are not what they are by default, but for the light."""
+    """Return options that differ from their defaults, without the light."""
     known = (field for field in fields(options) if field.name != "environment")
     pairs = ((field.name, getattr(options, field.name), field.default) for field in known)
     return {name: value for name, value, default in pairs if value != default}

@@ -96,7 +96,7 @@ class FindLight(CaptureCommand, ResultCommand):
         )  # fmt: skip
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
-        """Find the light, write it, and say what is known of it."""
+        """Estimate the light, write it, and return a summary."""
         from svu_mi.calibration.light import light_summary as summary
         from svu_mi.calibration.light.estimate_light import estimate_light
         from svu_mi.output.light_page import write_light
@@ -125,7 +125,7 @@ class FindLight(CaptureCommand, ResultCommand):
         return lines if against is None else [*lines, summary.comparison_sentence(against)]
 
     def _scaled(self, progress: Progress, capture: Capture, light: LightEstimate) -> LightEstimate:
-        """Return the light as bright as is known otherwise."""
+        """Return the light with its brightness from --light-scale, --mean-albedo or --grey-card."""
         from svu_mi.calibration.exposure import equalized
         from svu_mi.calibration.light.grey_card import scaled_by_card, scaled_by_mean
         from svu_mi.geometry.texels import texels

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from svu_mi.geometry.texels import Texels
     from svu_mi.posterior.estimate import Estimate
 
-EQUATIONS = 26  # memory of six matrices of 3 N x 3 N, in that of a look
+EQUATIONS = 26  # six matrices of 3 N x 3 N, in units of the memory of a look
 NeedFunc = Callable[[Sizes], Need]
 
 
@@ -180,7 +180,7 @@ def read_capture(
 def photograph_memory(progress: Progress, label: str, need: NeedFunc, sizes: Sizes) -> float:
     """Refuse sizes that need too much memory, announce others, and return bytes for photographs.
 
-    These are 0 where all else needs the memory, unless a size was asked for.
+    The result is 0 if everything else needs the memory, unless --memory is given.
     """
     required = need(sizes)
     if not (required.fits or sizes.asked):
@@ -190,7 +190,7 @@ def photograph_memory(progress: Progress, label: str, need: NeedFunc, sizes: Siz
 
 
 def require_memory(progress: Progress, label: str, need: Need) -> None:
-    """Refuse what needs too much memory, and announce what does not (see ``photograph_memory``)."""
+    """Refuse a need that exceeds the memory; print others."""
     need.require(label)
     progress.say(need.sentence())
 
@@ -206,7 +206,7 @@ def light_search_need(sizes: Sizes, resolution: tuple[int, int], options: LightO
 
 
 def with_light_search(need: NeedFunc) -> NeedFunc:
-    """Return the memory of a command that first finds the light, if there is none."""
+    """Return the memory of a command that estimates a missing light first."""
     from svu_mi.calibration.light.resolve_light import OPTIONS, RESOLUTION
 
     search = partial(light_search_need, resolution=(RESOLUTION, RESOLUTION), options=OPTIONS)

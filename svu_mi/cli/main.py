@@ -92,7 +92,7 @@ def _run(arguments: Sequence[str]) -> int:
         require_start()
         if command.uses_matplotlib and getattr(command, "pictures", True):
             import_matplotlib()
-        return command.run(OneLine())  # stderr is for the one line that says what went wrong
+        return command.run(OneLine())  # stderr is for the line of an error
     except KeyboardInterrupt as stop:
         return _fail(str(stop) or "interrupted", 130)
     except MemoryError:

@@ -131,7 +131,7 @@ class Recover(CaptureCommand, ResultCommand):
             resume=self.resume, checkpoint_seconds=self.checkpoint_seconds, progress=progress,
             **options,
         )  # fmt: skip
-        # Beside textures by the paper's losses, the posterior of the model that they come from.
+        # The paper's losses come with the posterior of the paper's model.
         model = "paper" if self.preset in PAPER_PRESETS else "default"
         known = recovery.estimate or estimate(seen, preset=model, progress=progress)
         warn_if_too_bright(known)

@@ -63,7 +63,7 @@ class Report(EstimateCommand):
 
     @property
     def side_folders(self) -> tuple[Path, Path]:
-        """Folders beside the page (see ``CaptureCommand``)."""
+        """Folders next to the page (see ``CaptureCommand``)."""
         name, stem = self.output.with_name, self.output.stem
         return name(f"{stem}_capture"), name(f"{stem}_light")
 

@@ -16,7 +16,7 @@ from svu_mi.cli.shared_options import Output
 from svu_mi.cli.streams import print_line
 
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")]
-# What else the next command must say.
+# Further arguments of the next command.
 NEEDS = {"object": "-D object=FOLDER -D environment=FILE"}
 
 

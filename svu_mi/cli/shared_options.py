@@ -274,7 +274,7 @@ def read_recovered(
 
 
 def as_dict(options: Any) -> dict[str, Any]:
-    """Return the options of a command by name, those of its groups too, for ``run.json``."""
+    """Return all options of a command by name, also of its groups, for ``run.json``."""
     values: dict[str, Any] = {}
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)

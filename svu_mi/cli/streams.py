@@ -15,12 +15,12 @@ from rich.text import Text
 
 from svu_mi.errors import printable
 
-# What this program and its help print, where a terminal knows only ASCII.
+# ASCII replacements of printed characters, for terminals without Unicode.
 PLAIN = str.maketrans({"±": "+-", "·": "-", "•": "*", "×": "x", "\u2009": " ", "\u202f": " "})
 
 
 class ForgivingStream:
-    """A stream that drops what cannot be written: the reader has ended, or the disk is full.
+    """Stream that ignores failed writes: the reader has ended, or the disk is full.
 
     Letters that the encoding does not have are spelt out or escaped.
     """
@@ -32,7 +32,7 @@ class ForgivingStream:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write text if possible; return its length all the same."""
+        """Write text if possible; return its length in any case."""
         try:
             self._stream.write(text)
         except UnicodeEncodeError:
@@ -44,7 +44,7 @@ class ForgivingStream:
         return len(text)
 
     def flush(self) -> None:
-        """Send what was written, if possible."""
+        """Flush the buffer, if possible."""
         try:
             self._stream.flush()
         except (OSError, ValueError):
@@ -86,7 +86,7 @@ def forgiving_streams() -> Iterator[None]:
 def _open_standard_files() -> None:
     """Fill the places of standard files that are closed (``svu >&-``).
 
-    The next file to be opened would take the place, and get what C++ libraries print.
+    The next opened file would take the descriptor, and receive output of C++ libraries.
     """
     for descriptor in range(3):
         try:
@@ -113,7 +113,7 @@ class LogLines(logging.Handler):
 
 
 def print_line(console: Console, text: str) -> None:
-    """Print a line as it is: a log has no width, and a name may hold [brackets]."""
+    """Print a line without wrapping or markup: a name may hold [brackets]."""
     console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
 

@@ -26,9 +26,9 @@ class AxisFix:
 
     Attributes:
         name: as ``--fix`` takes it.
-        kind: what it changes: ``camera`` (all sensors), ``mesh`` (against the cameras), ``light``,
+        kind: target: ``camera`` (all sensors), ``mesh`` (against the cameras), ``light``,
             ``texture`` or ``winding`` (which side of the surface is its front).
-        cause: what probably went wrong, as half a sentence.
+        cause: the probable mistake, as half a sentence.
         matrix: (3, 3). ``camera``: multiplied from the right to each ``to_world``; ``mesh``: from
             the left to each position; ``light``: in the frame of Mitsuba's envmap, from the right
             to the emitter's rotation (det < 0: the map is mirrored left to right). None for

@@ -14,7 +14,7 @@ from svu_mi.capture.quantization import CURVE, Rounding
 from svu_mi.errors import CaptureError, excerpt
 
 SMALLEST = 1e-9  # step, of a curve that is flat
-TYPICAL = 0.9  # part of the codes whose steps are no larger than is said of all
+TYPICAL = 0.9  # quantile of the steps that stands for all
 LARGEST = (1, 255, 65535)  # codes that may stand for white
 COLUMNS = "ENCODED LINEAR or ENCODED R G B"
 FIX = f"write one line {COLUMNS} for each sample of the curve"
@@ -55,7 +55,7 @@ def saturation_radiance(transfer: Transfer | CameraResponse, bits: int) -> float
 def quantization_steps(transfer: Transfer | CameraResponse, bits: int) -> tuple[float, float]:
     """Return the largest first step and slope over channels of 8 or 16 bits (``Rounding``).
 
-    Codes with equal values are one step; clipped ones are none.
+    Codes with equal values form one step; clipped codes are ignored.
     """
     last = 2**bits - 1
     if not isinstance(transfer, CameraResponse):
@@ -94,7 +94,7 @@ def read_response(path: Path) -> CameraResponse:
             f"{path}: its codes go from {table[0, 0]:g} to {table[-1, 0]:g}, and must go from 0 to "
             "1, 255 or 65535; add lines for the first and the last code."
         )
-    # As photographs have them: in single precision, a code that was measured is that sample.
+    # Single precision, as in photographs: a measured code then equals its sample.
     codes = (table[:, 0] / table[-1, 0]).astype(np.float32)
     same = np.flatnonzero(np.diff(codes) == 0)
     if same.size:
@@ -103,7 +103,7 @@ def read_response(path: Path) -> CameraResponse:
             "are too close together to differ in a photograph; leave one out."
         )
     values = table[:, 1:] if table.shape[1] == 4 else np.repeat(table[:, 1:], 3, axis=1)
-    # No camera is dark just below white; such a curve would say nothing of what is clipped.
+    # No camera is dark just below white; such a curve has no saturation radiance.
     if not all(np.interp(min(SATURATED.values()), codes, curve) > 0 for curve in values.T):
         raise CaptureError(
             f"{path}: a channel has no light up to {min(SATURATED.values()):.0%} of the largest "

@@ -52,11 +52,11 @@ class ConvertedPhotograph:
 
     Attributes:
         bits: 8 or 16 for integers; 0 for floats.
-        foreign: whether its chromaticities are not those of Rec. 709.
+        foreign: whether its chromaticities differ from Rec. 709.
         turned: whether its EXIF data set an orientation.
         saturated: number of clipped pixels, on the object if there is a mask.
         crushed: part of the object's pixels with a channel as dark as code 0; 0 for floats, and
-            without a mask, as black background is no loss.
+            without a mask, as the background may be black.
         invalid: number of pixels that are NaN, infinite or negative.
         masked: whether it has a mask; an alpha channel that is opaque everywhere does not count.
         empty: whether its mask is empty.

@@ -14,8 +14,8 @@ from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import CaptureError
 
 SUFFIXES = (".exr", ".hdr", ".pfm")
-FINE = 512  # rows; of a map with more, Mitsuba's rows lie between those of the file
-ASPECT, OFF = 2, 0.05  # width over height of a lat-long map, and what it may be off by
+FINE = 512  # rows; larger maps get only Mitsuba's rows, between the rows of the file
+ASPECT, OFF = 2, 0.05  # width over height of a lat-long map, and its tolerance
 MIRROR = np.diag([-1.0, 1.0, 1.0])  # of the envmap's frame: u becomes 1 - u
 
 
@@ -27,7 +27,7 @@ def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:
 
 
 def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Read a map, mirrored if its matrix is, so that what is left is a rotation.
+    """Read a map, mirrored if its matrix is, so that the remaining matrix is a rotation.
 
     Rows of a file are those of pixels, whose centres are half a row away from the poles. Mitsuba
     takes the first and the last row for the poles, so others are put between. Maps that were made

@@ -20,7 +20,7 @@ EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
 
 
 def with_gains(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame]:
-    """Return frames with the gains of a list, of ``exif``, or (None) those that they have."""
+    """Return frames with the gains of a list or of ``exif``; None changes none."""
     if gains is None:
         return frames
     return with_exif_gains(frames) if gains == "exif" else with_listed_gains(frames, Path(gains))
@@ -64,7 +64,7 @@ def with_exif_gains(frames: Sequence[Frame]) -> list[Frame]:
 
 
 def _possible_names(path: Path) -> Iterator[str]:
-    """Return possible names of a photograph: its path, or any end of it, longest first."""
+    """Return possible names of a photograph: all suffixes of its path, longest first."""
     parts = path.parts
     return ("/".join(parts[first:]) for first in range(len(parts)))
 

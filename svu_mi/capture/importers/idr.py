@@ -75,7 +75,7 @@ def read(path: Path, options: ReadOptions) -> Source:
 
 
 def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
-    """Return all ``world_mat``, and the ``scale_mat`` of all, None if there is none."""
+    """Return all ``world_mat``, and the common ``scale_mat`` or None."""
     try:
         arrays = read_foreign_arrays(file, NUMBERED, LARGEST_FILE)
     except ValueError as error:

@@ -50,7 +50,7 @@ from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, OptionError
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
-MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
+MAX_DEPTH = 6  # of paths, for renderings of the written scene
 PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 60 bytes each
 NO_LIGHT = (
     "The capture has no light, which is found in its photographs: look at what svu light finds, "
@@ -93,7 +93,7 @@ def import_capture(
 
 @dataclass(frozen=True)
 class ImportPlan:
-    """An import of which no pixel was read yet, with frames of the size of their photographs."""
+    """An import before any pixel is read, with frames of the size of their photographs."""
 
     source: Source
     options: ImportOptions
@@ -283,7 +283,7 @@ def _write_photographs(
 def _write_scene(
     folder: Path, geometry: TexturedMesh, light: Light | None, sensors: Sequence[Any]
 ) -> list[str]:
-    """Write the scene and what it refers to; return sentences about the light."""
+    """Write the scene, its mesh, textures and light; return sentences about the light."""
     capture_mesh.write_ply(folder / MESH, OBJECT, geometry.mesh)
     write_pictures(geometry.textures, folder)
     root = scene_xml.scene()

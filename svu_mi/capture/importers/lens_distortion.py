@@ -19,7 +19,7 @@ import numpy as np
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")  # in nerfstudio's order
 STEPS = 50  # of Newton's method; sound lenses take 3 to 7
 EXACT = 1e-12  # of a point's distance plus 1: 1e-8 pixels of a photograph of any size
-FRACTIONS = np.linspace(0, 1, 33)[1:]  # of the way from the centre, that is looked at for folds
+FRACTIONS = np.linspace(0, 1, 33)[1:]  # of the distance from the centre, where folds are searched
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Lens:
         """
         points = np.array(seen, np.float64)
         near = EXACT * (1 + np.abs(points))
-        with np.errstate(all="ignore"):  # what is lost becomes NaN
+        with np.errstate(all="ignore"):  # diverged points become NaN
             for _ in range(STEPS):
                 off = self.distort(points) - seen
                 if (np.abs(off) < near).all():

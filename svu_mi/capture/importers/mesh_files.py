@@ -174,7 +174,7 @@ class _Part:
 
 
 def _own_normals(part: Any) -> np.ndarray | None:
-    """Return a file's own normals, one per vertex, None if trimesh has computed them.
+    """Return the normals of a file, one per vertex; None if trimesh has computed them.
 
     trimesh keeps those of a PLY in the metadata.
     """
@@ -219,7 +219,9 @@ def _parser_errors(path: Path) -> Iterator[None]:
     spoken, trimesh.util.log.disabled = trimesh.util.log.disabled, True
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what is not finite or too large is refused later
+            warnings.simplefilter(
+                "ignore"
+            )  # values that are not finite or too large are refused later
             yield
     except MeshError:
         raise

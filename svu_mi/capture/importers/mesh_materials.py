@@ -26,7 +26,7 @@ from svu_mi.errors import MeshError, excerpt
 MAX_PIXELS = 2**26  # 8192 x 8192
 CONSTANT = 4  # pixels per side of the texture that stands for a factor without a texture
 
-# Statements of an OBJ's material that no parameter here stands for.
+# Statements of an OBJ's material that have no parameter here.
 IGNORED = {
     "bump": "a bump map", "map_bump": "a bump map", "norm": "a normal map", "disp": "displacement",
 }  # fmt: skip
@@ -41,9 +41,9 @@ COMPRESSION = (
 TRANSFORM = "KHR_texture_transform"
 IDENTITY = {"offset": [0, 0], "scale": [1, 1], "rotation": 0}  # of such a transform
 FLOAT = 5126
-FREE = 2**20  # numbers that any file may ask for; more must be in it, not repeated
+FREE = 2**20  # numbers that any file may use; larger counts must be backed by its size
 ATTRIBUTES = ("POSITION", "NORMAL", "TEXCOORD_0")
-# Parts of a material, and of those of PBR, that no parameter here stands for.
+# Parts of a material that have no parameter here.
 IGNORED_GLTF = {
     "normalTexture": "a normal map", "occlusionTexture": "an occlusion map",
     "emissiveTexture": "emission", "alphaMode": "transparency",
@@ -73,7 +73,9 @@ def is_textured(visual: Any) -> bool:
     """Return whether a mesh has at least one picture."""
     material = getattr(visual, "material", None)
     if getattr(material, "image", None) is not None:
-        return hash(material) != hash(empty_material())  # what trimesh gives to UVs alone
+        return hash(material) != hash(
+            empty_material()
+        )  # default of trimesh for UVs without a material
     names = ("baseColorTexture", "metallicRoughnessTexture")
     return any(getattr(material, name, None) is not None for name in names)
 
@@ -97,8 +99,7 @@ def load_pictures(visual: Any) -> None:
 
 
 def write_pictures(textures: Textures, folder: Path) -> None:
-    """Write ``base_color.png``, ``roughness.png`` and ``metallic.png``, those that there are."""
-
+    """Write existing textures: ``base_color.png``, ``roughness.png``, ``metallic.png``."""
     for name, pixels in textures.items():
         with replacing(folder / f"{name}.png") as temporary:
             Image.fromarray(np.ascontiguousarray(pixels)).save(temporary)
@@ -124,14 +125,14 @@ def _gltf_textures(material: Any) -> Textures:
 
 
 def _rgb(picture: Any) -> np.ndarray:
-    """Return (H, W, 3) bytes; white where there is no texture."""
+    """Return (H, W, 3) bytes; white without a texture."""
     if picture is None:
         return np.full((CONSTANT, CONSTANT, 3), 255, np.uint8)
     return np.array(picture.convert("RGB"))
 
 
 def check_gltf(path: Path, *, geometry_only: bool) -> int:
-    """Return the bytes of a file and its buffers; refuse what trimesh would misread."""
+    """Return the size of a file and its buffers in bytes; refuse unsupported features."""
     record = _header(path)
     for name in COMPRESSION:
         if name in record.get("extensionsRequired", ()):

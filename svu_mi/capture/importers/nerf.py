@@ -31,13 +31,13 @@ NOT_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL"
 
 
 def recognises(path: Path, split: str) -> bool:
-    """Whether a path is a JSON file, or a folder with transforms.json or a part of it."""
+    """Whether a path is a JSON file, or a folder with ``transforms.json`` or a split of it."""
     files = (path / FILE, *(_split_file(path, name) for name in (*SPLITS, split)))
     return path.suffix.lower() == ".json" or any(file.is_file() for file in files)
 
 
 def read(path: Path, options: ReadOptions) -> Source:
-    """Read a file, or that of a folder (see ``read_transforms``)."""
+    """Read a file, or the one in a folder (see ``read_transforms``)."""
     if not path.is_file():
         part = _split_file(path, options.split)
         if not part.is_file() and options.split not in SPLITS:
@@ -147,7 +147,7 @@ def parse_frame(
         masked = known.get("mask_path")
         size = width, height = _size(known, image, usual)
         fl_x = _focal(known, "x", width)
-        with np.errstate(all="ignore"):  # what is not finite is refused by the frame
+        with np.errstate(all="ignore"):  # the frame refuses infinite values
             return Frame(
                 label=label,
                 image=image,

@@ -1,8 +1,8 @@
 """Registry of formats: recognise and read a capture of another tool.
 
 A format is a module of this package with two functions: ``recognises(path, split)`` says
-whether a path is such a capture (a split may have a file of its own), and ``read(path, options)``
-makes a ``Source`` of it. Modules are imported when they are asked, since the command line reads
+whether a path is such a capture (splits may have separate files), and ``read(path, options)``
+makes a ``Source`` of it. Modules are imported on first use, since the command line reads
 this table at its start.
 """
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Format = str
 
-# The module of each, in the order they are asked: Stanford-ORB has transforms_train.json, too, and
+# Module of each format, in the order of detection: Stanford-ORB has transforms_train.json, too, and
 # LLFF's and IDR's tables are often made of a COLMAP model beside them, which knows the lens.
 FORMATS = {
     "stanford-orb": "stanford_orb",
@@ -32,8 +32,8 @@ FORMATS = {
     "owl": "objects_with_lighting",
 }
 AUTO = "auto"
-FOLDERS = ("colmap", "llff", "idr")  # those that name no folder of photographs and masks
-TABLES = ("llff", "idr")  # those that are a file among others, which may have been meant
+FOLDERS = ("colmap", "llff", "idr")  # formats without paths of photographs and masks
+TABLES = ("llff", "idr")  # formats whose file may lie next to files of other formats
 
 if not TYPE_CHECKING:
     Format: Any = Literal[(AUTO, *FORMATS)]
@@ -41,7 +41,7 @@ if not TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """How a source is read."""
+    """Options of reading a source."""
 
     format: Format = AUTO
     """Format of the source; auto detects it."""

@@ -62,7 +62,7 @@ def repair_normals(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]
 def _with_computed_normals(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[MeshArrays, bool]:
     """Compute angle-weighted normals; also return whether the surface is noisy.
 
-    Corners at a vertex share a normal if they are connected over edges that are no creases. A
+    Corners at a vertex share a normal if they are connected by edges without a crease. A
     vertex with several normals is duplicated.
     """
     cross = crosses_of(welded.vertices, welded.faces)
@@ -128,7 +128,7 @@ def _corners_at_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _unit_normals(normals: np.ndarray, instead: np.ndarray) -> np.ndarray:
-    """Return unit normals; those of no length are taken from elsewhere, or point up."""
+    """Return unit normals; zero vectors are replaced by ``instead``, or point up."""
     for other in (instead, np.array([0.0, 0.0, 1.0])):
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), other)

@@ -20,9 +20,9 @@ from svu_mi.errors import CaptureError, OptionError
 NEARLY_SQUARE = 0.05  # largest displacement, in pixels, for pixels to count as square
 WHOLE = 1e-6  # of a pixel that may be missing from the last one
 STRIP = 128  # lines that are averaged at a time
-SAME_ASPECT = 2.0  # pixels by which a resized photograph may miss the ratio of its sides
+SAME_ASPECT = 2.0  # tolerance of the aspect ratio of a resized photograph, in pixels
 EDGE = 257  # points of each edge of a photograph, between which lenses are smooth
-WIDEST = 2.0  # sides of a straightened photograph, in parts of those it had; as COLMAP's
+WIDEST = 2.0  # largest growth of an undistorted photograph's sides, as in COLMAP
 
 
 def with_size(frame: Frame, size: tuple[int, int]) -> Frame:

@@ -22,7 +22,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import affine, film_size, focal_length, make_sensor, principal_point
 from svu_mi.errors import CaptureError, excerpt
 
-# What turns the columns of a camera-to-world rotation into those of Mitsuba's camera: +X left, +Y
+# Conversion of the columns of a camera-to-world rotation to Mitsuba's camera axes: +X left, +Y
 # up, +Z forward. Each matrix is its own inverse.
 OPENGL = np.diag([-1.0, 1.0, -1.0, 1.0])  # +X right, +Y up, looks along -Z: Blender, NeRF
 OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # +X right, +Y down, +Z forward: COLMAP, IDR
@@ -34,8 +34,8 @@ MAX_SIDE = 2**16  # pixels; no camera has more, a damaged file easily
 FOCAL = 1e-3, 1e6  # focal length, in parts of the photograph's longer side
 CENTER = 1e3  # principal point, likewise
 LARGEST = 1e30  # number in a pose: products of three of them are finite
-RIGID = 1e-3  # part by which the axes of a pose may fail to be orthogonal and of one length
-SQUARE = 1e-6  # part by which the focal lengths of square pixels may differ
+RIGID = 1e-3  # tolerance of the orthogonality and equal length of the axes of a pose
+SQUARE = 1e-6  # tolerance of the ratio of focal lengths of square pixels
 NEAR, FAR = 1e-4, 1e7  # clip planes: no file has any, nor the size of the scene
 
 
@@ -57,7 +57,7 @@ class Frame:
         size: (width, height) in pixels that focal and center refer to.
         exposure: gain of the photograph: radiance is its linear pixels divided by it.
         transfer: how an integer image encodes linear values; EXR, HDR and PFM are linear.
-        lens: what bends straight lines in the photograph; None = nothing does.
+        lens: distortion of the photograph; None without any.
     """
 
     label: str
@@ -180,7 +180,7 @@ class Source:
         format: name of the format, such as ``colmap``.
         root: folder that all files must lie in.
         frames: V photographs with their cameras, in the order they get in the capture.
-        mesh: file of the object, if the format has one; its axes are those of the poses.
+        mesh: file of the object, if the format has one; its axes match the poses.
         light: the environment, if the format has one.
         camera_axes: matrix that turned the tool's camera axes into Mitsuba's (``OPENGL``, ...).
         notes: sentences about decisions while reading.

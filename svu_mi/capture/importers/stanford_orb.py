@@ -116,7 +116,7 @@ def read_orb(
 def read_views(path: str | Path, split: Split) -> tuple[OrbView, ...]:
     """Read the photographs of a split (``train``, ``test``, ``novel``) with their environments.
 
-    Errors are those of ``read_orb``; ``train`` has no environments.
+    See ``read_orb`` for errors; ``train`` has no environments.
     """
     path = Path(os.path.abspath(path))
     if path.parent.name not in SUFFIXES:
@@ -165,7 +165,7 @@ def _view(path: Path, record: dict[str, Any], given: Any, label: str) -> OrbView
 def _light(
     views: tuple[OrbView, ...], wanted: str | None, path: Path
 ) -> tuple[Light | None, list[str]]:
-    """Choose one of the environments, and say so."""
+    """Choose one of the environment maps; return a note about the choice."""
     lights = {view.name: view.light for view in views if view.light is not None}
     if not lights:
         folder = path.parent.parent / TRUTH / views[0].capture / ENVIRONMENTS

@@ -51,7 +51,7 @@ def _row(outcome: Outcome) -> dict[str, Any]:
 
 
 def thumbnail(folder: Path) -> PageImage | None:
-    """Return the overview of a capture's results, small; None if there is none."""
+    """Return the overview of a capture's results, small, or None."""
     path = folder / "entropy" / "overview.png"
     try:
         return _draw_thumbnail(path, path.stat().st_mtime_ns)

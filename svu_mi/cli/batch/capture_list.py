@@ -12,10 +12,10 @@ from pathlib import Path
 from svu_mi.capture.capture_folder import FILE
 from svu_mi.errors import CaptureError, OptionError, OutputError, excerpt
 
-# Columns of a table beside "capture" and "name": options of the commands.
+# Further columns of a table, besides "capture" and "name": options of the commands.
 OPTIONS = ("resolution", "preset", "light", "images", "shape")
 PATHS = ("light", "images")
-INDEX, TABLE = "index.html", "index.csv"  # of the batch, beside the folders of its captures
+INDEX, TABLE = "index.html", "index.csv"  # of the batch, next to the folders of its captures
 NAME = re.compile(r"[\w][\w .+-]*")  # of a folder of results
 SIZE = re.compile(r"[1-9][0-9]*(\s+[1-9][0-9]*)?")
 LONGEST = 80

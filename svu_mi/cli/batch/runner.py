@@ -172,7 +172,7 @@ class BatchRunner:
             words = command_words(step, item, folder, self.steps)
             words += ["-m", self.variant]
             key = step_key(words, key)
-            # A result is put in place in one step: what has its last file is complete.
+            # A result is moved into place in one step: with its last file it is complete.
             if done.get(name, {}).get("key") != key or not (folder / step.proof).is_file():
                 left = folder / step.checkpoint if step.checkpoint else None
                 start = time.perf_counter()
@@ -291,7 +291,7 @@ class CommandPool:
         return ProcessResult(status, last_sentence(said), peak)
 
     def end(self) -> None:
-        """Kill what is running; results are put in place in one step, so none is half-written."""
+        """Kill running commands; results are moved into place in one step, so none is partial."""
         with self._lock:
             self._over = True
             for process in self._running:

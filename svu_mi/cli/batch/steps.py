@@ -90,7 +90,7 @@ def inputs_key(item: BatchItem, output: Path | None = None) -> str:
 
 
 def _is_separate(output: Path | None, folder: Path) -> bool:
-    """Return whether a folder beside a scene is not part of it: captures, results, hidden ones."""
+    """Return whether a folder next to a scene is unrelated: a capture, results, or hidden."""
     return folder == output or folder.name.startswith(".") or (folder / FILE).is_file()
 
 
@@ -107,5 +107,5 @@ def read_done(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def write_done(folder: Path, steps: dict[str, dict[str, Any]]) -> None:
-    """Write what ``read_done`` reads."""
+    """Write the completed steps (see ``read_done``)."""
     write_json(folder / DONE, {"steps": steps})

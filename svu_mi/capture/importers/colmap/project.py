@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
 
 # Undistorted models go before those they were made from: both have the same world.
-# nerfstudio keeps the project in colmap/, with the photographs beside it.
+# nerfstudio keeps the project in colmap/, next to the photographs.
 PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", "colmap/sparse/0", ".", "0")
 IMAGES, MASKS = "images", "masks"
 
@@ -94,7 +94,7 @@ def read_project(
 ) -> Project:
     """Read the model and find its pictures, some of which may be missing if ``partly``.
 
-    Paths and errors are those of ``read``.
+    See ``read`` for paths and errors.
     """
     model = find_model(path)
     if model is None:

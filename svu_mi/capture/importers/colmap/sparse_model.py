@@ -31,12 +31,12 @@ PARAMETERS = {
     "SIMPLE_DIVISION": 4, "DIVISION": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4, "EUCM": 6,
     "EQUIRECTANGULAR": 2,
 }  # fmt: skip
-# Focal lengths of those that are pinholes when all parameters behind the centre are zero.
+# Focal lengths of models that are pinholes if all parameters after the centre are zero.
 FOCAL_LENGTHS = {
     "SIMPLE_PINHOLE": 1, "PINHOLE": 2, "SIMPLE_RADIAL": 1, "RADIAL": 1, "OPENCV": 2,
     "FULL_OPENCV": 2, "SIMPLE_DIVISION": 1, "DIVISION": 2,
 }  # fmt: skip
-# What the parameters behind the centre are, of lenses that are straightened here.
+# Parameters after the centre, of models that are undistorted here.
 COEFFICIENTS = {
     "SIMPLE_RADIAL": ("k1",), "RADIAL": ("k1", "k2"), "OPENCV": ("k1", "k2", "p1", "p2"),
     "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3"),  # if the others, k4 to k6, are zero
@@ -45,7 +45,7 @@ CAMERA_FIELDS = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT", "PARAMS")
 VIEW_FIELDS = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
 LONGEST_NAME = 512  # bytes
 POINT = 24  # bytes of a point in an image: x, y and the number of the point in space
-UNIT = 1e-2  # by which the norm of a quaternion may differ from 1
+UNIT = 1e-2  # tolerance of the norm of a quaternion
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class ColmapCamera:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether straight lines stay straight."""
+        """Whether the camera has no distortion."""
         return self.model in FOCAL_LENGTHS and not any(self.distortion)
 
     @property
@@ -78,7 +78,7 @@ class ColmapCamera:
         return self.parameters[FOCAL_LENGTHS[self.model] + 2 :]
 
     def lens(self) -> Lens | None:
-        """Return the lens if it bends lines and is of our model, else None."""
+        """Return the lens if it is distorted and of our model, else None."""
         names = COEFFICIENTS.get(self.model, ())
         if not names or self.is_pinhole or any(self.distortion[len(names) :]):
             return None
