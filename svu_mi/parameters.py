@@ -23,9 +23,9 @@ class Parameter:
         low: its smallest value.
         high: its largest value.
         default: what is assumed while nothing is known.
-        extremes: whether most surfaces have its smallest or its largest value, exactly: the
+        has_atoms: whether most surfaces have its smallest or its largest value, exactly: the
             preset says how many.
-        ends: words for both.
+        end_labels: words for both.
     """
 
     name: str
@@ -33,8 +33,8 @@ class Parameter:
     low: float = 0.0
     high: float = 1.0
     default: float = 0.5
-    extremes: bool = False
-    ends: tuple[str, str] = ("0", "1")
+    has_atoms: bool = False
+    end_labels: tuple[str, str] = ("0", "1")
 
     def holds(self, value: float) -> bool:
         """Return whether a value is in range; NaN is not."""
@@ -42,9 +42,9 @@ class Parameter:
 
 
 PARAMETERS = {p.name: p for p in (
-    Parameter("base_color", channels=3, ends=("0: black", "1: white")),
-    Parameter("roughness", ends=("0: mirror", "1: matt")),
-    Parameter("metallic", extremes=True, ends=("0: no metal", "1: metal")),
+    Parameter("base_color", channels=3, end_labels=("0: black", "1: white")),
+    Parameter("roughness", end_labels=("0: mirror", "1: matt")),
+    Parameter("metallic", has_atoms=True, end_labels=("0: no metal", "1: metal")),
 )}  # fmt: skip
 NAMES = tuple(PARAMETERS)
 CHANNELS = {p.name: p.channels for p in PARAMETERS.values()}

@@ -32,7 +32,7 @@ BandLimit = Literal["photographs", "growing"]
 
 
 class _Channels:
-    """What the presets of all methods say of colour."""
+    """Colour channels of the presets of all methods."""
 
     channels: Any
 

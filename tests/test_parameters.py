@@ -17,8 +17,8 @@ from svu_mi.parameters import MIXED, ByParameter
 
 # ``specular``, 0.5 of which stands for F0 = 0.04; CONTRIBUTING.md lists these files.
 EDITS = [
-    ("parameters.py", 'ends=("0: no metal", "1: metal")),\n',
-     'ends=("0: no metal", "1: metal")),\n    Parameter("specular"),\n'),
+    ("parameters.py", 'end_labels=("0: no metal", "1: metal")),\n',
+     'end_labels=("0: no metal", "1: metal")),\n    Parameter("specular"),\n'),
     ("reflection/principled.py", "return e, p, q - d, d - observed",
      "return e, p, q - d, d, d - observed"),
     ("reflection/principled.py", "def mixture(metallic: Any)",

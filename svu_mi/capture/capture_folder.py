@@ -25,7 +25,7 @@ MAX_BYTES = 2**26  # of capture.json; ten times what as many sensors as possible
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """What ``capture.json`` says.
+    """Content of ``capture.json``.
 
     Attributes:
         scene: path of the Mitsuba scene, None when the capture was made from a live scene.

@@ -1,4 +1,4 @@
-"""What a capture is, as digests: files that belong to another one are told by them.
+"""Digests of a capture and its parts, to recognise files of another one.
 
     capture_key(capture)            # "5d1f0c..."
     photographs_key(capture)        # the same whatever its light and materials are
@@ -75,7 +75,7 @@ def integrator_key(scene: Any) -> str:
 
 
 def capture_parts(capture: Capture) -> dict[str, str]:
-    """Return digests of what a capture consists of."""
+    """Return digests of the parts of a capture."""
     used = np.flatnonzero(capture.used).tolist()
     pixels = _digests(capture.images[view] for view in used)
     masks = _digests(capture.masks[view] for view in used)

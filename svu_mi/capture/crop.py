@@ -1,4 +1,4 @@
-"""Large photographs are cropped to the object, and made no larger than texels can use.
+"""Crop photographs to the object and reduce them to what texels resolve.
 
 A photograph of 24 megapixels says no more of a texel than one of six, if that has a pixel of it,
 too; and most of its pixels show no object at all.

@@ -1,4 +1,4 @@
-"""Sentences about what a capture has that is left out, repaired or not accounted for.
+"""Warnings about photographs, materials and shapes of a capture.
 
 Whether the cameras see the front or the back of a surface is told by vertex normals, or else by the
 winding of the triangles. Only a closed surface has an inside that tells whether that is right.
@@ -163,7 +163,7 @@ def _listed(words: list[str]) -> str:
 
 
 def warn_of_back_faces(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[str]:
-    """Say that the cameras see mostly the back of an object, if they do."""
+    """Return a warning if the cameras see mostly back faces."""
     mesh = arrays(shape)
     behind = back_face_share(scene, mesh, [to_world(each)[:3, 3] for each in sensors])
     if behind < MOST:
@@ -188,7 +188,7 @@ def faces_outward(mesh: MeshArrays) -> bool:
 
 
 def back_face_share(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -> float:
-    """Return how much of what is seen of a surface is its back, in [0, 1], by apparent area."""
+    """Return the share of back faces in the visible apparent area, in [0, 1]."""
     cross = mesh.crosses
     if not cross.any() or not len(eyes):
         return 0.0

@@ -1,4 +1,4 @@
-"""Which file of a folder is the photograph of which sensor."""
+"""Assign photographs of a folder to sensors."""
 
 from __future__ import annotations
 

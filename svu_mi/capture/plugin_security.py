@@ -1,4 +1,4 @@
-"""Which libraries Mitsuba may load: its own, none that lies beside a scene.
+"""Restrict Mitsuba to its own plugin libraries: none beside a scene is loaded.
 
 For ``type="name"`` Mitsuba takes ``plugins/name.so`` from the folder of the scene, from those of
 its ``<path>`` tags, or from the working directory, before its own of that name, and before a

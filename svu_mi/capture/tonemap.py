@@ -78,7 +78,7 @@ def srgb(linear: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ObjectView:
-    """What a sensor sees of an object: traced once, for any number of textures.
+    """View of an object from a sensor, traced once for any number of textures.
 
     Attributes:
         window: rows and columns around the object; no pixel beyond shows it.

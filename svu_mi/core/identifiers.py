@@ -1,4 +1,4 @@
-"""Names that came from a file, made legal for the kinds of file that are written here.
+"""Sanitise names for JSON, OBJ, Mitsuba XML and MaterialX.
 
 A shape's id or a sensor's may be any text: with line breaks, quotes, or half a surrogate pair.
 """

@@ -1,4 +1,4 @@
-"""Ctrl-C between steps rather than within them.
+"""Defer Ctrl-C to the end of a step.
 
 Within a custom operation or a recorded loop, Dr.Jit turns a ``KeyboardInterrupt`` into an error
 of its own, and one that is raised while C++ calls Python is lost: nobody could tell that the user

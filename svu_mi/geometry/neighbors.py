@@ -281,7 +281,7 @@ def occupied_squares(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def group_neighbors(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
-    """Return which groups of texels are next to each other, as ``Neighbors.around`` has them."""
+    """Return the neighbours of groups of texels, as columns like ``Neighbors.around``."""
     count = int(owner.max()) + 1
     numbers = []
     for column in around:

@@ -101,12 +101,12 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
     if silhouettes:
         for start, pose in zip(offset.tolist(), poses, strict=True):
             index = dr.arange(mi.UInt32, pose.size[0] * pose.size[1])
-            pixels.judge(index + dr.opaque(mi.UInt32, start), mi.Bool(True))
+            pixels.mark_usable(index + dr.opaque(mi.UInt32, start), mi.Bool(True))
     else:
         masks = [capture.masks[index] for index in kept]
         tiles = _tiles(capture.shape, poses, masks)
         for index, inside in interior(capture.scene, capture.shape, views, tiles):
-            pixels.judge(index, inside)
+            pixels.mark_usable(index, inside)
     for place, count, ratio in pixels.drop_hot(offset):
         pixel = "pixel is" if count == 1 else "pixels are up to"
         warnings.warn(
@@ -161,7 +161,7 @@ class _Pixels:
         self.clipped = None if flags is None else dr.zeros(type(flags), count)
         self._allowed, self._flags = allowed, flags
 
-    def judge(self, index: Any, inside: Any) -> None:
+    def mark_usable(self, index: Any, inside: Any) -> None:
         """Mark those interior pixels that the mask allows and that hold a radiance."""
         inside = inside & dr.gather(mi.Bool, self._allowed, index, inside)
         color = dr.gather(mi.Color3f, self.radiance, index, inside)

@@ -110,7 +110,7 @@ def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
 
 @lru_cache(maxsize=2)  # of maps that are written, and of pictures
 def _of_mask(packed: bytes, shape: tuple[int, int], texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``_gutter``, found once for all maps of a layout, which is known by its content."""
+    """Return ``_gutter``, cached by the content of a layout."""
     bits = np.unpackbits(np.frombuffer(packed, np.uint8), count=shape[0] * shape[1])
     return _gutter(bits.view(bool).reshape(shape), texels)
 

@@ -79,12 +79,12 @@ class TexelLanes:
 
     @property
     def index(self) -> Any:
-        """UInt32, which of all texels each lane is."""
+        """UInt32, number of each lane among all texels."""
         return dr.arange(mi.UInt32, self.count) if self.texel is None else self.texel
 
     @property
     def lane(self) -> Any:
-        """UInt32, the place of each in the launch."""
+        """UInt32, number of each lane in the launch."""
         return dr.arange(mi.UInt32, self.count)
 
     @property
@@ -115,7 +115,7 @@ class ViewSample:
 
 
 def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = False) -> ViewSample:
-    """Observe every texel of a launch in one view; rays are traced after the cheaper tests.
+    """Sample one view at every texel; rays are traced after the cheaper tests.
 
     A texel is seen if it faces the camera (both normals), its pixels are usable, and no geometry
     occludes it.
@@ -175,7 +175,7 @@ def mirror_direction(normal: Any, direction: Any) -> Any:
 
 
 def needs_work(seen: Any, dense: bool) -> Any:
-    """Return the condition under which there is work to do: always, if dense."""
+    """Return which lanes have work to do: all, if dense."""
     return mi.Bool(True) if dense else seen
 
 
@@ -183,7 +183,7 @@ def sample_visible(
     views: Views, surface: TexelLanes, view: Any, seen: Any, *, dense: bool = False,
     clipped: bool = False,
 ) -> ViewSample:  # fmt: skip
-    """Observe visible texels, without rays; ``clipped``: saturated pixels as lower bounds."""
+    """Sample visible texels, without rays; ``clipped``: saturated pixels as lower bounds."""
 
     def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
         camera = read_camera(views, view)

@@ -47,7 +47,7 @@ class Films:
 
 @dataclass(frozen=True)
 class Outline:
-    """Where an object ends in pictures of it, found by rays where it is asked for."""
+    """Silhouettes of an object in V views, traced where queried."""
 
     target: Any
     films: Films

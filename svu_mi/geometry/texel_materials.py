@@ -1,4 +1,4 @@
-"""What a scene's own material says of every texel."""
+"""Parameters of a scene's principled BSDF at texels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who sees whom: traced once, kept as one bit per texel and view, used by every later pass."""
+"""Texel-view visibility: one traced bit per pair."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Visibility:
         self, views: Views, surface: TexelLanes, slot: Any, *, clipped: bool = False,
         among: Bits | None = None,
     ) -> ViewSample:  # fmt: skip
-        """Observe texels in the view ``order[slot]``; ``among``: a bit per slot and lane."""
+        """Sample the view ``order[slot]``; ``among``: a bit per slot and lane."""
         view = dr.gather(mi.UInt32, self.order, slot)
         if among is not None:
             seen = among.test(slot, surface.lane)
@@ -76,7 +76,7 @@ class Visibility:
         return sample_visible(views, surface, view, seen, dense=self.dense, clipped=True)
 
     def needs_work(self, seen: Any) -> Any:
-        """Return the condition under which a consumer has work to do."""
+        """Return which lanes have work to do, Bool."""
         return needs_work(seen, self.dense)
 
     def over_views(

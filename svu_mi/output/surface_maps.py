@@ -21,7 +21,7 @@ from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField
 
 ENDS = {"specular": ("0: no gloss", "1: mirror of all light")}  # Ks of a ``ParameterGrid``
-ENDS |= {p.name: p.ends for p in PARAMETERS.values()}
+ENDS |= {p.name: p.end_labels for p in PARAMETERS.values()}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -322,7 +322,7 @@ def _problem(
     """Everything but the noise."""
     r = uniform_axis(grid.roughness_nodes, switches.parts)
     mixed = ProductAxis(tuple(
-        mixed_axis(grid.axes[name], MIXED_PARTS, switches.metals * PARAMETERS[name].extremes)
+        mixed_axis(grid.axes[name], MIXED_PARTS, switches.metals * PARAMETERS[name].has_atoms)
         for name in MIXED
     ))  # fmt: skip
     edges = bin_edges(grid.base_color_nodes)

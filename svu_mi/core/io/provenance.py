@@ -1,4 +1,4 @@
-"""The run and the capture that files belong to, as records and marks say.
+"""Run and capture of result files, read from records and file headers.
 
 A record is a JSON file such as ``run.json``: its ``written`` lists the files of the run with their
 digests, so that an edited file is not taken for the run's own. EXR, PLY and scene files have the id
