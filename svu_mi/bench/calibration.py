@@ -128,7 +128,7 @@ def posterior_figures(posterior: Any, truth: Truths, chosen: np.ndarray) -> Reco
         chosen: (t,) texels.
     """
     true = {name: _columns(np.asarray(truth[name], np.float64)) for name in NAMES}
-    if posterior.groups == 1:
+    if posterior.channels == 1:
         true["base_color"] = true["base_color"].mean(axis=1, keepdims=True)
     result = set_coverage(np.array(posterior.probabilities_of(chosen), np.float64), true)
     draws = posterior.draw(DRAWS, seed=1)

@@ -61,7 +61,7 @@ class Prediction:
         """
         switches, observed = estimate.switches, estimate.observed
         is_calibrated = isinstance(switches, AngularPreset) and switches.noise == "estimated"
-        if not is_calibrated or estimate.posterior.groups != CHANNELS:
+        if not is_calibrated or estimate.posterior.channels != CHANNELS:
             raise OptionError("Photographs are predicted from preset default (angular), in colour.")
         assert observed is not None and isinstance(switches, AngularPreset)
         levels = np.linspace(0, 1, switches.levels)

@@ -125,7 +125,7 @@ def _row_truths(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarr
     kernel, nodes = posterior.kernel, posterior.grid.axes["base_color"]
     if not isinstance(kernel, CalibratedKernel):
         p = np.array(posterior.probabilities_of(texels))
-        p = p.reshape(len(p), -1, len(nodes), posterior.groups)[..., :: kernel.problem.copies]
+        p = p.reshape(len(p), -1, len(nodes), posterior.channels)[..., :: kernel.problem.copies]
         # Between nodes, no colour might explain what a row shows.
         return p[..., 0].sum(axis=2, dtype=np.float64), nodes[p.argmax(axis=2)]
     prior = posterior.prior.astype(np.float32).reshape(1, -1, len(nodes), 1)
@@ -214,7 +214,7 @@ def require_band_limit(method: str, options: GuidanceOptions) -> None:
 
 def _entropy_measure(posterior: Posterior) -> EntropyMeasure:
     """Return the measure in units of the posterior's entropy; known parameters have one node."""
-    return EntropyMeasure(max(posterior.most, 1e-6), posterior.prior_entropy)
+    return EntropyMeasure(max(posterior.max_entropy, 1e-6), posterior.prior_entropy)
 
 
 def _prior_energies(prior: tuple[Any, Any] | None) -> Any | None:

@@ -70,7 +70,7 @@ class EntropyMeasure:
     """Normalised entropy of Eq. 5, by the chain rule: of rows, and of colours given these.
 
     Attributes:
-        max_entropy: nats of entropy 1 (``Posterior.most``): log n of n cells, or the prior's.
+        max_entropy: nats of entropy 1: log n of n cells, or the prior's.
         unseen: entropy of the prior, in these units.
     """
 

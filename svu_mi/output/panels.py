@@ -177,7 +177,7 @@ def draw_posterior(
     if x == y or not {x, y} <= set(order):
         raise OptionError(f"draw_posterior(): expected two of {', '.join(order)}, got {x}, {y}.")
     p = np.array(posterior.probabilities_of([texel]), np.float64)[0]
-    p = p.reshape(*posterior.grid.shape, posterior.groups).mean(axis=-1)
+    p = p.reshape(*posterior.grid.shape, posterior.channels).mean(axis=-1)
     p = p.sum(axis=tuple(k for k, name in enumerate(order) if name not in (x, y)))
     if order.index(x) < order.index(y):
         p = p.T  # rows along y

@@ -127,7 +127,7 @@ def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
     """Return the map of a parameter of the most probable material."""
     scale: Scale | None = Scale(colormap=VALUES_COLORMAP, label=label_of(name), ends=ENDS[name])
     sentence = "Of the material that explains the photographs best."
-    if name == "base_color" and estimate.posterior.groups == 3:
+    if name == "base_color" and estimate.posterior.channels == 3:
         scale = None
         sentence = "The colour that explains the photographs best; chequered where unseen."
     elif name == "base_color":
@@ -141,7 +141,7 @@ def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
 def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceMap:
     """Return the map of half the width of a parameter's interval."""
     half = f"half the width of the {100 * intervals.mass:g} % interval"
-    several = name == "base_color" and estimate.posterior.groups == 3
+    several = name == "base_color" and estimate.posterior.channels == 3
     widest = "; of the three channels, the least known" if several else ""
     return SurfaceMap(
         name=f"uncertainty of {label_of(name)}", estimate=estimate,

@@ -70,7 +70,7 @@ class AngularKernel(GridKernel):
     problem: AngularProblem
 
     @property
-    def groups(self) -> int:
+    def channels(self) -> int:
         """3 when each colour channel has its own base colour or Ks, else 1."""
         return self.problem.factors.channels * self.problem.copies
 

@@ -61,7 +61,7 @@ class CalibratedPrior(Prior):
         )
 
     @cached_property
-    def most(self) -> float:  # type: ignore[override]
+    def max_entropy(self) -> float:  # type: ignore[override]
         """Nats that entropies are relative to: those of the prior, the mean over channels."""
         tables = np.moveaxis(prior_tables(self.problem), -1, 0)
         return float(np.mean([row_entropy.entropy_of(p) for p in tables]))
@@ -127,7 +127,7 @@ class CalibratedKernel(Kernel):
     continuous = True
 
     @property
-    def groups(self) -> int:
+    def channels(self) -> int:
         """3 when each colour channel has its own base colour, else 1."""
         return self.problem.factors.channels * self.problem.copies
 
@@ -153,7 +153,7 @@ class CalibratedKernel(Kernel):
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
         """Return the normalised entropy (see ``Kernel``)."""
-        most = self.prior.most
+        most = self.prior.max_entropy
         if most <= 0:  # a prior that leaves one bin
             return np.zeros(len(texels), np.float32)
         return np.clip(np.array(self.summary.entropy) / np.float32(most), 0, 1)[self.lane[texels]]
@@ -236,7 +236,7 @@ class CalibratedKernel(Kernel):
                  for name in names}  # fmt: skip
         for number in range(count):
             random = np.random.default_rng((seed, number)).random(
-                (len(names) + 2 * self.groups, problem.factors.count), np.float32
+                (len(names) + 2 * self.channels, problem.factors.count), np.float32
             )
             shared, colors = kernel.draw(
                 problem, lanes, total, [to_drjit(mi.Float, u[lanes]) for u in random]
@@ -252,7 +252,7 @@ class CalibratedKernel(Kernel):
     @property
     def _common(self) -> np.ndarray:
         """``common`` for as many channels as base colour has."""
-        return np.asarray(self.common) if self.groups > 1 else np.mean(self.common, keepdims=True)
+        return np.asarray(self.common) if self.channels > 1 else np.mean(self.common, keepdims=True)
 
 
 def calibrated_posterior(

@@ -16,7 +16,7 @@ LEVEL = 0.9  # probability that an interval holds, where nobody says another
 ENOUGH = 4096  # texels that say what part of a surface is known
 
 
-def spread(texels: np.ndarray, most: int = ENOUGH) -> np.ndarray:
+def subsample(texels: np.ndarray, most: int = ENOUGH) -> np.ndarray:
     """Take at most so many of texels, at equal steps: neighbours in order are neighbours."""
     count = min(len(texels), most)
     return np.asarray(texels[np.arange(count) * len(texels) // max(count, 1)])

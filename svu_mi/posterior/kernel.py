@@ -37,14 +37,14 @@ class Prior:
     axes: Mapping[str, np.ndarray]
 
     @property
-    def most(self) -> float:
+    def max_entropy(self) -> float:
         """Nats that entropies are relative to: log n, for the n bins of the grid (Eq. 5)."""
         return float(np.log(self.probabilities.size))
 
     @property
     def entropy(self) -> float:
         """Normalised entropy, in [0, 1]."""
-        return min(entropy_of(self.probabilities) / self.most, 1.0)
+        return min(entropy_of(self.probabilities) / self.max_entropy, 1.0)
 
     def marginal(self, name: str) -> np.ndarray:
         """Return the probability of every node of a parameter."""
@@ -74,7 +74,7 @@ class Kernel(ABC):
 
     @property
     @abstractmethod
-    def groups(self) -> int:
+    def channels(self) -> int:
         """Number G of distributions per texel: 3 when each channel has its own, else 1."""
 
     @property
@@ -109,7 +109,7 @@ class Kernel(ABC):
     def marginals(self, texels: np.ndarray) -> dict[str, np.ndarray]:
         """Return the marginals of all parameters, (t, nodes, G) float32 by name."""
         axes = self.grid.axes
-        found = {name: np.empty((len(texels), len(nodes), self.groups), np.float32)
+        found = {name: np.empty((len(texels), len(nodes), self.channels), np.float32)
                  for name, nodes in axes.items()}  # fmt: skip
         for span in self.chunks(len(texels)):
             p = self.probabilities(texels[span])
@@ -126,11 +126,11 @@ class Kernel(ABC):
 
     def channels_of(self, name: str) -> int:
         """Return g: only the last parameter may be a channel's own."""
-        return self.groups if name == list(self.grid.axes)[-1] else 1
+        return self.channels if name == list(self.grid.axes)[-1] else 1
 
     def chunks(self, count: int) -> Iterator[slice]:
         """Yield spans of texels whose bins are computed together."""
-        size = max(CHUNK // (int(np.prod(self.grid.shape)) * self.groups), 1)
+        size = max(CHUNK // (int(np.prod(self.grid.shape)) * self.channels), 1)
         for first in range(0, count, size):
             yield slice(first, min(first + size, count))
 
@@ -151,7 +151,7 @@ class GridKernel(Kernel):
 
     def best(self, texels: np.ndarray) -> np.ndarray:
         """Return the most probable nodes (see ``Kernel``)."""
-        best = np.empty((len(texels), len(self.grid.shape), self.groups), np.int64)
+        best = np.empty((len(texels), len(self.grid.shape), self.channels), np.int64)
         for span in self.chunks(len(texels)):
             best[span] = self.tables(texels[span])[1]
         return best
@@ -176,7 +176,7 @@ class GridKernel(Kernel):
 
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
         """Draw nodes (see ``Kernel``)."""
-        random = np.random.default_rng(seed).random((1 + self.groups, count, self.count))
+        random = np.random.default_rng(seed).random((1 + self.channels, count, self.count))
         found: dict[str, np.ndarray] = {}
         for span in self.chunks(len(texels)):
             part = texels[span]

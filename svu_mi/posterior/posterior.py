@@ -50,9 +50,9 @@ class Posterior(Generic[K]):
         return self.grid.axes
 
     @property
-    def groups(self) -> int:
+    def channels(self) -> int:
         """Number G of distributions per texel: 3 when each colour channel has its own, else 1."""
-        return self.kernel.groups
+        return self.kernel.channels
 
     @property
     def continuous(self) -> bool:
@@ -65,10 +65,10 @@ class Posterior(Generic[K]):
         return self.kernel.prior.probabilities
 
     @property
-    def most(self) -> float:
+    def max_entropy(self) -> float:
         """Nats that entropies are a part of: log n, of the n bins of the grid (Eq. 5); those of
         the prior if it is calibrated."""
-        return self.kernel.prior.most
+        return self.kernel.prior.max_entropy
 
     @property
     def prior_entropy(self) -> float:
@@ -127,7 +127,7 @@ class Posterior(Generic[K]):
             OptionError: an index outside [0, T), or a result of more than 2 GiB.
         """
         chosen = self._indices(chosen)
-        shape = (len(chosen), *self.grid.shape, self.groups)
+        shape = (len(chosen), *self.grid.shape, self.channels)
         if np.prod(shape, dtype=float) > MAX_PROBABILITIES:
             raise OptionError(
                 f"Posterior.probabilities: {shape} values do not fit in 2 GiB; use entropy(), "
@@ -139,7 +139,7 @@ class Posterior(Generic[K]):
         places = np.flatnonzero(seen)
         for span in self.kernel.chunks(len(places)):
             result[places[span]] = self.kernel.probabilities(chosen[places[span]])
-        return _tensor(result if self.groups > 1 else result[..., 0])
+        return _tensor(result if self.channels > 1 else result[..., 0])
 
     def marginal(self, name: str, chosen: Any | None = None) -> Any:
         """Return the marginal of one parameter.
@@ -201,7 +201,7 @@ class Posterior(Generic[K]):
     def _best_of(self, chosen: np.ndarray) -> np.ndarray:
         """Indices (t, axes, G) of the most probable nodes, of the prior's where nobody looked."""
         seen = self.observed[chosen]
-        best = np.empty((len(chosen), len(self.axes), self.groups), np.int64)
+        best = np.empty((len(chosen), len(self.axes), self.channels), np.int64)
         best[~seen] = _best_of_prior(self.prior)[:, None]
         if seen.any():
             best[seen] = self.kernel.best(chosen[seen])
@@ -353,14 +353,14 @@ class Posterior(Generic[K]):
         Raises:
             ShapeError: the grids differ.
         """
-        bins = int(np.prod(self.grid.shape)) * self.groups
-        if self.grid != other.grid or self.groups != other.groups:
+        bins = int(np.prod(self.grid.shape)) * self.channels
+        if self.grid != other.grid or self.channels != other.channels:
             raise ShapeError(f"Posterior.kl(): the grids differ: {self.grid} and {other.grid}.")
         p = np.array(self.probabilities, np.float64).reshape(self.count, bins)
         q = np.array(other.probabilities, np.float64).reshape(other.count, bins)
         log_p, log_q = np.log(np.maximum(p, 1e-30)), np.log(np.maximum(q, 1e-30))
         divergence = (p * log_p).sum(axis=1)[:, None] - p @ log_q.T
-        return _tensor(np.maximum(divergence, 0) / self.groups)
+        return _tensor(np.maximum(divergence, 0) / self.channels)
 
     def _indices(self, chosen: Any) -> np.ndarray:
         indices = np.array(chosen, np.int64).reshape(-1)

@@ -34,7 +34,7 @@ class SpectrumKernel(GridKernel):
     problem: kernel.SpectrumProblem
 
     @property
-    def groups(self) -> int:
+    def channels(self) -> int:
         """Number of Ks per texel: 3 when each colour channel has its own, else 1."""
         return len(self.problem.groups)
 

@@ -20,7 +20,7 @@ class TabulatedKernel(GridKernel):
 
     grid: Grid
     energies: np.ndarray
-    groups = 1
+    channels = 1
 
     @property
     def count(self) -> int:  # type: ignore[override]

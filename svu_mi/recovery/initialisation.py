@@ -48,7 +48,7 @@ def estimate_for_textures(
 def supports_texture_field(estimated: Estimate) -> bool:
     """Return whether an estimate is in colour and knows its noise, as ``texture_field`` asks."""
     kernel = estimated.posterior.kernel
-    return isinstance(kernel, CalibratedKernel) and kernel.groups == CHANNELS["base_color"]
+    return isinstance(kernel, CalibratedKernel) and kernel.channels == CHANNELS["base_color"]
 
 
 def _reestimated_in_color(estimated: Estimate, observed: Observed, progress: Progress) -> Estimate:

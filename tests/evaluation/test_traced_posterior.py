@@ -296,7 +296,7 @@ def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(capture, 
             expected = np.einsum("p,irpc,jrpc->rcij", w, x, x)
             pairs_of = np.stack([expected[..., i, j] for i, j in PAIRS], axis=-1)
             assert table[..., k] == pytest.approx(pairs_of, rel=1e-9, abs=1e-12)
-    assert reference.posterior.groups == 3
+    assert reference.posterior.channels == 3
     assert np.array(reference.posterior.probabilities).shape == (20, *GRID.shape, 3)
 
 

@@ -273,7 +273,7 @@ def test_divergence_is_brute_force_never_negative_and_0_on_itself(channels):
     assert (KL >= 0).all()
     for i, j in itertools.product(range(6), range(4)):
         ratio = np.maximum(p[i], 1e-30) / np.maximum(q[j], 1e-30)  # the documented floor
-        truth = (p[i] * np.log(ratio)).sum() / a.groups
+        truth = (p[i] * np.log(ratio)).sum() / a.channels
         assert KL[i, j] == pytest.approx(truth, rel=1e-3, abs=1e-5)
     np.testing.assert_allclose(np.diag(np.array(a.kl(a))), 0, atol=1e-6)
 

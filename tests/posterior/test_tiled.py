@@ -72,7 +72,7 @@ def test_what_is_asked_of_some_texels_is_made_again_for_them(vase, tiled):
     ):
         np.testing.assert_allclose(np.array(ask(apart)), np.array(ask(together)), atol=2e-6)
     np.testing.assert_array_equal(apart.prior, together.prior)
-    assert apart.groups == 3 and apart.continuous and apart.most == together.most
+    assert apart.channels == 3 and apart.continuous and apart.max_entropy == together.max_entropy
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ def assert_unseen_have_the_prior(posterior: Any, weights: np.ndarray) -> None:
     assert unseen.any()
     np.testing.assert_allclose(posterior.prior, truth.p, rtol=1e-6)
     p = np.array(posterior.probabilities, np.float64)[unseen]
-    p = p.reshape(unseen.sum(), *truth.p.shape, posterior.groups)
+    p = p.reshape(unseen.sum(), *truth.p.shape, posterior.channels)
     expected = np.broadcast_to(truth.p[..., None], p.shape)
     np.testing.assert_allclose(p, expected, rtol=1e-6)
     np.testing.assert_allclose(np.array(posterior.entropy())[unseen], truth.entropy(), rtol=1e-6)
@@ -65,7 +65,7 @@ def assert_unseen_have_the_prior(posterior: Any, weights: np.ndarray) -> None:
         for cell, nodes in zip(cells, truth.nodes, strict=True):
             assert (cell == len(nodes) // 2).all()
     p, q = (np.maximum(x, 1e-30) for x in (truth.p, np.array(posterior.probabilities)[0]))
-    if posterior.groups == 1:
+    if posterior.channels == 1:
         divergence = np.array(posterior.kl(posterior))[unseen][:, 0]
         exact = (truth.p * np.log(p / q)).sum()
         np.testing.assert_allclose(divergence, exact, rtol=1e-4, atol=1e-5)

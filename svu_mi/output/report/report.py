@@ -117,7 +117,7 @@ def _pictures(
         "recovered": recovered, "textured": textures is not None, "examples": examples,
         "errors": _errors(capture, estimate, textures), "error_end": WORST,
         "error_colormap": style.DIFFERENCE_COLORMAP, "colors": style.SETTLED_COLORS,
-        "unseen": style.UNSEEN, "color": estimate.posterior.groups == 3,
+        "unseen": style.UNSEEN, "color": estimate.posterior.channels == 3,
         "skipped": summary_text.skipped_sentences(estimate), "warnings": warnings[:WARNINGS],
         "more_warnings": warnings[WARNINGS:],
     }  # fmt: skip
@@ -137,7 +137,7 @@ def _light(capture: Capture) -> dict[str, Any] | None:
 def _errors(
     capture: Capture, estimate: Estimate, textures: Textures | None
 ) -> dict[str, Any] | None:
-    grey = textures is None and estimate.posterior.groups == 1
+    grey = textures is None and estimate.posterior.channels == 1
     if textures is None and is_seen(estimate).any():
         textures = report_pictures.most_probable_textures(estimate)
     return None if textures is None else report_pictures.render_errors(capture, textures, grey)

@@ -205,12 +205,12 @@ def divergences(posterior: Posterior, chosen: np.ndarray, kind: Divergence) -> n
             result[:, texels] = np.einsum("tk,tk->t", p, log_p) - log_q @ p.T
         else:
             result[:, texels] = np.einsum("sk,sk->s", q, log_q)[:, None] - q @ log_p.T
-    return np.maximum(result, 0) / posterior.groups
+    return np.maximum(result, 0) / posterior.channels
 
 
 def _rows(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
     """Return (t, cells) float32 probabilities of some texels, all channels in a row."""
-    cells = int(np.prod(posterior.grid.shape)) * posterior.groups
+    cells = int(np.prod(posterior.grid.shape)) * posterior.channels
     return np.array(posterior.probabilities_of(chosen), np.float32).reshape(len(chosen), cells)
 
 
