@@ -82,7 +82,7 @@ class StrategyInputs:
         posterior, seen = self.estimate.posterior, self.observed.coverage > 0
         if isinstance(posterior.kernel, CalibratedKernel):
             # No candidate tells how bright the light is.
-            posterior = replace(posterior, kernel=posterior.kernel.apart())
+            posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
         present, prior = [], []
         for name, p in marginals(posterior.prior, list(posterior.axes)).items():
             nodes = posterior.axes[name]

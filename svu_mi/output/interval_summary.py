@@ -10,7 +10,7 @@ import numpy as np
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.output.estimate_arrays import is_seen, label_of, open_axes, texel_areas
 from svu_mi.output.html import NARROW_SPACE, percent
-from svu_mi.posterior.intervals import LEVEL, spread
+from svu_mi.posterior.intervals import LEVEL, subsample
 from svu_mi.posterior.quadrature import bin_edges
 
 TOLERANCE = 0.05  # half-width of an interval from which on a parameter counts as known
@@ -119,7 +119,7 @@ class IntervalSummary:
         """
         seen = is_seen(estimate)
         if intervals is None:
-            intervals = Intervals(estimate.posterior, chosen=spread(np.flatnonzero(seen)))
+            intervals = Intervals(estimate.posterior, chosen=subsample(np.flatnonzero(seen)))
         area = texel_areas(estimate)
         seen_part = area_share(area, seen)
         entropy = np.array(estimate.entropy, np.float64)[seen]

@@ -16,7 +16,7 @@ import numpy as np
 
 from svu_mi.core.memory import AT_WORK
 from svu_mi.posterior.grid import Grid
-from svu_mi.posterior.intervals import LEVEL, spread
+from svu_mi.posterior.intervals import LEVEL, subsample
 from svu_mi.posterior.kernel import Kernel, Pair, Prior
 
 KEPT = 2**13  # texels whose kernel is kept for the next question about the same
@@ -162,7 +162,7 @@ class TiledKernel(Kernel):
 
     @cached_property
     def _sample(self) -> np.ndarray:
-        return spread(self._seen)
+        return subsample(self._seen)
 
     def _tiles(self, chosen: np.ndarray) -> Iterator[tuple[slice, Any, np.ndarray]]:
         """Yield kernels of texels, as many at a time as a tile has, and their numbers there."""

@@ -95,7 +95,7 @@ class HoldoutErrors:
     def of(graph: TexelGraph, hidden: np.ndarray, far: np.ndarray) -> HoldoutErrors:
         """Compute the errors of all predictors on ``hidden`` texels (T,)."""
         training, texels = graph.with_hidden(hidden), np.flatnonzero(hidden)
-        texels = texels[intervals.spread(np.arange(len(texels)), TRIAL_TEXELS)]
+        texels = texels[intervals.subsample(np.arange(len(texels)), TRIAL_TEXELS)]
         true = graph.single[:, texels]
         errors = np.array([predicted - true for _, predicted in predictions(training, texels)])
         return HoldoutErrors(errors, importance_weights(far, distances_to_known(training, texels)))
@@ -110,7 +110,7 @@ def distances_to_known(graph: TexelGraph, texels: np.ndarray) -> np.ndarray:
     """Return distances (w,) of texels to the nearest known one, of a subset if there are many."""
     point = graph.pieces.point
     tree = scipy.spatial.cKDTree(point[graph.known])
-    return np.asarray(tree.query(point[intervals.spread(texels, MOST_DISTANCES)], workers=-1)[0])
+    return np.asarray(tree.query(point[intervals.subsample(texels, MOST_DISTANCES)], workers=-1)[0])
 
 
 def importance_weights(target: np.ndarray, sampled: np.ndarray) -> np.ndarray:

@@ -146,7 +146,7 @@ def nats_of_squares(sds: Table) -> Table:
 def texel_moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]:
     """Return means of all T texels, and standard deviations without what they have in common,
     float64."""
-    posterior = replace(posterior, kernel=posterior.kernel.apart())
+    posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
     means, sds = (
         {name: np.array(of(name), np.float64).reshape(posterior.count, -1).T for name in NAMES}
         for of in (posterior.mean, posterior.sd)
