@@ -1,4 +1,4 @@
-"""Show a per-texel map on the surfaces it belongs to."""
+"""Mitsuba integrator that shows a per-texel map on its surface."""
 
 from __future__ import annotations
 

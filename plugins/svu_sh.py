@@ -1,4 +1,4 @@
-"""Render what the reflection model of svu_mi says a scene looks like, differentiably."""
+"""Differentiable Mitsuba integrator with the reflection model of svu_mi."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def _two_sided(scene: Any, si: Any) -> Any:
 
 
 def _identity(emitter: Any, parameters: dict[str, Any]) -> tuple[Any, ...]:
-    """Tell a light from every other, and from itself with other parameters."""
+    """Return a key of a light and its parameters."""
     plain = tuple(value for value in parameters.values() if isinstance(value, int | float))
     return hash(emitter), plain, tuple(dr.detail.collect_indices(parameters))
 

@@ -11,8 +11,6 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 LAYERS = (
     ("errors",), ("_llvm",), ("core",), ("parameters",), ("presets",), ("capture",), ("geometry",),
     ("light",), ("reflection",), ("statistics", "frequency"), ("posterior",), ("pipeline",),
@@ -156,7 +154,6 @@ def test_imports_within_functions_are_optional_or_of_commands(root):
         assert {module.split(".")[0] for module in late} <= OPTIONAL, (name, late)
 
 
-@pytest.mark.xfail(reason="classes are being renamed", strict=False)
 def test_names_of_files_and_classes_are_unique(root):
     paths = [path for path in (root / "svu_mi").rglob("*.py") if path.name != "__init__.py"]
     files = Counter(path.name for path in paths if "cli" not in path.parts)

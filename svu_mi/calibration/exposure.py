@@ -142,7 +142,8 @@ def without_gains(transport: Transport, gains: FoundGains | None) -> Transport:
     """Divide samples by gains and give those of outliers no weight."""
     if gains is None:
         return transport
-    return replace(transport, samples=transport.samples.without(gains.odd).divided(gains.factor))
+    samples = transport.samples.without_views(gains.odd)
+    return replace(transport, samples=samples.divided(gains.factor))
 
 
 def step_gains(

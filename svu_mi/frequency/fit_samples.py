@@ -29,7 +29,7 @@ Masking = Callable[[Any, Any], list[Any]]
 
 
 class FitSource(Protocol):
-    """Photographs of texels under a light, as ``observed.Observed`` has them."""
+    """Photographs of texels under a light, as ``observations.Observed`` has them."""
 
     @property
     def views(self) -> Views:

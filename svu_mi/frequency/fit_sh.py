@@ -3,8 +3,8 @@
     (Y^T W^2 Y + lambda R) c = Y^T W^2 f,    R = diag(e^l),    W = diag(w)
 
 The paper penalises l = 0 (R_00 = 1), which leaks a constant into l > 0; R_00 = 0 does not. Two
-equivalent solvers: (degree + 1)^2 normal equations (``primal.py``), or one equation per visible
-view (``dual.py``; a quarter of the time for 24 of 60 views). Both use double precision.
+equivalent solvers: (degree + 1)^2 normal equations (``solve_primal``), or one equation per visible
+view (``solve_dual``; a quarter of the time for 24 of 60 views). Both use double precision.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the next photograph may be taken from."""
+"""Candidate views for the next photograph."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from svu_mi.errors import CaptureError, OptionError, ShapeError
 
 @dataclass(frozen=True)
 class Candidates:
-    """Views that nobody has photographed.
+    """Candidate views.
 
     Attributes:
         sensors: C perspective sensors.
@@ -180,7 +180,7 @@ def candidates_or_default(
 
 
 def _is_capture(path: Path) -> bool:
-    """Return whether a JSON file is one of ours, by what it says of itself."""
+    """Return whether a JSON file is the ``capture.json`` of a capture folder."""
     record = read_json(path)
     return (
         path.name == capture_folder.FILE

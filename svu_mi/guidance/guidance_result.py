@@ -1,4 +1,4 @@
-"""What capture guidance finds: proposals, gains of all candidates, maps."""
+"""Result of capture guidance: proposals, scores of all candidates, maps of information gain."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Proposal:
         candidate: its number among the candidates.
         name: its label.
         sensor: where to take it from.
-        gain: what is expected to become known: mean over texels of E[H] before and after, the
-            proposals before it taken as photographed. NaN by a strategy without a forecast.
+        gain: expected information gain: mean fall of E[H] over texels, with the proposals before
+            it taken as photographed. NaN by a strategy without a forecast.
         error: standard error of that mean, as not all texels were looked at; 0 if they were, NaN
             if it was a single one, or without a forecast. That of the hypotheses, which all
             candidates share, is not part of it.
@@ -54,14 +54,14 @@ class Guidance:
     """Which photographs to take next.
 
     Attributes:
-        candidates: what there was to choose from.
+        candidates: all candidates.
         proposals: the best view, then the best one once that is taken, ...
         scores: (C,) float64, score of every candidate as the next photograph, in the unit of the
             strategy (mean change of E[H], if by entropy); NaN where not reachable.
         entropy: of the photographs so far, as ``estimate`` has it: mean over all texels, of which
             unseen ones count as H of the prior (``Posterior.prior_entropy``).
         texels: the T texels.
-        options: how candidates were judged.
+        options: how candidates were compared.
         method: of the estimate.
         skipped: what was not computed, by reason, as counts.
         timings: seconds per stage, synchronised.
@@ -150,7 +150,7 @@ class Guidance:
 
 
 def _texel_information_gain(inputs: StrategyInputs) -> np.ndarray:
-    """Gain of every texel by each candidate, (C, t), those before it taken as photographed."""
+    """Return the information gain of every texel by each candidate in turn, (C, t)."""
     known, count = inputs.photographs, inputs.candidates.count
     forecast = inputs.forecast
     if forecast.is_separable:

@@ -49,11 +49,11 @@ def color_marginal(energies: list[Any]) -> ColorMarginal:
 
 
 class Measure(Protocol):
-    """A number that is the smaller, the more is known."""
+    """Uncertainty of a texel, from sums over the rows of its grid."""
 
     @property
     def unseen(self) -> float:
-        """Of a texel that no view sees."""
+        """Value of a texel that no view sees."""
 
     def start(self) -> list[Any]:
         """Sums of no row."""

@@ -1,4 +1,4 @@
-"""What strategies judge candidates by, each part made when it is first asked for."""
+"""Inputs of guidance strategies, each computed on first use."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LEAST_VARIANCE = 1e-4  # of a parameter's variance that others are compared with
 
 @dataclass(frozen=True)
 class StrategyInputs:
-    """C candidates, and t texels of an estimate that they are judged by, (t,) int64."""
+    """C candidates, and the t texels of an estimate that scores are means over, (t,) int64."""
 
     estimate: Estimate
     observed: Observed
@@ -69,7 +69,7 @@ class StrategyInputs:
 
     @cached_property
     def forecast(self) -> Forecast:
-        """What photographs from the candidates would say."""
+        """Forecast of the entropy with a photograph from each candidate."""
         return forecast_of(self.estimate, self.texels, self._packed, self.options)
 
     @cached_property
@@ -81,8 +81,8 @@ class StrategyInputs:
         """Return candidates by the squared error to expect, relative to that of seen texels."""
         posterior, seen = self.estimate.posterior, self.observed.coverage > 0
         if isinstance(posterior.kernel, CalibratedKernel):
-            # No candidate tells how bright the light is.
-            posterior = replace(posterior, kernel=posterior.kernel.apart())
+            # No candidate determines the brightness of the light.
+            posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
         present, prior = [], []
         for name, p in marginals(posterior.prior, list(posterior.axes)).items():
             nodes = posterior.axes[name]

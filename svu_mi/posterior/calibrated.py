@@ -25,7 +25,7 @@ from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.posterior.intervals import shortest
+from svu_mi.posterior.intervals import shortest_interval
 from svu_mi.posterior.kernel import Kernel, Pair, Prior, observed_by, require_scale
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.posterior import Posterior
@@ -43,7 +43,7 @@ from svu_mi.presets import preset as find_preset
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.statistics import Statistics
 
-SPAN = 2**17  # texels at a time, of whose nodes the masses are in memory
+TEXELS_PER_CHUNK = 2**17  # texels at a time, of whose nodes the masses are in memory
 FEWEST = 4  # levels of roughness that a spline goes through
 
 
@@ -143,7 +143,7 @@ class CalibratedKernel(Kernel):
 
     @cached_property
     def lane(self) -> np.ndarray:
-        """(T,) int64, which of the S texels each is; 0 for others."""
+        """(T,) int64, the lane among S of each texel; 0 for others."""
         texel = self.problem.factors.texel.numpy()
         return self.problem.factors.lane_of_texel(int(texel.max()) + 1 if len(texel) else 0)
 
@@ -165,15 +165,15 @@ class CalibratedKernel(Kernel):
         return p.reshape(len(p), *self.grid.shape, -1)
 
     def rows(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return masses and colours of bins of all other parameters (``calibrated_kernel.rows``),
-        of a few texels."""
+        """Return masses and colours of bins of all other parameters (``row_masses_and_colors``), of
+        a few texels."""
         return kernel.row_masses_and_colors(self.problem, self.lane[texels])
 
     def best(self, texels: np.ndarray) -> np.ndarray:
         """Return the most probable nodes (see ``Kernel``)."""
-        found, lanes = self.summary, self.lane[texels]
-        rows = np.array(found.best)[lanes].astype(np.int64)
-        of_channels = [np.array(color)[lanes] for color in found.best_colors]
+        summary, lanes = self.summary, self.lane[texels]
+        rows = np.array(summary.best)[lanes].astype(np.int64)
+        of_channels = [np.array(color)[lanes] for color in summary.best_colors]
         colors = np.repeat(np.stack(of_channels, axis=1), self.problem.copies, axis=1)
         shared = [np.repeat(node[:, None], colors.shape[1], axis=1)
                   for node in np.unravel_index(rows, self.grid.shape[:-1])]  # fmt: skip
@@ -181,20 +181,23 @@ class CalibratedKernel(Kernel):
 
     def moments(self, name: str, texels: np.ndarray) -> Pair:
         """Return mean and standard deviation (see ``Kernel``)."""
-        found, lanes = self.summary, self.lane[texels]
+        summary, lanes = self.summary, self.lane[texels]
         at = [list(self.grid.axes).index(name)]
         if name == "base_color":
             at = list(range(at[0], at[0] + self.problem.factors.channels)) * self.problem.copies
         mean, sd = (np.stack([np.array(x[k])[lanes] for k in at], axis=-1)
-                    for x in (found.mean, found.sd))  # fmt: skip
+                    for x in (summary.mean, summary.sd))  # fmt: skip
         return mean, np.hypot(sd, mean * self._common) if name == "base_color" else sd
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
         """Return the ends of intervals (see ``Kernel``)."""
         lanes = self.lane[texels]
         of = self._ends_of_color if name == "base_color" else partial(self._ends_of_nodes, name)
-        found = [of(level, lanes[first : first + SPAN]) for first in range(0, len(lanes), SPAN)]
-        low, high = (np.concatenate([ends[k] for ends in found]) for k in range(2))
+        chunks = [
+            of(level, lanes[first : first + TEXELS_PER_CHUNK])
+            for first in range(0, len(lanes), TEXELS_PER_CHUNK)
+        ]
+        low, high = (np.concatenate([ends[k] for ends in chunks]) for k in range(2))
         return low, high
 
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
@@ -206,19 +209,19 @@ class CalibratedKernel(Kernel):
         widest = self.moments(name, texels)[1].argmax(axis=1)
         parts = uniform_axis(self.grid.axes[name], COLOR_PARTS)
         (masses,) = kernel.color_masses(problem, parts, self.lane[texels], widest)
-        low, high = shortest(masses, parts, len(texels), level)
+        low, high = shortest_interval(masses, parts, len(texels), level)
         return (np.array(high) - np.array(low)) / 2
 
     def _ends_of_nodes(self, name: str, level: float, lanes: np.ndarray) -> Pair:
         masses = kernel.node_masses(self.problem, name, lanes)
-        low, high = shortest(masses, self.problem.axis(name), len(lanes), level)
+        low, high = shortest_interval(masses, self.problem.axis(name), len(lanes), level)
         return np.array(low)[:, None], np.array(high)[:, None]
 
     def _ends_of_color(self, level: float, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         problem = self.problem
         parts = uniform_axis(self.grid.axes["base_color"], COLOR_PARTS)
         tables = kernel.color_masses(problem, parts, lanes)
-        ends = [shortest(masses, parts, len(lanes), level) for masses in tables]
+        ends = [shortest_interval(masses, parts, len(lanes), level) for masses in tables]
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
         low, high = (np.repeat(end, problem.copies, axis=1) for end in (low, high))
         if not any(self.common):
@@ -245,8 +248,8 @@ class CalibratedKernel(Kernel):
                 drawn[name][number] = np.stack([np.array(x) for x in values], axis=-1)
         return drawn
 
-    def apart(self) -> CalibratedKernel:
-        """Return the kernel of texels for themselves: without what they have in common."""
+    def without_common_scale(self) -> CalibratedKernel:
+        """Return the kernel without the uncertainty of the scale that all texels share."""
         return replace(self, common=(0.0, 0.0, 0.0)) if any(self.common) else self
 
     @property

@@ -12,17 +12,19 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior.quadrature import QuadratureAxis
 from svu_mi.statistics.texel_blocks import BLOCK, texel_offset
 
-LEVEL = 0.9  # probability that an interval holds, where nobody says another
-ENOUGH = 4096  # texels that say what part of a surface is known
+LEVEL = 0.9  # default probability of an interval
+SUBSAMPLE = 4096  # texels that represent a surface
 
 
-def subsample(texels: np.ndarray, most: int = ENOUGH) -> np.ndarray:
-    """Take at most so many of texels, at equal steps: neighbours in order are neighbours."""
+def subsample(texels: np.ndarray, most: int = SUBSAMPLE) -> np.ndarray:
+    """Take at most ``most`` texels, evenly spaced."""
     count = min(len(texels), most)
     return np.asarray(texels[np.arange(count) * len(texels) // max(count, 1)])
 
 
-def shortest(masses: Any, parts: QuadratureAxis, count: int, level: float) -> tuple[Any, Any]:
+def shortest_interval(
+    masses: Any, parts: QuadratureAxis, count: int, level: float
+) -> tuple[Any, Any]:
     """Return low and high, Floats (S,), of the shortest run of parts with probability ``level``.
 
     ``masses`` is a Float in blocks: a row for each part, any sum.

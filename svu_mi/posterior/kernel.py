@@ -13,7 +13,7 @@ import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.posterior.grid import Grid
-from svu_mi.posterior.intervals import shortest
+from svu_mi.posterior.intervals import shortest_interval
 from svu_mi.posterior.quadrature import bin_axis
 from svu_mi.posterior.row_entropy import entropy_of
 from svu_mi.posterior.tables import draw_bins, marginals
@@ -168,7 +168,7 @@ class GridKernel(Kernel):
         """Return the ends of runs of bins (see ``Kernel``)."""
         p, parts = self._marginal(name)[texels], bin_axis(self.grid.axes[name])
         ends = [
-            shortest(to_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
+            shortest_interval(to_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
             for g in range(p.shape[-1])
         ]
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))

@@ -1,6 +1,6 @@
-"""Observed: a capture's photographs, light, texels and their visibility, each found once.
+"""Observed: a capture's photographs, light, texels and their visibility, each computed once.
 
-Every consumer of a capture continues from here: silhouettes are found once, rays to the cameras
+Every consumer of a capture continues from here: silhouettes are computed once, rays to the cameras
 and to the cells of the light are traced once, whichever estimate, recovery, forecast or reference
 needs them first.
 """

@@ -46,7 +46,7 @@ def make_plan(
     grid: ParameterGrid | PrincipledGrid,
     prior: tuple[np.ndarray, np.ndarray] | None,
 ) -> Plan:
-    """Plan the work; ``prior`` are the tables of ``streaming.log_prior``."""
+    """Plan the work; ``prior`` are the tables of ``row_entropy.log_prior``."""
     grey_light = skip.channels and switches.colors == 3 and observed.lighting.environment.grey
     # Grey photographs of coloured light: no less work.
     grey = grey_light and observed.views.grey

@@ -1,4 +1,4 @@
-"""What recovery starts from: an estimate in colour, and the means of its posterior."""
+"""Starting point of a recovery: an estimate in colour, and the means of its posterior."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from svu_mi.statistics.gather_statistics import Weighting
 def estimate_for_textures(
     given: Estimate | None, observed: Observed, *, robust: int, sharing: bool, progress: Progress
 ) -> Estimate:  # fmt: skip
-    """Return an estimate whose posterior textures can be recovered from.
+    """Return an estimate in colour that knows its noise.
 
     That is the given one if it is in colour and knows its noise. Another is made again, with its
     reflection model and what is known; rays are not.
@@ -46,7 +46,7 @@ def estimate_for_textures(
 
 
 def supports_texture_field(estimated: Estimate) -> bool:
-    """Return whether an estimate is in colour and knows its noise, as ``texture_field`` asks."""
+    """Return whether an estimate is in colour and knows its noise."""
     kernel = estimated.posterior.kernel
     return isinstance(kernel, CalibratedKernel) and kernel.channels == CHANNELS["base_color"]
 
@@ -73,7 +73,7 @@ def _reestimated_in_color(estimated: Estimate, observed: Observed, progress: Pro
 
 
 def roughness_prior(estimated: Estimate) -> np.ndarray | None:
-    """Return the weights that an estimate was asked with, summed to one per roughness, if any."""
+    """Return an estimate's prior, summed over all but roughness; None without one."""
     if estimated.prior is None:
         return None
     rows = estimated.posterior.grid.shape[0]
@@ -81,7 +81,7 @@ def roughness_prior(estimated: Estimate) -> np.ndarray | None:
 
 
 def known_parameters(estimated: Estimate) -> dict[str, float]:
-    """Return the parameters that are not in question, by name."""
+    """Return the known parameters of an estimate, by name."""
     return {
         name: float(nodes[0])
         for name, nodes in estimated.posterior.axes.items()
@@ -90,7 +90,7 @@ def known_parameters(estimated: Estimate) -> dict[str, float]:
 
 
 def _reweighted(estimated: Estimate, observed: Observed) -> Posterior[CalibratedKernel]:
-    """Gather again, samples counting less the more the present means are off."""
+    """Gather again, with samples weighted by their residual at the present means."""
     posterior, switches = estimated.posterior, estimated.switches
     assert isinstance(posterior.kernel, CalibratedKernel) and isinstance(switches, AngularPreset)
     factors = posterior.kernel.problem.factors
@@ -111,8 +111,7 @@ def _reweighted(estimated: Estimate, observed: Observed) -> Posterior[Calibrated
 
 
 def posterior_means(estimated: Estimate) -> Textures:
-    """Return the means of a posterior in colour as textures; texels that nobody saw take the mean
-    of the others."""
+    """Return posterior means as textures; unseen texels take the mean of the others."""
     posterior: Any = estimated.posterior
     means, _ = texel_moments(posterior)
     seen = posterior.observed

@@ -1,7 +1,7 @@
-"""The paper's side of a recovery: its models, and the posterior of Eq. 11 that it shares by.
+"""Presets of the paper for a recovery: its models, and the posterior of Eq. 11 for sharing.
 
-A recovery that goes on from an estimate takes its switches over if it is one of preset ``paper``,
-say with another degree, and what it says of roughness: a value that is known, and a prior.
+An estimate of preset ``paper`` as the source, say with another degree, keeps its preset, and a
+known value or prior of roughness.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from svu_mi.recovery.regularizers.global_sharing import PAPER_SETTINGS, SEEDS, G
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """What is printed, for one recovery.
+    """Presets of the paper, for one recovery.
 
     Attributes:
-        given: the estimate that it goes on from, or None.
-        known: parameters that are not in question, by name.
+        given: the estimate that recovery starts from, or None.
+        known: known parameters, by name.
     """
 
     given: Estimate | None
     known: Mapping[str, float]
 
     def switches(self, method: Literal["angular", "spectrum"]) -> Any:
-        """Return preset ``paper`` of a method, as the given estimate has it if it is one."""
-        own = self._own(method)
+        """Return preset ``paper`` of a method, the given estimate's if it has one."""
+        own = self._paper_estimate(method)
         return preset("paper", method=method) if own is None else own.preset
 
-    def _own(self, method: str) -> Estimate | None:
+    def _paper_estimate(self, method: str) -> Estimate | None:
         """Return the given estimate if it is the paper's by this method."""
         given = self.given
         is_own = given and given.method == method and given.preset.name == "paper"
         return given if is_own else None
 
     def record(self) -> dict[str, Any]:
-        """Return the rule of Eq. 14 and 15, and the posterior that it goes by."""
-        grid, prior = self._question()
+        """Return the rule of Eq. 14 and 15, and the posterior of its weights."""
+        grid, prior = self._grid_and_prior()
         posterior = {
             "method": "spectrum", **asdict(self.switches("spectrum")), "grid": asdict(grid),
             "prior": None if prior is None else np.asarray(prior).tolist(),
@@ -58,9 +58,9 @@ class PaperSettings:
 
     def sharing(self, observed: Observed, around: Neighbors, progress: Progress) -> GlobalSharing:
         """Find the most certain texels by the posterior of Eq. 11."""
-        certain = self._spectra()
+        certain = self._spectrum_estimate()
         if certain is None:
-            grid, prior = self._question()
+            grid, prior = self._grid_and_prior()
             certain = estimate(
                 observed, method="spectrum", preset=self.switches("spectrum"), grid=grid,
                 prior=prior, progress=progress,
@@ -68,14 +68,14 @@ class PaperSettings:
         with progress.stage("Finding seeds"):
             return GlobalSharing.printed(certain, around)
 
-    def _spectra(self) -> Estimate | None:
+    def _spectrum_estimate(self) -> Estimate | None:
         """Return the given estimate if it is the paper's, over (roughness, Ks)."""
-        own = self._own("spectrum")
+        own = self._paper_estimate("spectrum")
         return own if own and isinstance(own.posterior.grid, ParameterGrid) else None
 
-    def _question(self) -> tuple[ParameterGrid, Any | None]:
-        """Return the grid of Eq. 11 and the prior, as far as they are about roughness."""
-        if (given := self._spectra()) is not None:
+    def _grid_and_prior(self) -> tuple[ParameterGrid, Any | None]:
+        """Return the grid of Eq. 11, and the prior of roughness."""
+        if (given := self._spectrum_estimate()) is not None:
             grid = given.posterior.grid
             assert isinstance(grid, ParameterGrid)
             return grid, given.prior

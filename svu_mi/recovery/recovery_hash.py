@@ -1,4 +1,4 @@
-"""What a recovery works on, as digests: a checkpoint knows its run by them."""
+"""Digests of the inputs of a recovery, by which a checkpoint identifies its run."""
 
 from __future__ import annotations
 

@@ -171,7 +171,7 @@ class RecoveryRun:
             return per_texture(self._paper_sharing)
         if isinstance(options, ShOptions) and options.loss == "statistics":
             return None  # its posterior has the prior already
-        return QuadraticPrior.by_trust(self.posterior, self.texels)
+        return QuadraticPrior.weighted_by_information(self.posterior, self.texels)
 
     def default_start(self) -> Textures:
         """Return 0.5, known values, and the scene's own of parameters that are not recovered."""

@@ -1,4 +1,4 @@
-"""SVBRDF textures: what recovery starts from, and what it returns."""
+"""SVBRDF textures: base colour, roughness and metallic over a UV map."""
 
 from __future__ import annotations
 

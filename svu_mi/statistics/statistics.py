@@ -77,7 +77,7 @@ class Statistics:
 
     Attributes:
         sums: (ceil(S / 16) * (R * C * P + 1) * 16,) Float64, squared radiance, in blocks (see
-            ``blocks``): for level, channel and pair of columns, sum w x y. Then sum w.
+            ``texel_blocks``): for level, channel and pair of columns, sum w x y. Then sum w.
         counts: (S,) Float, number of views of each texel; partly saturated ones count in part.
         texel: (S,) UInt32, number among all texels.
         roughness: (R,) float64 of the levels.

@@ -252,7 +252,7 @@ def test_the_level_is_asked_of_views_that_face_the_surface():
     steep = np.where(samples.owner < 3, 0.2, 0.9).astype(np.float32)
     steep[samples.owner == 5] = np.where(np.arange(9) < FEWEST - 1, 0.9, FACING)
     samples = replace(samples, cosine=steep)
-    facing, which = samples.facing()
+    facing, which = samples.without_steep_views()
     left = [3, 4, 6, 7, 8, 9, 10, 11]
     np.testing.assert_array_equal(which, np.flatnonzero(np.isin(samples.owner, left)))
     np.testing.assert_array_equal(facing.owner, np.repeat(np.arange(8), 9))
@@ -260,7 +260,7 @@ def test_the_level_is_asked_of_views_that_face_the_surface():
         np.testing.assert_array_equal(getattr(facing, name), getattr(samples, name)[which])
     normals = (each.surface.normal.numpy().T for each in (facing, samples))
     np.testing.assert_array_equal(next(normals), next(normals)[left])
-    everything, which = replace(samples, cosine=np.full(samples.count, 0.1)).facing()
+    everything, which = replace(samples, cosine=np.full(samples.count, 0.1)).without_steep_views()
     assert everything.count == len(which) == samples.count  # better than nothing
 
 

@@ -134,8 +134,8 @@ def test_light_and_gains_are_found_together():
     shown = replace(
         samples, radiance=(samples.radiance * np.exp(true)[samples.view]).astype(np.float32)
     )
-    fit = LightProblem(shown, SWITCHES, gains=True).light(((64, 9),))
-    alone = LightProblem(shown, SWITCHES).light(((64, 9),))
+    fit = LightProblem(shown, SWITCHES, gains=True).solve(((64, 9),))
+    alone = LightProblem(shown, SWITCHES).solve(((64, 9),))
     assert fit.gains is not None and alone.gains is None and not fit.gains.odd.any()
     assert np.sqrt(np.mean((fit.gains.logarithm - true) ** 2)) < 0.03
     np.testing.assert_allclose(fit.gains.logarithm.mean(axis=0), 0, atol=1e-9)

@@ -541,8 +541,8 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
     for index in (3, 4, 9, 20, 21):
         write_exr(folder / f"view_{index:04d}.exr", {"RGB": np.zeros((24, 24, 3))})
         (folder / f"view_{index:04d}.png").unlink()
-    found = load_capture(path).warnings
-    assert found == (
+    sentences = load_capture(path).warnings
+    assert sentences == (
         f"{folder}: 25 of 30 photographs (view_0000.png, view_0001.png, view_0002.png and 22 "
         "more): 8-bit, not HDR; decoded as sRGB, 1200 saturated pixels count as at least so "
         "bright. Clipped highlights hide gloss: use HDR.",
@@ -722,8 +722,8 @@ BRIGHT = {
 )
 def test_shapes_that_are_not_black_are_said(bsdf, said):
     target = shape_of(PRINCIPLED)
-    found = unsupported(make_scene([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
-    assert [each.startswith("Light reflected by 'wall' falls") for each in found] == [True] * said
+    notes = unsupported(make_scene([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
+    assert [each.startswith("Light reflected by 'wall' falls") for each in notes] == [True] * said
 
 
 def test_several_shapes_that_reflect_are_one_sentence():

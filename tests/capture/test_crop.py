@@ -64,8 +64,8 @@ def test_a_window_sees_what_the_whole_photograph_does_there():
 def _pixels(sensor, points):
     it = mi.SurfaceInteraction3f()
     it.p = mi.Point3f(*points.T.astype(np.float32))
-    found, _ = sensor.sample_direction(it, mi.Point2f(0.5))
-    return np.array(found.uv).T.astype(np.float64)
+    sample, _ = sensor.sample_direction(it, mi.Point2f(0.5))
+    return np.array(sample.uv).T.astype(np.float64)
 
 
 def test_the_object_is_kept_whole_with_the_pixels_that_texels_can_use(shot, large):
@@ -109,10 +109,10 @@ def test_cropping_alone_changes_nothing(shot, large):
     whole = svu.load_capture(shot)
     kept = svu.load_capture(shot, detail=Detail(texels=(512, 512)))
     assert any(a.shape != b.shape for a, b in zip(whole.images, kept.images, strict=True))
-    found = [svu.estimate(each, svu.texels(each.mesh, 48)) for each in (whole, kept)]
-    same = np.array(found[0].coverage) == np.array(found[1].coverage)
+    estimates = [svu.estimate(each, svu.texels(each.mesh, 48)) for each in (whole, kept)]
+    same = np.array(estimates[0].coverage) == np.array(estimates[1].coverage)
     assert same.mean() > 0.999
-    entropy = [np.array(each.entropy)[same] for each in found]
+    entropy = [np.array(each.entropy)[same] for each in estimates]
     np.testing.assert_allclose(entropy[1], entropy[0], atol=1e-3)
     assert np.abs(entropy[1] - entropy[0]).mean() < 1e-5
 
@@ -130,21 +130,21 @@ def test_a_pixel_is_the_mean_of_its_block(kind, request, large):
         np.testing.assert_array_equal(kept.masks[view], mask)
         if whole.clipped and whole.clipped[view] is not None:
             flags = whole.clipped[view].flags.reshape(16, 2, 20, 2, 3).all(axis=(1, 3))
-            found = kept.clipped[view]
-            assert not flags.any() if found is None else (found.flags == flags).all()
+            saturation = kept.clipped[view]
+            assert not flags.any() if saturation is None else (saturation.flags == flags).all()
 
 
 @pytest.mark.parametrize("kind", ["shot", "integers"])
 def test_photographs_in_a_file_say_the_same_to_the_bit(kind, request, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     folder = request.getfixturevalue(kind)
-    found = []
+    estimates = []
     for memory in (None, 0.0):
         capture = svu.load_capture(folder, memory=memory)
-        found.append(svu.estimate(capture, svu.texels(capture.mesh, 32)))
-    np.testing.assert_array_equal(np.array(found[0].entropy), np.array(found[1].entropy))
+        estimates.append(svu.estimate(capture, svu.texels(capture.mesh, 32)))
+    np.testing.assert_array_equal(np.array(estimates[0].entropy), np.array(estimates[1].entropy))
     assert not list(tmp_path.iterdir())  # the file has no name
-    views = found[1].observed.views
+    views = estimates[1].observed.views
     assert views.number == 8
 
 
@@ -237,6 +237,6 @@ def test_a_large_jpeg_is_imported_as_it_is(shot, monkeypatch, tmp_path, capsys):
             np.testing.assert_allclose(a.least, b.least, rtol=1e-5)
     for a, b in zip(one.rounding, other.rounding, strict=True):
         np.testing.assert_allclose([*a.first, *a.slope], [*b.first, *b.slope], rtol=1e-5)
-    found = [svu.estimate(each, svu.texels(each.mesh, 24)) for each in (one, other)]
-    entropy = [np.array(each.entropy) for each in found]
+    estimates = [svu.estimate(each, svu.texels(each.mesh, 24)) for each in (one, other)]
+    entropy = [np.array(each.entropy) for each in estimates]
     assert np.abs(entropy[1] - entropy[0]).mean() < 2e-3

@@ -38,16 +38,16 @@ def test_nothing_of_the_object_lies_beyond_the_window(
     monkeypatch.setattr(module, "MANY", many)
     place = sensor(distance, aside=aside)
     scene, texture = object_only_scene(vase.capture), np.random.default_rng(5).random((9, 7, 3))
-    found = ObjectView.of(scene, place)
+    view = ObjectView.of(scene, place)
     width, height = film_size(place)
     monkeypatch.setattr(module, "_window", lambda *_: (slice(0, height), slice(0, width)))
     whole = ObjectView.of(scene, place)
-    np.testing.assert_array_equal(found.covered, whole.covered)
-    np.testing.assert_array_equal(found.painted(texture), whole.painted(texture))
-    np.testing.assert_array_equal(found.values(texture), whole.values(texture))
-    assert bool(found.covered.any()) == covers
+    np.testing.assert_array_equal(view.covered, whole.covered)
+    np.testing.assert_array_equal(view.painted(texture), whole.painted(texture))
+    np.testing.assert_array_equal(view.values(texture), whole.values(texture))
+    assert bool(view.covered.any()) == covers
     if distance > 2:
-        assert found.shade.numpy().size < whole.shade.numpy().size
+        assert view.shade.numpy().size < whole.shade.numpy().size
 
 
 def test_points_are_where_mitsuba_shows_them(vase: SimpleNamespace) -> None:

@@ -17,6 +17,6 @@ def test_what_is_written_later_does_not_show(count):
     last = dr.opaque(mi.UInt32, 3000)
     dr.eval(dr.while_loop(start, lambda i, _: i < last, lambda i, x: (i + 1, x + 1))[1])
     values = np.full(count, 3, np.float32)
-    found = to_drjit(mi.Float, values)
+    copied = to_drjit(mi.Float, values)
     values[:] = 9
-    assert (found.numpy() == 3).all()
+    assert (copied.numpy() == 3).all()

@@ -54,10 +54,10 @@ def test_any_memory_layout_is_stored_as_it_reads(tmp_path, layout):
 
 def test_grouped_channels_are_stored_one_by_one(tmp_path):
     write_exr(tmp_path / "a.exr", {"RGB": RGB[::-1], "base.RGBA": np.dstack([RGB, RGB[..., :1]])})
-    found = stored(tmp_path / "a.exr")
-    assert sorted(found) == ["B", "G", "R", "base.A", "base.B", "base.G", "base.R"]
-    np.testing.assert_array_equal(found["G"], RGB[::-1, :, 1])
-    np.testing.assert_array_equal(found["base.A"], RGB[..., 0])
+    channels = stored(tmp_path / "a.exr")
+    assert sorted(channels) == ["B", "G", "R", "base.A", "base.B", "base.G", "base.R"]
+    np.testing.assert_array_equal(channels["G"], RGB[::-1, :, 1])
+    np.testing.assert_array_equal(channels["base.A"], RGB[..., 0])
 
 
 def test_half_floats_on_request(tmp_path):
@@ -73,8 +73,8 @@ def test_half_floats_on_request(tmp_path):
 def test_attributes_come_back(tmp_path):
     given = {"svu:config": '{"a": [1]}', "svu:views": np.int64(24), "svu:sigma": 0.5}
     write_exr(tmp_path / "a.exr", {"Y": np.zeros((2, 3))}, given)
-    found = read_header(tmp_path / "a.exr").attributes
-    assert {name: found[name] for name in given} == given
+    attributes = read_header(tmp_path / "a.exr").attributes
+    assert {name: attributes[name] for name in given} == given
     for value, sentence in (([1], "a list"), (2**40, "32 bits"), (None, "NoneType")):
         with pytest.raises(OutputError, match=sentence):
             write_exr(tmp_path / "a.exr", {"Y": np.zeros((2, 2))}, {"svu:x": value})

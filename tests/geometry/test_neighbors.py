@@ -43,8 +43,8 @@ def together(*parts: MeshArrays):
     ))  # fmt: skip
 
 
-def links(found: Neighbors) -> set[tuple[int, int]]:
-    first, second = (column.numpy().tolist() for column in found.pairs)
+def links(graph: Neighbors) -> set[tuple[int, int]]:
+    first, second = (column.numpy().tolist() for column in graph.pairs)
     return set(zip(first, second, strict=True))
 
 
@@ -55,16 +55,16 @@ def spread(where: Texels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return where.position.numpy().T, where.geometric_normal.numpy().T, cell
 
 
-def check_consistent(found: Neighbors, count: int) -> None:
+def check_consistent(graph: Neighbors, count: int) -> None:
     """Pairs and table say the same, and the table is symmetric."""
-    first, second = (column.numpy() for column in found.pairs)
-    assert (first < second).all() and len(links(found)) == len(first)
-    table = found.table()
-    assert table.shape == (len(found.around), count) and len(table) <= MOST
+    first, second = (column.numpy() for column in graph.pairs)
+    assert (first < second).all() and len(links(graph)) == len(first)
+    table = graph.table()
+    assert table.shape == (len(graph.around), count) and len(table) <= MOST
     here = np.broadcast_to(np.arange(count), table.shape)
     listed = set(zip(here[table != here].tolist(), table[table != here].tolist(), strict=True))
     assert len(listed) == (table != here).sum()  # nobody is listed twice
-    assert listed == links(found) | {(b, a) for a, b in links(found)}
+    assert listed == links(graph) | {(b, a) for a, b in links(graph)}
 
 
 @pytest.mark.parametrize("resolution", [(64, 32), 96, (33, 71)])
@@ -72,10 +72,10 @@ def test_the_borders_of_a_sphere_meet(resolution):
     """Left and right border of the map are one meridian, and the chart has no other end."""
     mesh = make_mesh("ball", ball())
     where = texels(mesh, resolution)
-    found = neighbors(where, mesh)
-    check_consistent(found, where.count)
+    graph = neighbors(where, mesh)
+    check_consistent(graph, where.count)
     _, _, cell = spread(where)
-    joined, met = links(found), []
+    joined, met = links(graph), []
     for y in np.unique(cell[:, 1]):
         row = np.flatnonzero(cell[:, 1] == y)
         left, right = sorted(row[[cell[row, 0].argmin(), cell[row, 0].argmax()]].tolist())
@@ -101,11 +101,11 @@ def test_a_plane_cut_into_charts_has_the_neighbours_of_a_whole_one():
     mesh = together(left, turned)
     where = texels(mesh, 32)
     assert where.count == 128 * 2
-    found = neighbors(where, mesh)
-    check_consistent(found, where.count)
-    assert links(found) == brute_force(where, 1.2)  # one step away, but not the diagonal's 1.4
-    assert found.seams == 16
-    assert len(links(neighbors(where))) == len(links(found)) - 16
+    graph = neighbors(where, mesh)
+    check_consistent(graph, where.count)
+    assert links(graph) == brute_force(where, 1.2)  # one step away, but not the diagonal's 1.4
+    assert graph.seams == 16
+    assert len(links(neighbors(where))) == len(links(graph)) - 16
 
 
 def test_charts_that_touch_in_the_map_only_are_apart():
@@ -114,10 +114,10 @@ def test_charts_that_touch_in_the_map_only_are_apart():
         quad((9, 0, 0), (4, 0, 0), (0, 4, 0), (0.5, 0, 1, 0.5)),
     )
     where = texels(mesh, 16)
-    found = neighbors(where, mesh)
-    assert found.seams == 0
-    assert links(found) == brute_force(where, 1.2)
-    assert len(links(neighbors(where))) == len(links(found)) + 8  # which does not know the mesh
+    graph = neighbors(where, mesh)
+    assert graph.seams == 0
+    assert links(graph) == brute_force(where, 1.2)
+    assert len(links(neighbors(where))) == len(links(graph)) + 8  # which does not know the mesh
 
 
 @pytest.mark.parametrize("uv", [(0.5, 0, 1, 0.5), (0.25, 0.5, 0.75, 1.0)])
@@ -127,11 +127,11 @@ def test_the_sides_of_a_thin_sheet_are_apart(uv):
     back = quad((4, 0, -0.05), (-4, 0, 0), (0, 4, 0), uv)
     mesh = together(front, back)
     where = texels(mesh, 16)
-    found = neighbors(where, mesh)
+    graph = neighbors(where, mesh)
     _, normal, _ = spread(where)
-    first, second = (column.numpy() for column in found.pairs)
+    first, second = (column.numpy() for column in graph.pairs)
     assert ((normal[first] * normal[second]).sum(axis=1) > 0.9).all()
-    assert found.seams == 0
+    assert graph.seams == 0
 
 
 def test_the_faces_of_a_cube_meet_at_its_edges():
@@ -140,10 +140,10 @@ def test_the_faces_of_a_cube_meet_at_its_edges():
     side = quad((4, 0, 0), (0, 0, -4), (0, 4, 0), (0.5, 0.5, 1, 1))
     mesh = together(top, side)
     where = texels(mesh, 16)
-    found = neighbors(where, mesh)
-    assert found.seams == 8
+    graph = neighbors(where, mesh)
+    assert graph.seams == 8
     position, _, _ = spread(where)
-    first, second = (column.numpy() for column in found.pairs)
+    first, second = (column.numpy() for column in graph.pairs)
     across = np.abs(position[first, 2] - position[second, 2]) > 1e-3
     across &= np.minimum(position[first, 2], position[second, 2]) > -0.3
     across &= np.maximum(position[first, 2], position[second, 2]) > -1e-3
@@ -154,21 +154,21 @@ def test_the_faces_of_a_cube_meet_at_its_edges():
 def test_a_single_texel_has_no_neighbour():
     mesh = together(quad((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1, 1)))
     for given in (mesh, None):
-        found = neighbors(texels(mesh, 1), given)
-        assert links(found) == set()
-        np.testing.assert_array_equal(found.table(), [[0]])
+        graph = neighbors(texels(mesh, 1), given)
+        assert links(graph) == set()
+        np.testing.assert_array_equal(graph.table(), [[0]])
 
 
 @pytest.mark.parametrize("size", [1, 2, 3])
 def test_a_fold_finds_every_neighbour_of_every_lane_once(size):
     """Up to five of a ball's texels along its seam, fewer at the poles."""
     mesh = make_mesh("ball", ball(96, 48))
-    found = neighbors(texels(mesh, (48, 32)), mesh)
-    table, own = found.table(), np.arange(found.count)
+    graph = neighbors(texels(mesh, (48, 32)), mesh)
+    table, own = graph.table(), np.arange(graph.count)
     assert ((table != own).sum(axis=0) > 4).any() and ((table != own).sum(axis=0) < 4).any()
-    values = np.random.default_rng(4).integers(1, 1000, (found.count, size))
+    values = np.random.default_rng(4).integers(1, 1000, (graph.count, size))
     numbers = mi.UInt32(values.ravel().astype(np.uint32))
-    around = lanes_of(found.around, size)
+    around = lanes_of(graph.around, size)
     total = over_neighbors(
         around, lambda other, sum: sum + dr.gather(mi.UInt32, numbers, other),
         dr.zeros(mi.UInt32, dr.width(around[0])),
@@ -192,10 +192,10 @@ def test_neighbours_are_near_and_face_the_same_way(name, resolution):
     scene = mi.load_file(str(svu_mi.scenes.path(name)), optimize=False)
     mesh = next(shape for shape in scene.shapes() if shape.is_mesh())
     where = texels(mesh, resolution)
-    found = neighbors(where, mesh)
-    check_consistent(found, where.count)
+    graph = neighbors(where, mesh)
+    check_consistent(graph, where.count)
     position, normal, cell = spread(where)
-    first, second = (column.numpy() for column in found.pairs)
+    first, second = (column.numpy() for column in graph.pairs)
     assert ((normal[first] * normal[second]).sum(axis=1) > OPPOSITE).all()
     # No longer than the longest step in the map allows; stretched charts have long ones.
     apart = np.linalg.norm(position[first] - position[second], axis=1)
@@ -205,5 +205,5 @@ def test_neighbours_are_near_and_face_the_same_way(name, resolution):
         np.maximum.at(longest, side[in_map], apart[in_map])
     assert (apart <= 2 * REACH * np.maximum(longest[first], longest[second])).all()
     if name in ("knot", "vase"):  # closed around the axis: hardly anyone has a loose end
-        degree = (found.table() != np.arange(where.count)).sum(axis=0)
+        degree = (graph.table() != np.arange(where.count)).sum(axis=0)
         assert (degree >= 4).mean() > 0.97

@@ -74,8 +74,8 @@ def odd_sensors(target):
         {"film": [64, 64], "crop_size": [64, 64]},
         {"film": [1, 1], "crop_size": [1, 1]},
     ]
-    found = sphere_sensors(target, len(changes), (64, 64))
-    records = [{**describe(s), **c} for s, c in zip(found, changes, strict=True)]
+    sensors = sphere_sensors(target, len(changes), (64, 64))
+    records = [{**describe(s), **c} for s, c in zip(sensors, changes, strict=True)]
     inside = np.array(records[3]["to_world"])
     inside[:3, 3] *= 0.25  # its film shows the object only, whose box reaches behind it
     records[3] = {**records[3], "to_world": inside.tolist(), "x_fov": 70.0}

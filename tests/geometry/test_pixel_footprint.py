@@ -25,20 +25,20 @@ def seen_by(tmp_path, image, resolution, mask=None):
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
     sensor = sphere_sensors(mi.load_dict({"type": "sphere"}), 5, (FILM, FILM))[2]
     capture = memory_capture(scene, [image], [sensor], masks=(mask,))
-    found = texels(capture.mesh, resolution)
-    views, surface = pack_views(capture), TexelLanes.of(found)
+    layout = texels(capture.mesh, resolution)
+    views, surface = pack_views(capture), TexelLanes.of(layout)
     bits = trace_visibility(views, surface).bits
     seen = bits.test(mi.UInt32(0), surface.index)
     sample = sample_visible(views, surface, mi.UInt32(0), seen)
     dr.eval(sample.radiance, sample.contrast, seen)
-    return sample, found, sensor, seen.numpy()
+    return sample, layout, sensor, seen.numpy()
 
 
-def corners(found, sensor, u, v):
+def corners(layout, sensor, u, v):
     """Pixel coordinates (T, 2), 0 at a pixel's centre, of points at (u, v) of every texel."""
-    it = dr.zeros(mi.SurfaceInteraction3f, found.count)
+    it = dr.zeros(mi.SurfaceInteraction3f, layout.count)
     u, v = (dr.opaque(mi.Float, x) for x in (u, v))  # as literals, each would be a kernel
-    it.p = found.position + u * found.sides[0] + v * found.sides[1]
+    it.p = layout.position + u * layout.sides[0] + v * layout.sides[1]
     exact, _ = sensor.sample_direction(it, mi.Point2f(0.5))
     return exact.uv.numpy().T - 0.5
 
@@ -55,20 +55,20 @@ def test_sides_are_those_of_the_texels(tmp_path):
         scene, [np.ones((8, 8, 3), np.float32)],
         sphere_sensors(mi.load_dict({"type": "sphere"}), 1, (8, 8)),
     )  # fmt: skip
-    found = texels(capture.mesh, (96, 64))
-    position, index = found.position.numpy().T, found.index.numpy().astype(int)
+    layout = texels(capture.mesh, (96, 64))
+    position, index = layout.position.numpy().T, layout.index.numpy().astype(int)
     place = np.full(96 * 64, -1)
-    place[index] = np.arange(found.count)
-    for side, step in zip(found.sides, (1, 96), strict=True):
+    place[index] = np.arange(layout.count)
+    for side, step in zip(layout.sides, (1, 96), strict=True):
         other = place[np.minimum(index + step, 96 * 64 - 1)]
-        same = (other >= 0) & (found.face.numpy()[other] == found.face.numpy())
+        same = (other >= 0) & (layout.face.numpy()[other] == layout.face.numpy())
         assert same.sum() > 500
         along = position[other[same]] - position[same]
         assert np.abs(along - side.numpy().T[same]).max() < 1e-5
 
 
 def test_a_large_texel_is_the_mean_of_its_pixels(tmp_path, noise):
-    sample, found, sensor, seen = seen_by(tmp_path, noise, 24)
+    sample, layout, sensor, seen = seen_by(tmp_path, noise, 24)
     facing = seen & (np.array(sample.cosine) > 0.5)
     assert facing.sum() > 20
     # The photograph, interpolated, at 40 x 40 points all over each texel.
@@ -76,11 +76,11 @@ def test_a_large_texel_is_the_mean_of_its_pixels(tmp_path, noise):
     values = []
     for u in steps:
         for v in steps:
-            x, y = corners(found, sensor, float(u), float(v))[facing].T
+            x, y = corners(layout, sensor, float(u), float(v))[facing].T
             values.append([map_coordinates(noise[..., c], [y, x], order=1) for c in range(3)])
     exact, plain = np.mean(values, axis=0), np.std(noise)
     error = np.array(sample.radiance)[:, facing] - exact
-    spans = [np.linalg.norm(corners(found, sensor, *p) - corners(found, sensor, 0.0, 0.0), axis=1)
+    spans = [np.linalg.norm(corners(layout, sensor, *p) - corners(layout, sensor, 0.0, 0.0), axis=1)
              for p in ((1.0, 0.0), (0.0, 1.0))]  # fmt: skip
     number = np.median(spans[0][facing] * spans[1][facing])
     assert number > 30
@@ -94,12 +94,12 @@ def test_a_large_texel_is_the_mean_of_its_pixels(tmp_path, noise):
 
 
 def test_a_small_texel_is_one_look_up(tmp_path, noise):
-    sample, found, sensor, seen = seen_by(tmp_path, noise, 256)
-    spans = [np.linalg.norm(corners(found, sensor, *p) - corners(found, sensor, 0.0, 0.0), axis=1)
+    sample, layout, sensor, seen = seen_by(tmp_path, noise, 256)
+    spans = [np.linalg.norm(corners(layout, sensor, *p) - corners(layout, sensor, 0.0, 0.0), axis=1)
              for p in ((1.0, 0.0), (0.0, 1.0))]  # fmt: skip
     small = seen & (np.maximum(*spans) < 0.98 * SPACING)
     assert small.sum() > 1000
-    x, y = corners(found, sensor, 0.0, 0.0)[small].T
+    x, y = corners(layout, sensor, 0.0, 0.0)[small].T
     exact = [map_coordinates(noise[..., c], [y, x], order=1) for c in range(3)]
     assert np.abs(np.array(sample.radiance)[:, small] - exact).max() < 5e-3
 
@@ -108,9 +108,9 @@ def test_a_small_texel_is_one_look_up(tmp_path, noise):
 def test_ramps_are_read_at_the_centre(tmp_path, resolution):
     """Constant: itself, without contrast; linear: the value in the middle."""
     y, x = np.mgrid[:FILM, :FILM] / FILM
-    sample, found, sensor, seen = seen_by(tmp_path, np.stack([x, y, 0 * x + 0.7], -1), resolution)
+    sample, layout, sensor, seen = seen_by(tmp_path, np.stack([x, y, 0 * x + 0.7], -1), resolution)
     facing = seen & (np.array(sample.cosine) > 0.5)
-    at = corners(found, sensor, 0.0, 0.0)[facing].T / FILM
+    at = corners(layout, sensor, 0.0, 0.0)[facing].T / FILM
     radiance = np.array(sample.radiance)[:, facing]
     assert np.abs(radiance[:2] - at).max() < 0.01
     assert np.abs(radiance[2] - 0.7).max() < 1e-5
@@ -143,8 +143,8 @@ def test_what_lies_beyond_the_film_is_left_out(tmp_path):
         "to_world": mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
     })  # fmt: skip
     capture = memory_capture(scene, [image], [near])
-    found = texels(capture.mesh, 24)
-    views, surface = pack_views(capture), TexelLanes.of(found)
+    layout = texels(capture.mesh, 24)
+    views, surface = pack_views(capture), TexelLanes.of(layout)
     seen = trace_visibility(views, surface).bits.test(mi.UInt32(0), surface.index)
     sample = sample_visible(views, surface, mi.UInt32(0), seen)
     value = np.array(sample.radiance)[0][seen.numpy()]

@@ -29,8 +29,8 @@ def position_images(scene, sensors, spp=64):
 
 def seen_error(capture, resolution=64, min_cosine=0.3):
     """Per texel: the largest distance between it and what its pixels show, and the coverage."""
-    found = texels(capture.mesh, resolution)
-    views, surface = pack_views(capture), TexelLanes.of(found)
+    layout = texels(capture.mesh, resolution)
+    views, surface = pack_views(capture), TexelLanes.of(layout)
 
     def worst(seen, view, error, count):
         del view
@@ -41,7 +41,7 @@ def seen_error(capture, resolution=64, min_cosine=0.3):
 
     zero = dr.zeros(mi.Float, surface.count)
     error, count = over_views(views, surface, worst, (zero, dr.zeros(mi.UInt32, surface.count)))
-    return error.numpy(), count.numpy(), found
+    return error.numpy(), count.numpy(), layout
 
 
 def odd_sensor(changes):
@@ -81,11 +81,11 @@ def test_projection_is_that_of_the_sensor(tmp_path):
         [*np.meshgrid(np.arange(60) + 0.5, np.arange(50) + 0.5), np.zeros((50, 60))], axis=-1
     )
     capture = memory_capture(scene, [ramp], [sensor])
-    found = texels(capture.mesh, 96)
-    views, surface = pack_views(capture), TexelLanes.of(found)
+    layout = texels(capture.mesh, 96)
+    views, surface = pack_views(capture), TexelLanes.of(layout)
     seen = sample_view(views, surface, mi.UInt32(0))
-    it = dr.zeros(mi.SurfaceInteraction3f, found.count)
-    it.p = found.position
+    it = dr.zeros(mi.SurfaceInteraction3f, layout.count)
+    it.p = layout.position
     exact, _ = sensor.sample_direction(it, mi.Point2f(0.5))
     valid = seen.seen.numpy()
     assert valid.sum() > 200
@@ -109,9 +109,9 @@ def test_what_is_hidden_is_not_seen(tmp_path):
         shape = [s for s in scene.shapes() if s.id() == "ball"][0]
         images = position_images(scene, scene.sensors())
         capture = memory_capture(scene, images, scene.sensors(), shape=shape, mesh=shape)
-        error, seen[name], found = seen_error(capture)
+        error, seen[name], layout = seen_error(capture)
         assert error.max() < 0.15  # on the wall it would be 1.7 at least
-    x = found.position.x.numpy()
+    x = layout.position.x.numpy()
     assert (seen["walled"] <= seen["free"]).all()
     assert seen["walled"][x < -0.1].sum() == 0
     right = (seen["free"] > 0) & (x > 0.25)
@@ -122,10 +122,10 @@ def test_facing_away_is_never_seen(tmp_path):
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
     sensors = sphere_sensors(scene.shapes()[0], 1, (64, 64))
     capture = memory_capture(scene, [np.ones((64, 64, 3))], sensors)
-    found = texels(capture.mesh, 48)
-    seen = sample_view(pack_views(capture), TexelLanes.of(found), mi.UInt32(0))
+    layout = texels(capture.mesh, 48)
+    seen = sample_view(pack_views(capture), TexelLanes.of(layout), mi.UInt32(0))
     camera = np.array(sensors[0].world_transform().matrix).reshape(4, 4)[:3, 3]
-    p = found.position.numpy().T
+    p = layout.position.numpy().T
     facing = ((camera - p) * p).sum(axis=1) > 0
     assert not (seen.seen.numpy() & ~facing).any()
     assert (seen.cosine.numpy()[~seen.seen.numpy()] == 0).all()
@@ -143,8 +143,8 @@ def test_silhouette_pixels_do_not_mix_in_the_background(tmp_path):
     top = max(image.max() for image in images)
     assert top > 0
     capture = memory_capture(scene, [image / top for image in images], sensors)
-    found = texels(capture.mesh, 64)
-    views, surface = pack_views(capture), TexelLanes.of(found)
+    layout = texels(capture.mesh, 64)
+    views, surface = pack_views(capture), TexelLanes.of(layout)
     low = dr.full(mi.Float, 1, surface.count)
     (low,) = over_views(
         views,
@@ -163,8 +163,8 @@ def test_visibility_does_not_depend_on_the_scale_of_the_scene(tmp_path, scale):
     shape = scene.shapes()[0]
     sensors = sphere_sensors(shape, 6, (64, 64))
     capture = memory_capture(scene, [np.ones((64, 64, 3))] * 6, sensors)
-    found = texels(shape, 48)
-    seen = trace_visibility(pack_views(capture), TexelLanes.of(found))
+    layout = texels(shape, 48)
+    seen = trace_visibility(pack_views(capture), TexelLanes.of(layout))
     count, per_view = seen.coverage, seen.per_view
     assert int(count.numpy().sum()) == int(per_view.sum())
     # A camera 3.5 radii away sees 36 % of a sphere, and grazing pixels are not used.

@@ -19,25 +19,25 @@ from svu_mi.geometry.texels import texels
 @pytest.mark.parametrize("resolution", [64, (96, 40), (33, 71)])
 def test_texels_lie_where_mitsuba_puts_them(resolution):
     mesh = make_mesh("ball", ball())
-    found = texels(mesh, resolution)
-    si = mesh.eval_parameterization(found.uv)
+    layout = texels(mesh, resolution)
+    si = mesh.eval_parameterization(layout.uv)
     hit = si.is_valid().numpy()
     assert hit.mean() > 0.998  # Mitsuba's rays slip through some shared edges
-    distance = dr.norm(si.p - found.position).numpy()[hit]
-    cosine = dr.dot(si.sh_frame.n, found.normal).numpy()[hit]
+    distance = dr.norm(si.p - layout.position).numpy()[hit]
+    cosine = dr.dot(si.sh_frame.n, layout.normal).numpy()[hit]
     assert distance.max() < 1e-5
     assert cosine.min() > 1 - 1e-5
-    assert float(dr.min(dr.dot(found.normal, found.geometric_normal))[0]) > 0.9
+    assert float(dr.min(dr.dot(layout.normal, layout.geometric_normal))[0]) > 0.9
 
 
 def test_every_texel_of_the_charts_is_found():
     mesh = make_mesh("ball", ball())
-    found = texels(mesh, (80, 50))
+    layout = texels(mesh, (80, 50))
     u, v = np.meshgrid((np.arange(80) + 0.5) / 80, (np.arange(50) + 0.5) / 50)
     si = mesh.eval_parameterization(mi.Point2f(u.ravel().astype("f4"), v.ravel().astype("f4")))
-    missed = si.is_valid().numpy() & ~found.inside().ravel()
+    missed = si.is_valid().numpy() & ~layout.inside().ravel()
     assert not missed.any()
-    assert found.inside().sum() <= 1.005 * si.is_valid().numpy().sum()
+    assert layout.inside().sum() <= 1.005 * si.is_valid().numpy().sum()
 
 
 def test_a_quad_is_covered_once_although_its_diagonal_crosses_texel_centres():
@@ -70,9 +70,9 @@ def test_a_small_overlap_is_left_out_and_counted():
         None,
         np.concatenate([flat.uvs, flat.uvs[flat.faces[400]]]),
     )
-    whole, found = texels(make_mesh("ball", flat), 128), texels(make_mesh("patched", patch), 128)
-    assert 0 < found.overlapping < 20
-    assert found.count == whole.count - found.overlapping
+    whole, layout = texels(make_mesh("ball", flat), 128), texels(make_mesh("patched", patch), 128)
+    assert 0 < layout.overlapping < 20
+    assert layout.count == whole.count - layout.overlapping
 
 
 @pytest.mark.parametrize(
@@ -118,15 +118,15 @@ def test_numpy_numbers_are_resolutions_and_spheres_have_no_texels():
 
 
 def test_to_image_puts_values_back(variant):
-    found = texels(make_mesh("ball", ball()), (20, 10))
-    image = found.to_image(found.uv.numpy().T, -1)
+    layout = texels(make_mesh("ball", ball()), (20, 10))
+    image = layout.to_image(layout.uv.numpy().T, -1)
     assert image.shape == (10, 20, 2)
-    inside = found.inside()
+    inside = layout.inside()
     u = np.broadcast_to((np.arange(20) + 0.5) / 20, (10, 20))
     np.testing.assert_allclose(image[inside][:, 0], u[inside], atol=1e-6)
     assert (image[~inside] == -1).all()
     with pytest.raises(ShapeError, match="one value for each"):
-        found.to_image(np.zeros(3))
+        layout.to_image(np.zeros(3))
 
 
 def test_unwrapping_gives_texels_and_is_kept(tmp_path):
@@ -153,15 +153,15 @@ def test_texels_interpolated_some_at_a_time_are_the_same(monkeypatch, vase):
     monkeypatch.setattr(texels_module, "CHUNK", 333)
     parts = texels(vase.capture.mesh, 64)
     for name in ("position", "normal", "geometric_normal", "uv", "footprint"):
-        one, other = (np.array(getattr(found, name)) for found in (parts, whole))
+        one, other = (np.array(getattr(layout, name)) for layout in (parts, whole))
         np.testing.assert_array_equal(one, other)
     for one, other in zip(parts.sides, whole.sides, strict=True):
         np.testing.assert_array_equal(np.array(one), np.array(other))
 
 
 def test_footprints_add_up_to_the_area_of_the_surface():
-    found = texels(make_mesh("ball", ball(192, 96)), 256)
-    area = float(dr.sum(dr.square(found.footprint))[0])
+    layout = texels(make_mesh("ball", ball(192, 96)), 256)
+    area = float(dr.sum(dr.square(layout.footprint))[0])
     assert area == pytest.approx(4 * np.pi, rel=5e-3)  # the polyhedron is a little smaller
 
 

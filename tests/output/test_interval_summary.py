@@ -10,7 +10,7 @@ import pytest
 
 from svu_mi.output.interval_summary import IntervalSummary
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.posterior.intervals import spread
+from svu_mi.posterior.intervals import subsample
 from svu_mi.posterior.tabulated import tabulated_posterior
 
 AXES = {"roughness": np.linspace(0, 1, 21), "base_color": np.linspace(0, 1, 21)}
@@ -79,7 +79,7 @@ def test_all_that_was_found_is_one_line(posterior):
 @pytest.mark.parametrize("most", [4096, 3000, 7])
 def test_as_many_texels_are_taken_as_asked_for_at_equal_steps(most):
     for count in (0, 5, most, most + 1, 3003, 16693):
-        taken = spread(np.arange(count), most)
+        taken = subsample(np.arange(count), most)
         assert len(taken) == len(set(taken.tolist())) == min(count, most)
         if len(taken) > 1:
             steps = np.diff(taken)

@@ -98,15 +98,15 @@ def test_energies_are_those_of_the_samples() -> None:
     for _ in range(100):
         level, metallic, color = rng.integers(8), rng.random(40), rng.random((40, 3))
         exact = samples.error(int(level), metallic, color)
-        reader, found = factors.reader(), np.zeros(40)
+        reader, energies = factors.reader(), np.zeros(40)
         for channel in range(3):
             U = reader.entries(mi.UInt32(int(level)))[channel]
             c, m = (mi.Float(x.astype(np.float32)) for x in (color[:, channel], metallic))
             rest = 2 * np.array(energy_at(U, mixture(m).at(c)), np.float64)
-            found += rest + np.array(reader.residual_floor[channel], np.float64)
-        found *= samples.w.sum(axis=1)
+            energies += rest + np.array(reader.residual_floor[channel], np.float64)
+        energies *= samples.w.sum(axis=1)
         scale = samples.error(int(level), 0 * metallic, 0 * color)  # of black, in single precision
-        assert np.all(np.abs(found - exact) <= 1e-6 * np.maximum(exact, scale))
+        assert np.all(np.abs(energies - exact) <= 1e-6 * np.maximum(exact, scale))
 
 
 def test_erfcx() -> None:
@@ -127,7 +127,7 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     zero = mi.Float(np.zeros(2000, np.float32))
     edges = np.concatenate([[0], (np.arange(7) + 0.5) / 7, [1]])
     likelihood = ChannelLikelihood.of([mi.Float(u), zero], [mi.Float(v), zero, zero], zero)
-    found = likelihood.integrate(edges.tolist())
+    integrals = likelihood.integrate(edges.tolist())
     A, mu = u.astype(float) ** 2, -v.astype(float) / u
     best = np.clip(mu, 0, 1)
 
@@ -147,11 +147,11 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     whole = integral(0, 1, 0)
     mean = integral(0, 1, 1) / whole
     sd = np.sqrt(np.maximum(integral(0, 1, 2) / whole - mean**2, 0))
-    assert np.abs(np.array(found.mass) / whole - 1).max() < 1e-5  # nats
-    assert np.abs(np.array(found.mean) - mean).max() < 1e-6
-    assert np.abs(np.sqrt(np.array(found.variance, float)) - sd).max() < 1e-5
+    assert np.abs(np.array(integrals.mass) / whole - 1).max() < 1e-5  # nats
+    assert np.abs(np.array(integrals.mean) - mean).max() < 1e-6
+    assert np.abs(np.sqrt(np.array(integrals.variance, float)) - sd).max() < 1e-5
     cells = [integral(a, b, 0) / whole for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    assert np.abs(np.array([np.array(x) for x in found.bins]) - cells).max() < 1e-5
+    assert np.abs(np.array([np.array(x) for x in integrals.bins]) - cells).max() < 1e-5
     mass, parts = likelihood.integrate_masses(edges.tolist())
     assert np.abs(np.array(mass) / whole - 1).max() < 2e-5
     assert np.abs(np.array([np.array(x) for x in parts]) - cells).max() < 1e-5
@@ -160,15 +160,15 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
 def test_noise_is_that_of_student() -> None:
     least, views = np.array([3.0, 10.0, 40.0, 0.0, 0.0]), np.array([10, 10, 10, 3, 0])
     for assumed in (0.02, 2.0):
-        found = noise_variance(least, views, 3, 4.0, assumed)
+        variances = noise_variance(least, views, 3, 4.0, assumed)
         usual = 10 / 25  # three views explain themselves, and tell nothing
-        assert np.allclose(found[:3], (4 * usual + least[:3]) / 29)
-        assert np.allclose(found[3:], usual)
+        assert np.allclose(variances[:3], (4 * usual + least[:3]) / 29)
+        assert np.allclose(variances[3:], usual)
     few = noise_variance(0 * least, np.minimum(views, 5), 3, 4.0, 0.02)
     assert np.allclose(few, 0.02**2)
     views = np.array([8, 5, 5, 5, 0])  # a quarter of those seen tell, so half is assumed
-    found = noise_variance(0.1 * (3 * views - 5), views, 3, 4.0, 2.0)
-    assert np.allclose(found[1:], np.sqrt(0.1 * 4))
+    variances = noise_variance(0.1 * (3 * views - 5), views, 3, 4.0, 2.0)
+    assert np.allclose(variances[1:], np.sqrt(0.1 * 4))
 
 
 @pytest.mark.parametrize("noise", [1e-3, 0.01])
@@ -189,29 +189,29 @@ def test_another_view_never_lowers_the_noise_at_once(noise: float) -> None:
 def test_noise_above_what_is_assumed_shows_at_once() -> None:
     views = np.full(400, 4)
     least = 0.3**2 * np.random.default_rng(0).chisquare(7, 400)
-    found = noise_variance(least, views, 3, 4.0, 0.02)
-    assert np.sqrt(np.median(found)) == pytest.approx(0.3, rel=0.1)
+    variances = noise_variance(least, views, 3, 4.0, 0.02)
+    assert np.sqrt(np.median(variances)) == pytest.approx(0.3, rel=0.1)
 
 
 def test_agrees_with_its_oracle(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
-    found, truth = setting
-    assert np.abs(np.array(found.entropy()) - truth.entropy(found.prior)).max() < 1e-5
+    posterior, truth = setting
+    assert np.abs(np.array(posterior.entropy()) - truth.entropy(posterior.prior)).max() < 1e-5
     for name in ("roughness", "metallic", "base_color"):
-        assert np.abs(np.array(found.mean(name)) - truth.mean[name]).max() < 1e-5, name
-        assert np.abs(np.array(found.sd(name)) - truth.sd[name]).max() < 1e-5, name
-    assert np.abs(np.array(found.probabilities) - truth.cells).max() < 1e-5
-    assert np.abs(found.kernel.noise / truth.noise - 1).max() < 1e-5
+        assert np.abs(np.array(posterior.mean(name)) - truth.mean[name]).max() < 1e-5, name
+        assert np.abs(np.array(posterior.sd(name)) - truth.sd[name]).max() < 1e-5, name
+    assert np.abs(np.array(posterior.probabilities) - truth.cells).max() < 1e-5
+    assert np.abs(posterior.kernel.noise / truth.noise - 1).max() < 1e-5
 
 
 @pytest.mark.parametrize("level", [0.5, 0.9])
 def test_intervals_are_the_shortest_that_hold_enough(
     setting: tuple[svu.Posterior, oracle.Truth], level: float
 ) -> None:
-    found, truth = setting
+    posterior, truth = setting
     for name, parts, masses in (
         ("roughness", PARTS[0], truth.roughness), ("metallic", PARTS[1], truth.metallic),
     ):  # fmt: skip
-        low, high = (np.array(end, np.float64) for end in found.interval(name, level))
+        low, high = (np.array(end, np.float64) for end in posterior.interval(name, level))
         below = np.concatenate([np.zeros((1, 96)), np.cumsum(masses, axis=0)])
         # Where metallic is 0 or 1, textures of 8 bits may be a little off.
         atoms = 0.02 * (parts.low == parts.high)
@@ -227,16 +227,16 @@ def test_intervals_are_the_shortest_that_hold_enough(
                 if highs[j] - lows[i] < high[t] - low[t] - 1e-6
             ]  # fmt: skip
             assert max(shorter, default=0) < level + 1e-3
-    low, high = (np.array(end) for end in found.interval("base_color", level))
+    low, high = (np.array(end) for end in posterior.interval("base_color", level))
     assert low.shape == (96, 3)
     for name in ("roughness", "metallic", "base_color"):
-        all_of_them = found.interval(name, level)
-        some = found.interval(name, level, [5, 80, 5])
+        all_of_them = posterior.interval(name, level)
+        some = posterior.interval(name, level, [5, 80, 5])
         for end, other in zip(some, all_of_them, strict=True):
             assert np.array_equal(np.array(end), np.array(other)[[5, 80, 5]])
     # A part is 1 / 42 wide, so a normal distribution's interval is at most two too long.
-    narrow = np.array(found.sd("base_color")) < 0.05
-    width = 2 * stats.norm.ppf(0.5 + level / 2) * np.array(found.sd("base_color"))
+    narrow = np.array(posterior.sd("base_color")) < 0.05
+    width = 2 * stats.norm.ppf(0.5 + level / 2) * np.array(posterior.sd("base_color"))
     assert np.all((high - low)[narrow] <= width[narrow] * 1.25 + 2.1 / 42)
 
 
@@ -244,19 +244,19 @@ def test_intervals_are_the_shortest_that_hold_enough(
 def test_sets_hold_what_the_model_draws() -> None:
     """Truths from the prior, photographs from the likelihood: the level is the coverage."""
     samples, truth = simulate(4000, 10, 0.15, seed=3)
-    found = calibrated_posterior(
+    posterior = calibrated_posterior(
         statistics(samples), preset=switches(overdispersion=1.0, degrees=1000.0)
     )
-    drawn = found.draw(99, seed=1)
+    drawn = posterior.draw(99, seed=1)
     for name in ("roughness", "base_color"):
-        low, high = (np.array(end) for end in found.interval(name, 0.9))
+        low, high = (np.array(end) for end in posterior.interval(name, 0.9))
         inside = (truth[name] >= low) & (truth[name] <= high)
         assert 0.88 < inside.mean() < 0.95, name  # outer edges: a little more than the level
         rank = (np.array(drawn[name]) < truth[name]).sum(axis=0).ravel() / 100
         assert stats.kstest(rank, "uniform").statistic < 0.04, name
-        z = (np.array(found.mean(name)) - truth[name]) ** 2
-        assert 0.9 < z.mean() / (np.array(found.sd(name)) ** 2).mean() < 1.1, name
-    believed = np.array(found.mean("metallic"))
+        z = (np.array(posterior.mean(name)) - truth[name]) ** 2
+        assert 0.9 < z.mean() / (np.array(posterior.sd(name)) ** 2).mean() < 1.1, name
+    believed = np.array(posterior.mean("metallic"))
     for low_end in np.arange(0, 1, 0.25):
         chosen = (believed >= low_end) & (believed < low_end + 0.25)
         assert abs(truth["metallic"][chosen].mean() - believed[chosen].mean()) < 0.06
@@ -264,8 +264,8 @@ def test_sets_hold_what_the_model_draws() -> None:
 
 @pytest.mark.slow
 def test_draws_are_of_the_posterior(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
-    found, truth = setting
-    drawn = {name: np.array(x) for name, x in found.draw(400, seed=5).items()}
+    posterior, truth = setting
+    drawn = {name: np.array(x) for name, x in posterior.draw(400, seed=5).items()}
     assert drawn["base_color"].shape == (400, 96, 3)
     assert drawn["roughness"].shape == (400, 96)
     for name, values in drawn.items():
@@ -273,10 +273,10 @@ def test_draws_are_of_the_posterior(setting: tuple[svu.Posterior, oracle.Truth])
         off = (values.mean(axis=0) - truth.mean[name]) / (truth.sd[name] / 20 + 1e-4)
         assert np.abs(off).max() < 5, name
     # Parameters of a draw belong together: what correlates in the posterior does in draws.
-    again = {name: np.array(x) for name, x in found.draw(400, seed=5).items()}
+    again = {name: np.array(x) for name, x in posterior.draw(400, seed=5).items()}
     assert all(np.array_equal(drawn[name], again[name]) for name in drawn)
     m, c = drawn["metallic"], drawn["base_color"].mean(axis=2)
-    p = np.array(found.probabilities, np.float64).mean(axis=-1)
+    p = np.array(posterior.probabilities, np.float64).mean(axis=-1)
     nodes = np.arange(8) / 7
     joint = np.einsum("trmk,m,k->t", p, nodes, nodes)
     cov = joint - np.einsum("trmk,m->t", p, nodes) * np.einsum("trmk,k->t", p, nodes)
@@ -288,18 +288,18 @@ def test_what_was_never_seen_is_the_prior() -> None:
     samples, _ = simulate(32, 6, 0.1)
     table, weight, views = samples.sums(), samples.w.sum(axis=1), np.full(32, 6)
     table[..., 7], weight[7], views[7] = 0, 0, 0
-    found = calibrated_posterior(Statistics.of(table, weight, views, LEVELS, 0.5), texels=40)
-    entropy, unseen = np.array(found.entropy()), [7, *range(32, 40)]
+    posterior = calibrated_posterior(Statistics.of(table, weight, views, LEVELS, 0.5), texels=40)
+    entropy, unseen = np.array(posterior.entropy()), [7, *range(32, 40)]
     assert np.all(entropy[unseen] == 1)
     assert np.all(np.isfinite(entropy))
-    p = np.array(found.probabilities_of(unseen))
-    assert np.allclose(p, found.prior[..., None], atol=1e-6)
-    assert np.isclose(found.prior.sum(axis=(0, 2))[0], 0.4 + 0.2 / 14)
-    assert np.allclose(np.array(found.mean("metallic"))[unseen], 0.5)
-    low, high = (np.array(end) for end in found.interval("base_color"))
+    p = np.array(posterior.probabilities_of(unseen))
+    assert np.allclose(p, posterior.prior[..., None], atol=1e-6)
+    assert np.isclose(posterior.prior.sum(axis=(0, 2))[0], 0.4 + 0.2 / 14)
+    assert np.allclose(np.array(posterior.mean("metallic"))[unseen], 0.5)
+    low, high = (np.array(end) for end in posterior.interval("base_color"))
     assert np.all(low[unseen] == 0)
     assert np.all(high[unseen] == 1)
-    drawn = found.draw(2)
+    drawn = posterior.draw(2)
     assert all(np.isfinite(np.array(x)).all() for x in drawn.values())
 
 
@@ -311,21 +311,21 @@ def test_a_prior_of_cells_is_bayes() -> None:
     # Per channel the others are marginalised under the same weights, so one channel is exact.
     one = statistics(channels(samples, 1))
     plain = calibrated_posterior(one)
-    found = calibrated_posterior(one, prior=plain.prior * weights)
+    posterior = calibrated_posterior(one, prior=plain.prior * weights)
     expected = np.array(plain.probabilities, np.float64) * weights
     expected /= expected.sum(axis=(1, 2, 3), keepdims=True)
-    assert np.abs(np.array(found.probabilities) - expected).max() < 1e-4
+    assert np.abs(np.array(posterior.probabilities) - expected).max() < 1e-4
     weights[:2], weights[:, :, 5:] = 0, 0
-    found = calibrated_posterior(statistics(samples), prior=weights)
-    p = np.array(found.probabilities)
+    posterior = calibrated_posterior(statistics(samples), prior=weights)
+    p = np.array(posterior.probabilities)
     assert np.all(p[:, :2] == 0)
     assert np.all(p[:, :, :, 5:] == 0)
     assert np.allclose(p.sum(axis=(1, 2, 3)), 1, atol=1e-5)
     for name, most in (("base_color", 4.5 / 7), ("roughness", 1.0)):
-        mean = np.array(found.mean(name))
+        mean = np.array(posterior.mean(name))
         assert np.isfinite(mean).all()
         assert mean.max() <= most + 1e-6
-    assert np.isfinite(np.array(found.entropy())).all()
+    assert np.isfinite(np.array(posterior.entropy())).all()
 
 
 @pytest.mark.slow
@@ -340,32 +340,32 @@ def test_a_prior_in_common_is_that_of_expectation_maximisation() -> None:
         otherwise=empirical_bayes.OTHERWISE, **options,
     )  # fmt: skip
     truth = oracle.posterior(*given, prior=prior, **options)
-    found = empirical_bayes.with_empirical_prior(alone)
-    np.testing.assert_allclose(found.prior, prior.mean(axis=-1), atol=2e-5)
-    assert np.abs(np.array(found.probabilities) - truth.cells).max() < 2e-4
+    shared = empirical_bayes.with_empirical_prior(alone)
+    np.testing.assert_allclose(shared.prior, prior.mean(axis=-1), atol=2e-5)
+    assert np.abs(np.array(shared.probabilities) - truth.cells).max() < 2e-4
     for name in ("roughness", "metallic"):
-        assert np.abs(np.array(found.mean(name)) - truth.mean[name]).max() < 2e-4, name
-        assert np.abs(np.array(found.sd(name)) - truth.sd[name]).max() < 2e-4, name
+        assert np.abs(np.array(shared.mean(name)) - truth.mean[name]).max() < 2e-4, name
+        assert np.abs(np.array(shared.sd(name)) - truth.sd[name]).max() < 2e-4, name
 
 
 def test_a_prior_in_common_tells_materials_apart() -> None:
     """Few views say little of a texel; many texels say much of two materials."""
     samples, truth = simulate(600, 8, 0.25, materials=2)
     alone = calibrated_posterior(statistics(samples))
-    found = empirical_bayes.with_empirical_prior(alone)
+    shared = empirical_bayes.with_empirical_prior(alone)
     for name, least in (("metallic", 0.7), ("roughness", 0.7), ("base_color", 0.9)):
-        error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, found)]
+        error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, shared)]
         assert error[1] < least * error[0], name
-    assert np.array(found.entropy()).mean() < np.array(alone.entropy()).mean()
+    assert np.array(shared.entropy()).mean() < np.array(alone.entropy()).mean()
 
 
 def test_nothing_in_common_changes_little() -> None:
     """Truths from the prior itself: what is learned of 600 of them has some noise."""
     samples, truth = simulate(600, 12, 0.1)
     alone = calibrated_posterior(statistics(samples))
-    found = empirical_bayes.with_empirical_prior(alone)
+    shared = empirical_bayes.with_empirical_prior(alone)
     for name in ("metallic", "roughness", "base_color"):
-        error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, found)]
+        error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, shared)]
         assert error[1] < 1.2 * error[0], name
 
 
@@ -374,8 +374,11 @@ def test_the_colour_of_a_row_is_one_that_its_prior_allows() -> None:
     samples, _ = simulate(7, 5, 0.1, seed=619)
     rng = np.random.default_rng(620)
     prior = rng.random((8, 8, 8)) * (rng.random((8, 8, 8)) < 0.4)
-    found = calibrated_posterior(statistics(samples), prior=prior)
-    p, edges = np.array(found.probabilities).reshape(7, 64, 8, 3), found.kernel.problem.edges
+    posterior = calibrated_posterior(statistics(samples), prior=prior)
+    p, edges = (
+        np.array(posterior.probabilities).reshape(7, 64, 8, 3),
+        posterior.kernel.problem.edges,
+    )
     colors = row_colors(p, edges)
     middle = (edges[1:] + edges[:-1]) / 2
     mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(p.sum(axis=2), 1e-30)
@@ -384,7 +387,7 @@ def test_the_colour_of_a_row_is_one_that_its_prior_allows() -> None:
     cell = np.clip(np.searchsorted(edges, colors, "right") - 1, 0, 7)
     some = prior.reshape(64, 8).any(axis=1)
     assert (np.take_along_axis(p, cell[:, :, None], axis=2) > 0)[:, some].mean() > 0.99
-    masses, same = found.kernel.rows(np.arange(7))
+    masses, same = posterior.kernel.rows(np.arange(7))
     assert np.allclose(same, colors, atol=1e-6)
     masses = masses / masses.sum(axis=1, keepdims=True)
     assert np.allclose(masses, p[..., 0].sum(axis=2), atol=1e-6)
@@ -399,14 +402,14 @@ def test_known_parameters_leave_the_grid() -> None:
         if "roughness" in known:
             table = table[[4]]
         source = Statistics.of(table, samples.w.sum(axis=1), np.full(200, 12), levels, 0.5)
-        found = calibrated_posterior(source, grid)
+        posterior = calibrated_posterior(source, grid)
         ((name, value),) = known.items()
-        assert np.allclose(np.array(found.mean(name)), value)
-        assert np.allclose(np.array(found.sd(name)), 0, atol=1e-3)
-        entropy = np.array(found.entropy())
+        assert np.allclose(np.array(posterior.mean(name)), value)
+        assert np.allclose(np.array(posterior.sd(name)), 0, atol=1e-3)
+        entropy = np.array(posterior.entropy())
         assert np.isfinite(entropy).all()
         assert 0 < entropy.mean() < 1
-        drawn = found.draw(1)
+        drawn = posterior.draw(1)
         assert np.allclose(np.array(drawn[name]), value)
 
 
@@ -422,8 +425,8 @@ def test_equal_channels_may_stand_for_three() -> None:
 
 def test_metals_are_a_switch() -> None:
     samples, _ = simulate(64, 8, 0.1)
-    found = calibrated_posterior(statistics(samples), preset=switches(metals=0.0))
-    assert np.allclose(found.prior.sum(axis=(0, 2)), [1 / 14, *[1 / 7] * 6, 1 / 14])
+    posterior = calibrated_posterior(statistics(samples), preset=switches(metals=0.0))
+    assert np.allclose(posterior.prior.sum(axis=(0, 2)), [1 / 14, *[1 / 7] * 6, 1 / 14])
 
 
 @pytest.mark.parametrize(
@@ -443,35 +446,35 @@ def test_bad_arguments(options: dict[str, object], error: type[Exception], words
 
 
 def test_bad_questions(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
-    found, _ = setting
+    posterior, _ = setting
     with pytest.raises(OptionError, match="there is no parameter 'colour'"):
-        found.mean("colour")
+        posterior.mean("colour")
     for level in (0, 1, -0.1, float("nan")):
         with pytest.raises(OptionError, match="level must be in"):
-            found.interval("roughness", level)
+            posterior.interval("roughness", level)
     with pytest.raises(OptionError, match="count must be a whole number >= 1"):
-        found.draw(0)
+        posterior.draw(0)
     with pytest.raises(OptionError, match="seed must be a whole number >= 0"):
-        found.draw(1, seed=-1)
+        posterior.draw(1, seed=-1)
 
 
 def test_grids_answer_the_same_questions(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
     """Every posterior has means, sds, intervals and draws."""
     samples, _ = simulate(32, 8, 0.2)
-    found = svu.angular_posterior(statistics(samples), preset=switches(noise="relative"))
-    p = np.array(found.probabilities, np.float64)
+    posterior = svu.angular_posterior(statistics(samples), preset=switches(noise="relative"))
+    p = np.array(posterior.probabilities, np.float64)
     nodes = np.arange(8) / 7
     marginal = p[..., 0].sum(axis=(2, 3))
     mean = marginal @ nodes
-    assert np.allclose(np.array(found.mean("roughness")), mean, atol=1e-6)
+    assert np.allclose(np.array(posterior.mean("roughness")), mean, atol=1e-6)
     sd = np.sqrt(np.maximum(marginal @ nodes**2 - mean**2, 0))
-    assert np.allclose(np.array(found.sd("roughness")), sd, atol=3e-4)
+    assert np.allclose(np.array(posterior.sd("roughness")), sd, atol=3e-4)
     edges = np.concatenate([[0], (np.arange(7) + 0.5) / 7, [1]])
-    low, high = (np.array(end) for end in found.interval("roughness", 0.8))
+    low, high = (np.array(end) for end in posterior.interval("roughness", 0.8))
     for t in range(32):
         i, j = np.abs(edges - low[t]).argmin(), np.abs(edges - high[t]).argmin()
         assert marginal[t, i:j].sum() >= 0.8 - 1e-5
-    drawn = np.array(found.draw(3000, seed=2)["roughness"])
+    drawn = np.array(posterior.draw(3000, seed=2)["roughness"])
     assert np.abs(drawn.mean(axis=0) - mean).max() < 0.04
     assert set(np.unique(drawn.round(4))) <= set(nodes.round(4).astype(np.float32))
 
@@ -482,12 +485,12 @@ def test_grids_of_one_process_do_not_share_memory(order: tuple[int, int]) -> Non
     samples, _ = simulate(16, 6, 0.2)
     for metallic in order:
         grid = svu.PrincipledGrid(4, metallic, 3)
-        found = calibrated_posterior(statistics(samples), grid)
-        p = np.array(found.probabilities, np.float64)
-        q = found.prior
+        posterior = calibrated_posterior(statistics(samples), grid)
+        p = np.array(posterior.probabilities, np.float64)
+        q = posterior.prior
         nats = -(p * np.log(np.maximum(p, 1e-300))).sum(axis=(1, 2, 3)).mean(axis=-1)
         exact = np.clip(nats / -(q * np.log(q)).sum(), 0, 1)
-        assert np.abs(np.array(found.entropy()) - exact).max() < 1e-5
+        assert np.abs(np.array(posterior.entropy()) - exact).max() < 1e-5
 
 
 @pytest.mark.slow
@@ -497,15 +500,15 @@ def test_a_prior_may_contradict_the_photographs(small: float) -> None:
     samples, _ = simulate(64, 20, 0.02)
     weights = np.full((8, 8, 8), small)
     weights[..., 7] = 1
-    found = calibrated_posterior(statistics(samples), prior=weights)
-    p = np.array(found.probabilities, np.float64)
+    posterior = calibrated_posterior(statistics(samples), prior=weights)
+    p = np.array(posterior.probabilities, np.float64)
     assert np.allclose(p.sum(axis=(1, 2, 3)), 1, atol=1e-5)
-    mean = np.array(found.mean("base_color"))
+    mean = np.array(posterior.mean("base_color"))
     assert np.all(mean > 13 / 14 - 1e-6 if small == 0 else mean > 0)
     for name in ("roughness", "metallic", "base_color"):
-        low, high = (np.array(end) for end in found.interval(name))
+        low, high = (np.array(end) for end in posterior.interval(name))
         assert np.all(low < high)
-    drawn = np.array(found.draw(3)["base_color"])
+    drawn = np.array(posterior.draw(3)["base_color"])
     assert np.isfinite(drawn).all()
     if small == 0:
         assert drawn.min() >= 13 / 14 - 1e-6
@@ -515,8 +518,8 @@ def test_draws_of_grey_light_have_three_channels() -> None:
     samples, _ = simulate(16, 6, 0.2)
     one = statistics(channels(samples, 1))
     for known in ({}, {"base_color": 0.5}):
-        found = calibrated_posterior(one, svu.PrincipledGrid(known=known), copies=3)
-        assert found.draw(5)["base_color"].shape == (5, 16, 3)
+        posterior = calibrated_posterior(one, svu.PrincipledGrid(known=known), copies=3)
+        assert posterior.draw(5)["base_color"].shape == (5, 16, 3)
 
 
 @pytest.mark.slow
@@ -524,16 +527,16 @@ def test_a_prior_of_one_cell_leaves_nothing_open() -> None:
     samples, _ = simulate(8, 6, 0.2)
     weights = np.zeros((8, 8, 8))
     weights[3, 0, 5] = 1
-    found = calibrated_posterior(statistics(samples), prior=weights, texels=9)
-    entropy = np.array(found.entropy())
+    posterior = calibrated_posterior(statistics(samples), prior=weights, texels=9)
+    entropy = np.array(posterior.entropy())
     assert np.all(entropy[:8] == 0)
     assert entropy[8] == 1
-    low, high = (np.array(end) for end in found.interval("roughness"))
+    low, high = (np.array(end) for end in posterior.interval("roughness"))
     assert np.allclose([low[8], high[8]], [2.5 / 7, 3.5 / 7])
-    drawn = found.draw(50, seed=3)
+    drawn = posterior.draw(50, seed=3)
     unseen = np.array(drawn["roughness"])[:, 8]
     assert np.all((unseen >= 2.5 / 7) & (unseen <= 3.5 / 7))
-    assert np.array_equal(np.array(found.draw(2, seed=3)["roughness"])[:, 8], unseen[:2])
+    assert np.array_equal(np.array(posterior.draw(2, seed=3)["roughness"])[:, 8], unseen[:2])
 
 
 @pytest.mark.parametrize("levels", [[0.2, 1.0], [0.0, 0.1, 0.5, 1.0], [0.3], [0.0, 0.5, 1.0]])
@@ -549,12 +552,12 @@ def test_unseen_texels_have_the_moments_of_the_prior() -> None:
     samples, _ = simulate(8, 6, 0.2)
     for nodes in (2, 8):
         grid = svu.PrincipledGrid(nodes, nodes, nodes)
-        found = calibrated_posterior(statistics(samples), grid, texels=2000)
-        assert np.array(found.sd("roughness"))[-1] == pytest.approx(12**-0.5, abs=1e-3)
-        assert np.array(found.sd("metallic"))[-1] == pytest.approx(
+        posterior = calibrated_posterior(statistics(samples), grid, texels=2000)
+        assert np.array(posterior.sd("roughness"))[-1] == pytest.approx(12**-0.5, abs=1e-3)
+        assert np.array(posterior.sd("metallic"))[-1] == pytest.approx(
             (0.8 / 4 + 0.2 / 12) ** 0.5, abs=0.02
         )
-        drawn = np.array(found.draw(1)["roughness"])[0, 8:]
+        drawn = np.array(posterior.draw(1)["roughness"])[0, 8:]
         assert stats.kstest(drawn, "uniform").pvalue > 1e-3
 
 
@@ -563,10 +566,10 @@ def test_draws_obey_a_prior_of_colours() -> None:
     samples, _ = simulate(32, 1, 0.5)
     weights = np.zeros((8, 8, 8))
     weights[..., 4:6] = [1, 3]
-    found = calibrated_posterior(statistics(samples), prior=weights)
-    drawn = np.array(found.draw(300, seed=1)["base_color"])
+    posterior = calibrated_posterior(statistics(samples), prior=weights)
+    drawn = np.array(posterior.draw(300, seed=1)["base_color"])
     assert drawn.min() >= 3.5 / 7 - 1e-6
     assert drawn.max() <= 5.5 / 7 + 1e-6
-    p = np.array(found.probabilities, np.float64).sum(axis=(1, 2))
+    p = np.array(posterior.probabilities, np.float64).sum(axis=(1, 2))
     assert np.abs((drawn > 4.5 / 7).mean(axis=0) - p[:, 5]).max() < 0.12
-    assert np.abs(drawn.mean(axis=0) - np.array(found.mean("base_color"))).max() < 0.03
+    assert np.abs(drawn.mean(axis=0) - np.array(posterior.mean("base_color"))).max() < 0.03

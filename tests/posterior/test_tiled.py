@@ -28,7 +28,7 @@ def tiled(monkeypatch):
     def estimated(*args, do=svu.estimate, **options):
         monkeypatch.setattr(pipeline, "TILE", SMALL)
         monkeypatch.setattr(TiledKernel, "size", SMALL)
-        monkeypatch.setattr(calibrated, "SPAN", SMALL)
+        monkeypatch.setattr(calibrated, "TEXELS_PER_CHUNK", SMALL)
         result = do(*args, **options)
         monkeypatch.undo()
         return result

@@ -277,8 +277,8 @@ def banded(vase: SimpleNamespace) -> SimpleNamespace:
 
 def error(field: TextureField, banded: SimpleNamespace, name: str) -> float:
     true = np.squeeze(banded.values[name])[banded.hidden]
-    found = field.textures.at(field.texels, name)[banded.hidden]
-    return float(np.sqrt(((found - true) ** 2).mean()))
+    estimated = field.textures.at(field.texels, name)[banded.hidden]
+    return float(np.sqrt(((estimated - true) ** 2).mean()))
 
 
 def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace) -> None:
@@ -288,23 +288,23 @@ def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace) -> None:
         name: np.where(hidden[:, None], 0.77, x) for name, x in banded.values.items()
     })  # fmt: skip
     spoiled = replace(field, textures=other)
-    found = fill(spoiled, ~hidden)
+    result = fill(spoiled, ~hidden)
     again = fill(field, ~hidden)
     for name in NAMES:
         np.testing.assert_allclose(
-            found.textures.at(field.texels, name), again.textures.at(field.texels, name), atol=2e-3
+            result.textures.at(field.texels, name), again.textures.at(field.texels, name), atol=2e-3
         )
-    weights = found.weights["roughness"]
+    weights = result.weights["roughness"]
     assert sum(weights.values()) == pytest.approx(1)
     assert max(weights, key=weights.get).endswith(("about y", "along y"))
-    assert found.likeness["roughness"].count("%") == 3
-    assert error(found.field, banded, "roughness") < 0.15  # they differ by .8
+    assert result.likeness["roughness"].count("%") == 3
+    assert error(result.field, banded, "roughness") < 0.15  # they differ by .8
     for name in NAMES:  # what was seen stays
-        new, old = (each.textures.at(field.texels, name)[~hidden] for each in (found, field))
+        new, old = (each.textures.at(field.texels, name)[~hidden] for each in (result, field))
         np.testing.assert_allclose(new, old, atol=1e-6)
-    assert (found.field.width[:, hidden] >= spoiled.width[:, hidden] - 1e-6).all()
-    np.testing.assert_array_equal(found.filled, hidden)
-    (draw,) = found.field.draw(1)
+    assert (result.field.width[:, hidden] >= spoiled.width[:, hidden] - 1e-6).all()
+    np.testing.assert_array_equal(result.filled, hidden)
+    (draw,) = result.field.draw(1)
     assert np.isfinite(np.array(draw.roughness)).all()
 
 
@@ -361,9 +361,9 @@ def test_all_seen_and_none_seen(banded: SimpleNamespace) -> None:
 def test_one_texel_that_nobody_saw_is_filled(banded: SimpleNamespace) -> None:
     seen = np.ones(banded.field.texels.count, bool)
     seen[7] = False
-    found = fill(banded.field, seen)
-    np.testing.assert_array_equal(np.flatnonzero(found.filled), [7])
-    assert np.isfinite(found.field.values).all() and np.isfinite(found.field.width).all()
+    result = fill(banded.field, seen)
+    np.testing.assert_array_equal(np.flatnonzero(result.filled), [7])
+    assert np.isfinite(result.field.values).all() and np.isfinite(result.field.width).all()
 
 
 @pytest.mark.slow

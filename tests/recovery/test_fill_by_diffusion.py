@@ -172,14 +172,14 @@ def by_truth(painted: SimpleNamespace) -> tuple[Filled, Truth]:
 @pytest.mark.slow
 def test_texels_get_what_the_model_says_of_their_place(painted, by_truth) -> None:
     """Of a model that knows the truth, texels get the truth: nothing is flipped or shifted."""
-    found, _ = by_truth
-    model = found.invented
+    result, _ = by_truth
+    model = result.invented
     assert model is not None and [answer.source for answer in model.answers] == ["renders"]
-    assert model.reached.sum() > 0.3 * found.filled.sum()
+    assert model.reached.sum() > 0.3 * result.filled.sum()
     assert not model.reached[painted.shown].any()
     for name in NAMES:
         true, got = (each.at(painted.field.texels, name)
-                     for each in (painted.truth, found.textures))  # fmt: skip
+                     for each in (painted.truth, result.textures))  # fmt: skip
         off = np.abs(got - true)[model.reached]
         spread = true[model.reached].std()
         # What is left is at edges of the pattern, where a pixel shows more than one texel.
@@ -191,9 +191,9 @@ def test_texels_get_what_the_model_says_of_their_place(painted, by_truth) -> Non
 
 @pytest.mark.slow
 def test_what_was_filled_is_never_surer_than_before(painted, by_truth) -> None:
-    found, _ = by_truth
-    assert (found.field.width >= painted.field.width - 1e-6).all()
-    np.testing.assert_array_equal(found.filled, ~painted.shown)
+    result, _ = by_truth
+    assert (result.field.width >= painted.field.width - 1e-6).all()
+    np.testing.assert_array_equal(result.filled, ~painted.shown)
 
 
 @pytest.mark.slow
@@ -297,16 +297,16 @@ def test_a_window_of_a_sensor_sees_the_same(vase: SimpleNamespace) -> None:
 def test_files_say_which_texels_are_the_models(painted, by_truth, tmp_path) -> None:
     from svu_mi.core.io.exr import read_exr
 
-    found, _ = by_truth
-    write_filled(painted.capture, painted.field, found, tmp_path / "out")
+    result, _ = by_truth
+    write_filled(painted.capture, painted.field, result, tmp_path / "out")
     masks = read_exr(tmp_path / "out" / "filled.exr")
     texels = painted.field.texels
     inside = texels.inside()
-    for name, flags in (("Y", found.filled), ("model", found.invented.reached)):
+    for name, flags in (("Y", result.filled), ("model", result.invented.reached)):
         np.testing.assert_array_equal(masks[name][inside] > 0, texels.to_image(flags)[inside])
     record = json.loads((tmp_path / "out" / "run.json").read_text())["result"]["model"]
     assert record["title"] == "the truth" and record["answers"][0]["source"] == "renders"
-    assert record["answers"][0]["reached"] == int(found.invented.reached.sum())
+    assert record["answers"][0]["reached"] == int(result.invented.reached.sum())
 
 
 def test_nothing_to_fill_is_not_asked(painted) -> None:

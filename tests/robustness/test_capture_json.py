@@ -90,8 +90,8 @@ def test_other_keys_are_left_to_whoever_wrote_them(capture):
 
 def test_numbers_are_fine_where_text_is_expected_of_parameters(capture):
     edited(capture, {"define": {"a": 1, "b": 0.5, "c": True, "d": "x"}})
-    found = capture_folder.read(capture)
-    assert found.defines == {"a": "1", "b": "0.5", "c": "True", "d": "x"}
+    description = capture_folder.read(capture)
+    assert description.defines == {"a": "1", "b": "0.5", "c": "True", "d": "x"}
 
 
 def test_more_sensors_than_photographs_have_numbers_are_refused_at_once(capture):

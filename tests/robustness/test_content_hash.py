@@ -32,7 +32,7 @@ import sys
 import svu_mi, mitsuba as mi
 mi.set_variant("llvm_ad_rgb")
 from svu_mi.capture.loading import load_capture
-from svu_mi.capture.mesh import make
+from svu_mi.capture.mesh import make_mesh
 from svu_mi.capture.content_hash import capture_key
 print(capture_key(load_capture(sys.argv[1], unwrap=True)))
 """
@@ -201,15 +201,15 @@ def test_computed_normals_are_no_other_capture_to_references_and_checkpoints(sce
     ))  # fmt: skip
     path = scene.with_name("computed.xml")
     path.write_text(text)
-    found = set()
+    keys = set()
     for _ in range(3):
         capture = load_capture(path, shape="ball")
         layout = svu.texels(capture.mesh, (8, 8))
         content = recovery_digests(capture, layout, None, False, None)
-        found.add(
+        keys.add(
             (reference_cache.locate(tmp_path, capture, layout, 5, options).name, *content.values())
         )
-    assert len(found) == 1
+    assert len(keys) == 1
 
 
 @pytest.fixture(scope="module")

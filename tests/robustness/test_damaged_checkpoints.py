@@ -100,11 +100,11 @@ def test_what_is_written_is_read_again(tmp_path):
     arrays = {"a/b": np.arange(6.0).reshape(2, 3), "text": "ä", "none": np.zeros((0, 3)), "n": 3,
               "turned": np.asfortranarray(np.arange(6, dtype="f4").reshape(2, 3))}  # fmt: skip
     write_arrays(tmp_path / "a.npz", arrays)
-    found = read_arrays(tmp_path / "a.npz")
-    assert found.keys() == arrays.keys() and str(found["text"]) == "ä"
+    loaded = read_arrays(tmp_path / "a.npz")
+    assert loaded.keys() == arrays.keys() and str(loaded["text"]) == "ä"
     for name in ("a/b", "none", "n", "turned"):
-        np.testing.assert_array_equal(found[name], arrays[name])
-        assert found[name].dtype == np.asarray(arrays[name]).dtype
+        np.testing.assert_array_equal(loaded[name], arrays[name])
+        assert loaded[name].dtype == np.asarray(arrays[name]).dtype
     with np.load(tmp_path / "a.npz") as plain:
         assert DIGEST in plain.files
 

@@ -193,9 +193,9 @@ def spoilt(folder: Path, **changes: np.ndarray) -> None:
     """Change arrays of unwrapped.ply, and keep its comment."""
     path = folder / UNWRAPPED
     comment = next(line for line in path.read_bytes().split(b"\n") if line.startswith(b"comment"))
-    found = read_ply(path)
-    normals = np.tile([0.0, 0.0, 1.0], (len(found.positions), 1))
-    fields = {**vars(found), "normals": normals, **changes}
+    mesh = read_ply(path)
+    normals = np.tile([0.0, 0.0, 1.0], (len(mesh.positions), 1))
+    fields = {**vars(mesh), "normals": normals, **changes}
     write_ply(path, "ball", MeshArrays(**fields), comment.decode().removeprefix("comment "))
 
 
@@ -222,10 +222,10 @@ def test_normals_of_a_scene_that_are_no_numbers_are_refused(tmp_path):
 def test_other_normals_are_another_mesh(tmp_path, caplog):
     unwrap_cached(bare(), tmp_path)
     turned = np.roll(ball(12, 6).normals, 1, axis=1)
-    found = arrays(unwrap_cached(bare(normals=turned), tmp_path))
+    mesh = arrays(unwrap_cached(bare(normals=turned), tmp_path))
     assert "belongs to another mesh, or was changed; the mesh is unwrapped again." in caplog.text
     source = arrays(bare(normals=turned))
-    np.testing.assert_array_equal(found.normals[found.faces], source.normals[source.faces])
+    np.testing.assert_array_equal(mesh.normals[mesh.faces], source.normals[source.faces])
 
 
 def rewritten(change):

@@ -74,8 +74,8 @@ def harmless(tmp_path_factory) -> Path:
 @NAMES
 def test_an_export_has_the_structure_of_one_with_a_harmless_name(name, harmless, tmp_path):
     out = export_asset(asset(name), tmp_path / "out").parent
-    found = sorted(path.relative_to(out) for path in out.rglob("*"))
-    assert found == sorted(path.relative_to(harmless) for path in harmless.rglob("*"))
+    written = sorted(path.relative_to(out) for path in out.rglob("*"))
+    assert written == sorted(path.relative_to(harmless) for path in harmless.rglob("*"))
     assert statements(out / "mesh.obj") == statements(harmless / "mesh.obj")
     for file in ("object.xml", "preview.xml", "material.mtlx"):
         assert tags(out / file) == tags(harmless / file), file
@@ -117,11 +117,11 @@ def test_photographs_of_any_name_are_listed_once(name, tmp_path):
     frames = json.loads((tmp_path / "transforms.json").read_text())["frames"]
     assert len(frames) == 2 and frames[0].keys() == frames[1].keys()
     try:
-        found = read_transforms(tmp_path / "transforms.json")
+        source = read_transforms(tmp_path / "transforms.json")
     except CaptureError as error:
         assert "\n" not in str(error) and str(error).isprintable()
     else:
-        assert all(frame.image.is_relative_to(tmp_path) for frame in found.frames)
+        assert all(frame.image.is_relative_to(tmp_path) for frame in source.frames)
 
 
 @NAMES
@@ -140,11 +140,11 @@ class Tags(HTMLParser):
 
     def __init__(self, text: str) -> None:
         super().__init__()
-        self.found: list[tuple[str, ...]] = []
+        self.tags: list[tuple[str, ...]] = []
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
-        self.found.append((tag, *(key for key, _ in attrs)))
+        self.tags.append((tag, *(key for key, _ in attrs)))
 
 
 @pytest.mark.slow
@@ -161,7 +161,7 @@ def test_pages_of_a_folder_with_markup_in_its_name(command, shot, tmp_path, caps
         page = tmp_path / "out" / f"{command}.html"
         out = page if command == "report" else page.parent
         assert run(command, folder, *words, "-o", out) == 0, capsys.readouterr().err
-        pages.append(Tags(page.read_text("utf-8")).found)
+        pages.append(Tags(page.read_text("utf-8")).tags)
     assert pages[0] == pages[1]
 
 
@@ -171,7 +171,7 @@ def test_a_page_holds_any_name_as_text(name, tmp_path, monkeypatch):
     plain = Environment(loader=DictLoader(template), autoescape=True)
     monkeypatch.setattr("svu_mi.output.html._environment", lambda: plain)
     write_page(tmp_path / "a.html", "a.html", name=name)
-    assert Tags((tmp_path / "a.html").read_text("utf-8")).found == [("p", "title")]
+    assert Tags((tmp_path / "a.html").read_text("utf-8")).tags == [("p", "title")]
 
 
 @NAMES

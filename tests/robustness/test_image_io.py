@@ -90,8 +90,8 @@ def test_foreign_chromaticities_are_said(given, said, scene):
     notes = notes_of(scene)
     assert len(notes) == said
     assert all("view_0000.exr: its chromaticities are not those of Rec. 709" in n for n in notes)
-    found = convert_photograph(frame(path), scene.parent / "out.exr", (1, 1))
-    notes = photograph_notes([frame(path)], [found])
+    photograph = convert_photograph(frame(path), scene.parent / "out.exr", (1, 1))
+    notes = photograph_notes([frame(path)], [photograph])
     assert sum("have chromaticities other" in note for note in notes) == said
     light = write_channels(scene.parent / "light.exr", "RGB", given, colors(8, 16))
     notes = read_environment_map(Light(path=light, to_world=np.eye(3)))[2]
@@ -133,12 +133,12 @@ def test_what_counts_as_clipped_goes_by_the_bits(bits, tmp_path):
         write_16_bits(path, values)
     else:
         Image.fromarray(values.astype(np.uint8)).save(path)
-    found = convert_photograph(frame(path), tmp_path / "a.exr", (1, 1))
-    assert found.bits == bits and found.saturated == (SIZE[1] if bits == 8 else 0)
+    photograph = convert_photograph(frame(path), tmp_path / "a.exr", (1, 1))
+    assert photograph.bits == bits and photograph.saturated == (SIZE[1] if bits == 8 else 0)
     written = read_exr(tmp_path / "a.exr")["R"]
     wanted, kept = decoded(values[1:, :, 0] / most), 1e-3 if bits == 8 else 1e-6  # half floats
     np.testing.assert_allclose(written[1:], wanted, rtol=kept)
-    (note, *_) = photograph_notes([frame(path)], [found])
+    (note, *_) = photograph_notes([frame(path)], [photograph])
     assert f"are not HDR: of {bits} bits, decoded as srgb, " in note
 
 
@@ -213,10 +213,10 @@ def test_light_that_is_no_number_names_its_file(value, tmp_path):
 def test_pages_of_two_equal_runs_are_equal_byte_for_byte(tmp_path):
     capture = render_ball(tmp_path, {"type": "constant"}, {"type": "principled"}, 4, (24, 24), 4)
     seen = observe(capture, texels(capture.mesh, 24))
-    found, got = estimate(seen), recover(seen)
+    result, got = estimate(seen), recover(seen)
     for run, seconds in enumerate((0.11, 77.7)):
-        timings = dict.fromkeys(found.timings, seconds)
-        write_overview(capture, replace(found, timings=timings), tmp_path / f"overview{run}.png")
+        timings = dict.fromkeys(result.timings, seconds)
+        write_overview(capture, replace(result, timings=timings), tmp_path / f"overview{run}.png")
         timings = dict.fromkeys(got.timings, seconds)
         again = replace(got, timings=timings)
         write_recovery_overview(capture, again, [], tmp_path / f"recovery{run}.png")

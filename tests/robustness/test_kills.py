@@ -65,7 +65,7 @@ def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(
     old_files, new_files = ("a", "b", "assets/c", "gone"), ("a", "b", "assets/c", "added")
     old = {**dict.fromkeys(old_files, "o"), "run.json": "o"} | ({"mine": "x"} if others else {})
     new = {**dict.fromkeys(new_files, "n"), "run.json": "n"}
-    step, found, stopped = 0, [], True
+    step, states, stopped = 0, [], True
 
     def work(out: Path) -> None:
         with claimed(out, "recover", overwrite=others) as place:
@@ -84,23 +84,23 @@ def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(
         assert not [name for name in names(out.parent) if name.startswith(".")], step
         if others:
             assert old in [contents(path) for path in out.parent.iterdir()], step
-        found.append(contents(out) == new)
+        states.append(contents(out) == new)
         step += 1
-    assert step > 10 and found == sorted(found) and any(found) and not all(found)
+    assert step > 10 and states == sorted(states) and any(states) and not all(states)
 
 
 def test_a_single_file_is_the_old_or_the_new_one_too(tmp_path):
     """So are written: checkpoints, pages, caches and texture coordinates beside a capture."""
-    path, step, found = tmp_path / "unwrapped.ply", 0, []
+    path, step, texts = tmp_path / "unwrapped.ply", 0, []
     stopped = True
     while stopped:
         path.write_text("old\n")
         stopped = killed_at(step, lambda: write_text(path, "new"))
-        found.append(path.read_text())
+        texts.append(path.read_text())
         clear_temporaries(tmp_path)
         assert names(tmp_path) == [path.name]
         step += 1
-    assert set(found) == {"old\n", "new\n"} and found == sorted(found, reverse=True)
+    assert set(texts) == {"old\n", "new\n"} and texts == sorted(texts, reverse=True)
 
 
 # --- commands, at random moments: a few of what ``support.kills`` makes many of ----------------

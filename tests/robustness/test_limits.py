@@ -190,8 +190,8 @@ def test_tiles_and_parts_are_read(tmp_path):
     with OpenEXR.File([part("beauty", colors()), part("depth", depth)]) as file:
         file.write(str(tmp_path / "parts.exr"))
     for name in ("tiled.exr", "parts.exr"):
-        found = read_exr(tmp_path / name)
-        assert {key: float(found[key].mean()) for key in "RGB"} == {"R": 0, "G": 1, "B": 2}
+        channels = read_exr(tmp_path / name)
+        assert {key: float(channels[key].mean()) for key in "RGB"} == {"R": 0, "G": 1, "B": 2}
 
 
 def test_all_parts_are_held_against_the_memory(tmp_path, monkeypatch):

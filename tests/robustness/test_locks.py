@@ -80,22 +80,22 @@ def test_a_writer_that_waits_sees_the_exchange(out, monkeypatch, exchange, older
         monkeypatch.setattr("svu_mi.core.io.folder_exchange._exchange", lambda *_: False)
     if older:
         write(out, "o", ("a", "b"))
-    entered, found = threading.Event(), []
+    entered, contents_seen = threading.Event(), []
 
     def wait() -> None:
         entered.set()
         with locked(out, wait=30) as draft:
-            found.append((names(draft), contents(out)))
+            contents_seen.append((names(draft), contents(out)))
 
     waiting = threading.Thread(target=wait)
     with claimed(out, "recover") as place:
         waiting.start()
         entered.wait()
         waiting.join(0.2)
-        assert not found
+        assert not contents_seen
         write(place, "n", ("a",))
     waiting.join()
-    assert found == [([], {"a": "n", "run.json": "n"})]
+    assert contents_seen == [([], {"a": "n", "run.json": "n"})]
     assert names(out.parent) == ["out"]
 
 

@@ -56,8 +56,8 @@ def test_every_file_of_a_result_has_the_id_of_its_run(made):
     assert len(marked) == 8
     for name in marked:
         assert marks_of(folder / name) == (entry["run"], entry["capture"]), name
-    found = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
-    assert found == sorted([*entry["files"], "run.json"])
+    files = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    assert files == sorted([*entry["files"], "run.json"])
     assert read_header(made / "a" / "shot" / "view_0000.exr").attributes["svu:run"]
 
 
@@ -143,9 +143,9 @@ def test_a_capture_that_is_exchanged_while_it_is_read_is_refused(made, monkeypat
     read = loading.read_photographs
 
     def exchange(*arguments, **options):
-        found = read(*arguments, **options)
+        result = read(*arguments, **options)
         shutil.copy(made / "b" / "shot" / "capture.json", shot / "capture.json")
-        return found
+        return result
 
     with monkeypatch.context() as patch:
         patch.setattr(loading, "read_photographs", exchange)

@@ -213,9 +213,9 @@ def test_a_page_of_others_or_an_edited_one_is_kept(tmp_path):
     page.write_text(page.read_text().replace("second", "edited"))
     with pytest.warns(SvuWarning, match="is kept as report.html.before1"):
         write_page(page, "<p>third")
-    found = contents(tmp_path)
-    assert found["report.html.before"] == "mine"
-    assert found["report.html.before1"].startswith("<p>edited\n<!-- svu:page=")
+    pages = contents(tmp_path)
+    assert pages["report.html.before"] == "mine"
+    assert pages["report.html.before1"].startswith("<p>edited\n<!-- svu:page=")
     elsewhere = tmp_path / "elsewhere"
     elsewhere.write_bytes(page.read_bytes())
     page.unlink()

@@ -75,12 +75,12 @@ def test_a_library_where_mitsuba_would_look_is_refused(
     (path.parent / "included" / "more.xml").write_text(more)
     if place == "scene/inner":  # this <path> ends with its file, so nothing is looked for there
         path.write_text(path.read_text().replace('value="path"', 'value="inner"'))
-    found = plant(library, tmp_path / place / "plugins" / f"{name}.so")
+    planted = plant(library, tmp_path / place / "plugins" / f"{name}.so")
     words = rf"{name}\.so: Mitsuba would run this library.*trust=True"
     with pytest.raises(SceneError, match=words):
         svu.load_capture(path)
     assert not loaded.exists()
-    found.unlink()
+    planted.unlink()
     load_scene(path)
 
 
@@ -89,10 +89,10 @@ def test_a_linked_folder_and_other_systems_libraries_are_refused(tmp_path, libra
     (tmp_path / "far").mkdir()
     (path.parent / "plugins").symlink_to(tmp_path / "far")
     for suffix in SUFFIXES:
-        found = plant(library, tmp_path / "far" / f"diffuse{suffix}")
+        planted = plant(library, tmp_path / "far" / f"diffuse{suffix}")
         with pytest.raises(SceneError, match="Mitsuba would run"):
             load_scene(path)
-        found.unlink()
+        planted.unlink()
     (tmp_path / "far" / "loop.so").symlink_to("loop.so")
     with pytest.raises(SceneError, match="Mitsuba would run"):
         load_scene(path)

@@ -45,8 +45,8 @@ def connected(address, path, host=None, origin=None):
         with client.connect(
             f"ws://{host or address.netloc}{path}", sock=line, origin=origin, compression=None,
             subprotocols=[f"viser-v{viser.__version__}"],
-        ) as found:  # fmt: skip
-            assert found.recv(10)
+        ) as connection:  # fmt: skip
+            assert connection.recv(10)
     except InvalidStatus as error:
         return error.response.status_code
     return SWITCHING

@@ -107,10 +107,10 @@ def _estimate(
         def report() -> None:
             stage.update(next(done), total)
 
-        coarse = {m: problem.light((first,), None, report) for m, problem in problems.items()}
+        coarse = {m: problem.solve((first,), None, report) for m, problem in problems.items()}
         still, moving = (coarse[m].misfit if m in coarse else np.nan for m in (False, True))
         moves = next(iter(problems)) if len(problems) == 1 else moving < MOVED * still
-        fit = problems[moves].light(tuple(finer), coarse[moves], report)
+        fit = problems[moves].solve(tuple(finer), coarse[moves], report)
     return fit, (still, moving)
 
 
@@ -132,7 +132,7 @@ class LightProblem:
     moves: bool = False
     gains: bool = False
 
-    def light(
+    def solve(
         self, depths: tuple[tuple[int, int], ...], start: LightFit | None = None,
         after_round: Callable[[], None] | None = None,
     ) -> LightFit:  # fmt: skip
@@ -158,14 +158,14 @@ class LightProblem:
             else:
                 x = refined(fit.x, number)
             for _ in range(rounds):
-                fit = self._round(whole, priors, (x, gains, heat), leveled)
+                fit = self._step(whole, priors, (x, gains, heat), leveled)
                 x, gains, heat = fit.x, fit.gains, max(heat * COOLING, 1.0)
                 if after_round is not None:
                     after_round()
         assert fit is not None
         return fit
 
-    def _round(
+    def _step(
         self, whole: Transport, priors: LightPriors,
         state: tuple[np.ndarray, FoundGains | None, float], leveled: bool,
     ) -> LightFit:  # fmt: skip

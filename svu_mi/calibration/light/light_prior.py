@@ -32,17 +32,17 @@ BROAD, NARROW = np.radians(40), np.radians(12)
 
 
 class Amplitudes(NamedTuple):
-    """Standard deviations: of the level, the broad, the narrow and the cell's own part."""
+    """Standard deviations: of the scale, the broad, the narrow and the cell's own part."""
 
-    level: float
+    scale: float
     broad: float
     narrow: float
     own: float
 
 
-BRIGHTNESS = Amplitudes(level=3.0, broad=0.9, narrow=0.8, own=0.35)
-SD = float(np.linalg.norm(BRIGHTNESS[1:]))  # of a cell at a given level, the channels' mean
-COLOR = Amplitudes(level=0.5, broad=0.25, narrow=0.15, own=0.05)
+BRIGHTNESS = Amplitudes(scale=3.0, broad=0.9, narrow=0.8, own=0.35)
+SD = float(np.linalg.norm(BRIGHTNESS[1:]))  # of a cell at a given scale, the channels' mean
+COLOR = Amplitudes(scale=0.5, broad=0.25, narrow=0.15, own=0.05)
 PIXELS = 4000  # sampled in each photograph, about
 BACKGROUND_SD = 0.1  # of a cell's mean log radiance: parallax, and pixels that are not sampled
 DARK = 1e-4  # part of the mean radiance that counts as black
@@ -90,7 +90,7 @@ def refined(x: np.ndarray, number: int) -> np.ndarray:
 
 def _covariance(a: np.ndarray, b: np.ndarray, of: Amplitudes, own: bool = True) -> np.ndarray:
     angle = np.arccos(np.clip(a @ b.T, -1, 1))
-    covariance = of.level**2 + of.broad**2 * np.exp(-0.5 * (angle / BROAD) ** 2)
+    covariance = of.scale**2 + of.broad**2 * np.exp(-0.5 * (angle / BROAD) ** 2)
     covariance += of.narrow**2 * np.exp(-0.5 * (angle / NARROW) ** 2)
     return covariance + of.own**2 * np.eye(len(a)) if own else covariance
 

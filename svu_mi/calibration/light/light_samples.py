@@ -73,7 +73,7 @@ class TexelSamples:
         """Sum values (S, ...) over the samples of every texel: (n, ...)."""
         return np.add.reduceat(values, self.first, axis=0)
 
-    def facing(self) -> tuple[TexelSamples, np.ndarray]:
+    def without_steep_views(self) -> tuple[TexelSamples, np.ndarray]:
         """Return the samples without steep views and texels seen too little, and their indices."""
         kept = self.cosine > FACING
         enough = np.bincount(self.owner[kept], minlength=self.texels) >= FEWEST
@@ -88,7 +88,7 @@ class TexelSamples:
         )
         return samples, chosen
 
-    def without(self, views: np.ndarray) -> TexelSamples:
+    def without_views(self, views: np.ndarray) -> TexelSamples:
         """Give views (V,) bool no weight."""
         return replace(self, weight=np.where(views[self.view], 0, self.weight))
 

@@ -88,7 +88,7 @@ def scale_of(samples: TexelSamples, columns: Columns, switches: AngularPreset) -
     few materials. Steep views are skipped: there, neighbours of the texel in the same pixel look
     like Fresnel reflection of brighter light.
     """
-    samples, kept = samples.facing()
+    samples, kept = samples.without_steep_views()
     moments = SampleMoments.of(samples, columns.subset(kept))
 
     def worse(logarithm: np.ndarray) -> float:
@@ -119,7 +119,7 @@ def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarra
     """Return mean and standard deviations (3,) of colour at a level, by Newton's method."""
 
     def energy(tint: np.ndarray) -> float:
-        return COLORS_SHARPER * worse(level + tint) + 0.5 * float(tint @ tint) / COLOR.level**2
+        return COLORS_SHARPER * worse(level + tint) + 0.5 * float(tint @ tint) / COLOR.scale**2
 
     best, least = np.zeros(3), energy(np.zeros(3))
     for _ in range(TINT_ROUNDS):
@@ -147,7 +147,7 @@ def _slope_and_covariance(
     *slope, aa, ab, bb = np.linalg.lstsq(terms, excess, rcond=None)[0]
     values, vectors = np.linalg.eigh([[aa, ab], [ab, bb]])
     axes = PLANE @ vectors
-    curvature = np.maximum(values, COLOR.level**-2)  # no less than the prior's own
+    curvature = np.maximum(values, COLOR.scale**-2)  # no less than the prior's own
     return PLANE @ slope, axes @ np.diag(1 / curvature) @ axes.T
 
 

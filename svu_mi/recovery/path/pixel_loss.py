@@ -96,11 +96,11 @@ class PathObjective:
         self.target.paint({name: dr.detach(texture) for name, texture in textures.items()})
         params = self.target.params
         live = {name: params[key_of(name)] for name in textures}
-        self._follow(live, dr.enable_grad)
+        self._toggle_grad(live, dr.enable_grad)
         with dr.suspend_grad():
             batch, seed = self.batches.at(step), self._seed(step)
             radiance, photograph, replay = self._trace(batch, seed)
-            loss, slope = self._compared(radiance, photograph)
+            loss, slope = self._loss_and_gradient(radiance, photograph)
             lane = dr.arange(mi.UInt32, len(batch.index) * self.options.spp)
             part = self.options.spp // self.halves
             if self.halves == 1:  # other paths than those of the loss
@@ -111,7 +111,7 @@ class PathObjective:
             dr.eval(loss)
         gradients = {name: dr.grad(texture).array for name, texture in live.items()}
         dr.eval(gradients)
-        self._follow(live, dr.disable_grad)
+        self._toggle_grad(live, dr.disable_grad)
         return sum(
             with_known_gradient(
                 loss if index == 0 else mi.Float(0), [gradients[name]], [texture.array]
@@ -155,7 +155,7 @@ class PathObjective:
         seen = dr.gather(mi.Color3f, views.pixels, index)
         return dr.ravel(mi.Color3f(means)), dr.ravel(seen), replay
 
-    def _compared(self, radiance: Any, photograph: Any) -> tuple[Any, Any]:
+    def _loss_and_gradient(self, radiance: Any, photograph: Any) -> tuple[Any, Any]:
         """Return the loss, and its derivatives by the radiance."""
         # Opaque: as a literal, every capture would compile kernels of its own.
         scale = dr.opaque(mi.Float, self.batches.mean or 1.0)
@@ -165,8 +165,8 @@ class PathObjective:
             dr.backward(loss)
             return dr.detach(loss), dr.grad(radiance)
 
-    def _follow(self, textures: Mapping[str, Any], change: Callable[[Any], None]) -> None:
-        """Let derivatives by textures be followed, or not any more."""
+    def _toggle_grad(self, textures: Mapping[str, Any], change: Callable[[Any], None]) -> None:
+        """Enable or disable gradients of textures."""
         for name, texture in textures.items():
             change(texture)
             self.target.params.set_dirty(key_of(name))

@@ -1,4 +1,4 @@
-"""A working copy of the scene whose object is made of texture tensors."""
+"""A copy of the scene whose object has texture tensors as its material."""
 
 from __future__ import annotations
 

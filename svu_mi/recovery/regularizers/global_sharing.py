@@ -1,4 +1,4 @@
-"""Global sharing: uncertain texels take after certain ones that look like them (Sec. 5.2)."""
+"""Global sharing: uncertain texels are pulled towards certain ones (Sec. 5.2, Eq. 14, 15)."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class GlobalSharing(Regularizer):
         require_types(self)
         require(self, 0 < self.tau < np.inf, "tau", "positive")
         posterior = self.estimate.posterior
-        chosen = self._choose()
+        chosen = self._chosen_seeds()
         weights = _weights(divergences(posterior, chosen, self.divergence), self.tau)
         object.__setattr__(self, "seeds", chosen)
         object.__setattr__(self, "weights", to_drjit(mi.Float, weights.ravel()))
@@ -122,7 +122,7 @@ class GlobalSharing(Regularizer):
         """Lay ``pull`` out as an (H, W) float32 texture, 0 outside the charts."""
         return self.estimate.texels.to_image(self.pull())
 
-    def _choose(self) -> np.ndarray:
+    def _chosen_seeds(self) -> np.ndarray:
         """Return the numbers of the seeds, (S,) int64."""
         if not isinstance(self.seeds, (int, np.integer)):
             chosen = np.array(self.seeds, np.int64).reshape(-1)
@@ -152,7 +152,7 @@ class GlobalSharing(Regularizer):
         if not self.anchored:
             # Now: writes and additions that wait for one evaluation have no order among them.
             dr.eval(gradient)
-            self._let_go(gradient, psi, seeds, 2 * scale)
+            self._add_seed_gradient(gradient, psi, seeds, 2 * scale)
         return dr.sum(total) * scale, gradient
 
     def _pull(self, psi: list[Any], seeds: list[Any]) -> tuple[Any, list[Any]]:
@@ -176,8 +176,10 @@ class GlobalSharing(Regularizer):
         )
         return total, pull
 
-    def _let_go(self, gradient: Any, psi: list[Any], seeds: list[Any], scale: Any) -> None:
-        """Add what pulls at the seeds: - sum_p w_pq (psi_p - psi_q)."""
+    def _add_seed_gradient(
+        self, gradient: Any, psi: list[Any], seeds: list[Any], scale: Any
+    ) -> None:
+        """Add the gradient at the seeds: - sum_p w_pq (psi_p - psi_q)."""
         count, index = self.estimate.texels.count, self.estimate.texels.index
         lane = dr.arange(mi.UInt32, dr.width(self.weights))
         seed = lane // dr.opaque(mi.UInt32, count)
@@ -194,12 +196,12 @@ def divergences(posterior: Posterior, chosen: np.ndarray, kind: Divergence) -> n
 
     Where each channel has a distribution of its own, the mean over channels.
     """
-    q = _rows(posterior, chosen)
+    q = _probabilities(posterior, chosen)
     log_q = np.log(np.maximum(q, LEAST))
     result = np.empty((len(chosen), posterior.count))
     every, size = np.arange(posterior.count), max(CHUNK // max(q.shape[1], 1), 1)
     for texels in np.split(every, range(size, len(every), size)):
-        p = _rows(posterior, texels)
+        p = _probabilities(posterior, texels)
         log_p = np.log(np.maximum(p, LEAST))
         if kind == "forward":
             result[:, texels] = np.einsum("tk,tk->t", p, log_p) - log_q @ p.T
@@ -208,7 +210,7 @@ def divergences(posterior: Posterior, chosen: np.ndarray, kind: Divergence) -> n
     return np.maximum(result, 0) / posterior.channels
 
 
-def _rows(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
+def _probabilities(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
     """Return (t, cells) float32 probabilities of some texels, all channels in a row."""
     cells = int(np.prod(posterior.grid.shape)) * posterior.channels
     return np.array(posterior.probabilities_of(chosen), np.float32).reshape(len(chosen), cells)

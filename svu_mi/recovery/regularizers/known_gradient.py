@@ -1,4 +1,4 @@
-"""Losses whose gradient is known: a number, and its derivative by every value of a texture."""
+"""Differentiable scalars with a known gradient, and regularisers made of them."""
 
 from __future__ import annotations
 

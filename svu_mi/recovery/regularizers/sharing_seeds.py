@@ -1,4 +1,4 @@
-"""Seeds: certain texels, of as many kinds as there are, that others may learn from."""
+"""Seeds of global sharing: the most certain texels of each material."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Total variation on the surface: smooth where nothing else is known, with edges."""
+"""Total variation between neighbouring texels, on the surface or in the texture."""
 
 from __future__ import annotations
 

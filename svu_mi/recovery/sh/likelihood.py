@@ -1,4 +1,4 @@
-"""What SH recovery descends on: what the photographs of every texel say, and where that points.
+"""Losses of SH recovery: the likelihood of every texel, and priors around posterior means.
 
 Both are of the calibrated posterior (``posterior/calibrated.py``), with its noise per texel, and
 cost the same for any number of photographs.
@@ -72,11 +72,11 @@ class Likelihood:
 
 @dataclass(frozen=True)
 class QuadraticPrior:
-    """Weighted squared distance of texels to what they probably are, the mean over texels.
+    """Weighted squared distance to posterior means, the mean over texels.
 
     Attributes:
         place: (S,) UInt32, where in a texture each texel is.
-        target: what they probably are.
+        target: posterior means.
         weight: of the square of each.
     """
 
@@ -94,9 +94,10 @@ class QuadraticPrior:
         return QuadraticPrior._to(posterior, texels, means, nats_of_squares(sds))
 
     @staticmethod
-    def by_trust(posterior: Posterior[CalibratedKernel], texels: Texels) -> QuadraticPrior:
-        """Squared distances to posterior means, the less the photographs have told, the less they
-        count: by 1 - variance / the prior's."""
+    def weighted_by_information(
+        posterior: Posterior[CalibratedKernel], texels: Texels
+    ) -> QuadraticPrior:
+        """Squared distances to posterior means, weighted by 1 - variance / the prior's variance."""
         means, sds = texel_moments(posterior)
         trust = {}
         for name, sd in sds.items():
@@ -139,14 +140,13 @@ Table = dict[str, np.ndarray]
 
 
 def nats_of_squares(sds: Table) -> Table:
-    """Return what a squared distance to the mean costs under a normal distribution, in nats."""
+    """Return nats per squared distance to the mean of a normal distribution."""
     return {name: 0.5 / (sd**2 + SD_FLOOR**2) for name, sd in sds.items()}
 
 
 def texel_moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]:
-    """Return means of all T texels, and standard deviations without what they have in common,
-    float64."""
-    posterior = replace(posterior, kernel=posterior.kernel.apart())
+    """Return means and standard deviations of all T texels, without the common scale, float64."""
+    posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
     means, sds = (
         {name: np.array(of(name), np.float64).reshape(posterior.count, -1).T for name in NAMES}
         for of in (posterior.mean, posterior.sd)
@@ -164,7 +164,7 @@ def values_of(table: Table, chosen: np.ndarray | None = None) -> Values:
 
 
 def _map_values(do: Callable[..., Any], *values: Values) -> Values:
-    """Do something with every Float."""
+    """Apply a function to every Float."""
     return {
         name: [do(*x) for x in zip(*(v[name] for v in values), strict=True)] for name in values[0]
     }
@@ -172,7 +172,7 @@ def _map_values(do: Callable[..., Any], *values: Values) -> Values:
 
 @dataclass(frozen=True)
 class SmoothedStart:
-    """What is descended on, a function of every channel of T texels (``start``).
+    """Loss whose minimum are smoothed means, a function of every channel of T texels (``start``).
 
     Attributes:
         texels: the T texels.

@@ -1,4 +1,4 @@
-"""A normal distribution clipped to [0, 1]: what lies beyond an end stands at that end."""
+"""Normal distributions clipped to [0, 1]: values beyond an end stand at that end."""
 
 from __future__ import annotations
 

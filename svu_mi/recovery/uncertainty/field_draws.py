@@ -1,4 +1,4 @@
-"""Random parts of draws from a field: smooth variation over the object, correlated parameters.
+"""Random fields: smooth variation over the object, and correlated parameters.
 
 Smooth fields are sums of waves of random direction and length, which are Gaussian in the limit of
 many [Rahimi and Recht 2007]. Their correlation is exp(-d^2 / (2 l^2)) at a distance d in space.

@@ -45,7 +45,7 @@ GROUPING_LIMIT = 0.7  # part of the texels from which on groups are no help
 
 @dataclass(frozen=True)
 class Smoother:
-    """D + K of N fields over T texels, which do not know of each other.
+    """D + K of N independent fields over T texels.
 
     Fields go side by side, in Q groups of four, of which the last is padded: vectors are Floats
     (4 Q T,), of a texel all fields, then those of the next. A kernel then finds all that belongs to
@@ -59,8 +59,7 @@ class Smoother:
         own: vector, the diagonal of D, positive.
         start: vector, x0.
         diagonal: vector, of D + K.
-        masked: (T,) Bool, texels of whose values links must not know: theirs are as strong as any;
-            None for none.
+        masked: (T,) Bool, texels whose values do not weaken their links; None for none.
     """
 
     fields: int
@@ -133,7 +132,7 @@ class Smoother:
         return self._table(self._descend(x, wanted - self @ x, mi.Float(1), goal, MOST_ITERATIONS))
 
     def solve_masked(self, right: np.ndarray, start: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Return x with (D + K) x = right at some texels, and what it was at all others, (N, T)."""
+        """Return x with (D + K) x = right at free texels, and ``start`` elsewhere, (N, T)."""
         x, wanted = _vector(start), _vector(np.tile(free, (len(start), 1)))
         rest = wanted * (_vector(right) - self @ x)
         goal = MASKED_TOLERANCE**2 * dr.sum(dr.square(rest) / self.diagonal)
@@ -235,7 +234,7 @@ def _write_quads(quads: Any) -> Any:
 
 
 def _normal(seed: Any, number: Any) -> Any:
-    """Return a standard normal number of each (seed, number), whoever asks for it."""
+    """Return the standard normal number of each (seed, number)."""
     random = mi.PCG32(initstate=seed, initseq=number)
     u, v = random.next_float32(), random.next_float32()
     return dr.sqrt(-2 * dr.log(1 - u)) * dr.cos(dr.two_pi * v)

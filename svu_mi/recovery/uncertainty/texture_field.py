@@ -1,4 +1,4 @@
-"""The field that recovered textures are the middle of.
+"""Gaussian Markov random field around recovered textures: their error bars and samples.
 
 Textures are the most probable ones under the photographs and total variation. Around them, with
 total variation made quadratic (``smoother``), a parameter is a Gaussian Markov random field
@@ -67,7 +67,7 @@ TINY = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class TextureField:
-    """Textures that explain the photographs about as well as the recovered ones.
+    """Distribution of textures around the recovered ones.
 
     Attributes:
         texels: T texels.
@@ -135,17 +135,17 @@ class TextureField:
         if count < 0:
             raise OptionError(f"TextureField.draw(): count must be at least 0, got {count}.")
         for number in range(count):
-            yield self._drawn(np.random.default_rng((seed, number)))
+            yield self._sample(np.random.default_rng((seed, number)))
 
-    def _drawn(self, random: np.random.Generator) -> Textures:
+    def _sample(self, random: np.random.Generator) -> Textures:
         length = dr.opaque(mi.Float, 1 / (LENGTH * self.texels.extent))
         smooth = np.array(smooth_fields(len(self.deviation), self.texels.position * length, random))
         forces = random.standard_normal(self.deviation.shape, np.float32)
         wave, force = (np.einsum("tij,jt->it", self.roots(), x) for x in (smooth, forces))
-        together = np.sqrt(self.common) * self._coherent * wave
+        together = np.sqrt(self.common) * self._coherent_sd * wave
         right = force / self.deviation + self.smoother.sample_links(random)
         away = together + np.sqrt(1 - self.common) * self._nested.solve(right)
-        away *= self._raised / np.maximum(self._own_sd, TINY)
+        away *= self._unclipped_sd / np.maximum(self._own_sd, TINY)
         values = self.values + away
         values[:3] += values[:3] * self.scale[:, None] * random.standard_normal((3, 1))
         values = np.clip(values, 0, 1)
@@ -165,7 +165,7 @@ class TextureField:
         return Nested.of(self.smoother, texel_squares(self.texels))
 
     @cached_property
-    def _coherent(self) -> np.ndarray:
+    def _coherent_sd(self) -> np.ndarray:
         """c, (N, T)."""
         left = self._nested.solve(1 / self.deviation)
         # Of a tenth of the links' strength: values do not go far, so it needs no coarse start.
@@ -184,32 +184,32 @@ class TextureField:
     @cached_property
     def width(self) -> np.ndarray:
         """(N, T) standard deviations of values before they are clipped."""
-        variance = self._raised**2 + self._in_common**2
+        variance = self._unclipped_sd**2 + self._common_sd**2
         for name in NAMES:
             if name not in self.names:
                 variance[self.rows(name)] = 0
         return np.sqrt(variance)
 
     @cached_property
-    def _raised(self) -> np.ndarray:
-        """The same without what all texels have in common."""
+    def _unclipped_sd(self) -> np.ndarray:
+        """The same without the common scale."""
         width = clipped_normal.width_of(self.values, self._own_sd)
         if self.min_width is None:
             return width
-        left = np.maximum(self.min_width**2 - self._in_common**2, 0)
+        left = np.maximum(self.min_width**2 - self._common_sd**2, 0)
         return np.maximum(width, np.sqrt(left))
 
     @property
-    def _in_common(self) -> np.ndarray:
-        """What all texels have in common, as a standard deviation of each."""
+    def _common_sd(self) -> np.ndarray:
+        """(N, T) standard deviations of the common scale."""
         common = np.zeros_like(self.values)
         common[:3] = self.scale[:, None] * self.values[:3]
         return common
 
     @cached_property
     def _own_sd(self) -> np.ndarray:
-        """(N, T) standard deviations of what texels have of their own, as these are."""
-        return np.sqrt(self.common * self._coherent**2 + (1 - self.common) * self._variance)
+        """(N, T) standard deviations without the common scale, before clipping is compensated."""
+        return np.sqrt(self.common * self._coherent_sd**2 + (1 - self.common) * self._variance)
 
     @property
     def _variance(self) -> np.ndarray:
@@ -242,7 +242,7 @@ def texture_field(
     *,
     progress: Progress | None = None,
 ) -> TextureField:
-    """Return how sure recovered textures are.
+    """Return the distribution of textures around recovered ones.
 
     Args:
         recovery: the textures.
@@ -281,8 +281,8 @@ def tv_weights(settings: Mapping[str, Any]) -> ShOptions:
 
 
 def field_of_textures(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:
-    """Return the field around textures that somebody has recovered; None where the estimate does
-    not say enough for one, or is of other texels."""
+    """Return the field around given textures; None if the estimate is not in colour, or of other
+    texels."""
     if not supports_texture_field(estimate) or textures.resolution != estimate.texels.resolution:
         return None
     return field_around(textures, estimate, neighbors(estimate.texels, mesh))
@@ -292,7 +292,7 @@ def field_around(
     textures: Textures, estimate: Estimate, around: Neighbors, names: Sequence[str] = NAMES,
     options: ShOptions | None = None,
 ) -> TextureField:  # fmt: skip
-    """Return the field around textures, whoever recovered them."""
+    """Return the field around textures."""
     posterior, texels = estimate.posterior, estimate.texels
     assert isinstance(posterior.kernel, CalibratedKernel)
     options = options or ShOptions()
@@ -315,7 +315,7 @@ def field_around(
 
 
 def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
-    """Return the part of every variance that neighbourhoods have in common, (N, T)."""
+    """Return rho, (N, T)."""
     parts = np.concatenate([
         np.full(CHANNELS[name], COMMON_MIXED if name in MIXED else COMMON) for name in NAMES
     ])  # fmt: skip
