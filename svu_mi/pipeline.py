@@ -34,7 +34,7 @@ from svu_mi.posterior.estimators import (
     view_counts,
 )
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
-from svu_mi.posterior.observations import Observed, observe
+from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.row_entropy import log_prior
 from svu_mi.posterior.spectrum import spectrum_grid, spectrum_posterior
@@ -96,30 +96,24 @@ def estimate(
     require_variant()
     switches: Any = find_preset(preset, method=method)
     progress, skip = progress or Progress(), skip or Skip()
-    angular = isinstance(switches, AngularPreset)
-    nodes: Any = angular_grid(grid, switches) if angular else spectrum_grid(grid, switches)
+    grid_of = angular_grid if isinstance(switches, AngularPreset) else spectrum_grid
+    nodes: Any = grid_of(grid, switches)
     capture, texels = capture_and_texels(source, texels)
     nodes = with_known(nodes, known, capture.shape)
     prior_tables = log_prior(prior, nodes.shape, "estimate()")  # refused before any work
-
     observed = _observations(source, texels, skip, progress)
     plan = make_plan(skip, switches, observed, nodes, prior_tables)
-    inputs = EstimatorInputs(observed, nodes, prior, plan, progress, whole)
-    return _computed(inputs, method, switches)
+    return _computed(
+        EstimatorInputs(observed, nodes, prior, plan, progress, whole), method, switches
+    )
 
 
 def _observations(
     source: Capture | Observed | Estimate, texels: Texels, skip: Skip, progress: Progress
 ) -> Observed:
     """Trace which photographs show which texels, unless that is known, and read the light."""
-    if isinstance(source, Capture):
-        require_light(source)
-        observed = observe(
-            source, texels, progress,
-            skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,
-        )  # fmt: skip
-    else:
-        observed = observations_of(source, texels)
+    require_light(capture_and_texels(source, texels)[0])
+    observed = observations_of(source, texels, progress, skip)
     with progress.stage("Reading the light"):
         _ = observed.lighting
     return observed

@@ -15,7 +15,7 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.posterior.estimators import inflated
 from svu_mi.posterior.observations import Observed, observe
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.presets import AnyPreset
+from svu_mi.presets import AnyPreset, Skip
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -115,11 +115,12 @@ def capture_and_texels(
 
 
 def observations_of(
-    source: Capture | Observed | Estimate, texels: Texels | None, progress: Progress | None = None
-) -> Observed:
-    """Return the ``Observed`` of ``source``; compute it if ``source`` is a capture."""
+    source: Capture | Observed | Estimate, texels: Texels | None,
+    progress: Progress | None = None, skip: Skip | None = None,
+) -> Observed:  # fmt: skip
+    """Return the ``Observed`` of ``source``; trace visibility if ``source`` is a capture."""
     if isinstance(source, Capture):
-        return observe(*capture_and_texels(source, texels), progress)
+        return observe(*capture_and_texels(source, texels), progress, skip)
     return _observed_by(source, texels)
 
 

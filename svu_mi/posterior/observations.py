@@ -36,7 +36,7 @@ from svu_mi.light.light_visibility import (
     trace_light_visibility,
     trace_mirror_visibility,
 )
-from svu_mi.presets import AngularPreset, Fit, Preset
+from svu_mi.presets import AngularPreset, Fit, Preset, Skip
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.reflection_model import IncidentLight, ReflectionModel
 from svu_mi.statistics.censored import PASSES, find_best_models
@@ -266,23 +266,23 @@ class Observed:
 
 
 def observe(
-    capture: Capture, texels: Texels, progress: Progress | None = None, *,
-    skip_unseen: bool = True, skip_blind: bool = True, skip_pairs: bool = True,
-) -> Observed:  # fmt: skip
-    """Trace the visibility of texels in a capture's views; ``skip_*`` keep the results."""
-    progress = progress or Progress()
+    capture: Capture, texels: Texels, progress: Progress | None = None, skip: Skip | None = None
+) -> Observed:
+    """Trace the visibility of texels in a capture's views; ``skip`` keeps the results."""
+    progress, skip = progress or Progress(), skip or Skip()
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
     with progress.stage("Tracing visibility"):
-        lanes = TexelLanes.of(texels)
-        visibility = trace_visibility(views, lanes, skip_blind=skip_blind, skip_pairs=skip_pairs)
+        visibility = trace_visibility(
+            views, TexelLanes.of(texels), skip_blind=skip.blind, skip_pairs=skip.pairs
+        )
     require_seen(visibility.per_view, capture, clipped=bool(np.any(visibility.clipped_coverage)))
     require_range(visibility.scale)
     all_texels = np.arange(texels.count)
     observed = Observed(
         capture=capture, views=views, texels=texels, visibility=visibility, seen=all_texels
     )
-    return replace(observed, seen=np.flatnonzero(observed.shown)) if skip_unseen else observed
+    return replace(observed, seen=np.flatnonzero(observed.shown)) if skip.unseen else observed
 
 
 def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False) -> None:

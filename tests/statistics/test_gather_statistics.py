@@ -16,6 +16,7 @@ import svu_mi as svu
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.observations import observe
+from svu_mi.presets import Skip
 from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, Factors
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import Statistics
@@ -131,7 +132,7 @@ def test_samples_count_less_the_more_parameters_are_off(scene):
 
 def test_texels_nobody_sees_have_no_statistics(scene):
     capture = noise_capture(scene, [0])
-    observed = observe(capture, svu.texels(capture.mesh, SIZE), skip_unseen=False)
+    observed = observe(capture, svu.texels(capture.mesh, SIZE), skip=Skip(unseen=False))
     statistics = observed.statistics(ROUGHNESS, angular(), 1)
     unseen = statistics.views.numpy() == 0
     assert unseen.any() and statistics.count == observed.texels.count
@@ -253,7 +254,7 @@ def parts_of(scene, groups, texels, switches, kappa, places, **options):
     results = []
     for chosen in groups:
         capture = noise_capture(scene, chosen, places=places, **options)
-        observed = observe(capture, texels, skip_unseen=False)
+        observed = observe(capture, texels, skip=Skip(unseen=False))
         results.append(observed.statistics(
             ROUGHNESS, switches, switches.colors, weighting=Weighting(kappa)
         ))  # fmt: skip
