@@ -78,8 +78,7 @@ def estimate(
             the grid, and the entropy is that of the others. ``"scene"`` takes what the scene's
             own ``principled`` material does not vary. Nothing by default: in a scene made for
             photographs, a constant is more often a placeholder than a fact.
-        skip: work to leave out where it changes nothing; all of it by default. What is gone on
-            from has left out what it has.
+        skip: work to leave out where it changes nothing; all of it by default.
         whole: keep the statistics of all texels in memory (3 kB per texel), as recovery and
             guidance need them. Otherwise more than 2^18 texels are worked on tile by tile, and
             what maps do not show is computed again when it is asked for (``TiledKernel``).
@@ -96,10 +95,9 @@ def estimate(
     require_variant()
     switches: Any = find_preset(preset, method=method)
     progress, skip = progress or Progress(), skip or Skip()
-    grid_of = angular_grid if isinstance(switches, AngularPreset) else spectrum_grid
-    nodes: Any = grid_of(grid, switches)
     capture, texels = capture_and_texels(source, texels)
-    nodes = with_known(nodes, known, capture.shape)
+    grid_of: Any = angular_grid if isinstance(switches, AngularPreset) else spectrum_grid
+    nodes = with_known(grid_of(grid, switches), known, capture.shape)
     prior_tables = log_prior(prior, nodes.shape, "estimate()")  # refused before any work
     observed = _observations(source, texels, skip, progress)
     plan = make_plan(skip, switches, observed, nodes, prior_tables)
