@@ -267,7 +267,8 @@ def test_the_likelihood_is_that_of_the_posterior(known: svu.Estimate, grid: Texe
 def test_a_pull_is_that_of_the_moments(known: svu.Estimate, grid: Texels) -> None:
     posterior = known.posterior
     means, sds = texel_moments(posterior)
-    pull, trust = QuadraticPrior.of(posterior, grid), QuadraticPrior.by_trust(posterior, grid)
+    pull = QuadraticPrior.of(posterior, grid)
+    trust = QuadraticPrior.weighted_by_information(posterior, grid)
     seen = posterior.kernel.problem.factors.texel.numpy()
     for name in TRUE:
         for k, (mean, sd) in enumerate(zip(means[name][:, seen], sds[name][:, seen], strict=True)):

@@ -364,7 +364,7 @@ def test_all_posteriors_of_the_package_share():
     """A distribution per channel: the mean of their divergences, as Posterior.kl has it."""
 
     class PerChannel(TabulatedKernel):
-        groups = 3
+        channels = 3
 
         def tables(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             p, best = super().tables(texels)
