@@ -86,10 +86,11 @@ def read(folder: Path) -> Description | None:
             "update svu_mi."
         )
     for key, (kind, inner, what) in FIELDS.items():
-        if key in record and not _fits(record[key], kind, inner):
-            raise CaptureError(
-                f"{path}: {key} must be {what}, got {excerpt(repr(record[key]), 60)}."
-            )
+        value = record.get(key)
+        parts = value.values() if isinstance(value, dict) else value or ()
+        fits = isinstance(value, kind) and all(isinstance(part, inner) for part in parts)
+        if key in record and not fits:
+            raise CaptureError(f"{path}: {key} must be {what}, got {excerpt(repr(value), 60)}.")
     for name, value in record.get("define", {}).items():
         if not isinstance(value, str) and abs(value) > LARGEST:
             raise CaptureError(
@@ -125,11 +126,6 @@ FIELDS: dict[str, tuple[Any, Any, str]] = {
     "import": (dict, object, "an object"),
     "rendered": (dict, object, "an object"),
 }
-
-
-def _fits(value: Any, kind: Any, inner: Any) -> bool:
-    parts = value.values() if isinstance(value, dict) else value or ()
-    return isinstance(value, kind) and all(isinstance(part, inner) for part in parts)
 
 
 def require_one_run(folder: Path, runs: Mapping[Path, str], run: str) -> None:

@@ -55,7 +55,9 @@ class RepaintedScene:
 def replace_material(capture: Capture, material: Any, mesh: Any = None) -> RepaintedScene:
     """Copy the object, give the copy a material, and put it in the place of the object."""
     shape = make_mesh(capture.shape.id(), arrays(capture.mesh if mesh is None else mesh))
-    shape.set_bsdf(_with_sides_of(capture.shape.bsdf(), material))
+    if is_two_sided(capture.shape.bsdf()):
+        material = mi.load_dict({"type": "twosided", "material": material})
+    shape.set_bsdf(material)
     # An area light belongs to its shape and comes with it.
     lights = [e for e in capture.scene.emitters() if e.is_environment()]
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
@@ -80,9 +82,3 @@ def is_same(a: Any, b: Any) -> bool:
 def is_two_sided(bsdf: Any) -> bool:
     """Return whether a BSDF reflects on the back of its surface, too."""
     return bsdf is not None and "TwoSided" in bsdf.class_name()
-
-
-def _with_sides_of(bsdf: Any, material: Any) -> Any:
-    if not is_two_sided(bsdf):
-        return material
-    return mi.load_dict({"type": "twosided", "material": material})

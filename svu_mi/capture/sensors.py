@@ -123,11 +123,6 @@ def windowed_sensor(
     return make_sensor(record, sensor.id())
 
 
-def cropped_fov(sensor: Any) -> float:
-    """Return the opening angle of a sensor's crop window over its width, in degrees."""
-    return float(2 * np.degrees(np.arctan(film_size(sensor)[0] / 2 / focal_length(sensor))))
-
-
 def focal_length(sensor: Any) -> float:
     """Return a sensor's focal length in pixels."""
     record = describe(sensor)
@@ -210,7 +205,8 @@ def sensors_like(
         center, _ = bounding_sphere(shape)
         offsets = [to_world(sensor)[:3, 3] - center for sensor in used]
         distance = float(np.median(np.linalg.norm(offsets, axis=1)))
-    size, x_fov = film_size(used[0]), cropped_fov(used[0])
+    size = film_size(used[0])
+    x_fov = float(2 * np.degrees(np.arctan(size[0] / 2 / focal_length(used[0]))))
     wide = max(1.0, size[0] / size[1])
     fov = 2 * np.degrees(np.arctan(np.tan(np.radians(x_fov) / 2) / wide))
     return sphere_sensors(shape, count, size, float(fov), distance=distance, up=up, lowest=lowest)

@@ -152,7 +152,7 @@ def fit_sh(
         OptionError: an option outside its range, a weight that is negative or not finite, a
             visible sample that is not finite, a direction that is not of unit length.
     """
-    lmax = harmonics.check_degree(lmax, "fit_sh()")
+    lmax = harmonics.check_degree(lmax)
     if not (isinstance(regularizer, Real) and 1e-12 <= regularizer <= 1e12):
         raise OptionError(
             f"fit_sh(): regularizer must be a number in [1e-12, 1e12], got {regularizer!r}."

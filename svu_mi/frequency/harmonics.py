@@ -40,11 +40,11 @@ def degree_of(count: int) -> int:
     return root - 1
 
 
-def check_degree(degree: Any, caller: str) -> int:
+def check_degree(degree: Any) -> int:
     """Return ``degree`` as an int in [0, 9]."""
     whole = isinstance(degree, Integral) and not isinstance(degree, bool)
     if not whole or not 0 <= degree <= MAX_DEGREE:
-        raise OptionError(f"{caller}: the degree must be a whole number in [0, 9], got {degree!r}.")
+        raise OptionError(f"fit_sh(): the degree must be a whole number in [0, 9], got {degree!r}.")
     return int(degree)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -68,23 +68,15 @@ class Taps:
     on_film: Any
 
 
-class _Projected(NamedTuple):
+def _project(camera: Camera, position: Any) -> tuple[Any, Any, Any, Any]:
     """Pixel coordinates, 0 at the first centre; 1 / depth; whether in front of the camera."""
-
-    x: Any
-    y: Any
-    scale: Any
-    in_front: Any
-
-
-def _project(camera: Camera, position: Any) -> _Projected:
     point = mi.Vector4f(position.x, position.y, position.z, 1)
     depth = dr.dot(camera.w, point)
     in_front = depth > camera.near
     scale = dr.rcp(dr.select(in_front, depth, 1))
     x = dr.dot(camera.x, point) * scale - 0.5
     y = dr.dot(camera.y, point) * scale - 0.5
-    return _Projected(x, y, scale, in_front)
+    return x, y, scale, in_front
 
 
 def taps_at(camera: Camera, position: Any) -> Taps:
@@ -174,13 +166,12 @@ def _cover(
     camera: Camera, position: Any, sides: tuple[Any, Any] | None
 ) -> tuple[Any, Any, list[Any], list[Any]]:
     """Return a texel's middle on the film, its two sides there, and the look-ups along each."""
-    middle = _project(camera, position)
-    if sides is None:
-        spans = [(mi.Float(0), mi.Float(0))] * 2
-    else:
-        spans = [_span(camera, side, middle) for side in sides]
+    x, y, scale, _ = _project(camera, position)
+    spans = [(mi.Float(0), mi.Float(0))] * 2
+    if sides is not None:
+        spans = [_span(camera, side, x, y, scale) for side in sides]
     steps = [dr.clip(dr.ceil(dr.sqrt(a * a + b * b) / SPACING), 1, MOST_TAPS) for a, b in spans]
-    return middle.x, middle.y, spans, steps
+    return x, y, spans, steps
 
 
 def _at_least(views: Views, camera: Camera, pixel: Any, color: Any) -> tuple[Any, Any]:
@@ -195,9 +186,8 @@ def _at_least(views: Views, camera: Camera, pixel: Any, color: Any) -> tuple[Any
     )
 
 
-def _span(camera: Camera, side: Any, at: _Projected) -> tuple[Any, Any]:
+def _span(camera: Camera, side: Any, x: Any, y: Any, scale: Any) -> tuple[Any, Any]:
     """Project a vector at a point: pixels (Floats), to first order."""
-    x, y, scale, _ = at
     vector = mi.Vector4f(side.x, side.y, side.z, 0)
     depth = dr.dot(camera.w, vector)
     return (

@@ -131,7 +131,9 @@ class Candidates:
             raise CaptureError(f"{path}: no such file; give poses as JSON or Mitsuba XML.")
         if path.suffix.lower() == ".xml":
             return Candidates.of(find_sensors(load_scene(path), str(path)))
-        if _is_capture(path):
+        record = read_json(path)
+        is_object = isinstance(record, dict) and path.name == capture_folder.FILE
+        if is_object and record.get("format") == capture_folder.FORMAT:
             description = capture_folder.read(path.parent)
             assert description is not None
             return Candidates.of(description.make_sensors(path))
@@ -177,13 +179,3 @@ def candidates_or_default(
     unused = [view for view, used in enumerate(capture.used) if not used]
     missing = [view for view in unused if not np.isfinite(capture.images[view]).any()]
     return Candidates.at(capture, missing) if missing else Candidates.around(capture)
-
-
-def _is_capture(path: Path) -> bool:
-    """Return whether a JSON file is the ``capture.json`` of a capture folder."""
-    record = read_json(path)
-    return (
-        path.name == capture_folder.FILE
-        and isinstance(record, dict)
-        and record.get("format") == capture_folder.FORMAT
-    )

@@ -23,6 +23,7 @@ from svu_mi.light.latlong import directions, emitter_label, quadrature, radiance
 
 GREY = 1e-6  # part of the brightest channel: smaller differences are ignored
 BAND = 2**18  # numbers of a map that are transformed at a time
+NO_DISK = np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
 SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
 
 
@@ -70,7 +71,7 @@ def read_environment(emitter: Any) -> Environment:
             f"Emitter '{emitter.id()}': to_world must be a rotation; remove its scale or shear."
         )
     grid = latlong.sample_emitter(emitter, to_world, *latlong.grid_size(emitter))
-    disk = (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+    disk = NO_DISK
     if emitter.class_name() == "SunskyEmitter":
         grid, disk = _split_sun(emitter, grid, directions(*latlong.SKY_GRID), to_world)
     if not np.isfinite(grid).all():
@@ -109,7 +110,7 @@ def _split_sun(
     brightest = radiance_from(emitter, sun[None] @ to_world.T)[0]
     radius = _disk_radius(emitter, sun, to_world, brightest)
     if radius == 0:
-        return grid, (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+        return grid, NO_DISK
     inside = local @ sun >= np.cos(radius * 1.05)
     around = (local @ sun >= np.cos(radius * 1.05 + 0.03)) & ~inside
     sky = grid[around].mean(axis=0)

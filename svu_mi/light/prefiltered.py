@@ -97,7 +97,8 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     theta = np.pi * np.arange(rows) / (rows - 1)
     turn = np.cos(2 * np.pi * np.arange(columns // 2 + 1) / columns)  # even: half is enough
     spectrum = np.fft.rfft(flux, axis=1)
-    reach = _reach(profile, rows)
+    weight = profile(np.cos(theta))
+    reach = int(np.flatnonzero(np.abs(weight) > NEGLIGIBLE * weight[0])[-1]) + 1
     result = np.empty_like(flux)
     for i in range((rows + 1) // 2):
         near = slice(max(i - reach, 0), i + reach + 1)
@@ -115,14 +116,6 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
             result[row] = np.fft.irfft(summed, n=columns, axis=0)
     # FFT rounding can leave black a hair below zero, a lobe that is negative somewhere more.
     return np.maximum(result if even else result[..., :-1] / result[..., -1:], 0)
-
-
-def _reach(profile: Profile, rows: int) -> int:
-    """Rows to either side of a node that its lobe covers."""
-    angle = np.pi * np.arange(rows) / (rows - 1)
-    weight = profile(np.cos(angle))
-    above = np.flatnonzero(np.abs(weight) > NEGLIGIBLE * weight[0])
-    return int(above[-1]) + 1
 
 
 def _coarsened(grid: np.ndarray, width: float) -> np.ndarray:

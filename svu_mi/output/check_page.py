@@ -138,7 +138,9 @@ def _views(
     better = {one.view: one for one in check.corrected}
     for one in check.worst[:MOST]:
         index = place[one.view]
-        picture = _exposed_photograph(frames, index, after[index])
+        image, mask = frames.radiance[index], frames.masks[index]
+        picture = tone_mapped(image, after[index] if mask is None else mask)
+        picture[~np.isfinite(image).all(axis=2)] = 1.0  # what is clipped
         _draw_outline(picture, seen[index], BEFORE)
         if corrected is not capture:
             _draw_outline(picture, after[index], AFTER)
@@ -152,14 +154,6 @@ def _views(
 def _change(before: float | None, after: float | None) -> str:
     old, new = _number(before, "-"), _number(after, "-")
     return old if old == new else f"{old} → {new}"
-
-
-def _exposed_photograph(frames: Thumbnails, index: int, seen: np.ndarray) -> np.ndarray:
-    """Expose a photograph for the object; what is clipped is white."""
-    image, mask = frames.radiance[index], frames.masks[index]
-    shown = tone_mapped(image, seen if mask is None else mask)
-    shown[~np.isfinite(image).all(axis=2)] = 1.0
-    return shown
 
 
 def _draw_outline(picture: np.ndarray, seen: np.ndarray, color: tuple[float, float, float]) -> None:

@@ -40,7 +40,10 @@ def draw_directions(
     gains, reachable = guidance.scores, guidance.candidates.reachable
     drawn = style.scalar_mappable(color_range(gains[reachable]))
     _graticule(axes)
-    size, hollow = _dot_area(axes, len(gains)), ~reachable
+    width = axes.get_position().width * axes.figure.get_size_inches()[0] * 72
+    # Evenly spread dots do not touch.
+    diameter = 0.62 * np.sqrt(4 * np.pi / max(len(gains), 1)) * width / (4.04 * np.sqrt(2))
+    size, hollow = float(np.clip(diameter**2, 9, 170)), ~reachable
     axes.scatter(x[hollow], y[hollow], size, facecolors="none", edgecolors=UNSEEN, lw=1)
     colors = drawn.to_rgba(gains[reachable])
     axes.scatter(x[reachable], y[reachable], size, c=colors, lw=0)
@@ -107,13 +110,6 @@ def draw_numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: f
         x, y, str(rank), size=9.5, weight="bold", color=ink, ha="center", va="center_baseline",
         zorder=5, **options,
     )  # fmt: skip
-
-
-def _dot_area(axes: Axes, count: int) -> float:
-    """Return the area of a dot in square points; evenly spread dots do not touch."""
-    width = axes.get_position().width * axes.figure.get_size_inches()[0] * 72
-    diameter = 0.62 * np.sqrt(4 * np.pi / max(count, 1)) * width / (4.04 * np.sqrt(2))
-    return float(np.clip(diameter**2, 9, 170))
 
 
 def color_range(gains: np.ndarray) -> tuple[float, float]:

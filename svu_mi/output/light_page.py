@@ -80,7 +80,10 @@ def write_light_page(
 
     With ``against`` the capture's own light is drawn, too.
     """
-    truth = None if against is None else _emitter_map(capture.environment, estimate.radiance.shape)
+    truth, shape = None, estimate.radiance.shape
+    if against is not None:
+        world = directions(shape[1], shape[0]).reshape(-1, 3)
+        truth = radiance_from(capture.environment, world).reshape(shape)
     tone = ToneCurve.of(estimate.radiance if truth is None else truth)
     panels = _radiance_panels("Radiance", estimate.radiance, tone)
     if truth is not None:
@@ -169,12 +172,6 @@ def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str
     if against is not None:
         notes.append(f"correlation with the capture's own light {against.correlation:.2f}")
     return notes
-
-
-def _emitter_map(emitter: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the radiance of an emitter as a lat-long map."""
-    world = directions(shape[1], shape[0]).reshape(-1, 3)
-    return radiance_from(emitter, world).reshape(shape)
 
 
 def _draw_colors(axes: Axes, colors: np.ndarray) -> None:

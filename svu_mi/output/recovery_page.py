@@ -53,8 +53,12 @@ def write_recovery_overview(
     for row, comparison in enumerate(comparisons[:2]):
         look = ObjectView.at(scene, capture.sensors[comparison.view], SIDE)
         objects += _comparison_panels(comparison)
-        objects += (_other_panels(look, recovery, comparison, estimate) if row else
-                    _parameter_panels(look, recovery))  # fmt: skip
+        if row:
+            objects += _other_panels(look, recovery, comparison, estimate)
+            continue
+        for title, name in zip(TITLES, NAMES, strict=True):
+            colors = texture_colors(recovery.texels, recovery.textures, name)
+            objects.append((title, partial(draw_look, look=look, colors=colors)))
     losses = [("Loss by step", partial(_losses, losses=np.array(recovery.losses, np.float64)))]
     style.write_page(path, SIZE, HEADING, _notes(capture, recovery, estimate), [
         Block(panels=losses, box=(0.87, RIGHT, 0.64, 0.875)),
@@ -136,15 +140,6 @@ def _comparison_panels(comparison: RenderComparison) -> list[Panel]:
     images = comparison.cropped()
     return [(title, partial(style.draw_image, image=image))
             for title, image in zip(titles, images, strict=False)]  # fmt: skip
-
-
-def _parameter_panels(look: ObjectView, recovery: Recovery) -> list[Panel]:
-    """Return the three parameters on the object."""
-    return [
-        (title, partial(draw_look, look=look, colors=texture_colors(
-            recovery.texels, recovery.textures, name)))
-        for title, name in zip(TITLES, NAMES, strict=True)
-    ]  # fmt: skip
 
 
 def _other_panels(

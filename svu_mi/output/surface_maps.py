@@ -94,7 +94,14 @@ def surface_maps(
     maps = entropy_maps(estimate)
     maps += [most_probable(estimate, name) for name in unknown]
     maps += [uncertainty(estimate, name, intervals) for name in unknown]
-    maps += [_marginal_entropy(estimate, name) for name in unknown]
+    maps += [
+        SurfaceMap(
+            name=f"entropy of {label_of(name)}", estimate=estimate,
+            values=partial(estimate.posterior.marginal_entropy, name), scale=ENTROPY,
+            sentence=f"What the photographs leave open of {label_of(name)}.",
+        )
+        for name in unknown
+    ]  # fmt: skip
     if recovered is not None:
         recovered.require_resolution(estimate.texels)
         maps += recovered_maps(recovered)
@@ -183,11 +190,3 @@ def field_maps(field: TextureField, estimate: Estimate) -> list[SurfaceMap]:
         )
         for name in field.names
     ]  # fmt: skip
-
-
-def _marginal_entropy(estimate: Estimate, name: str) -> SurfaceMap:
-    return SurfaceMap(
-        name=f"entropy of {label_of(name)}", estimate=estimate,
-        values=lambda: estimate.posterior.marginal_entropy(name), scale=ENTROPY,
-        sentence=f"What the photographs leave open of {label_of(name)}.",
-    )  # fmt: skip

@@ -57,7 +57,10 @@ def write_guidance(
     run = run or RunInfo()
     with writing(folder, "guide", RECORD, capture=capture_key(capture)) as draft:
         target = draft.folder
-        _write_poses(capture, guidance, target)
+        names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
+        frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
+        write_transforms(target / POSES, frames)
+        write_sensors(target / SENSORS, sensors, [Path(name).stem for name in names])
         write_manifest(target / PLAN, plan_record(capture, estimate, guidance))
         run.progress(1, 4)
         maps = guidance.gain_maps()
@@ -68,18 +71,14 @@ def write_guidance(
             thumbnails = information_gain_pictures(
                 looks, guidance, maps, information_gain_limit(maps)
             )
-            _write_thumbnails(thumbnails, prepare_folder(target / THUMBNAILS))
+            small = prepare_folder(target / THUMBNAILS)
+            for k, picture in enumerate(thumbnails):
+                with replacing(small / f"proposal_{k}.png") as temporary:
+                    Image.fromarray(quantized(picture[..., :3])).save(temporary)
         run.progress(3, 4)
         _write_maps(guidance, maps, target)
         run.progress(4, 4)
         write_run(draft, guidance_record(capture, estimate, guidance), run)
-
-
-def _write_poses(capture: Capture, guidance: Guidance, folder: Path) -> None:
-    names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
-    frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
-    write_transforms(folder / POSES, frames)
-    write_sensors(folder / SENSORS, sensors, [Path(name).stem for name in names])
 
 
 def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
@@ -151,10 +150,3 @@ def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
             guidance, candidate=proposal.candidate, name=proposal.name, gutter=GUTTER
         )
         write_exr(folder / f"gain_{k}.exr", {"Y": image}, about)
-
-
-def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
-    """Write the views of proposed cameras, coloured by information gain."""
-    for k, picture in enumerate(pictures):
-        with replacing(folder / f"proposal_{k}.png") as temporary:
-            Image.fromarray(quantized(picture[..., :3])).save(temporary)

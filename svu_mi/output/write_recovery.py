@@ -6,7 +6,6 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -85,7 +84,9 @@ def write_recovery(
             _draw(capture, recovery, estimate, field, target)
         run.progress(2, 4)
         _write_uncertainty(recovery, estimate, field, target)
-        write_losses(recovery.losses, target / LOSSES)
+        losses = enumerate(np.asarray(recovery.losses, np.float64))
+        lines = ["step,loss", *(f"{step},{loss:.9g}" for step, loss in losses)]
+        write_text(target / LOSSES, "\n".join(lines))
         record = recovery_record(capture, recovery, estimate)
         run.progress(3, 4)
         if field is not None and draws is not None:
@@ -121,10 +122,3 @@ def _write_uncertainty(
             write_uncertainty(estimate, folder)
         else:
             write_field(field, folder, exr_attributes(recovery))
-
-
-def write_losses(losses: Any, path: Path) -> None:
-    """Write ``step,loss``, one line per step of the descent."""
-    values = np.asarray(losses, np.float64)
-    lines = ["step,loss", *(f"{step},{loss:.9g}" for step, loss in enumerate(values))]
-    write_text(path, "\n".join(lines))

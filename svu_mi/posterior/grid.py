@@ -147,7 +147,9 @@ def _require_valid(grid: ParameterGrid | PrincipledGrid, names: tuple[str, ...])
     kind = type(grid).__name__
     object.__setattr__(grid, "known", dict(grid.known))  # the caller's may change
     for name in names:
-        _require_nodes(kind, name, getattr(grid, name))
+        count = getattr(grid, name)
+        if not (isinstance(count, Integral) and 2 <= int(count) <= MAX_NODES):
+            raise OptionError(f"{kind}: {name} needs 2 to {MAX_NODES} nodes, got {count!r}.")
     for name, value in grid.known.items():
         if name not in names:
             raise OptionError(f"{kind}: known {name!r} is not a parameter; use {', '.join(names)}.")
@@ -156,8 +158,3 @@ def _require_valid(grid: ParameterGrid | PrincipledGrid, names: tuple[str, ...])
             raise OptionError(f"{kind}: known {name} must be in [0, 1], got {value!r}.")
     if len(grid.known) == len(names):
         raise OptionError(f"{kind}: {', '.join(names)} are all known; leave at least one unknown.")
-
-
-def _require_nodes(grid: str, name: str, count: object) -> None:
-    if not (isinstance(count, Integral) and 2 <= int(count) <= MAX_NODES):
-        raise OptionError(f"{grid}: {name} needs 2 to {MAX_NODES} nodes, got {count!r}.")

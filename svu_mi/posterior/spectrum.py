@@ -108,24 +108,24 @@ def spectrum_posterior(
     if sigma is not None:
         switches = replace(switches, sigma=float(sigma))
     grid = spectrum_grid(grid, switches, irradiance=irradiance is not None)
-    spectra = _spectra(incoming, outgoing)
-    seen = _seen(observed, spectra[0].shape[0])
+    S_L, S_B = _spectra(incoming, outgoing)
+    seen = _seen(observed, S_L.shape[0])
     tables = row_entropy.log_prior(prior, grid.shape, "spectrum_posterior()")
-    unit = _unit(switches, *spectra, seen, scale)
-    constant = _constant(switches, grid, irradiance, spectra[0].shape[::2], unit)
+    unit = _unit(switches, S_L, S_B, seen, scale)
+    constant = _constant(switches, grid, irradiance, S_L.shape[::2], unit)
     falloff = decay(switches, grid, prefilter)
-    problem = _problem(spectra, grid, switches, copies, falloff, unit, tables)
+    problem = _problem(S_L, S_B, grid, switches, copies, falloff, unit, tables)
     problem = replace(problem, constant=constant)
     return Posterior(kernel=SpectrumKernel(grid, len(seen), problem), observed=seen)
 
 
 def _problem(
-    spectra: tuple[Any, Any], grid: ParameterGrid | PrincipledGrid, switches: Preset, copies: int,
+    S_L: Any, S_B: Any, grid: ParameterGrid | PrincipledGrid, switches: Preset, copies: int,
     falloff: np.ndarray, unit: float, tables: tuple[np.ndarray, np.ndarray] | None,
 ) -> kernel.SpectrumProblem:  # fmt: skip
     """Return the inputs of the energy, without degree 0."""
-    S_L, S_B = spectra
     _, degrees, channels = S_L.shape
+    every = tuple(range(channels)) * copies
     *_, bins = grid.axes.values()
     return kernel.SpectrumProblem(
         incoming=S_L.array,
@@ -133,7 +133,7 @@ def _problem(
         sigma=dr.opaque(mi.Float64, switches.sigma * unit),
         degree=degrees - 1,
         channels=channels,
-        groups=_groups(switches, channels, copies),
+        groups=(every,) if switches.channels == "sum" else tuple((c,) for c in every),
         rows=row_entropy.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
         decay=to_drjit(mi.Float64, falloff),
@@ -180,11 +180,6 @@ def _spectrum(name: str, values: Any) -> Any:
     return spectrum
 
 
-def _groups(switches: Preset, channels: int, copies: int) -> tuple[tuple[int, ...], ...]:
-    every = tuple(range(channels)) * copies
-    return (every,) if switches.channels == "sum" else tuple((channel,) for channel in every)
-
-
 def spectrum_grid(
     grid: Any | None, switches: Preset, *, irradiance: bool = True
 ) -> ParameterGrid | PrincipledGrid:
@@ -208,11 +203,6 @@ def spectrum_grid(
     return grid
 
 
-def _alpha(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarray:
-    of_roughness = alpha_from_roughness if switches.bounded_alpha else paper_alpha
-    return of_roughness(grid.roughness_nodes)
-
-
 def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarray:
     """Return the (R,) mean albedo of a lobe with R0 = 1; 1 on a grid of Ks, the lobe's scale."""
     if not switches.albedo or isinstance(grid, ParameterGrid):
@@ -222,7 +212,8 @@ def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarra
 
 def decay(switches: Preset, grid: ParameterGrid | PrincipledGrid, prefilter: float) -> np.ndarray:
     """(R,) q = exp(-2 alpha^2) of each roughness; degree l falls off as q^(l^2) (Eq. 11)."""
-    width = _alpha(switches, grid) ** 2
+    of_roughness = alpha_from_roughness if switches.bounded_alpha else paper_alpha
+    width = of_roughness(grid.roughness_nodes) ** 2
     if switches.undo_prefilter:
         width = np.maximum(width - prefilter**2, 0)
     return np.exp(-2 * width)

@@ -106,23 +106,17 @@ def novel_light(capture: Capture) -> Any:
     """
     emitter = find_environment(capture.scene, "The capture")
     brightness = read_environment(emitter).coefficients(0).mean() / np.sqrt(4 * np.pi)
-    radiance = _lamps()
+    d = directions(COLUMNS, ROWS)
+    radiance = np.repeat(ROOM_RADIANCE * (1 + 0.5 * d[..., 1:2]), 3, axis=-1)  # of any unit
+    for center, angle, color in LAMPS:
+        away = np.arccos(np.clip(d @ (np.array(center) / np.linalg.norm(center)), -1, 1))
+        inside = np.clip(0.5 + (angle - away) / 0.08, 0, 1)  # edges wider than a texel
+        radiance += inside[..., None] * np.array(color)
     solid = np.sin(np.linspace(0, np.pi, ROWS))[:, None, None]
     radiance *= brightness / ((radiance * solid).sum() / (3 * COLUMNS * solid.sum()))
     bitmap = mi.Bitmap(np.ascontiguousarray(radiance, np.float32))
     pose = mi.ScalarTransform4f(to_world(emitter))
     return mi.load_dict({"type": "envmap", "bitmap": bitmap, "to_world": pose})
-
-
-def _lamps() -> np.ndarray:
-    """(ROWS, COLUMNS, 3) radiance of any unit."""
-    d = directions(COLUMNS, ROWS)
-    radiance = np.repeat(ROOM_RADIANCE * (1 + 0.5 * d[..., 1:2]), 3, axis=-1)
-    for center, angle, color in LAMPS:
-        away = np.arccos(np.clip(d @ (np.array(center) / np.linalg.norm(center)), -1, 1))
-        inside = np.clip(0.5 + (angle - away) / 0.08, 0, 1)  # edges wider than a texel
-        radiance += inside[..., None] * np.array(color)
-    return radiance
 
 
 def with_environment(scene: Any, environment: Any | None) -> Any:

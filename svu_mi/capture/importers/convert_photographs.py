@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -100,7 +101,9 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
         scale: of width and height, as ``square_pixel_frame`` returns it.
     """
     picture = open_image(frame.image)
-    if _can_be_copied(picture, frame, scale):
+    jpeg = picture.path.suffix.lower() in JPEG and picture.bits == 8
+    plain = frame.lens is None and tuple(scale) == (1.0, 1.0) and frame.transfer == "srgb"
+    if jpeg and plain and math.prod(picture.size) >= LARGE:
         return _copy_jpeg(picture, frame, path)
     planes, bits = picture.planes(), picture.bits
     mask = _read_mask(frame, planes, bits > 0)
@@ -132,14 +135,6 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
     half = bits == 8 and not isinstance(frame.transfer, CameraResponse)
     write_exr(path, channels, header, half=half)
     return _describe(picture, mask, clipped, black, int(invalid.sum()))
-
-
-def _can_be_copied(picture: ImageFile, frame: Frame, scale: tuple[float, float]) -> bool:
-    """Return whether a photograph can be copied."""
-    width, height = picture.size
-    jpeg = picture.path.suffix.lower() in JPEG and picture.bits == 8
-    plain = frame.lens is None and tuple(scale) == (1.0, 1.0) and frame.transfer == "srgb"
-    return jpeg and plain and width * height >= LARGE
 
 
 def _copy_jpeg(picture: ImageFile, frame: Frame, path: Path) -> ConvertedPhotograph:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -35,11 +35,19 @@ def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
     gains = {}
     for number, text in read_lines(path, "a list of exposures", "write lines NAME GAIN"):
         words = text.rsplit(maxsplit=1)
-        gains[words[0].strip()] = _gain(words, f"{path}: line {number}")
+        label = f"{path}: line {number}"
+        try:
+            gain = float(words[1])
+        except (IndexError, ValueError) as error:
+            found = " ".join(words)
+            raise CaptureError(f"{label}: expected NAME GAIN, got {found!r:.60}.") from error
+        gains[words[0].strip()] = _positive(gain, label)
     counts = Counter(frame.image.name for frame in frames)
     changed = []
     for frame in frames:
-        key = next((name for name in _possible_names(frame.image) if name in gains), None)
+        parts = frame.image.parts
+        names = ("/".join(parts[first:]) for first in range(len(parts)))  # longest first
+        key = next((name for name in names if name in gains), None)
         if key is None:
             raise CaptureError(
                 f"{path}: has no exposure for {frame.image.name}; add a line NAME GAIN."
@@ -61,20 +69,6 @@ def with_exif_gains(frames: Sequence[Frame]) -> list[Frame]:
     gains = [_exif_gain(frame.image) for frame in frames]
     middle = median(gains)
     return [replace(frame, exposure=g / middle) for frame, g in zip(frames, gains, strict=True)]
-
-
-def _possible_names(path: Path) -> Iterator[str]:
-    """Return possible names of a photograph: all suffixes of its path, longest first."""
-    parts = path.parts
-    return ("/".join(parts[first:]) for first in range(len(parts)))
-
-
-def _gain(words: Sequence[str], label: str) -> float:
-    try:
-        gain = float(words[1])
-    except (IndexError, ValueError) as error:
-        raise CaptureError(f"{label}: expected NAME GAIN, got {' '.join(words)!r:.60}.") from error
-    return _positive(gain, label)
 
 
 def _positive(gain: float, label: str) -> float:

@@ -91,19 +91,15 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
     if files.missing:
         notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which does not exist.")
     if not geometry_only:
-        notes += _ignored_notes(path, parts)
+        names = [name for part in parts for name in ignored_in_obj(part.visual)]
+        if path.suffix.lower() in GLTF:
+            with _parser_errors(path):
+                names = ignored_in_gltf(path)
+        listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
+        notes += [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
     if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
         notes.append(f"{path}: its textures are left out, and its UVs are laid out again.")
     return TexturedMesh(mesh=mesh, textures=textures, notes=notes)
-
-
-def _ignored_notes(path: Path, parts: Sequence[_Part]) -> list[str]:
-    names = [name for part in parts for name in ignored_in_obj(part.visual)]
-    if path.suffix.lower() in GLTF:
-        with _parser_errors(path):
-            names = ignored_in_gltf(path)
-    listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
-    return [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
 
 
 def _merge_parts(parts: Sequence[_Part], path: Path) -> MeshArrays:
@@ -123,11 +119,7 @@ def _merge_parts(parts: Sequence[_Part], path: Path) -> MeshArrays:
             raise MeshError(f"{path}: some {name} are NaN, infinite or too large; export it again.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
         raise MeshError(f"{path}: a triangle refers to a missing vertex; export it again.")
-    return _without_unused(mesh)
-
-
-def _without_unused(mesh: MeshArrays) -> MeshArrays:
-    """Remove vertices without a triangle: scans keep some far away."""
+    # Scans keep some vertices without a triangle far away.
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) == len(mesh.positions):
         return mesh

@@ -97,7 +97,18 @@ def _write(path: Path, children: list[Any]) -> None:
 def write_materialx(asset: Asset, folder: Path) -> list[AssetFile]:
     """Write ``material.mtlx`` and ``mesh.obj``; the textures are those written as PNG."""
     scene_xml.write_document(_document(materialx_name(asset.name)), folder / MATERIAL)
-    _write_obj(asset, folder / OBJ)
+    mesh = as_trimesh(asset.mesh, TextureVisuals(uv=upward_uvs(asset.mesh)))
+    text, _ = export_obj(
+        mesh,
+        include_normals=asset.mesh.normals is not None,
+        return_texture=True,
+        header=None,
+        digits=DIGITS,
+    )
+    # trimesh names a material of its own, which is grey; ours is in the other file.
+    left_out = ("mtllib", "usemtl")
+    kept = [line for line in text.splitlines() if line and not line.startswith(left_out)]
+    write_text(folder / OBJ, "\n".join([f"o {obj_name(asset.name)}", *kept]))
     return [
         AssetFile(file=MATERIAL, format="materialx", holds="material",
                 values="standard_surface; colour space of the document lin_rec709"),
@@ -127,18 +138,3 @@ def _document(name: str) -> Element:
 
 def _input(parent: Element, name: str, kind: str, **attributes: str) -> Element:
     return SubElement(parent, "input", {"name": name, "type": kind, **attributes})
-
-
-def _write_obj(asset: Asset, path: Path) -> None:
-    mesh = as_trimesh(asset.mesh, TextureVisuals(uv=upward_uvs(asset.mesh)))
-    text, _ = export_obj(
-        mesh,
-        include_normals=asset.mesh.normals is not None,
-        return_texture=True,
-        header=None,
-        digits=DIGITS,
-    )
-    # trimesh names a material of its own, which is grey; ours is in the other file.
-    left_out = ("mtllib", "usemtl")
-    kept = [line for line in text.splitlines() if line and not line.startswith(left_out)]
-    write_text(path, "\n".join([f"o {obj_name(asset.name)}", *kept]))

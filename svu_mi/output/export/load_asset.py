@@ -68,8 +68,14 @@ class AssetPlan:
     def read(self) -> Asset:
         """Read all files (see ``load_asset``)."""
         folder, maps = self.folder, self.maps
-        scene = _parse_xml(folder / SCENE)
-        shape = _object_node(scene, folder / SCENE)
+        file = folder / SCENE
+        try:
+            scene = ElementTree.parse(file).getroot()
+        except (OSError, ElementTree.ParseError) as error:
+            raise CaptureError(
+                f"{file}: cannot be read ({error}); run svu recover again."
+            ) from error
+        shape = _object_node(scene, file)
         smooth = shape.find("boolean[@name='face_normals']") is None
         textured = folder / FILES["base_color"]
         return Asset(
@@ -118,13 +124,6 @@ def _require_same_capture(folder: Path, textured: Path, *, explicit: bool) -> No
             )
         warnings.warn(f"{sentence}; its values are used as they are.", SvuWarning, stacklevel=3)
         return
-
-
-def _parse_xml(path: Path) -> ElementTree.Element:
-    try:
-        return ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise CaptureError(f"{path}: cannot be read ({error}); run svu recover again.") from error
 
 
 def _object_node(scene: ElementTree.Element, path: Path) -> ElementTree.Element:

@@ -29,7 +29,13 @@ def with_gutters(asset: Asset, width: int | None) -> Asset:
     images = {name: np.array(tensor) for name, tensor in asset.textures.items()}
     shapes = [image.shape[:2] for image in (*images.values(), *asset.maps.values())]
     inside = {shape: inside_charts(asset, shape) for shape in dict.fromkeys(shapes)}
-    _require_fitting(asset, inside)
+    if asset.coverage is not None:
+        valid, seen = inside[asset.coverage.shape], asset.coverage > 0
+        if (seen & ~dilate(valid, valid, GUTTER + 1)).sum() > STRAY_LIMIT * seen.sum():
+            raise CaptureError(
+                f"'{asset.name}': coverage and entropy lie outside the charts of the mesh, so they "
+                "belong to other UVs; compute them from the capture that the textures come from."
+            )
     filled = {}
     for name, image in {**images, **asset.maps}.items():
         valid = inside[image.shape[:2]]
@@ -57,17 +63,6 @@ def inside_charts(asset: Asset, shape: tuple[int, int]) -> np.ndarray:
             "the UVs are in the unit square."
         )
     return count.reshape(height, width) > 0
-
-
-def _require_fitting(asset: Asset, inside: dict[tuple[int, ...], np.ndarray]) -> None:
-    if asset.coverage is None:
-        return
-    valid, seen = inside[asset.coverage.shape], asset.coverage > 0
-    if (seen & ~dilate(valid, valid, GUTTER + 1)).sum() > STRAY_LIMIT * seen.sum():
-        raise CaptureError(
-            f"'{asset.name}': coverage and entropy lie outside the charts of the mesh, so they "
-            "belong to other UVs; compute them from the capture that the textures come from."
-        )
 
 
 def at_vertices(mesh: MeshArrays, image: np.ndarray) -> np.ndarray:

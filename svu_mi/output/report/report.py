@@ -78,9 +78,10 @@ def write_report(
     shown = _pictures(capture, estimate, textures, table, intervals, report)
     summary = IntervalSummary.of(estimate, intervals)
     today = datetime.date.today()
+    name = capture.source.resolve().name if capture.source else str(capture.shape.id())
     page = page_of(
         TEMPLATE,
-        title=title or _capture_name(capture), date=f"{today.day} {today:%B %Y}",
+        title=title or name, date=f"{today.day} {today:%B %Y}",
         summary=_summary(capture, estimate, result, intervals, summary, table),
         histogram=report_plots.entropy_histogram(result),
         marginals=list(report_plots.marginal_plots(estimate, result)),
@@ -110,7 +111,9 @@ def _pictures(
     result = EstimateArrays.of(estimate)
     examples = list(report_plots.example_texels(table, estimate, result, intervals.mass, turned))
     report(4, 5)
-    warnings = [_without_folder(capture.source, sentence) for sentence in capture.warnings]
+    warnings = list(capture.warnings)
+    if capture.source is not None:  # pages are shared
+        warnings = [sentence.replace(f"{capture.source}{os.sep}", "") for sentence in warnings]
     return {
         "count": capture.count, "used": sum(capture.used), "thumbnails": thumbnails,
         "left_out": left_out, "light": _light(capture), "frames": frames, "maps": maps,
@@ -227,12 +230,3 @@ def _setting_text(value: Any) -> str:
         key, _, text = value.partition("=")
         return f"{key}={_setting_text(Path(text)) if text else ''}"
     return "–" if value is None else str(value)
-
-
-def _without_folder(folder: Path | None, sentence: str) -> str:
-    """Remove a folder from the paths in a sentence, since pages are shared."""
-    return sentence if folder is None else sentence.replace(f"{folder}{os.sep}", "")
-
-
-def _capture_name(capture: Capture) -> str:
-    return capture.source.resolve().name if capture.source else str(capture.shape.id())

@@ -86,7 +86,10 @@ class Viewer:
         self._up = up_direction(capture) if up is None else np.array(DIRECTION[up])
         front, right = front_and_right(capture, self._center, self._up)
         self._home = np.array(HOME) @ [front, right, self._up]
-        self._prepare()
+        # Compile and compute now what the first click needs.
+        self._picker.pick(self._center, self._up)
+        if (seen := np.flatnonzero(is_seen(estimate))).size:
+            self._picker.describe(int(seen[0]))
         self.picked: Pick | None = None
         self._view: int | None = None
         self._server, self.url = serve(port)
@@ -95,13 +98,6 @@ class Viewer:
         self._frusta = [self._add_frustum(view) for view in range(capture.count)]
         self._listen()
         self.show("entropy")
-
-    def _prepare(self) -> None:
-        """Compile and compute now what the first click needs."""
-        self._picker.pick(self._center, self._up)
-        seen = np.flatnonzero(is_seen(self._estimate))
-        if len(seen):
-            self._picker.describe(int(seen[0]))
 
     def run(self) -> None:
         """Do what the page asks for, until Ctrl-C."""

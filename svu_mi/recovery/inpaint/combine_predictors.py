@@ -9,7 +9,7 @@ import scipy
 
 from svu_mi.recovery.inpaint.fill_result import LEAST_SD, Weights
 from svu_mi.recovery.inpaint.symmetry_predictors import NEAR_PREDICTOR, PREDICTORS, KnownTexels
-from svu_mi.recovery.inpaint.texel_hierarchy import Pieces, TexelGraph
+from svu_mi.recovery.inpaint.texel_hierarchy import TexelGraph
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 MEAN_WEIGHTS = {"from the border": 1e-5, "cautiously from the border": 1e-2}
@@ -49,23 +49,20 @@ def _initial_values(
         for title, coarse in tv_predictions(groups, titles):
             yield title, np.where(graph.known, graph.values, coarse[:, owner]), True
         return
-    start = np.where(border, _nearest_means(graph.pieces, graph.values, graph.known), mean)
-    for title in MEAN_WEIGHTS:
-        if title in titles:
-            yield title, start, False
-
-
-def _nearest_means(pieces: Pieces, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Fill values (N, T) by weighted means of the nearest known texels."""
-    places, filled = pieces.separated(pieces.point), values.copy()
+    # Weighted means of the nearest known texels.
+    pieces, known, filled = graph.pieces, graph.known, graph.values.copy()
+    places = pieces.separated(pieces.point)
     tree = scipy.spatial.cKDTree(places[known])
     count = min(START_NEIGHBORS, int(known.sum()))
     away, which = tree.query(places[~known], [*range(1, count + 1)], workers=-1)
     weights = 1 / np.maximum(away, 1e-9) ** 2
     weights /= weights.sum(axis=1, keepdims=True)
-    for row, of_known in zip(filled, values[:, known], strict=True):
+    for row, of_known in zip(filled, graph.values[:, known], strict=True):
         row[~known] = (of_known[which] * weights).sum(axis=1)
-    return filled
+    start = np.where(border, filled, mean)
+    for title in MEAN_WEIGHTS:
+        if title in titles:
+            yield title, start, False
 
 
 TITLES = (*MEAN_WEIGHTS, *(predictor.title for predictor in PREDICTORS))

@@ -33,7 +33,12 @@ def find_seeds(estimate: Estimate, around: Neighbors, count: int) -> np.ndarray:
     candidates = certain if len(certain) else candidates
     candidates = candidates[np.argsort(smooth[candidates], kind="stable")]
     means = mean_parameters(estimate.posterior, candidates)
-    return candidates[farthest_points(means, 1 - smooth[candidates], count)]
+    chosen, worth = [0], 1 - smooth[candidates]
+    nearest = np.linalg.norm(means - means[0], axis=1)
+    while len(chosen) < count and (nearest * worth).max() > 0:
+        chosen.append(int((nearest * worth).argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(means - means[chosen[-1]], axis=1))
+    return candidates[chosen]
 
 
 def least_minima(
@@ -78,13 +83,3 @@ def mean_parameters(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
         marginal = np.array(posterior.marginal(name, chosen), np.float64)
         columns.append(np.einsum("tn...,n->t...", marginal, nodes).reshape(len(chosen), -1))
     return np.concatenate(columns, axis=1)
-
-
-def farthest_points(points: np.ndarray, worth: np.ndarray, count: int) -> np.ndarray:
-    """Return the first point and, one by one, those whose distance to all before is worth most."""
-    chosen = [0]
-    nearest = np.linalg.norm(points - points[0], axis=1)
-    while len(chosen) < count and (nearest * worth).max() > 0:
-        chosen.append(int((nearest * worth).argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(chosen)

@@ -79,8 +79,8 @@ def information(factors: Factors, values: Values) -> list[list[Any]]:
     return matrix
 
 
-def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], list[Any]]:
-    """Return four levels around a roughness, their weights, and the derivatives of these."""
+def _interpolate(factors: Factors, roughness: Any) -> list[tuple[list[Any], list[Any]]]:
+    """Return U at a roughness, and its derivative, of every channel: splines of four levels."""
     last = dr.opaque(mi.Float, factors.levels - 1)
     place = dr.clip(roughness, 0, 1) * last
     first = dr.maximum(dr.minimum(dr.floor(place), last - 1), 0)  # one level is all there is
@@ -92,13 +92,7 @@ def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], lis
         0.5 * last * t * (3 * t - 2),
     ]
     levels = [mi.UInt32(dr.clip(first + step, 0, last)) for step in (-1, 0, 1, 2)]
-    return levels, catmull_rom(t), slopes
-
-
-def _interpolate(factors: Factors, roughness: Any) -> list[tuple[list[Any], list[Any]]]:
-    """Return U at a roughness, and its derivative, of every channel."""
-    levels, weights, slopes = _spline(factors, roughness)
-    reader = factors.reader()
+    weights, reader = catmull_rom(t), factors.reader()
     near = [reader.factor(level) for level in levels]
     return [
         (_summed(weights, of_levels), _summed(slopes, of_levels))

@@ -91,7 +91,12 @@ class SpectralObjective:
     def _differences(self, l: int, channel: int, scale: Any, offset: Any) -> Any:
         """Absolute differences of one degree, of the model ``scale`` c_L + ``offset``."""
         if self.domain == "spectrum":
-            S_B, S_L = self._power(l, channel)
+            count = dr.width(self.texel)
+            lane, row = dr.arange(mi.UInt32, count), 2 * (3 * l + channel)
+            S_B, S_L = (
+                dr.gather(mi.Float, self.power, lane + dr.opaque(mi.UInt32, (row + k) * count))
+                for k in (0, 1)
+            )
             # The square of a sum, as the diffuse term and the lobe's mean add up.
             model = dr.square(offset + scale * dr.sqrt(S_L)) if l == 0 else scale * scale * S_L
             return dr.abs(S_B - model)
@@ -101,14 +106,6 @@ class SpectralObjective:
             light = read.incoming(index, channel, self.texel)
             total += dr.abs(observed - dr.fma(scale, light, offset))
         return total
-
-    def _power(self, l: int, channel: int) -> tuple[Any, Any]:
-        count = dr.width(self.texel)
-        lane, row = dr.arange(mi.UInt32, count), 2 * (3 * l + channel)
-        return tuple(
-            dr.gather(mi.Float, self.power, lane + dr.opaque(mi.UInt32, (row + k) * count))
-            for k in (0, 1)
-        )  # type: ignore[return-value]
 
     def _albedo(self, roughness: Any) -> Any:
         place = dr.clip(roughness, 0, 1) * (ALBEDO_LEVELS - 1)
@@ -131,6 +128,9 @@ def spectral_objective(observed: Observed, switches: Preset, domain: Domain) -> 
         fitted = replace(fitted, values=mi.Float())
     undone = lighting.prefilter**2 if switches.undo_prefilter else 0.0
     lanes = to_drjit(mi.UInt32, observed.lane[seen].astype(np.uint32))
+    albedo = np.ones(ALBEDO_LEVELS)
+    if switches.albedo:
+        albedo = mean_albedo(alpha_from_roughness(np.linspace(0, 1, ALBEDO_LEVELS)))
     return SpectralObjective(
         domain=domain,
         coefficients=fitted,
@@ -139,7 +139,7 @@ def spectral_objective(observed: Observed, switches: Preset, domain: Domain) -> 
         texel=texel,
         place=dr.gather(mi.UInt32, texels.index, texel),
         prefilter=dr.opaque(mi.Float, undone),
-        albedo=_albedo_table(switches),
+        albedo=to_drjit(mi.Float, albedo),
         factor=dr.opaque(mi.Float, 1 / (3.0 * dr.width(texel) * terms * unit)),
     )
 
@@ -155,12 +155,3 @@ def _powers(fitted: Coefficients, texel: Any) -> tuple[Any, float]:
     dr.eval(rows)
     total = sum(float(row.numpy().sum(dtype=np.float64)) for row in rows[::2])
     return dr.concat(rows), total / (3 * dr.width(texel))
-
-
-def _albedo_table(switches: Preset) -> Any:
-    """R of every roughness level: mean over cos theta_o of a lobe with R0 = 1, or 1."""
-    values = np.ones(ALBEDO_LEVELS)
-    if switches.albedo:
-        alpha = alpha_from_roughness(np.linspace(0, 1, ALBEDO_LEVELS))
-        values = mean_albedo(alpha)
-    return to_drjit(mi.Float, values)

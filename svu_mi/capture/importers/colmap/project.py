@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import scipy
 
 from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, Pose, is_model, read_model
@@ -68,11 +67,13 @@ def read(path: Path, options: ReadOptions) -> Source:
                 "svu import undistorts the photographs with --undistort."
             )
         focal, center = camera.intrinsics
+        w, x, y, z = view.rotation
+        rotation = scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix()
         frames.append(Frame(
             label=_label(project.model, view),
             image=image,
             mask=mask,
-            to_world=_to_world(view),
+            to_world=affine(rotation.T, -rotation.T @ view.translation) @ OPENCV,
             focal=focal,
             center=center,
             size=(camera.width, camera.height),
@@ -130,12 +131,6 @@ def _possible_folders(model: Path, name: str) -> list[Path]:
     nested = model.absolute().parts[-3:-2] == ("colmap",)
     ways = (".", "..", "../..", *(["../../.."] if nested else []))
     return [Path(os.path.normpath(model / up / name)) for up in ways]
-
-
-def _to_world(view: Pose) -> np.ndarray:
-    w, x, y, z = view.rotation
-    rotation = scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix()
-    return affine(rotation.T, -rotation.T @ view.translation) @ OPENCV
 
 
 def _notes(project: Project) -> Iterator[str]:
