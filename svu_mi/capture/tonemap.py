@@ -96,7 +96,7 @@ class ObjectView:
     def of(scene: Any, sensor: Any) -> ObjectView:
         """Trace the rays of a sensor, a few to a pixel, in a scene as of ``object_only_scene``."""
         width, height = film_size(sensor)
-        rows, columns = window = _window(_outline(scene.shapes()[0]), sensor)
+        rows, columns = window = _window(scene.shapes()[0], sensor)
         shape = rows.stop - rows.start, columns.stop - columns.start
         across, top, left = (dr.opaque(mi.UInt32, n) for n in (shape[1], rows.start, columns.start))
         pixel = dr.arange(mi.UInt32, shape[0] * shape[1])
@@ -156,17 +156,13 @@ class ObjectView:
         return image
 
 
-def _outline(shape: Any) -> np.ndarray:
-    """Return points (N, 3) that a mesh lies between: its vertices, or of many its box."""
-    if shape.vertex_count() <= MANY:
-        return meshes.positions(shape)
+def _window(shape: Any, sensor: Any) -> tuple[slice, slice]:
+    """Return rows and columns of the pixels that may show something of a mesh, at least one; all of
+    them if some of it is beside or behind the camera."""
     box = shape.bbox()
-    return np.array([box.corner(k) for k in range(8)], np.float64)
-
-
-def _window(points: np.ndarray, sensor: Any) -> tuple[slice, slice]:
-    """Return rows and columns of the pixels that may show something between points (N, 3), at least
-    one; all of them if some are beside or behind the camera."""
+    points = np.array([box.corner(k) for k in range(8)], np.float64)
+    if shape.vertex_count() <= MANY:
+        points = meshes.positions(shape)
     width, height = film_size(sensor)
     places, depth = projected(sensor, points)
     if not (depth > 0).all():

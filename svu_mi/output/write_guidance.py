@@ -76,7 +76,12 @@ def write_guidance(
                 with replacing(small / f"proposal_{k}.png") as temporary:
                     Image.fromarray(quantized(picture[..., :3])).save(temporary)
         run.progress(3, 4)
-        _write_maps(guidance, maps, target)
+        for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
+            image = padded_image(guidance, gains, fill=0)
+            about = exr_attributes(
+                guidance, candidate=proposal.candidate, name=proposal.name, gutter=GUTTER
+            )
+            write_exr(target / f"gain_{k}.exr", {"Y": image}, about)
         run.progress(4, 4)
         write_run(draft, guidance_record(capture, estimate, guidance), run)
 
@@ -84,6 +89,7 @@ def write_guidance(
 def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
     """Return the content of ``guidance.json``: proposals with poses, ranked candidates."""
     ranked = enumerate(zip(guidance.proposals, file_names(capture, guidance), strict=True), 1)
+    names, reachable = guidance.candidates.names, guidance.candidates.reachable
     return {
         "settings": {
             "method": guidance.method,
@@ -102,7 +108,11 @@ def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dic
             }
             for rank, (proposal, file) in ranked
         ],
-        "candidates": _candidate_records(guidance),
+        "candidates": [
+            {"number": int(k), "name": names[k], "reachable": bool(reachable[k]),
+             "gain": float(guidance.scores[k])}
+            for k in (*guidance.ranking, *np.flatnonzero(~reachable))  # out of reach last
+        ],
     }  # fmt: skip
 
 
@@ -130,23 +140,3 @@ def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]
     root = scene_xml.scene()
     root.extend(scene_xml.sensor(s, name) for s, name in zip(sensors, names, strict=True))
     scene_xml.write_document(root, Path(path))
-
-
-def _candidate_records(guidance: Guidance) -> list[dict[str, Any]]:
-    """All candidates, the best first, those that cannot be reached last."""
-    names, reachable = guidance.candidates.names, guidance.candidates.reachable
-    return [
-        {"number": int(k), "name": names[k], "reachable": bool(reachable[k]),
-         "gain": float(guidance.scores[k])}
-        for k in (*guidance.ranking, *np.flatnonzero(~reachable))
-    ]  # fmt: skip
-
-
-def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
-    """Write one EXR per proposal, channel Y: the gain of every texel, 0 outside the charts."""
-    for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
-        image = padded_image(guidance, gains, fill=0)
-        about = exr_attributes(
-            guidance, candidate=proposal.candidate, name=proposal.name, gutter=GUTTER
-        )
-        write_exr(folder / f"gain_{k}.exr", {"Y": image}, about)

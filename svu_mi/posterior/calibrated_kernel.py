@@ -262,16 +262,6 @@ def row_masses_and_colors(
 
 def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
     """Return the masses of all bins of some texels, not normalised: (t R M C K,) Float."""
-    masses, first = _row_bin_masses(problem, chosen)
-    size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
-    result = dr.empty(mi.Float, len(chosen) * problem.shape[0] * size_of_row)  # all is written
-    result = _write(masses, size_of_row, result, first * size_of_row)
-    dr.eval(result)
-    return result
-
-
-def _row_bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> tuple[Any, Any]:
-    """Return masses in local memory and bin indices; one lane per texel and roughness bin."""
     rows, nodes = problem.shape[0], problem.nodes
     launch = dr.arange(mi.UInt32, len(chosen) * rows)
     # A packet is about one bin of roughness of many texels, which leave out the same nodes.
@@ -287,7 +277,12 @@ def _row_bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> tuple[Any
     (masses,) = integrator.fold_rows(
         begin, end, visit, (BinMasses.zeros(problem, 1),),
     )  # fmt: skip
-    return masses.memory, texel * dr.opaque(mi.UInt32, rows) + bin_index
+    first = texel * dr.opaque(mi.UInt32, rows) + bin_index
+    size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
+    result = dr.empty(mi.Float, len(chosen) * rows * size_of_row)  # all is written
+    result = _write(masses.memory, size_of_row, result, first * size_of_row)
+    dr.eval(result)
+    return result
 
 
 def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> Any:

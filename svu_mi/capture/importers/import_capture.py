@@ -145,11 +145,6 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
     fixes = find_fixes([*between, *options.fixes])
     there, left_out = _existing_frames(source, options)
     frames = _prepare_frames(there, source, options, fixes)
-    return ImportPlan(source, options, fixes, frames, *_mesh_and_light(source, options), left_out)
-
-
-def _mesh_and_light(source: Source, options: ImportOptions) -> tuple[str, Light | None]:
-    """Return the file of the mesh, and the light; options precede the source."""
     mesh, light = options.mesh or source.mesh, options.environment or source.light
     if light is not None and not light.path.is_file():
         raise CaptureError(
@@ -158,7 +153,7 @@ def _mesh_and_light(source: Source, options: ImportOptions) -> tuple[str, Light 
         )
     if mesh is None:
         raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
-    return str(mesh), light
+    return ImportPlan(source, options, fixes, frames, str(mesh), light, left_out)
 
 
 def _parallel_count(frames: Sequence[Frame]) -> int:

@@ -137,22 +137,19 @@ def example_texels(
         place = table.find(estimate.texels, alike)
         texel, number, x, y = place or (int(order[rank]), -1, 0.0, 0.0)
         intervals = Intervals(estimate.posterior, mass, np.array([texel]))
-        marginals = estimate.posterior.marginals([texel])
+        marginals = {
+            n: np.array(p, np.float64).reshape(p.shape[1], -1)
+            for n, p in estimate.posterior.marginals([texel]).items()
+        }
         count = int(result.coverage[texel])
         column, row = column_and_row(estimate, texel)
         yield {
             "name": name, "picture": frames[number] if place else None, "x": 100 * x, "y": 100 * y,
             "sentence": f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
             f"photograph{'s' if count != 1 else ''}; column {column}, row {row} of the texture.",
-            "plots": [(label_of(n), _marginal(estimate.posterior, n, _single(marginals[n])),
+            "plots": [(label_of(n), _marginal(estimate.posterior, n, marginals[n]),
                        _interval_text(intervals, n)) for n in open_axes(estimate)],
         }  # fmt: skip
-
-
-def _single(marginal: Any) -> np.ndarray:
-    """Return the marginal of a single texel, (nodes, 1) or (nodes, 3)."""
-    p = np.array(marginal, np.float64)
-    return p.reshape(p.shape[1], -1)
 
 
 def _interval_text(intervals: Intervals, name: str) -> str:
