@@ -85,7 +85,6 @@ class ImageFile:
 
         Nothing here does that: pixels are those that are stored.
         """
-
         if not self.bits:
             return False
         with _readable(self.path):
@@ -242,7 +241,6 @@ def _is_png(path: Path) -> bool:
 
 def _jpeg(path: Path) -> Any:
     """Open a JPEG file; not by ``Image.open``, which tries every other format and warns."""
-
     with _opening, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # damaged EXIF data does not matter here
         return JpegImageFile(path)

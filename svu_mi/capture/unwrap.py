@@ -31,7 +31,6 @@ def unwrap(mesh: Any, label: str = "") -> Any:
     The atlas differs between xatlas versions, so whoever needs the same texels twice
     saves the result (``unwrap_cached``).
     """
-
     source, label = arrays(mesh), label or f"Shape '{mesh.id()}'"
     if len(source.faces) == 0:
         raise MeshError(f"{label} has no faces, so there is nothing to unwrap.")
@@ -78,10 +77,18 @@ def unwrap_cached(mesh: Any, folder: Path | None) -> Any:
 
 def _saved(path: Path, source: MeshArrays) -> MeshArrays:
     """Lay the UVs of a file on a mesh, whose positions and normals are taken."""
-    key, saved = _key_in(path), read_ply(path)
+    if not path.is_file():  # opening a pipe would wait
+        raise MeshError(f"{path}: is not a file")
+    try:
+        with path.open("rb") as stream:
+            header = stream.read(HEADER).partition(b"end_header")[0].decode("ascii", "replace")
+    except OSError as error:
+        raise MeshError(f"{path}: cannot be opened ({error.strerror})") from error
+    key, saved = re.search(rf"^comment {KEY}([0-9a-f]+)", header, re.MULTILINE), read_ply(path)
     if saved.uvs is None or not np.isfinite(saved.uvs).all():
         raise MeshError(f"{path}: has no finite UVs")
-    if key != _key(source, saved) or saved.faces.shape != source.faces.shape:
+    is_own = key is not None and key[1] == _key(source, saved)
+    if not is_own or saved.faces.shape != source.faces.shape:
         raise MeshError(f"{path}: belongs to another mesh, or was changed")
     # Unwrapping only repeats vertices and keeps the order of faces, so corners tell which.
     vertex = np.zeros(len(saved.positions), np.int64)
@@ -104,16 +111,3 @@ def _key(source: MeshArrays, flat: MeshArrays) -> str:
     for faces in (source.faces, flat.faces):
         key.update(np.ascontiguousarray(faces, "<i8").tobytes())
     return key.hexdigest()
-
-
-def _key_in(path: Path) -> str | None:
-    """Return the digest in the header of a PLY file, None if there is none."""
-    if not path.is_file():  # opening a pipe would wait
-        raise MeshError(f"{path}: is not a file")
-    try:
-        with path.open("rb") as stream:
-            header = stream.read(HEADER).partition(b"end_header")[0].decode("ascii", "replace")
-    except OSError as error:
-        raise MeshError(f"{path}: cannot be opened ({error.strerror})") from error
-    match = re.search(rf"^comment {KEY}([0-9a-f]+)", header, re.MULTILINE)
-    return match and match[1]

@@ -48,7 +48,7 @@ class Compare(ResultCommand):
 
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""
-        opt.parse_bytes(self.memory, "--memory")
+        opt.parse_bytes(self.memory)
         if self.resolution:
             opt.parse_resolution(self.resolution)
 

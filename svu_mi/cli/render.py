@@ -43,7 +43,7 @@ class Render(BaseCommand):
         """Render the views."""
         from svu_mi.capture.rendering import VIEWS
 
-        size, defines = parse_size(self.resolution, "--resolution"), self.source.defines()
+        size, defines = parse_size(self.resolution), self.source.defines()
         require_spp(self.spp, "--spp")
         require_views(self.views or 0, "--views")
         with claimed(self.output, "render", overwrite=self.overwrite, keep=VIEWS) as place:

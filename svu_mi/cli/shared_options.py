@@ -105,7 +105,7 @@ class PhotographOptions:
     @property
     def bytes(self) -> float | None:
         """Bytes that photographs may take; None by default."""
-        return parse_bytes(self.memory, "--memory")
+        return parse_bytes(self.memory)
 
     @property
     def estimates_gains(self) -> bool:
@@ -187,23 +187,23 @@ def require_range(option: str, value: float | None, low: float, high: float = ma
         raise OptionError(f"{option} must be {limits}, got {value:g}.")
 
 
-def parse_size(size: tuple[int, ...], option: str) -> tuple[int, int]:
-    """Return (width, height) from one or two numbers."""
+def parse_size(size: tuple[int, ...]) -> tuple[int, int]:
+    """Return (width, height) from one or two numbers of ``--resolution``."""
     if len(size) not in (1, 2) or min(size) < 1:
         numbers = " ".join(map(str, size))
-        raise OptionError(f"{option} takes one or two positive numbers, got {numbers}.")
+        raise OptionError(f"--resolution takes one or two positive numbers, got {numbers}.")
     return size[0], size[-1]
 
 
 def parse_resolution(resolution: tuple[int, ...]) -> tuple[int, int]:
     """Return (width, height) of ``--resolution``."""
-    size = parse_size(resolution, "--resolution")
+    size = parse_size(resolution)
     require_texels(size, "--resolution")
     return size
 
 
-def parse_bytes(text: str, option: str) -> float | None:
-    """Return how many bytes "4G" or "800M" are; None for an empty text."""
+def parse_bytes(text: str) -> float | None:
+    """Return how many bytes "4G" or "800M" of ``--memory`` are; None for an empty text."""
     if not text:
         return None
     number, unit = (text[:-1], text[-1].upper()) if text[-1].upper() in UNITS else (text, "")
@@ -212,7 +212,7 @@ def parse_bytes(text: str, option: str) -> float | None:
     except ValueError:
         size = -1
     if not 0 <= size < math.inf:
-        raise OptionError(f"{option} takes a size such as 4G or 800M, got {text!r}.")
+        raise OptionError(f"--memory takes a size such as 4G or 800M, got {text!r}.")
     return size
 
 
@@ -262,9 +262,9 @@ def read_recovered(
     from svu_mi.output.texture_files import read_textures
 
     if folder is None:
-        return parse_size(resolution or (default,), "--resolution"), None
+        return parse_size(resolution or (default,)), None
     textures = read_textures(folder, one_run=one_run)
-    if resolution and parse_size(resolution, "--resolution") != textures.resolution:
+    if resolution and parse_size(resolution) != textures.resolution:
         width, height = textures.resolution
         raise OptionError(
             f"{folder}: the textures have {width} x {height} texels; give --resolution {width} "

@@ -128,8 +128,7 @@ class IntervalSummary:
         half = {name: intervals.half_width(name)[seen] for name in names}
         narrow = {name: is_within(width, tolerance) for name, width in half.items()}
         every = np.logical_and.reduce(list(narrow.values())) if narrow else np.zeros(0, bool)
-        axes = {} if estimate.posterior.continuous else estimate.posterior.axes
-        widest = {n: float(np.diff(bin_edges(axes[n])).max()) if axes else 0.0 for n in names}
+        widest = {name: _widest_bin(estimate.posterior, name) for name in names}
         return cls(
             level=intervals.mass,
             tolerance=tolerance,
@@ -191,3 +190,10 @@ def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(below, below[-1] / 2)]])
+
+
+def _widest_bin(posterior: Any, name: str) -> float:
+    """Return the width of the widest bin of the grid; 0 for continuous intervals."""
+    if posterior.continuous:
+        return 0.0
+    return float(np.diff(bin_edges(posterior.axes[name])).max())

@@ -95,7 +95,7 @@ class Batch(BaseCommand):
             raise OptionError("--steps export needs recover, too, whose textures it exports.")
         options: dict[str, str] = {} if self.preset is None else {"preset": self.preset}
         if self.resolution:
-            width, height = parse_size(self.resolution, "--resolution")
+            width, height = parse_size(self.resolution)
             options["resolution"] = f"{width} {height}"
         from svu_mi.core.threads import FEWEST_THREADS
 

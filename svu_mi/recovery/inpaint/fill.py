@@ -60,25 +60,22 @@ def fill(
     with (progress or Progress()).stage("Looking for likeness") as stage:
         graph = TexelGraph.of(field, seen)
         masks = holdout_masks(graph.coarsest) if seen.any() else []
+        if not masks and (above == inf or shown.sum() < 2):
+            raise CaptureError(
+                f"{shown.sum()} of {len(shown)} texels are seen: too few to fill the others by; "
+                "add photographs of the object."
+            )
         if not masks:
-            raise _too_few_error(shown, above)
+            raise CaptureError(
+                "fill(): too few texels are seen surely enough to fill others by; allow more "
+                "(above=).",
+                shell="Too few texels are seen surely enough to fill others by; give a larger "
+                "--above.",
+            )
         errors = _predictor_errors(field, graph, masks, stage)
         max_share = errors[DECIDES].share if DECIDES in errors else 1.0
         weights = {n: errors[n].weights(max_share) if n in errors else {} for n in NAMES}
         return _fused(Fusion(field, shown), graph, errors, weights)
-
-
-def _too_few_error(shown: np.ndarray, above: float) -> CaptureError:
-    """Return the error where no part can be held out."""
-    if above == inf or shown.sum() < 2:
-        return CaptureError(
-            f"{shown.sum()} of {len(shown)} texels are seen: too few to fill the others by; add "
-            "photographs of the object."
-        )
-    return CaptureError(
-        "fill(): too few texels are seen surely enough to fill others by; allow more (above=).",
-        shell="Too few texels are seen surely enough to fill others by; give a larger --above.",
-    )
 
 
 def _predictor_errors(

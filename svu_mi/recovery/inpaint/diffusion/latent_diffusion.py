@@ -103,7 +103,11 @@ class LatentDiffusion:
                 predict = self._predictor(run, photograph, after_step)
                 latent = blend(predict, schedule, known, certain, noise, free)
                 for names, latents in zip(run.maps, latent.chunk(len(run.maps), 1), strict=True):
-                    result |= self._unstacked(names, self._decoded(latents, picture.certain.shape))
+                    latents = latents / self.vae.config.scaling_factor
+                    image = self.vae.decode(latents, return_dict=False)[0][0].float().clamp(-1, 1)
+                    image = ((image + 1) / 2).permute(1, 2, 0).cpu().numpy()
+                    height, width = picture.certain.shape
+                    result |= self._unstacked(names, np.asarray(image[:height, :width]))
         return result
 
     def _predictor(
@@ -157,11 +161,6 @@ class LatentDiffusion:
         tensor = torch.from_numpy((2 * padded - 1).astype(np.float32)).permute(2, 0, 1)[None]
         latent = self.vae.encode(tensor.to(self.device, self.vae.dtype)).latent_dist.mode()
         return latent * self.vae.config.scaling_factor
-
-    def _decoded(self, latent: Any, size: tuple[int, ...]) -> np.ndarray:
-        image = self.vae.decode(latent / self.vae.config.scaling_factor, return_dict=False)[0]
-        image = ((image[0].float().clamp(-1, 1) + 1) / 2).permute(1, 2, 0).cpu().numpy()
-        return np.asarray(image[: size[0], : size[1]])
 
     def _on_latents(self, certain: np.ndarray) -> Any:
         """Return 1 for latents all of whose pixels are certain, (1, 1, h', w')."""
