@@ -53,7 +53,7 @@ def write_relighting(
         OutputError: the folder or a file cannot be written.
     """
     run = run or RunInfo()
-    about = {"svu:version": svu_mi.__version__, "svu:draws": draws}
+    about: dict[str, Any] = {"svu:version": svu_mi.__version__, "svu:draws": draws}
     with writing(folder, "relight", RECORD, capture=capture_key(capture)) as draft:
         files = view_file_names(names)
         for view, file in zip(views, files, strict=True):

@@ -179,10 +179,8 @@ def relight_draws(
     """
     require_spp(spp, "relight_draws(): spp")
     painted = PathScene.of(capture, textures)
-    scene, integrator = (
-        with_environment(painted.scene, environment),
-        _integrator(capture, max_depth),
-    )
+    scene = with_environment(painted.scene, environment)
+    integrator = _integrator(capture, max_depth)
     pictures = SensorPixels(capture.sensors if sensors is None else sensors)
     inside = [part > 0 for part in pictures.covered(painted.scene, painted.shape)]
     middle = pictures.traced(scene, integrator, [np.ones_like(m) for m in inside], spp, seed)

@@ -73,10 +73,8 @@ class Factors:
         lanes = to_drjit(mi.UInt32, np.asarray(chosen).astype(np.uint32))
         values = mi.Float()
         if len(chosen):
-            place, of_texel = (
-                dr.arange(mi.UInt32, self.stride * len(chosen)),
-                dr.opaque(mi.UInt32, self.stride),
-            )
+            place = dr.arange(mi.UInt32, self.stride * len(chosen))
+            of_texel = dr.opaque(mi.UInt32, self.stride)
             lane = place // of_texel
             source = dr.gather(mi.UInt32, lanes, lane) * of_texel + (place - lane * of_texel)
             values = dr.gather(mi.Float, self.values, source)

@@ -49,10 +49,8 @@ class Likelihood:
     def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> Likelihood:
         """Take the statistics and the noise of a posterior in colour."""
         factors = posterior.kernel.problem.factors
-        place, weight = (
-            dr.gather(mi.UInt32, texels.index, factors.texel),
-            nats_per_squared_error(posterior),
-        )
+        place = dr.gather(mi.UInt32, texels.index, factors.texel)
+        weight = nats_per_squared_error(posterior)
         dr.eval(place)
         return Likelihood(factors, place, weight)
 
@@ -61,10 +59,8 @@ class Likelihood:
         values = look_up(textures, self.place)
         with dr.suspend_grad():
             error, slopes = energy(self.factors, dr.detach(values))
-            error, slopes = (
-                self.weight * error,
-                _map_values(lambda slope: self.weight * slope, slopes),
-            )
+            error = self.weight * error
+            slopes = _map_values(lambda slope: self.weight * slope, slopes)
             dr.eval(error, slopes)  # once: they are needed for the value and for the gradient
         loss = with_known_gradient(dr.sum(error), flatten_values(slopes), flatten_values(values))
         return loss * dr.opaque(mi.Float, 1 / self.factors.count)
@@ -198,16 +194,11 @@ class SmoothedStart:
     ) -> SmoothedStart:  # fmt: skip
         """Take means and variances of a posterior in colour."""
         keys = tuple((name, k) for name in names for k in range(CHANNELS[name]))
-        (means, sds), seen = (
-            texel_moments(posterior),
-            posterior.kernel.problem.factors.texel.numpy(),
-        )
+        means, sds = texel_moments(posterior)
+        seen = posterior.kernel.problem.factors.texel.numpy()
         shown = np.zeros(texels.count)
         shown[seen] = 1 / max(len(seen), 1)
-        weights = {
-            name: shown * nats_per_squared_error
-            for name, nats_per_squared_error in nats_of_squares(sds).items()
-        }
+        weights = {name: shown * nats for name, nats in nats_of_squares(sds).items()}
         target, weight = (
             [to_drjit(mi.Float, of[name][k].astype(np.float32)) for name, k in keys]
             for of in (means, weights)

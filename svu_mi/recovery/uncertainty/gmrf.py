@@ -35,10 +35,8 @@ from svu_mi.geometry.neighbors import (
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 CHECK_EVERY = 8  # iterations between looks at it
 MOST_ITERATIONS = 400
-MASKED_TOLERANCE, MASKED_ITERATIONS = (
-    5e-3,
-    1000,
-)  # the same of what is filled in, relative to the residual at first
+# The same of what is filled in, relative to the residual at first.
+MASKED_TOLERANCE, MASKED_ITERATIONS = 5e-3, 1000
 FEW_TEXELS = 2**14  # texels that are solved for at once
 GROUPING_LIMIT = 0.7  # part of the texels from which on groups are no help
 
