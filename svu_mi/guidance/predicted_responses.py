@@ -18,13 +18,7 @@ import numpy as np
 from svu_mi.core.local_memory import QUAD, padded_to_quads, quad_count
 from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import Views
-from svu_mi.geometry.sample_view import (
-    TexelLanes,
-    ViewSample,
-    fold,
-    over_views,
-    sample_visible,
-)
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample, fold, over_views, sample_visible
 from svu_mi.geometry.visibility import Visibility
 
 ResponseFunction = Callable[[ViewSample], list[Any]]
