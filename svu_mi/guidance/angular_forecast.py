@@ -168,10 +168,10 @@ class _HypothesisLanes:
 
     def lobes(self, view: Any, level: Any) -> Lobes:
         """Return the columns of every lobe in a view, for all rows of a level."""
-        columns = []
-        for lobe in range(self._lobes):
-            columns.append(columns_of(*self._responses.read(view, level * self._lobes + lobe)))
-        return columns
+        return [
+            columns_of(*self._responses.read(view, level * self._lobes + lobe))
+            for lobe in range(self._lobes)
+        ]
 
     def products(
         self, sums: list[Any], lobes: Lobes, mixed: Any, shown: PredictedSample | None
