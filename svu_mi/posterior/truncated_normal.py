@@ -10,6 +10,7 @@ relative to the best colour, and mirrored so that mu <= 1/2: only tails are subt
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import pi, sqrt
 from typing import Any
@@ -107,8 +108,7 @@ class ChannelLikelihood:
         whole = beyond[0] - beyond[-1]
         inverse = dr.rcp(whole)
         parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
-        bins = [dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)]
-        return 0.5 * sqrt(pi) * whole / self.s, bins
+        return 0.5 * sqrt(pi) * whole / self.s, list(self._turned(parts))
 
     def integrate_full_support(
         self, edges: list[float], prior: list[Any]
@@ -118,10 +118,7 @@ class ChannelLikelihood:
         inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
         beyond = [first.beyond, *(mi.Float64(t.beyond) for t in inner), last.beyond]
         density = [first.density, *(mi.Float64(t.density) for t in inner), last.density]
-        g = [
-            mi.Float64(dr.select(self.mirrored, b, a))
-            for a, b in zip(prior, prior[::-1], strict=True)
-        ]
+        g = [mi.Float64(weight) for weight in self._turned(prior)]
         s, mu = mi.Float64(self.s), mi.Float64(self.mu)
         masses, offset, around = [], mi.Float64(0), mi.Float64(0)
         for k, weight in enumerate(g):
@@ -152,10 +149,7 @@ class ChannelLikelihood:
 
         ``prior`` is K Floats, the density of c in every bin; it may contradict the likelihood.
         """
-        density = [
-            mi.Float64(dr.select(self.mirrored, b, a))
-            for a, b in zip(prior, prior[::-1], strict=True)
-        ]
+        density = [mi.Float64(weight) for weight in self._turned(prior)]
         of_bins = [self._bin(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
         logs = [
             dr.select(g > 0, dr.log(dr.select(g > 0, g, 1)) + log_mass, -IMPOSSIBLE)
@@ -218,11 +212,16 @@ class ChannelLikelihood:
         )  # fmt: skip
         return mass, a, b
 
+    def _turned(self, values: list[Any]) -> Iterator[Any]:
+        """Yield the values of bins of y as those of bins of c, or the other way round."""
+        for a, b in zip(values, values[::-1], strict=True):
+            yield dr.select(self.mirrored, b, a)
+
     def _integrals(self, mass: Any, parts: list[Any], mean: Any, variance: Any) -> ColorIntegrals:
         mean = mi.Float(dr.clip(mean, 0, 1))
         return ColorIntegrals(
             mass=mass,
-            bins=[dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)],
+            bins=list(self._turned(parts)),
             mean=dr.select(self.mirrored, 1 - mean, mean),
             variance=mi.Float(variance),
         )

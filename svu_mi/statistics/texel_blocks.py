@@ -62,37 +62,34 @@ def from_blocks(values: Any, rows: int, count: int) -> np.ndarray:
 
 def gather_texels(values: Any, rows: int, lanes: Any) -> Any:
     """Return the values of some texels, in blocks, in the order of ``lanes`` (UInt32)."""
-    count = dr.width(lanes)
-    if not count:
+    if not dr.width(lanes):
         return type(values)()
-    place = dr.arange(mi.UInt32, block_size(rows, count))
-    lane, row = _lane_and_row(place, rows)
-    held = lane < dr.opaque(mi.UInt32, count)
-    source = texel_offset(dr.gather(mi.UInt32, lanes, lane, held), dr.opaque(mi.UInt32, rows))
-    result = dr.gather(type(values), values, source + row * BLOCK, held)
+    place, held = _places(rows, lanes)
+    result = dr.gather(type(values), values, place, held)
     dr.eval(result)
     return result
 
 
 def scatter_texels(values: Any, rows: int, lanes: Any, others: Any) -> Any:
     """Return a copy with the values of some texels replaced; inverse of ``gather_texels``."""
-    count = dr.width(lanes)
-    if not count:
+    if not dr.width(lanes):
         return values
-    place = dr.arange(mi.UInt32, block_size(rows, count))
-    lane, row = _lane_and_row(place, rows)
-    held = lane < dr.opaque(mi.UInt32, count)
-    target = texel_offset(dr.gather(mi.UInt32, lanes, lane, held), dr.opaque(mi.UInt32, rows))
+    place, held = _places(rows, lanes)
     result = type(values)(values)
-    dr.scatter(result, others, target + row * BLOCK, held, dr.ReduceMode.NoConflicts)
+    dr.scatter(result, others, place, held, dr.ReduceMode.NoConflicts)
     dr.eval(result)
     return result
 
 
-def _lane_and_row(place: Any, rows: int) -> tuple[Any, Any]:
-    """Return the texel and the row of an index."""
-    block = dr.opaque(mi.UInt32, rows * BLOCK)
-    return place // block * BLOCK + place % BLOCK, place % block // BLOCK
+def _places(rows: int, lanes: Any) -> tuple[Any, Any]:
+    """Return where the values of some texels lie, in the order of their own blocks, and whether
+    they exist, which those beyond the last texel do not."""
+    count = dr.width(lanes)
+    place, block = dr.arange(mi.UInt32, block_size(rows, count)), dr.opaque(mi.UInt32, rows * BLOCK)
+    lane, row = place // block * BLOCK + place % BLOCK, place % block // BLOCK
+    held = lane < dr.opaque(mi.UInt32, count)
+    first = texel_offset(dr.gather(mi.UInt32, lanes, lane, held), dr.opaque(mi.UInt32, rows))
+    return first + row * BLOCK, held
 
 
 class BlockReader:
