@@ -257,7 +257,7 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     row = 3  # roughness
     inverse = np.linalg.inv(dense(field, row))
     coherent = exact_coherent(field, row, inverse)
-    np.testing.assert_allclose(field._coherent[row], coherent, atol=0.02 * coherent.max())
+    np.testing.assert_allclose(field._coherent_sd[row], coherent, atol=0.02 * coherent.max())
     place = np.array(field.texels.position, np.float64).T
     random = np.random.default_rng(0)
     middle, sd = field.textures.at(field.texels, "roughness"), field.sd("roughness")
