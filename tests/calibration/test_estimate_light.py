@@ -376,22 +376,16 @@ def test_cells_have_the_mean_of_the_pixels_that_show_them(outdoors):
     assert not estimate[~cells].any()
 
 
-def test_there_may_be_no_background(outdoors):
+def test_there_may_be_no_background_or_nothing_but_black(outdoors):
+    """A black object is refused whatever its light."""
     masks = tuple(np.ones(image.shape[:2], bool) for image in outdoors.images)
     with pytest.raises(CaptureError, match="^No photograph shows anything beyond the object, so "):
         BackgroundPixels.of(replace(outdoors, masks=masks))
-
-
-def test_an_object_that_was_cut_out_shows_no_light(outdoors):
-    masked = [image * 0 for image in outdoors.images]
+    black = replace(outdoors, images=tuple(image * 0 for image in outdoors.images))
     with pytest.raises(CaptureError, match="^All that the photographs show beyond the object is b"):
-        BackgroundPixels.of(replace(outdoors, images=tuple(masked)))
-
-
-def test_a_black_object_is_refused_whatever_its_light(outdoors):
-    images = tuple(image * 0 for image in outdoors.images)
+        BackgroundPixels.of(black)
     with pytest.raises(CaptureError, match="black"):
-        svu.estimate_light(replace(outdoors, images=images), svu.texels(outdoors.mesh, 16))
+        svu.estimate_light(black, svu.texels(outdoors.mesh, 16))
 
 
 @pytest.mark.slow

@@ -210,21 +210,13 @@ def bad(tmp_path_factory):
     return {name.partition(".")[0]: folder / name for name in texts}
 
 
-@pytest.mark.parametrize("case", EARLY)
-def test_bad_options_are_one_line_before_any_work(tmp_path, capsys, bad, case):
-    words, sentence = EARLY[case]
-    words = [word.format(tmp=tmp_path, **bad) for word in words]
-    # The scene does not exist: whoever looks for it is too late.
-    line = fails(capsys, "guide", tmp_path / "no.xml", *words, "-o", tmp_path / "out")
-    assert sentence in line
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("case", LATE)
+@pytest.mark.parametrize("case", [*EARLY, *LATE])
 def test_bad_input_is_one_line_and_nothing_is_half_written(partial, tmp_path, capsys, bad, case):
-    words, sentence = LATE[case]
+    words, sentence = (EARLY | LATE)[case]
     words = [word.format(tmp=tmp_path, **bad) for word in words]
-    line = fails(capsys, "guide", partial, *words, "-o", tmp_path / "out", "--resolution", 16)
+    # Where the scene does not exist, whoever looks for it is too late.
+    place = (partial, "--resolution", 16) if case in LATE else (tmp_path / "no.xml",)
+    line = fails(capsys, "guide", *place, *words, "-o", tmp_path / "out")
     assert sentence in line
     assert not (tmp_path / "out").exists()
 

@@ -83,37 +83,42 @@ def test_a_correction_that_was_wrong_is_left_out(given, given_before, said, left
     assert line == shlex.join(["svu", "import", *NEEDED, *words, "-o", "capture"])
 
 
-def test_a_capture_of_unknown_words(given):
-    """Imported from Python, by an earlier version, or changed by somebody since."""
+@pytest.fixture
+def imported_with(given):
+    """Say that the capture was imported with other words, and return it."""
     main(["import", *NEEDED, "-o", "capture"])
     path = given.parent / "capture/capture.json"
     record = json.loads(path.read_text())
     capture = svu.load_capture("capture", light="optional")
-    for options in (None, "words", [1, 2], {}):
+
+    def imported(options):
         record["import"]["options"] = options
         path.write_text(json.dumps(record))
-        assert reimport_command(capture, ["mesh-x90"]) == "svu import ... --fix mesh-x90"
-    assert reimport_command(replace(capture, source=None), []) == "svu import ..."
+        return capture
+
+    return imported
+
+
+def test_a_capture_of_unknown_words(imported_with):
+    """Imported from Python, by an earlier version, or changed by somebody since."""
+    for options in (None, "words", [1, 2], {}):
+        again = reimport_command(imported_with(options), ["mesh-x90"])
+        assert again == "svu import ... --fix mesh-x90"
+    assert reimport_command(replace(imported_with({}), source=None), []) == "svu import ..."
 
 
 @pytest.mark.parametrize("more", [
     ["another source"], ["--resume"], ["--mesh"], ["--fix", "-o"], ["--fix", "unknown"],
     ["--split", "test\n"], ["--split", "--", "x"], ["--split", "\x1b[2J"], ["--mesh=-o"], ["-h"],
 ])  # fmt: skip
-def test_words_that_an_import_would_not_have_written_are_not_printed(given, more, capsys):
+def test_words_that_an_import_would_not_have_written_are_not_printed(imported_with, more, capsys):
     """A stranger's capture must not make a command that reads or writes something else."""
-    main(["import", *NEEDED, "-o", "capture"])
-    path = given.parent / "capture/capture.json"
-    record = json.loads(path.read_text())
-    capture = svu.load_capture("capture", light="optional")
     capsys.readouterr()
     for options in ([*NEEDED, *more], ["-o", *NEEDED]):
-        record["import"]["options"] = options
-        path.write_text(json.dumps(record))
-        assert reimport_command(capture, ["mesh-x90"]) == "svu import ... --fix mesh-x90"
-    record["import"]["options"] = [*NEEDED, "-o", "elsewhere", "--trust", "--overwrite"]
-    path.write_text(json.dumps(record))
-    line = reimport_command(capture, [])
+        again = reimport_command(imported_with(options), ["mesh-x90"])
+        assert again == "svu import ... --fix mesh-x90"
+    written = [*NEEDED, "-o", "elsewhere", "--trust", "--overwrite"]
+    line = reimport_command(imported_with(written), [])
     assert line == shlex.join(["svu", "import", *NEEDED, "-o", "capture"])
     assert capsys.readouterr() == ("", "")
 

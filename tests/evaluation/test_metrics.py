@@ -63,12 +63,11 @@ def test_a_constant_correlates_with_nothing(rho, constant):
 @pytest.mark.parametrize("function", [pearson, spearman, sparsification,
                                       error_summary])  # fmt: skip
 def test_shapes_and_numbers_are_checked(function):
-    with pytest.raises(ShapeError, match=r"\(3,\) array, got \(2,\)"):
-        function([1, 2, 3], [1, 2])
-    with pytest.raises(ShapeError, match="non-empty"):
-        function([], [])
-    with pytest.raises(ShapeError, match=r"got \(1, 2\)"):
-        function([[1, 2]], [1, 2])
+    for values, others, sentence in (([1, 2, 3], [1, 2], r"\(3,\) array, got \(2,\)"),
+                                     ([], [], "non-empty"),
+                                     ([[1, 2]], [1, 2], r"got \(1, 2\)")):  # fmt: skip
+        with pytest.raises(ShapeError, match=sentence):
+            function(values, others)
     with pytest.raises(OptionError, match="1 values that are NaN"):
         function([1, 2], [np.nan, 1])
 

@@ -41,6 +41,18 @@ def assert_estimate(capture, method, rule, every=29):
     assert_entropy(result.entropy, truth, bounds)
 
 
+def assert_same(there, capture, method, rule):
+    after, before = (estimate(c, method, rule).entropy for c in (there, capture))
+    assert_entropy(after, np.array(before), 16 * U)
+
+
+def assert_coverage_stays(there, capture):
+    before, after = (np.array(estimate(c).coverage) for c in (capture, there))
+    assert (before != after).mean() < 0.02  # those at the border of visibility
+    for way in WAYS:
+        assert_estimate(there, *way)
+
+
 def refused(capture, method="angular", match="."):
     with pytest.raises(svu.SvuError, match=match):
         estimate(capture, method)
@@ -66,8 +78,7 @@ def exposed(capture, gain, folder):
 def test_exposure_does_not_matter_within_range(method, rule, power, capture, tmp_path):
     """1e-10 to 1e10; powers of two round nothing, so nothing may change."""
     there = exposed(capture, 2.0**power, tmp_path)
-    after, before = (estimate(c, method, rule).entropy for c in (there, capture))
-    assert_entropy(after, np.array(before), 16 * U)
+    assert_same(there, capture, method, rule)
 
 
 @pytest.mark.parametrize("power", [-100, 100])
@@ -195,18 +206,14 @@ def similarity(scale=1.0, shift=0.0):
 @BOTH
 def test_the_unit_of_length_does_not_matter(method, rule, power, capture, tmp_path):
     there = ball(to_world=similarity(2.0**power)).capture(tmp_path, capture.images)
-    after, before = (estimate(c, method, rule).entropy for c in (there, capture))
-    assert_entropy(after, np.array(before), 16 * U)
+    assert_same(there, capture, method, rule)
 
 
 @pytest.mark.parametrize("extents", [1e1, 1e3])
 def test_texels_stay_visible_far_from_the_origin(extents, capture, tmp_path):
     """Rays that start closer to a surface than coordinates resolve hit it."""
     there = ball(to_world=similarity(1.0, extents * EXTENT)).capture(tmp_path, capture.images)
-    before, after = (np.array(estimate(c).coverage) for c in (capture, there))
-    assert (before != after).mean() < 0.02  # those at the border of visibility
-    for way in WAYS:
-        assert_estimate(there, *way)
+    assert_coverage_stays(there, capture)
 
 
 @pytest.mark.parametrize("extents", [1e4, 1e5])
@@ -236,8 +243,7 @@ def spoiled(kind):
 @BOTH
 def test_a_face_without_area_changes_nothing(method, rule, kind, capture, tmp_path):
     there = ball(mesh=spoiled(kind)).capture(tmp_path, capture.images)
-    after, before = (estimate(c, method, rule).entropy for c in (there, capture))
-    assert_entropy(after, np.array(before), 16 * U)
+    assert_same(there, capture, method, rule)
 
 
 def test_nothing_but_faces_without_area_is_refused(capture, tmp_path):
@@ -273,7 +279,4 @@ def test_object_light_and_cameras_turned_together(number, capture, tmp_path):
     light = map_light(lamps(), to_world=turn)
     there = ball(light=light, to_world=np.array(turn.matrix, np.float64))
     there = there.capture(tmp_path, capture.images)
-    before, after = (np.array(estimate(c).coverage) for c in (capture, there))
-    assert (before != after).mean() < 0.02
-    for way in WAYS:
-        assert_estimate(there, *way)
+    assert_coverage_stays(there, capture)

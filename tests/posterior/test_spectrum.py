@@ -124,26 +124,17 @@ def uneven(shape):
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize("prior", [None, one_row, uneven], ids=lambda f: f and f.__name__)
-@pytest.mark.parametrize("switches", RULES, ids=lambda s: f"{s.name}-{s.channels}")
+@pytest.mark.parametrize("switches", [*RULES, None], ids=lambda s: s and f"{s.name}-{s.channels}")
 def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, prior):
+    """By every rule, and on the grid of principled parameters."""
     S_L, S_B = spectra(np.random.default_rng(6), 9)
-    weights = np.ones(5) if prior is None else prior(GRID.shape)
+    grid, more = GRID, {"preset": switches}
+    if switches is None:
+        grid, more = PrincipledGrid(4, 3, 5), {"preset": "default", "irradiance": S_L[:, 0]}
+    weights = np.ones(grid.shape[0]) if prior is None else prior(grid.shape)
     posterior = spectrum_posterior(
-        S_L, S_B, GRID, preset=switches, observed=np.arange(9) % 2 == 0,
-        prior=None if prior is None else weights,
-    )  # fmt: skip
-    assert_unseen_have_the_prior(posterior, weights)
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("prior", [None, one_row, uneven], ids=lambda f: f and f.__name__)
-def test_so_has_one_on_the_grid_of_principled_parameters(prior):
-    rng, grid = np.random.default_rng(8), PrincipledGrid(4, 3, 5)
-    S_L, S_B = spectra(rng, 9)
-    weights = np.ones(4) if prior is None else prior(grid.shape)
-    posterior = spectrum_posterior(
-        S_L, S_B, grid, preset="default", observed=np.arange(9) % 2 == 0, irradiance=S_L[:, 0],
-        prior=None if prior is None else weights,
+        S_L, S_B, grid, observed=np.arange(9) % 2 == 0, prior=None if prior is None else weights,
+        **more,
     )  # fmt: skip
     assert_unseen_have_the_prior(posterior, weights)
 
@@ -252,13 +243,13 @@ def test_degree_0_decides_on_the_diffuse_part(channels):
 
 
 def test_a_grid_that_needs_more_than_there_is_says_so():
-    arguments = spectra(np.random.default_rng(1), 2)
-    with pytest.raises(OptionError, match="PrincipledGrid needs the irradiance"):
-        spectrum_posterior(*arguments, PrincipledGrid())
-    with pytest.raises(OptionError, match="channels='sum'"):
-        spectrum_posterior(*arguments, PrincipledGrid(), preset="paper", irradiance=np.ones((2, 3)))
-    with pytest.raises(OptionError, match="irradiance is negative"):
-        spectrum_posterior(*arguments, PrincipledGrid(), irradiance=-np.ones((2, 3)))
+    for more, sentence in (
+        ({}, "PrincipledGrid needs the irradiance"),
+        ({"preset": "paper", "irradiance": np.ones((2, 3))}, "channels='sum'"),
+        ({"irradiance": -np.ones((2, 3))}, "irradiance is negative"),
+    ):
+        with pytest.raises(OptionError, match=sentence):
+            spectrum_posterior(*spectra(np.random.default_rng(1), 2), PrincipledGrid(), **more)
 
 
 @pytest.mark.parametrize("channels", ["sum", "grey"])

@@ -102,9 +102,11 @@ def test_a_linked_folder_and_other_systems_libraries_are_refused(tmp_path, libra
     assert not loaded.exists()
 
 
-@pytest.mark.parametrize("tag", TAGS)
-def test_no_tag_may_name_a_path(tmp_path, library, loaded, tag):
+@pytest.mark.parametrize(("tag", "encoding"), [*((tag, "utf-8") for tag in TAGS),
+                                               ("bsdf", "utf-16")])  # fmt: skip
+def test_no_tag_may_name_a_path(tmp_path, library, loaded, tag, encoding):
     path = scene_of(tmp_path / "scene", f'<{tag} type="../evil"/>')
+    path.write_bytes(path.read_text().encode(encoding))
     (path.parent / "plugins").mkdir()
     plant(library, path.parent / "evil.so")
     with pytest.raises(SceneError, match=r"scene\.xml: '\.\./evil' is a path"):
@@ -136,16 +138,6 @@ def test_libraries_elsewhere_are_not_reached_by_tricks(tmp_path, library, loaded
     with pytest.raises(SceneError, match="entry point of plugin"):
         load_scene(path, trust=True)
     assert loaded.exists()  # it does lie where Mitsuba looks
-
-
-def test_a_scene_in_utf_16_hides_nothing(tmp_path, library, loaded):
-    path = scene_of(tmp_path / "scene", '<bsdf type="../evil"/>')
-    (path.parent / "plugins").mkdir()
-    plant(library, path.parent / "evil.so")
-    path.write_bytes(path.read_text().encode("utf-16"))
-    with pytest.raises(SceneError, match="is a path"):
-        load_scene(path)
-    assert not loaded.exists()
 
 
 def test_libraries_of_people_one_trusts_are_loaded(tmp_path, library, loaded, capsys):

@@ -12,8 +12,6 @@ from svu_mi.calibration.checks.check_result import Finding
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.axis_fixes import FIXES, AxisFix, find_fixes, fix_rotation
 
-OUTCOMES = ("right", "among several", "silent", "misled")
-
 
 @dataclass(frozen=True)
 class Case:
@@ -32,11 +30,6 @@ class Case:
         """Kind of the mistake, as the tables have it."""
         kinds = list(dict.fromkeys(FIXES[name].kind for name in self.fixes))
         return " and ".join(kinds) if kinds else "nothing wrong"
-
-    @property
-    def mistakes(self) -> tuple[str, ...]:
-        """Names of the corrections that make this mistake, when nothing asks for them."""
-        return tuple(_inverse(fix).name for fix in reversed(find_fixes(self.fixes)))
 
     def made(self, capture: Capture) -> Capture:
         """Return a right capture with this mistake in it."""
@@ -57,18 +50,6 @@ def spoil(capture: Capture, fix: AxisFix, camera_axes: np.ndarray | None = None)
     return apply_fixes(capture, [mistake], np.eye(4) if camera_axes is None else camera_axes)
 
 
-def _inverse(fix: AxisFix) -> AxisFix:
-    if fix.matrix is None:
-        return fix  # done twice, these change nothing
-    return next(
-        other
-        for other in FIXES.values()
-        if other.kind == fix.kind
-        and other.matrix is not None
-        and np.array_equal(other.matrix, fix.matrix.T)
-    )
-
-
 CASES = (
     Case(),
     *(Case((name,)) for name in FIXES),
@@ -80,7 +61,7 @@ CASES = (
 
 
 def outcome(findings: Sequence[Finding], case: Case) -> str:
-    """Return one of ``OUTCOMES`` for what a check has said about a case."""
+    """Return "right", "among several", "silent" or "misled": what a check has said of a case."""
     said = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     unsure = [one for one in findings if one.verdict == "unclear"]
     if not unsure:

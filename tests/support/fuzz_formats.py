@@ -68,13 +68,15 @@ class Format:
     share: int = 1
 
 
+def frame_of(image: Path, mask: Path | None = None) -> Frame:
+    return Frame(label=f"{image.parent}: frame 0", image=image, mask=mask, to_world=np.eye(4),
+                 focal=(20.0, 20.0), center=(8.0, 4.0), size=(WIDTH, HEIGHT))  # fmt: skip
+
+
 def picture(folder: Path, out: Path) -> None:
     """Read a picture as a photograph and as its mask."""
     path = next(folder.glob("picture.*"))
-    label, size = f"{folder}: frame 0", (WIDTH, HEIGHT)
-    frame = Frame(label=label, image=path, mask=path, to_world=np.eye(4), focal=(20.0, 20.0),
-                  center=(8.0, 4.0), size=size)  # fmt: skip
-    frame = with_size(frame, open_image(path).size)
+    frame = with_size(frame_of(path, mask=path), open_image(path).size)
     convert_photograph(frame, out / "view.exr", (1.0, 1.0))
 
 
@@ -110,18 +112,13 @@ def source(folder: Path, out: Path, *, place: str = ".") -> None:
 
 def exposures(folder: Path, out: Path) -> None:
     """Read exposures of a photograph from a list, and from its EXIF data."""
-    image = folder / "view_0000.jpg"
-    frame = Frame(label="view", image=image, to_world=np.eye(4), focal=(20.0, 20.0),
-                  center=(8.0, 4.0), size=(WIDTH, HEIGHT))  # fmt: skip
+    frame = frame_of(folder / "view_0000.jpg")
     with_exif_gains(with_listed_gains([frame], folder / "gains.txt"))
 
 
 def response(folder: Path, out: Path) -> None:
     """Decode a photograph by what was measured."""
-    image = folder / "view_0000.png"
-    frame = Frame(label="view", image=image, to_world=np.eye(4), focal=(20.0, 20.0),
-                  center=(8.0, 4.0), size=(WIDTH, HEIGHT))  # fmt: skip
-    (frame,) = with_response([frame], folder / "curve.txt")
+    (frame,) = with_response([frame_of(folder / "view_0000.png")], folder / "curve.txt")
     convert_photograph(frame, out / "view.exr", (1.0, 1.0))
 
 

@@ -290,15 +290,9 @@ def test_folders_with_several_formats_are_read_as_before(tmp_path):
 # --- what is refused ------------------------------------------------------------------
 
 
-def changed(index: int, value: float) -> np.ndarray:
+def changed(index: int | list[int], value: float, factor: float = 0) -> np.ndarray:
     rows = np.array([camera.row for camera in CENTERED])
-    rows[1, index] = value
-    return rows
-
-
-def mirrored() -> np.ndarray:
-    rows = np.array([camera.row for camera in CENTERED])
-    rows[1, [0, 5, 10]] *= -1  # down becomes up
+    rows[1, index] = value + factor * rows[1, index]
     return rows
 
 
@@ -312,7 +306,7 @@ BAD_ROWS = {
     "objects": (np.array([[print] * 17] * 3, object), "declares pickled objects; export"),
     "words": (np.full((3, 17), "a"), "it holds <U1, not real numbers"),
     "complex": (changed(3, 1).astype(complex), "it holds complex128, not real"),
-    "mirrored": (mirrored(), r"pose 1: the pose is mirrored \(determinant < 0\)"),
+    "mirrored": (changed([0, 5, 10], 0, -1), r"pose 1: the pose is mirrored \(determinant < 0\)"),
     "parts of pixels": (changed(4, 23.5), "pose 1: a photograph of 40 x 23.5 pixels; the last"),
     "no height": (changed(4, 0), "pose 1: a photograph of 40 x 0 pixels"),
     "no focal length": (changed(14, 0), "pose 1: the focal length is 0, 0 pixels"),
@@ -326,15 +320,6 @@ def sentence(error: SvuError, folder: Path) -> str:
     assert text.startswith(str(folder)) and "\n" not in text
     assert text.endswith(".") and ("; " in text or ": " in text.replace(str(folder), ""))
     return text
-
-
-@pytest.mark.parametrize("case", BAD_ROWS)
-def test_poses_of_llff_that_are_none(tmp_path, case):
-    rows, words = BAD_ROWS[case]
-    folder = write_llff(tmp_path, rows)
-    with pytest.raises(CaptureError, match=words) as error:
-        read_source(folder)
-    sentence(error.value, folder)
 
 
 def but(**changes: object) -> dict[str, np.ndarray]:
@@ -389,10 +374,12 @@ BAD_ARRAYS = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_ARRAYS)
-def test_cameras_of_idr_that_are_none(tmp_path, case):
-    arrays, words = BAD_ARRAYS[case]
-    folder = write_idr(tmp_path, arrays)
+@pytest.mark.parametrize(("write", "written", "words"), [
+    *((write_llff, *case) for case in BAD_ROWS.values()),
+    *((write_idr, *case) for case in BAD_ARRAYS.values()),
+], ids=[*BAD_ROWS, *BAD_ARRAYS])  # fmt: skip
+def test_poses_that_are_none(tmp_path, write, written, words):
+    folder = write(tmp_path, written)
     with pytest.raises(CaptureError, match=words) as error:
         read_source(folder)
     sentence(error.value, folder)
