@@ -47,12 +47,15 @@ def write_images(folder, count, shape=(24, 24), value=0.5):
     return folder
 
 
+def photographed(folder, **changes):
+    """A scene with three sensors and its three photographs."""
+    write_images(folder / "images", 3)
+    return write_scene(folder, **changes)
+
+
 @pytest.fixture
 def scene(tmp_path):
-    """A scene with three sensors and its three photographs."""
-    path = write_scene(tmp_path)
-    write_images(tmp_path / "images", 3)
-    return path
+    return photographed(tmp_path)
 
 
 # --- what goes in comes out -----------------------------------------------------------------
@@ -187,6 +190,11 @@ def stopping(monkeypatch):
     return seen
 
 
+def interrupt(path, out):
+    with pytest.raises(KeyboardInterrupt):
+        render_capture(path, spp=1, folder=out, resume=False)
+
+
 def draft_of(out):
     return beside(out, DRAFT)
 
@@ -233,8 +241,7 @@ def test_an_interrupted_render_is_not_mixed_with_another(tmp_path, change):
     path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
     plain = path.read_text().replace('<integrator type="direct"/>', INTEGRATOR + "</integrator>")
     path.write_text(plain)
-    with pytest.raises(KeyboardInterrupt):
-        render_capture(path, spp=1, folder=out, resume=False)
+    interrupt(path, out)
     assert plain.replace(*change) != plain
     path.write_text(plain.replace(*change))
     with pytest.raises(OutputError, match="made with other options, or of something else"):
@@ -265,8 +272,7 @@ def test_only_whole_views_of_an_interrupted_render_are_kept(tmp_path, stopping, 
     path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
     foreign = tmp_path / "foreign.exr"
     write_exr(foreign, {"RGB": np.ones((24, 24, 3))}, {RUN: "0" * 16})
-    with pytest.raises(KeyboardInterrupt):
-        render_capture(path, spp=1, folder=out, resume=False)
+    interrupt(path, out)
     draft = draft_of(out)
     spoil(draft / "view_0001.exr", foreign)
     (draft / "mask_0000.png").symlink_to(foreign)
@@ -283,8 +289,7 @@ def test_only_whole_views_of_an_interrupted_render_are_kept(tmp_path, stopping, 
 @pytest.mark.usefixtures("stopping")
 def test_a_render_that_keeps_nothing_clears_what_was_kept(tmp_path):
     path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
-    with pytest.raises(KeyboardInterrupt):
-        render_capture(path, spp=1, folder=out, resume=False)
+    interrupt(path, out)
     assert len(names(draft_of(out))) == 2
     render_capture(path, spp=1, folder=out)
     assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
@@ -457,13 +462,16 @@ PHOTOGRAPHS = {
     "extra": (copied("view_0003.exr"), "view_0003.exr.*4 photographs but only 3 sensors"),
     "twice": (copied("view_0000.hdr"), "are the same view"),
     "empty": (written(b""), "view_0002.exr: an empty file"),
+    "black": (
+        lambda folder: write_images(folder, 3, value=0.0), "all 3 photographs are entirely black"
+    ),
     "another": (written(b"not an image"), "view_0002.exr: not an EXR file"),
     "cut": (written(b"\x76\x2f\x31\x01\x02\0\0\0"), "view_0002.exr: a damaged EXR file"),
     "of another size": (
         lambda folder: write_exr(folder / "view_0001.exr", {"RGB": np.ones((12, 24, 3))}),
         "view_0001.exr.*24 x 12 pixels.*film has 24 x 24",
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("spoil", "message"), PHOTOGRAPHS.values(), ids=PHOTOGRAPHS)
@@ -519,12 +527,6 @@ def test_a_black_photograph_is_left_out_with_a_warning(scene):
     assert capture.used == (True, False, True)
 
 
-def test_all_black_photographs_are_refused(scene):
-    write_images(scene.parent / "images", 3, value=0.0)
-    with pytest.raises(CaptureError, match="all 3 photographs are entirely black"):
-        load_capture(scene)
-
-
 @pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
 def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
     path = write_scene(tmp_path, sensors=sensor_xml(30))
@@ -567,6 +569,10 @@ BROKEN = {
     "no sensor": ({"sensors": ""}, "no sensor, so there is no view"),
     "point light": ({"emitter": "point"}, "'light'.*PointLight.*not supported"),
     "two lights": ({"extra": '<emitter type="directional" id="sun"/>'}, "'sun'"),
+    "light on a shape": (
+        {"extra": '<shape type="sphere" id="lamp"><emitter type="area"/></shape>'},
+        r"emitter of shape 'lamp' \(AreaLight\) is not supported",
+    ),
     "mirrored camera": (
         {"sensors": sensor_xml(1, matrix='<scale x="-1"/><translate z="4"/>')}, "mirrored to_world"
     ),
@@ -588,8 +594,7 @@ def test_a_scene_that_will_not_do_is_named(tmp_path, changes, message):
 
 def test_no_emitter(tmp_path):
     """What can do without a light asks for that."""
-    path = write_scene(tmp_path)
-    write_images(tmp_path / "images", 3)
+    path = photographed(tmp_path)
     assert load_capture(path, light="optional").environment.id() == "light"
     path.write_text(path.read_text().replace('<emitter type="constant" id="light"/>', ""))
     with pytest.raises(SceneError, match="no emitter"):
@@ -607,12 +612,6 @@ def test_no_emitter(tmp_path):
     start = f"{tmp_path / 'images'}: was imported without a light; "
     assert str(refused.value).startswith(f'{start}load it with light="optional", and find one with')
     assert refused.value.shell.startswith(f"{start}find it in the photographs with svu light, or")
-
-
-def test_a_light_on_a_shape_is_named(tmp_path):
-    lamp = '<shape type="sphere" id="lamp"><emitter type="area"/></shape>'
-    with pytest.raises(SceneError, match=r"emitter of shape 'lamp' \(AreaLight\) is not supported"):
-        load_capture(write_scene(tmp_path, extra=lamp))
 
 
 # --- what is ignored is said ----------------------------------------------------------------
@@ -748,8 +747,7 @@ SECOND = (
 
 
 def test_two_candidate_shapes_need_a_choice(tmp_path):
-    path = write_scene(tmp_path, extra=SECOND)
-    write_images(tmp_path / "images", 3)
+    path = photographed(tmp_path, extra=SECOND)
     with pytest.raises(SceneError, match=r"several shapes.*'ball', 'other'.*--shape"):
         load_capture(path)
     with pytest.warns(SvuWarning, match="by 'ball' falls on 'other'"):
@@ -765,10 +763,8 @@ def test_a_shape_that_is_no_mesh_is_named(tmp_path):
 
 
 def test_a_mesh_without_uvs_is_unwrapped_with_a_warning(tmp_path):
-    path = write_scene(tmp_path, uvs=None)
-    write_images(tmp_path / "images", 3)
     with pytest.warns(SvuWarning, match="'ball' has no UVs.*unwrapped.ply"):
-        capture = load_capture(path)
+        capture = load_capture(photographed(tmp_path, uvs=None))
     assert capture.mesh is not capture.shape
     assert (tmp_path / "images" / "unwrapped.ply").exists()
 
@@ -785,9 +781,7 @@ def test_a_mirrored_camera_in_a_capture_folder_is_refused(scene):
 
 def test_a_mirrored_mesh_keeps_its_outside_if_it_has_normals(tmp_path):
     mirror = '<transform name="to_world"><scale x="-1"/></transform>'
-    path = write_scene(tmp_path, transform=mirror)
-    write_images(tmp_path / "images", 3)
-    load_capture(path)
+    load_capture(photographed(tmp_path, transform=mirror))
     path = write_scene(tmp_path, transform=mirror, normals=None)
     with pytest.raises(SceneError, match="point inwards.*flip_normals"):
         load_capture(path)
@@ -802,8 +796,7 @@ def test_an_open_bowl_seen_from_inside_is_accepted(tmp_path):
     """Its normals point towards its centre, and that is right."""
     flat = ball()
     lower = flat.positions[flat.faces].mean(axis=1)[:, 1] < -0.1
-    path = write_scene(tmp_path, faces=flat.faces[lower][:, ::-1], normals=-flat.normals)
-    write_images(tmp_path / "images", 3)
+    path = photographed(tmp_path, faces=flat.faces[lower][:, ::-1], normals=-flat.normals)
     assert load_capture(path).shape.id() == "ball"
 
 
@@ -819,12 +812,11 @@ def test_variants_that_cannot_run_are_refused(scene, variant, name):
 
 def test_spp_and_views_must_be_positive(tmp_path):
     path = write_scene(tmp_path)
-    with pytest.raises(OptionError, match="spp must be at least 1"):
-        render_capture(path, spp=0)
-    with pytest.raises(OptionError, match="seed must not be negative"):
-        render_capture(path, seed=-1)
-    with pytest.raises(OptionError, match="Cannot place 0 sensors"):
-        render_capture(path, views=0)
+    for words, sentence in (({"spp": 0}, "spp must be at least 1"),
+                            ({"seed": -1}, "seed must not be negative"),
+                            ({"views": 0}, "Cannot place 0 sensors")):  # fmt: skip
+        with pytest.raises(OptionError, match=sentence):
+            render_capture(path, **words)
 
 
 def test_somebody_elses_photographs_are_not_overwritten(scene):
