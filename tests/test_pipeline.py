@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from oracle import frequency as oracle_frequency
 from oracle import posterior as oracle_posterior
-from support.helpers import ball_scene, memory_capture, render_ball
+from support.helpers import STUDIO, ball_scene, memory_capture, render_ball
 
 import svu_mi as svu
-from svu_mi import scenes
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.fit_samples import FitSamples
@@ -28,7 +27,6 @@ GLOSSY = {"type": "principled", "base_color": {"type": "rgb", "value": [0.9, 0.7
           "metallic": 1.0, "roughness": 0.25}  # fmt: skip
 
 METHODS = pytest.mark.parametrize("method", ["angular", "spectrum"])
-STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 
 
 @pytest.fixture(scope="module")

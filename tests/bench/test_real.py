@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from PIL import Image
-from support.helpers import fails, run
+from support.helpers import fails, launched_kernels, run
 
 import svu_mi as svu
 from svu_mi import scenes
@@ -200,12 +200,10 @@ def test_the_same_point_of_view_gives_the_same_and_compiles_nothing_new(vase):
     eye = to_world(vase.capture.sensors[0])[:3, 3]
     first = prediction.seen_from(eye)
     assert first.shape == (2, 200, 3) and np.isfinite(first).all() and (first >= 0).all()
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
+    with launched_kernels() as kernels:
         prediction.seen_from(to_world(vase.capture.sensors[1])[:3, 3])
         again = prediction.seen_from(eye)
-        history = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
-    assert history and not [k for k in history if not k["cache_hit"]]
+    assert kernels and not [kernel for kernel in kernels if not kernel["cache_hit"]]
     np.testing.assert_array_equal(first, again)
 
 

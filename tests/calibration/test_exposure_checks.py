@@ -10,7 +10,7 @@ from itertools import pairwise
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import ball, memory_capture, run
+from support.helpers import ball, memory_capture, photographs, run, unit
 
 import svu_mi as svu
 from svu_mi import scenes
@@ -159,10 +159,7 @@ def test_no_material_is_taken_for_a_gain(vase, material, count):
         "base_color": {"type": "rgb", "value": list(color)},
     }))  # fmt: skip
     sensors = sphere_sensors(vase.shape, count, (64, 64))
-    images = [
-        np.array(mi.render(vase.scene, sensor=sensor, spp=16, seed=index))[..., :3]
-        for index, sensor in enumerate(sensors)
-    ]
+    images = photographs(vase.scene, sensors, 16)
     finding = gain_finding(memory_capture(vase.scene, images, sensors))
     assert finding.verdict in ("fits", "unknown"), finding.sentence
 
@@ -206,8 +203,7 @@ def test_the_bound_is_what_a_white_surface_shows(lit_ball):
 
 def from_around(points, degrees):
     """Unit directions (4, N, 3) to four cameras, that far from the normals."""
-    across = np.cross(points.normal, [0.36, 0.48, 0.8])
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    across = unit(np.cross(points.normal, [0.36, 0.48, 0.8]))
     up = np.cross(points.normal, across)
     angle = np.radians(degrees)
     return np.stack([
@@ -215,14 +211,17 @@ def from_around(points, degrees):
     ])  # fmt: skip
 
 
+def excess_from_four_sides(lit_ball, albedo, degrees, unit):
+    _, points, arriving, white = lit_ball
+    shown = np.broadcast_to(albedo * white / unit, (4, len(points.position), 3))
+    seen = PointSamples(np.ones(shown.shape[:2], bool), shown, from_around(points, degrees))
+    return excess_of(seen, points, arriving, unit)
+
+
 @pytest.mark.parametrize(("albedo", "part"), [(0.95, 0.0), (1.1, 1.0), (1.3, 1.0)])
 def test_what_is_brighter_than_white_is_counted(lit_ball, albedo, part):
     """Four views see every point of the ball alike, in any unit."""
-    _, points, arriving, white = lit_ball
-    count = len(points.position)
-    shown = np.broadcast_to(albedo * white / 250, (4, count, 3))
-    seen = PointSamples(np.ones((4, count), bool), shown, from_around(points, 40))
-    excess = excess_of(seen, points, arriving, 250.0)
+    excess = excess_from_four_sides(lit_ball, albedo, 40, 250.0)
     assert excess.part == pytest.approx(part, abs=0.01)
     assert excess.factor == pytest.approx(albedo, rel=0.04)
     assert (excess.sentence() is None) == (albedo < 1.2)  # paint is a little brighter at times
@@ -231,11 +230,7 @@ def test_what_is_brighter_than_white_is_counted(lit_ball, albedo, part):
 @pytest.mark.parametrize(("degrees", "judged"), [(10, False), (30, True)])
 def test_what_is_seen_from_one_side_only_is_not_judged(lit_ball, degrees, judged):
     """Polished metal that mirrors a window to all cameras is three times as bright as white."""
-    _, points, arriving, white = lit_ball
-    count = len(points.position)
-    shown = np.broadcast_to(3 * white, (4, count, 3))
-    seen = PointSamples(np.ones((4, count), bool), shown, from_around(points, degrees))
-    assert (excess_of(seen, points, arriving, 1.0) is not None) == judged
+    assert (excess_from_four_sides(lit_ball, 3, degrees, 1.0) is not None) == judged
 
 
 def test_a_few_bright_points_are_not_a_gain():

@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
+from unittest.mock import MagicMock
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import ball, ball_scene, memory_capture, render_ball, write_ball
+from support.helpers import ball, ball_scene, memory_capture, photographs, render_ball, write_ball
 
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.sensors import sphere_sensors
@@ -42,12 +43,8 @@ def sky(gain: float = 1.0) -> dict[str, Any]:
 
 
 def paint(roughness: float = 0.5, metallic: float = 1.0, base_color: float = 0.5) -> dict[str, Any]:
-    return {
-        "type": "principled",
-        "roughness": roughness,
-        "metallic": metallic,
-        "base_color": {"type": "rgb", "value": base_color},
-    }
+    color = {"type": "rgb", "value": base_color}
+    return {"type": "principled", "roughness": roughness, "metallic": metallic, "base_color": color}
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +56,12 @@ def capture(tmp_path_factory):
 @pytest.fixture(scope="module")
 def layout(capture):
     return texels(capture.mesh, 24)
+
+
+def traced(capture, layout, subset, spp, **options: Any):
+    """The reference on ``GRID``, with one seed unless another is given."""
+    options = {"grid": GRID, "seed": SEED} | options
+    return reference_posterior(capture, layout, subset, spp, **options)
 
 
 def energies(reference) -> np.ndarray:
@@ -80,26 +83,14 @@ def valley() -> capture_mesh.MeshArrays:
 def valley_capture(tmp_path, max_depth: int):
     path = tmp_path / "valley.ply"
     capture_mesh.make_mesh("valley", valley()).write_ply(str(path))
+    white = {"type": "ply", "filename": str(path), "face_normals": True, "bsdf": paint(1, 0, 1)}
+    tracer = {"type": "path", "max_depth": max_depth}
     scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path", "max_depth": max_depth},
-            "light": {"type": "constant"},
-            "valley": {
-                "type": "ply",
-                "filename": str(path),
-                "face_normals": True,
-                "bsdf": paint(1.0, 0.0, 1.0),
-            },
-        },
+        {"type": "scene", "integrator": tracer, "light": {"type": "constant"}, "valley": white},
         optimize=False,
     )
     sensors = sphere_sensors(scene.shapes()[0], 12, (32, 32))
-    images = [
-        np.array(mi.render(scene, sensor=sensor, spp=128, seed=k))[..., :3]
-        for k, sensor in enumerate(sensors)
-    ]
-    return memory_capture(scene, images, sensors)
+    return memory_capture(scene, photographs(scene, sensors, 128), sensors)
 
 
 # --- right -------------------------------------------------------------------------------
@@ -109,9 +100,7 @@ def valley_capture(tmp_path, max_depth: int):
 def test_four_corners_give_all_of_a_row_exactly_where_paths_are_shared(capture, layout):
     """At metallic 0 and 1 sampling does not depend on the base colour: equal path by path."""
     a, b = (
-        reference_posterior(
-            capture, layout, 30, 8, grid=GRID, method=m, seed=SEED
-        ).posterior.kernel.energies
+        traced(capture, layout, 30, 8, method=m).posterior.kernel.energies
         for m in ("linear", "brute")
     )
     ends = [0, 2]
@@ -123,19 +112,13 @@ def test_four_corners_give_all_of_a_row_exactly_where_paths_are_shared(capture, 
 @pytest.mark.slow
 def test_linear_and_brute_agree_within_their_noise(capture, layout):
     """z-scores of the mean energy of each cell, over independent runs of both methods."""
+    some = np.arange(0, layout.count, 36)
     runs = {
-        method: np.array(
-            [
-                energies(
-                    reference_posterior(
-                        capture, layout, np.arange(0, layout.count, 36), 16, grid=GRID,
-                        method=method, seed=SEED + 100 * offset + run,
-                    )
-                ).mean(axis=0)
-                for run in range(8)
-            ]
-        )
-        for offset, method in enumerate(("linear", "brute"))
+        method: np.array([
+            energies(traced(capture, layout, some, 16, method=method, seed=seed + run)).mean(axis=0)
+            for run in range(8)
+        ])
+        for method, seed in (("linear", SEED), ("brute", SEED + 100))
     }  # fmt: skip
     means = {name: values.mean(axis=0) for name, values in runs.items()}
     error = np.sqrt(sum(values.var(axis=0, ddof=1) / len(values) for values in runs.values()))
@@ -152,10 +135,8 @@ def test_light_between_parts_needs_brute_force(tmp_path):
     capture = valley_capture(tmp_path, max_depth=3)
     layout = texels(capture.mesh, 16)
     direct, bounced = (
-        reference_posterior(
-            capture, layout, 40, 128, grid=PrincipledGrid(2, 2, 2), method="brute",
-            max_depth=depth, seed=SEED,
-        )
+        traced(capture, layout, 40, 128, grid=PrincipledGrid(2, 2, 2), method="brute",
+               max_depth=depth)
         for depth in (2, 3)
     )  # fmt: skip
     rough_white = (slice(None), 1, 0, 1)
@@ -178,7 +159,7 @@ def assert_finds_truth(reference, part: float = 0.95) -> None:
 
 @pytest.mark.slow
 def test_the_true_material_has_the_smallest_energy(capture, layout):
-    reference = reference_posterior(capture, layout, 200, 128, grid=GRID, seed=SEED)
+    reference = traced(capture, layout, 200, 128)
     assert reference.count == 200
     assert reference.dropped <= 0.01 * reference.coverage.sum()
     assert (reference.coverage > 0).all()
@@ -193,32 +174,18 @@ def test_the_rest_of_the_scene_stays(tmp_path, kind):
     """Other shapes shade, other lights shine, and the object keeps its orientation."""
     scene = {"type": "scene", "light": sky(), "ball": ball_part(tmp_path, kind, paint())}
     if kind == "neighbour":
-        scene["lid"] = {
-            "type": "disk",
-            "to_world": mi.ScalarTransform4f()
-            .translate([0, 1.2, 0])
-            .rotate([1, 0, 0], 90)
-            .scale(2),
-            "bsdf": {"type": "twosided", "nested": {"type": "diffuse"}},
-        }
+        turn = mi.ScalarTransform4f().translate([0, 1.2, 0]).rotate([1, 0, 0], 90).scale(2)
+        both = {"type": "twosided", "nested": {"type": "diffuse"}}
+        scene["lid"] = {"type": "disk", "to_world": turn, "bsdf": both}
     if kind == "area light":
-        scene["lamp"] = {
-            "type": "sphere",
-            "center": [0, 2.5, 0],
-            "radius": 0.4,
-            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [9, 7, 5]}},
-        }
+        area = {"type": "area", "radiance": {"type": "rgb", "value": [9, 7, 5]}}
+        scene["lamp"] = {"type": "sphere", "center": [0, 2.5, 0], "radius": 0.4, "emitter": area}
     made = mi.load_dict({"integrator": {"type": "path", "max_depth": 2}, **scene}, optimize=False)
     sensors = sphere_sensors(made.shapes()[0], 20, (40, 40))
-    images = [
-        np.array(mi.render(made, sensor=sensor, spp=64, seed=k))[..., :3]
-        for k, sensor in enumerate(sensors)
-    ]
+    images = photographs(made, sensors, 64)
     target = next(shape for shape in made.shapes() if shape.id() == "ball")
     capture = memory_capture(made, images, sensors, shape=target, mesh=target)
-    reference = reference_posterior(
-        capture, texels(capture.mesh, 16), 80, 128, grid=GRID, seed=SEED
-    )
+    reference = traced(capture, texels(capture.mesh, 16), 80, 128)
     assert_finds_truth(reference, 0.9)
     # The photographs' own noise leaves 0.6 to 0.8; without the lid it would be 60.
     assert energies(reference)[:, *TRUTH].mean() < 1.5
@@ -239,12 +206,12 @@ def asked(monkeypatch):
     """Pairs and traced halves that a reference asks for, in lists that fill up."""
     result, rendered = [], []
     find, render = traced_posterior.visible_pairs, traced_posterior.trace
-    monkeypatch.setattr(
-        traced_posterior, "visible_pairs", lambda *args: result.append(find(*args)) or result[-1]
-    )
-    monkeypatch.setattr(
-        traced_posterior, "trace", lambda *args: rendered.append(render(*args)) or rendered[-1]
-    )
+
+    def keep(name, into, do):
+        monkeypatch.setattr(traced_posterior, name, lambda *x: into.append(do(*x)) or into[-1])
+
+    keep("visible_pairs", result, find)
+    keep("trace", rendered, render)
     return result, rendered
 
 
@@ -254,9 +221,8 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, ask
     """Every psi of every texel again, from the pairs and the traced halves, in NumPy."""
     result, rendered = asked
     grid, sigma = PrincipledGrid(2, 2, 3), 0.05
-    reference = reference_posterior(
-        capture, layout, 20, 4, grid=grid, sigma=sigma, method="brute", noise=noise, seed=SEED
-    )
+    how = {"grid": grid, "sigma": sigma, "method": "brute", "noise": noise}
+    reference = traced(capture, layout, 20, 4, **how)
     (pair,), scale = result, reference.scale
     halves = np.array(rendered)  # (psi, half, P, channel)
     assert halves.shape == (12, 2, pair.count, 3)
@@ -280,7 +246,7 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, ask
 def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(capture, layout, asked):
     """Sums of one texel again, from the pairs and the traced halves, in NumPy; and their uses."""
     result, rendered = asked
-    reference = reference_posterior(capture, layout, 20, 4, grid=GRID, noise="estimated", seed=SEED)
+    reference = traced(capture, layout, 20, 4, noise="estimated")
     switches = AngularPreset()
     (pair,), levels, kappa = result, switches.levels, switches.knee * reference.unit
     halves = np.array(rendered).reshape(levels, 4, 2, pair.count, 3)  # corner, half
@@ -342,9 +308,9 @@ def test_weights_go_through_the_four_corners():
 
 @pytest.mark.slow
 def test_batches_change_nothing_but_the_random_numbers(capture, layout, monkeypatch):
-    whole = reference_posterior(capture, layout, 60, 32, grid=GRID, seed=SEED)
+    whole = traced(capture, layout, 60, 32)
     monkeypatch.setattr(traced_posterior, "LANES", 600)  # 25 texels of 24 views
-    parts = reference_posterior(capture, layout, 60, 32, grid=GRID, seed=SEED)
+    parts = traced(capture, layout, 60, 32)
     assert np.array_equal(parts.subset, whole.subset)
     assert np.array_equal(parts.coverage, whole.coverage)
     assert parts.brightness == pytest.approx(whole.brightness, rel=1e-6)
@@ -379,15 +345,13 @@ def test_a_texel_nobody_sees_has_entropy_one(capture, layout, noise):
 @pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
 def test_errors_may_be_summed_over_views(capture, layout, tmp_path, noise):
     """Eq. 3 as printed: so many views say so much more. From a cache, too."""
-    asked = {"subset": 30, "spp": 8, "grid": GRID, "seed": SEED, "noise": noise}
-    mean = reference_posterior(capture, layout, sigma=0.5, **asked)
+    asked = {"subset": 30, "spp": 8, "noise": noise}
+    mean = traced(capture, layout, sigma=0.5, **asked)
     energies = mean.tables[0] * mean.coverage[:, None, None, None]
     p = np.exp(-(energies - energies.min(axis=(1, 2, 3), keepdims=True)))
     p /= p.sum(axis=(1, 2, 3), keepdims=True)
     for again in (False, True):
-        total = reference_posterior(
-            capture, layout, sigma=0.5, errors="sum", cache=tmp_path, **asked
-        )
+        total = traced(capture, layout, sigma=0.5, errors="sum", cache=tmp_path, **asked)
         assert total.cached == again
         result = np.array(total.posterior.probabilities)
         np.testing.assert_allclose(result[total.coverage > 0], p[total.coverage > 0], atol=1e-6)
@@ -453,26 +417,21 @@ def test_the_capture_is_not_touched(capture, layout):
 
 
 @pytest.fixture
-def traced(monkeypatch):
+def calls(monkeypatch):
     """Counts how often anything is traced."""
-    calls: list[int] = []
-
-    def counted(*args, **kwargs):
-        calls.append(1)
-        return path_trace.trace(*args, **kwargs)
-
-    monkeypatch.setattr(traced_posterior, "trace", counted)
-    return calls
+    trace = MagicMock(wraps=path_trace.trace)
+    monkeypatch.setattr(traced_posterior, "trace", trace)
+    return trace.call_args_list
 
 
 @pytest.mark.parametrize("noise", ["relative", "estimated"])
-def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, traced, noise):
+def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, calls, noise):
     options = {"grid": GRID, "noise": noise, "cache": tmp_path / "new"}
     first = reference_posterior(capture, layout, 20, 2, **options)
-    count = len(traced)
+    count = len(calls)
     second = reference_posterior(capture, layout, 20, 2, **options)
     assert count > 0
-    assert len(traced) == count
+    assert len(calls) == count
     assert (first.cached, second.cached) == (False, True)
     for name in ("subset", "brightness", "coverage", "entropy"):
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
@@ -491,12 +450,9 @@ def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, trace
 
 
 @pytest.mark.slow
-def test_whatever_matters_misses_the_cache(capture, layout, tmp_path, traced):
+def test_whatever_matters_misses_the_cache(capture, layout, tmp_path):
     def run(capture=capture, subset=20, spp=2, **changes: Any) -> bool:
-        options = {"grid": GRID, "seed": 1, **changes}
-        return not reference_posterior(
-            capture, layout, subset, spp, cache=tmp_path, **options
-        ).cached
+        return not traced(capture, layout, subset, spp, cache=tmp_path, **changes).cached
 
     assert run()
     assert not run()
@@ -510,16 +466,12 @@ def test_whatever_matters_misses_the_cache(capture, layout, tmp_path, traced):
     assert run(replace(capture, used=(False, *capture.used[1:])))
     other = ball_scene(tmp_path, sky(1.5), paint())
     assert run(replace(capture, scene=other, shape=other.shapes()[0]))
-    assert run(subset=21)
-    assert run(subset=np.arange(20))
-    assert run(spp=4)
-    assert run(seed=2)
-    assert run(sigma=0.1)
-    assert run(grid=PrincipledGrid(3, 3, 2))
-    assert run(method="brute")
-    assert run(noise="heteroscedastic")
-    assert run(noise="estimated")
-    assert run(noise="estimated", grid=PrincipledGrid(3, 3, 2))
+    for changes in (
+        {"subset": 21}, {"subset": np.arange(20)}, {"spp": 4}, {"seed": 2}, {"sigma": 0.1},
+        {"grid": PrincipledGrid(3, 3, 2)}, {"method": "brute"}, {"noise": "heteroscedastic"},
+        {"noise": "estimated"}, {"noise": "estimated", "grid": PrincipledGrid(3, 3, 2)},
+    ):  # fmt: skip
+        assert run(**changes), changes
     assert not run()
 
 
@@ -531,8 +483,7 @@ def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path):
         again = reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path)
     assert not again.cached
     assert np.array_equal(energies(again), energies(first))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path).cached
 
 
@@ -555,10 +506,8 @@ def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path):
         ({"max_depth": 1}, "max_depth must be in [2, inf]"),
         ({"max_depth": 3}, "or the method brute, got 3"),
         ({"method": "magic"}, "method must be one of linear, brute, got 'magic'"),
-        (
-            {"noise": "fixed"},
-            "noise must be one of relative, heteroscedastic, estimated, got 'fixed'",
-        ),
+        ({"noise": "fixed"},
+         "noise must be one of relative, heteroscedastic, estimated, got 'fixed'"),
         ({"noise": "estimated", "method": "brute"}, "method must be linear with estimated noise"),
         ({"noise": "estimated", "max_depth": 3}, "or the method brute, got 3"),
         ({"errors": "median"}, "errors must be one of mean, sum, got 'median'"),

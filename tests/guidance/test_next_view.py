@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from oracle import guidance as oracle
 from scipy import stats
-from support.helpers import render_ball
+from support.helpers import launched_kernels, render_ball, unit_vectors
 
 import svu_mi as svu
 from svu_mi import scenes
@@ -56,6 +56,15 @@ def test_responses_of_texels_that_no_view_sees():
     assert not responses.seen.any() and not responses.table().any()
     assert responses.table().shape == (3, 5, 7)
     assert not np.array(responses.read(mi.UInt32(2), 1)).any()
+
+
+def power_of(samples: np.ndarray, switches: svu.Preset) -> np.ndarray:
+    """S_L, fitted to samples (V, K) of the light."""
+    samples = samples.astype(np.float64)
+    return oracle.refitted_power(
+        samples[:, 1:4], samples[:, 0], samples[:, 4:], switches.degree, switches.regularizer,
+        switches.penalize_constant,
+    )  # fmt: skip
 
 
 def posteriors(rng: np.random.Generator, count: int, cells: int) -> np.ndarray:
@@ -225,8 +234,7 @@ class TestRankOne:
     def test_expected_entropy_equals_brute_force(self, switches):
         rng, count, views = np.random.default_rng(5), 9, 8
         grid = ParameterGrid(3, 4).resolved(switches)
-        directions = rng.normal(size=(views, count, 3))
-        directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+        directions = unit_vectors(rng, views, count)
         light = rng.gamma(1.0, 0.3, (views, count, switches.colors))
         table = np.concatenate([np.abs(directions[..., 2:]), directions, light], axis=2)
         table *= rng.random((views, count, 1)) < 0.7
@@ -243,11 +251,7 @@ class TestRankOne:
 
         def exact(chosen, t):
             rows = [v for v in chosen if table[v, t, 0] > 0]
-            samples = table[rows, t].astype(np.float64)
-            S_L = oracle.refitted_power(
-                samples[:, 1:4], samples[:, 0], samples[:, 4:], switches.degree,
-                switches.regularizer, switches.penalize_constant,
-            )  # fmt: skip
+            S_L = power_of(table[rows, t], switches)
             return oracle.expected(
                 p[t], oracle.spectrum_distances(S_L, alphas, grid.specular_nodes, switches.sigma)
             )
@@ -273,8 +277,7 @@ class TestGrowing:
         texels that photographs show, and alpha and Ks of the grid."""
         rng, grid = np.random.default_rng(seed), ParameterGrid(3, 4).resolved(switches)
         shape, colors = (self.VIEWS, self.COUNT), switches.colors
-        directions = rng.normal(size=(*shape, 3))
-        directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+        directions = unit_vectors(rng, *shape)
         seen = rng.random((*shape, 1)) < 0.7
         seen[:5, 0] = False  # first seen by a candidate
         seen[: self.PHOTOGRAPHS, 1] = False
@@ -310,11 +313,7 @@ class TestGrowing:
         rows = [v for v in chosen if table(views)[v, t, 0] > 0]
         if not rows:
             return 1.0 if prior is None else oracle.entropy(np.zeros(12), prior)
-        samples = table(views)[rows, t].astype(np.float64)
-        S_L = oracle.refitted_power(
-            samples[:, 1:4], samples[:, 0], samples[:, 4:], switches.degree,
-            switches.regularizer, switches.penalize_constant,
-        )  # fmt: skip
+        S_L = power_of(table(views)[rows, t], switches)
         S_B = shown[t].astype(np.float64) if observed[t] else None
         return oracle.printed(S_B, S_L, *nodes, switches.sigma, prior)
 
@@ -358,9 +357,7 @@ class TestGrowing:
         estimate = svu.estimate(some(capture, used), texels, "spectrum", SHARP)
         around = svu.Candidates.at(capture, [1, 2])
         forecast = inputs_of(estimate, around, band_limit="growing").forecast
-        same = inputs_of(
-            estimate, around, hypotheses=64, band_limit="photographs"
-        ).forecast  # fmt: skip
+        same = inputs_of(estimate, around, hypotheses=64, band_limit="photographs").forecast
         assert isinstance(forecast, GrowingForecast)
         four, _ = forecast.relight(4)
         np.testing.assert_array_equal(four.table(), same.responses.table())
@@ -487,9 +484,7 @@ class TestGreedy:
 
 class TestBaselines:
     def test_farthest(self):
-        rng = np.random.default_rng(0)
-        d = rng.normal(size=(30, 3))
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        d = unit_vectors(np.random.default_rng(0), 30)
         strategy, taken = strategies.FarthestScorer(d, 4), list(range(4))
         for _ in range(6):
             best = int(np.argmax(strategy.scores()))
@@ -685,16 +680,14 @@ class TestNextBestView:
         monkeypatch.setattr(GreedyScorer, "__init__", lambda *_: asked.append("Eq. 13"))
         around = svu.Candidates.around(capture, 9)
         svu.next_best_view(estimate, around, 3, strategy=strategy)
-        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-            dr.kernel_history_clear()
+        with launched_kernels() as kernels:
             svu.next_best_view(estimate, around, 3, strategy=strategy)
-            kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
-            dr.kernel_history_clear()
+        with launched_kernels() as rays:
             inputs_of(estimate, around, strategy=strategy).seen  # noqa: B018
-            rays = {k["hash"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT}
+        known = {kernel["hash"] for kernel in rays}
         # Besides, matrices of sensors are multiplied.
         assert not asked
-        assert all(k["hash"] in rays or k["operation_count"] < 100 for k in kernels)
+        assert all(k["hash"] in known or k["operation_count"] < 100 for k in kernels)
 
     @pytest.mark.slow
     def test_other_views_or_texels_are_no_other_kernels(self, sunny, estimated):
@@ -702,15 +695,9 @@ class TestNextBestView:
         estimate = estimated(0, 1, 2)
         svu.next_best_view(estimate, svu.Candidates.around(capture, 11), 3, texels=200)
         other = estimated(4, 5, 6, 7, 8)
-        dr.kernel_history_clear()
-        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        with launched_kernels() as kernels:
             svu.next_best_view(other, svu.Candidates.around(capture, 23), 4, texels=333)
-        compiled = [
-            k
-            for k in dr.kernel_history()
-            if k["type"] == dr.KernelType.JIT and not k["cache_hit"] and not k["cache_disk"]
-        ]
-        assert not compiled
+        assert not [k for k in kernels if not k["cache_hit"] and not k["cache_disk"]]
 
     @pytest.mark.slow
     def test_expected_change_is_what_photographs_then_change(self, sunny, estimated):
@@ -829,20 +816,16 @@ class TestNextBestView:
     def test_bad_input(self, sunny, estimated):
         capture, texels = sunny
         estimate = estimated(0, 1)
-        with pytest.raises(svu.SvuError, match="count must be at least 1"):
-            svu.next_best_view(estimate, count=0)
-        with pytest.raises(svu.SvuError, match="whole number"):
-            svu.next_best_view(estimate, count=2.5)
-        with pytest.raises(svu.SvuError, match="unknown option 'texel'"):
-            svu.next_best_view(estimate, texel=3)
-        with pytest.raises(svu.SvuError, match="strategy must be one of"):
-            svu.next_best_view(estimate, strategy="best")
-        with pytest.raises(svu.SvuError, match="texels must be at least 1"):
-            svu.next_best_view(estimate, texels=0)
+        for words, sentence in (
+            ({"count": 0}, "count must be at least 1"), ({"count": 2.5}, "whole number"),
+            ({"texel": 3}, "unknown option 'texel'"), ({"texels": 0}, "texels must be at least 1"),
+            ({"strategy": "best"}, "strategy must be one of"),
+            ({"options": {"texels": 5}}, "must be GuidanceOptions"),
+        ):  # fmt: skip
+            with pytest.raises(svu.SvuError, match=sentence):
+                svu.next_best_view(estimate, **words)
         with pytest.raises(svu.SvuError, match="proposal must be 0 to 0"):
             svu.next_best_view(estimate).image(1)
-        with pytest.raises(svu.SvuError, match="must be GuidanceOptions"):
-            svu.next_best_view(estimate, options={"texels": 5})
         with pytest.raises(svu.SvuError, match="does not know its capture"):
             svu.next_best_view(dataclasses.replace(estimate, observed=None))
 
@@ -915,19 +898,17 @@ class TestCandidates:
         capture, _ = sunny
         with pytest.raises(svu.SvuError, match="Every sensor"):
             svu.Candidates.without_photograph(capture)
-        with pytest.raises(svu.SvuError, match="no view that can be reached"):
-            svu.Candidates.around(capture, 5).restricted(np.zeros(5, bool))
-        with pytest.raises(svu.SvuError, match="4 flags for 5"):
-            svu.Candidates.around(capture, 5).restricted(np.ones(4, bool))
-        with pytest.raises(svu.SvuError, match="True or False"):
-            svu.Candidates.around(capture, 5).restricted([0, 1, 2, 3, 4])
-        with pytest.raises(svu.SvuError, match="Cannot place 0"):
-            svu.Candidates.around(capture, 0)
-        with pytest.raises(svu.SvuError, match="lowest elevation"):
-            svu.Candidates.around(capture, 5, lowest=1.0)
-        with pytest.raises(svu.SvuError, match="up must be a direction"):
-            svu.Candidates.around(capture, 5, up=(0, 0, 0))
-        with pytest.raises(svu.SvuError, match="positive distance"):
-            svu.Candidates.around(capture, 5, distance=-1)
+        for flags, sentence in (
+            (np.zeros(5, bool), "no view that can be reached"), (np.ones(4, bool), "4 flags for 5"),
+            ([0, 1, 2, 3, 4], "True or False"),
+        ):  # fmt: skip
+            with pytest.raises(svu.SvuError, match=sentence):
+                svu.Candidates.around(capture, 5).restricted(flags)
+        for words, sentence in (
+            ({"count": 0}, "Cannot place 0"), ({"lowest": 1.0}, "lowest elevation"),
+            ({"up": (0, 0, 0)}, "up must be a direction"), ({"distance": -1}, "positive distance"),
+        ):  # fmt: skip
+            with pytest.raises(svu.SvuError, match=sentence):
+                svu.Candidates.around(capture, **{"count": 5} | words)
         with pytest.raises(svu.SvuError, match="no such file"):
             svu.Candidates.read("nowhere.json")

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import python
+from support.helpers import python, unit, unit_vectors
 
 from svu_mi.core.arrays import fibonacci
 from svu_mi.core.io.exr import write_exr
@@ -26,11 +26,6 @@ from svu_mi.light.environment import (
     synthesize,
 )
 from svu_mi.light.light_tree import LARGEST, build_light_tree
-
-
-def unit_vectors(rng, count):
-    d = rng.normal(size=(count, 3))
-    return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 def envmap(pixels, to_world=None):
@@ -126,8 +121,7 @@ def test_light_at_the_poles_and_the_seam_has_no_jump():
     eps = 1e-3
     for d in ([0, 1, 0], [0, -1, 0], [0, 0.3, -1]):
         side = np.cross(d, [0.3, 0.1, 0.7])
-        around = np.array([np.add(d, eps * s * side) for s in (-1, 0, 1)])
-        around /= np.linalg.norm(around, axis=1, keepdims=True)
+        around = unit(np.array([np.add(d, eps * s * side) for s in (-1, 0, 1)]))
         values = lighting.radiance(mi.Vector3f(np.ascontiguousarray(around.T, np.float32))).numpy()
         assert np.ptp(values, axis=1).max() < 5e-3 * values.max()
 

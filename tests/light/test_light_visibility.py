@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import write_ball
+from support.helpers import bits_of, unit, unit_vectors, write_ball
 from support.walled import noise_capture, walled_ball
 
 import svu_mi as svu
@@ -20,8 +20,7 @@ from svu_mi.light.light_visibility import trace_light_visibility
 from svu_mi.posterior.observations import observe
 
 UP = np.array([0.0, 0, 1])
-LAMPS = np.array([[0.3, 0.2, 0.9], [-0.8, 0.5, 0.3], [0.6, -0.7, 0.4], [0.1, 0.2, -1.0]])
-LAMPS /= np.linalg.norm(LAMPS, axis=1, keepdims=True)
+LAMPS = unit(np.array([[0.3, 0.2, 0.9], [-0.8, 0.5, 0.3], [0.6, -0.7, 0.4], [0.1, 0.2, -1.0]]))
 COLORS = np.array([[3, 2, 1], [4, 4, 5], [0.5, 2, 3], [2, 2, 2.0]])
 
 
@@ -82,11 +81,6 @@ def every_node(light, sees=lambda d: np.ones(len(d), bool)):
     return d, flux.reshape(-1, 3) * sees(d)[:, None]
 
 
-def unit_vectors(rng, count):
-    d = rng.normal(size=(count, 3))
-    return d / np.linalg.norm(d, axis=1, keepdims=True)
-
-
 def rotation(seed):
     turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     return turn * np.sign(np.linalg.det(turn))
@@ -135,8 +129,7 @@ def wall(height=1e3):
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_wall_takes_the_light_that_comes_from_behind_it(turned):
     light = environment(scenery, rotation(13) if turned else None)
-    normals = np.array([UP, [-0.6, 0, 0.8], [0, 0.6, 0.8], [0.3, 0.5, -0.8]])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = unit(np.array([UP, [-0.6, 0, 0.8], [0, 0.6, 0.8], [0.3, 0.5, -0.8]]))
     result = arriving(wall(), light, points(np.zeros((4, 3)), normals), cells=4096)
     d, flux = every_node(light, lambda d: d[:, 0] < 0)
     truth = np.maximum(normals @ d.T, 0) @ flux
@@ -233,12 +226,6 @@ def directly(scene, surface, cells, occluded=True):
     if occluded:
         free &= ~scene.ray_test(mi.Ray3f(position + surface.offset * geometric, d))
     return free.numpy().reshape(-1, count)
-
-
-def bits_of(bits, numbers, lanes):
-    """(N, T) bool."""
-    lane = dr.arange(mi.UInt32, lanes)
-    return np.array([bits.test(dr.opaque(mi.UInt32, n), lane).numpy() for n in range(numbers)])
 
 
 def inherited(cells, coarse, direct, high):

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracle import angular as oracle
+from support.helpers import unit, unit_vectors
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.light import prefiltered as module
@@ -21,11 +22,6 @@ from svu_mi.reflection.lobes import lobe_profile, zonal_profile
 
 KINDS = ["ggx", "gaussian"]
 ROWS = [256, 129]  # even, as most maps have; odd, with a row on the equator
-
-
-def unit_vectors(rng, count):
-    d = rng.normal(size=(count, 3))
-    return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 LAMPS = unit_vectors(np.random.default_rng(5), 6)
@@ -66,8 +62,7 @@ def test_a_level_is_the_average_under_the_lobe(rows, kind, alpha):
     level = convolve(sampled(scenery, rows), alpha, partial(zonal_profile, kind, alpha))
     # Poles, equator, the seam of the map, and anywhere.
     special = np.array([[0, 1, 0], [0, -1, 0], [1, 0, 0], [1e-3, 0.2, -1]])
-    d = np.concatenate([special, unit_vectors(np.random.default_rng(17), 16)])
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    d = unit(np.concatenate([special, unit_vectors(np.random.default_rng(17), 16)]))
     truth = np.array([oracle.lobe_average(scenery, x, kind, alpha) for x in d])
     np.testing.assert_allclose(at(level, d)[:, 0], truth, rtol=1e-2, atol=5e-3)
 
@@ -105,8 +100,7 @@ def lamp_environment(to_world=None):
     sun = np.array([0.3, 0.8, -0.5])
     sun /= np.linalg.norm(sun)
     grid = np.repeat(sampled(scenery, 129), 3, axis=2) * [1.0, 0.5, 0.25]
-    spread = sun + 0.004 * np.random.default_rng(9).normal(size=(50, 3))
-    spread /= np.linalg.norm(spread, axis=1, keepdims=True)
+    spread = unit(sun + 0.004 * np.random.default_rng(9).normal(size=(50, 3)))
     to_local = np.eye(3) if to_world is None else to_world.T
     return sun, Environment(
         grid, spread, np.full(50, 1e-6), np.full((50, 3), 2e5) * [1.0, 0.9, 0.7], to_local

@@ -12,6 +12,8 @@ import mitsuba as mi
 import numpy as np
 from oracle.rounded_integrals import calibrated_entropies
 from oracle.rounding import Exact, angular_entropy
+from support.helpers import ball as sphere
+from support.helpers import photographs
 
 from numerics.samples import noise_of
 from svu_mi.bench.captures import capture_in_memory
@@ -22,19 +24,10 @@ from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample, sample_view, sample_visible
 from svu_mi.posterior.estimate import Estimate
-from svu_mi.scenes import meshes
 
 METAL = {"metallic": 1.0, "roughness": 0.3, "base_color": 0.8}
 DISTANCE = 4.0  # of a camera from the middle of the ball, in radii
 FOV = 35.0
-
-
-def sphere(columns: int = 48, rows: int = 24) -> MeshArrays:
-    """A unit ball with exact normals and one lat-long chart."""
-    theta = np.linspace(0, np.pi, rows + 1)
-    profile = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
-    points, faces, uvs = meshes.sheet(meshes.revolve(profile, columns), (0, 0), (1, 1))
-    return MeshArrays(points, faces, points.copy(), uvs)
 
 
 def lamps(contrast: float = 40.0, rows: int = 32, seed: int = 20260) -> np.ndarray:
@@ -90,10 +83,7 @@ class Ball:
         scene = self._scene(folder)
         sensors = tuple(self._sensor(d, k) for k, d in enumerate(self.directions))
         if images is None:
-            images = [
-                np.array(mi.render(scene, sensor=sensor, spp=16, seed=k))[..., :3]
-                for k, sensor in enumerate(sensors)
-            ]
+            images = photographs(scene, sensors, 16)
         return capture_in_memory(scene, scene.shapes()[0], sensors, images)
 
     def _scene(self, folder: Path) -> Any:

@@ -6,6 +6,7 @@ import matplotlib
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.helpers import box_film
 
 import svu_mi.plugins  # noqa: F401 - registers
 from svu_mi.core.io.exr import write_exr
@@ -19,17 +20,7 @@ def scene(integrator: dict, **shapes) -> mi.Scene:
     return mi.load_dict(
         {
             "type": "scene",
-            "sensor": {
-                "type": "orthographic",
-                "to_world": look,
-                "film": {
-                    "type": "hdrfilm",
-                    "width": SIZE,
-                    "height": SIZE,
-                    "rfilter": {"type": "box"},
-                    "pixel_format": "rgba",
-                },
-            },
+            "sensor": {"type": "orthographic", "to_world": look, "film": box_film(SIZE)},
             "integrator": {"type": "svu_entropy", **integrator},
             **(shapes or {"wall": {"type": "rectangle"}}),
         },

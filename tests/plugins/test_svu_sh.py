@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.helpers import box_film, launched_kernels
 
 import svu_mi.plugins  # noqa: F401 - registers
 from svu_mi import scenes
@@ -49,13 +50,12 @@ def paint(seed=73110, size=8):
 def ball(bsdf, light=None, size=SIZE, integrator=None, **more):
     """A sphere that fills the film."""
     look = mi.ScalarTransform4f().look_at([0, 1, 5], [0, 0, 0], [0, 1, 0])
-    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"},
-            "pixel_format": "rgba"}  # fmt: skip
+    sensor = {"type": "perspective", "fov": 25, "to_world": look, "film": box_film(size)}
     return mi.load_dict(
         {
             "type": "scene",
             "integrator": integrator or {"type": "svu_sh"},
-            "sensor": {"type": "perspective", "fov": 25, "to_world": look, "film": film},
+            "sensor": sensor,
             "light": dict(light or LIGHT),
             "ball": {"type": "sphere", "bsdf": bsdf},
             **more,
@@ -207,8 +207,7 @@ def test_it_replaces_prb_in_an_optimisation():
     params.update(optimizer)
     losses = []
     for step in range(12):
-        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-            dr.kernel_history_clear()
+        with launched_kernels() as kernels:
             image = mi.render(scene, params, integrator=integrator, spp=4, seed=step)
             loss = dr.mean(dr.square(image - reference), axis=None)
             dr.backward(loss)
@@ -217,7 +216,6 @@ def test_it_replaces_prb_in_an_optimisation():
                 optimizer[key] = dr.clip(optimizer[key], 0, 1)
             params.update(optimizer)
             losses.append(float(loss.array[0]))
-            kernels = dr.kernel_history([dr.KernelType.JIT])
         if step >= 3:
             assert all(kernel["cache_hit"] for kernel in kernels), step
     assert losses[-1] < 0.4 * losses[0]
@@ -264,8 +262,7 @@ def test_other_materials_are_black_and_named_once():
     with pytest.warns(SvuWarning, match="'principled' BSDF are black: 'floor'"):
         image = picture(scene, integrator, sensor=0)
     assert not image[-1].any() and image[SIZE // 2, SIZE // 2].any()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         picture(scene, integrator, sensor=0)
 
 

@@ -47,15 +47,13 @@ def test_a_pixel_of_1e10_is_left_out_and_its_photograph_named(vase):
 def test_a_glaring_pixel_does_not_change_the_map(vase, value):
     """It may be the sun, in something polished: it is used, and costs the texels that show it."""
     hot = with_hot_pixel(vase.capture, value)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", SvuWarning)
+    with warnings.catch_warnings(action="error", category=SvuWarning):
         entropy = svu.estimate(hot, vase.texels).entropy.numpy()
     assert entropy.mean() == pytest.approx(vase.estimate.entropy.numpy().mean(), abs=0.01)
 
 
 def test_photographs_that_are_what_they_seem_lose_no_pixel(vase):
     views = pack_views(vase.capture)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", SvuWarning)
+    with warnings.catch_warnings(action="error", category=SvuWarning):
         again = pack_views(with_hot_pixel(vase.capture, 1.0))
     assert (views.usable.numpy() == again.usable.numpy()).all()

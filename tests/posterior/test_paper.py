@@ -16,10 +16,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracle import paper
-from support.helpers import as_values, ball, render_ball
+from support.helpers import STUDIO, as_tensor, as_values, ball, render_ball, unit, unit_vectors
 
 import svu_mi as svu
-from svu_mi import scenes
 from svu_mi.capture.mesh import make_mesh
 from svu_mi.core.arrays import to_drjit
 from svu_mi.frequency.spectra import Coefficients
@@ -91,12 +90,6 @@ def hemisphere(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return (d / np.linalg.norm(d, axis=-1, keepdims=True)).astype(np.float32)
 
 
-def unit(directions: np.ndarray) -> np.ndarray:
-    """Float64, and of unit length in that."""
-    d = directions.astype(np.float64)
-    return d / np.linalg.norm(d, axis=-1, keepdims=True)
-
-
 def close(values: Any, exact: np.ndarray, tolerance: float = EXACT) -> None:
     """Agreement to a part of the largest value."""
     exact = np.asarray(exact, np.float64)
@@ -106,12 +99,12 @@ def close(values: Any, exact: np.ndarray, tolerance: float = EXACT) -> None:
 
 def backward(loss: Any, values: np.ndarray) -> tuple[float, np.ndarray]:
     """Value and derivatives by Dr.Jit's AD of a function of a TensorXf."""
-    tensor = mi.TensorXf(to_drjit(mi.Float, values.astype(np.float32).ravel()), shape=values.shape)
-    dr.enable_grad(tensor)
-    result = loss(tensor)
+    live = as_tensor(values)
+    dr.enable_grad(live)
+    result = loss(live)
     value = np.array(dr.detach(result), np.float64)
     dr.backward(result)
-    return float(value.ravel()[0]), np.array(tensor.grad, np.float64)
+    return float(value.ravel()[0]), np.array(live.grad, np.float64)
 
 
 # --- Eq. 1 to 5 -----------------------------------------------------------------------------
@@ -171,7 +164,6 @@ def test_eq05_entropy_is_one_where_nothing_is_known_and_where_nobody_looked():
 # --- Eq. 6 ----------------------------------------------------------------------------------
 
 
-STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": [0.7, 0.4, 0.2]},
          "roughness": 0.4, "metallic": 0.7}  # fmt: skip
 LEVELS = 9
@@ -312,17 +304,12 @@ def textures_of(observed: Any, rows: np.ndarray) -> dict[str, Any]:
     flat = np.full((width * height, 5), 0.5, np.float32)
     flat[observed.texels.index.numpy()[observed.seen]] = rows
     parts = {"base_color": flat[:, :3], "roughness": flat[:, 3:4], "metallic": flat[:, 4:]}
-    return {
-        name: mi.TensorXf(to_drjit(mi.Float, np.ascontiguousarray(x).ravel()),
-                          shape=(height, width, x.shape[1]))
-        for name, x in parts.items()
-    }  # fmt: skip
+    return {name: as_tensor(x.reshape(height, width, -1)) for name, x in parts.items()}
 
 
 def gradient_of(objective: Any, textures: dict[str, Any], place: np.ndarray) -> tuple[float, Any]:
     """Loss, and its derivatives by the parameters of the texels at ``place``, (S, 5)."""
-    for tensor in textures.values():
-        dr.enable_grad(tensor)
+    dr.enable_grad(textures)
     loss = objective(textures)
     dr.backward(loss)
     gradients = [
@@ -441,8 +428,7 @@ def test_eq07_coefficients_of_the_reflected_light():
 def test_eq07_a_constant_has_one_coefficient():
     """The fit of a radiance Kd E / pi, seen from everywhere, is 2 Kd E / sqrt(pi) Y_00."""
     rng = np.random.default_rng(3307)
-    d = rng.normal(size=(1, 4000, 3)).astype(np.float32)
-    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    d = unit_vectors(rng, 1, 4000).astype(np.float32)
     value = np.full((1, 4000, 1), 0.7 / np.pi, np.float32)
     coefficients = np.array(svu.fit_sh(d, np.ones((1, 4000)), value, preset="paper"))[0]
     # lambda = 1e-3 against 4000 samples over 4 pi: 3e-6.
@@ -645,8 +631,7 @@ def test_total_variation(sphere):
 def test_l1_of_rendered_pixels():
     rng = np.random.default_rng(4021)
     render, target = (rng.gamma(1.0, 1.0, (9, 7, 3)).astype(np.float32) for _ in range(2))
-    fixed = mi.TensorXf(to_drjit(mi.Float, target.ravel()), shape=target.shape)
-    value, gradient = backward(lambda x: l1(x, fixed), render)
+    value, gradient = backward(lambda x: l1(x, as_tensor(target)), render)
     exact, slope = paper.absolute_error(render.astype(np.float64), target.astype(np.float64))
     assert value == pytest.approx(exact, rel=EXACT)
     close(gradient, slope)

@@ -9,19 +9,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.helpers import as_tensor
 
-from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.recovery.adam import READ_EVERY, descend
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.recovery_options import DescentOptions
 
 SHAPE = (8, 12, 3)
-
-
-def tensor(values):
-    values = np.asarray(values, np.float32)
-    return mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
 
 
 def half(shape=SHAPE):
@@ -34,7 +29,7 @@ def truth(seed=0, shape=SHAPE):
 
 def towards(wanted):
     """A parabola around some values."""
-    target = tensor(wanted)
+    target = as_tensor(wanted)
 
     def objective(textures, step):
         return dr.mean(dr.square(textures["base_color"] - target), axis=None)
@@ -86,7 +81,7 @@ def test_values_stay_within_bounds_from_the_start():
         seen.append(np.array(dr.detach(textures["base_color"])))
         return dr.sum(textures["base_color"].array)  # downhill for ever
 
-    start = {"base_color": tensor(np.linspace(-1, 2, 12).reshape(2, 2, 3))}
+    start = {"base_color": as_tensor(np.linspace(-1, 2, 12).reshape(2, 2, 3))}
     descent = descend(objective, start, DescentOptions(steps=25, learning_rate=0.2))
     values = np.array([*seen, np.array(descent.values["base_color"])])
     assert values.min() >= 0
@@ -141,7 +136,7 @@ def test_a_bad_gradient_behind_a_good_loss_is_named():
 
 
 def test_single_parameters_may_have_rates_of_their_own():
-    start = {"base_color": tensor(np.full(SHAPE, 0.5)), "roughness": tensor(np.full(SHAPE, 0.5))}
+    start = {name: as_tensor(np.full(SHAPE, 0.5)) for name in ("base_color", "roughness")}
 
     def objective(textures, step):
         return dr.sum(textures["base_color"].array) + dr.sum(textures["roughness"].array)
@@ -213,7 +208,7 @@ def resident():
 
 def test_no_kernel_after_the_second_step_and_flat_memory():
     compiled, memory = {}, {}
-    wanted = tensor(truth(1, (64, 64, 3)))
+    wanted = as_tensor(truth(1, (64, 64, 3)))
 
     def objective(textures, step):
         if step in (2, 50, 300):

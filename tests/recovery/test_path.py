@@ -8,12 +8,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import ball_scene, memory_capture, render_ball
+from support.helpers import as_tensor, ball_scene, memory_capture, photographs, render_ball
 
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.replace_material import is_same, replace_material
 from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sensors
-from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.texels import texels as lay_texels
@@ -56,23 +55,18 @@ def options(**changes):
     return PathOptions(**{**defaults, **changes})
 
 
-def tensor(values):
-    values = np.asarray(values, np.float32)
-    return mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
-
-
 def textures_of(grid, base_color=(0.6, 0.4, 0.2), roughness=0.4, metallic=0.3):
     width, height = grid.resolution
     one = np.ones((height, width, 1))
-    return {"base_color": tensor(one * base_color), "roughness": tensor(one * roughness),
-            "metallic": tensor(one * metallic)}  # fmt: skip
+    return {"base_color": as_tensor(one * base_color), "roughness": as_tensor(one * roughness),
+            "metallic": as_tensor(one * metallic)}  # fmt: skip
 
 
 def random_textures(grid, seed=0):
     rng = np.random.default_rng(seed)
     width, height = grid.resolution
     return {
-        name: tensor(rng.uniform(0.3, 0.7, (height, width, 3 if name == "base_color" else 1)))
+        name: as_tensor(rng.uniform(0.3, 0.7, (height, width, 3 if name == "base_color" else 1)))
         for name in NAMES
     }
 
@@ -90,10 +84,10 @@ def test_losses_are_their_equations(name):
         "l2": np.mean((r - y) ** 2) / s**2,
         "relative": np.mean((r - y) ** 2 / (y**2 + (s * FLOOR) ** 2)),
     }[name]
-    loss = LOSSES[name](tensor(r), tensor(y), dr.opaque(mi.Float, s))
+    loss = LOSSES[name](as_tensor(r), as_tensor(y), dr.opaque(mi.Float, s))
     assert np.allclose(np.array(loss), wanted, rtol=1e-5)
     # The same at any exposure.
-    brighter = LOSSES[name](tensor(7 * r), tensor(7 * y), dr.opaque(mi.Float, 7 * s))
+    brighter = LOSSES[name](as_tensor(7 * r), as_tensor(7 * y), dr.opaque(mi.Float, 7 * s))
     assert np.allclose(np.array(brighter), wanted, rtol=1e-5)
 
 
@@ -170,10 +164,7 @@ def odd_sensor(sensor, **changes):
 def mixed(capture):
     """Views of several sizes, a crop, a mask, a hole, and one that is left out."""
     sensors = [odd_sensor(capture.sensors[0]), *capture.sensors[1:]]
-    images = [
-        np.array(mi.render(capture.scene, sensor=s, spp=256, seed=i))[..., :3]
-        for i, s in enumerate(sensors)
-    ]
+    images = photographs(capture.scene, sensors, 256)
     images[2][10:14] = np.nan
     masks = [None] * len(sensors)
     masks[3] = np.zeros((32, 32), bool)
@@ -302,7 +293,7 @@ def test_gradients_are_those_of_finite_differences(capture, grid, loss):
     for name in NAMES:
         direction = np.random.default_rng(1).uniform(0.5, 1.0, at[name].shape)
         ahead, behind = (
-            number(plain({**at, name: tensor(np.array(at[name]) + step * direction)}, 0))
+            number(plain({**at, name: as_tensor(np.array(at[name]) + step * direction)}, 0))
             for step in (h, -h)
         )
         wanted = (ahead - behind) / (2 * h)

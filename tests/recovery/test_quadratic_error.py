@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import as_values
+from support.helpers import as_tensor, as_values
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.recovery.sh.likelihood import Likelihood
@@ -117,8 +117,7 @@ def test_loss_hands_derivatives_to_textures() -> None:
     images["base_color"][place] = values[:3].T
     images["roughness"][place, 0], images["metallic"][place, 0] = values[3], values[4]
     textures: dict[str, Any] = {
-        name: mi.TensorXf(to_drjit(mi.Float, image.ravel()), shape=(3, 4, image.shape[1]))
-        for name, image in images.items()
+        name: as_tensor(image.reshape(3, 4, -1)) for name, image in images.items()
     }
     dr.enable_grad(textures)
     result = loss(textures)

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from geometry.test_neighbors import links, quad, together
-from support.helpers import ball
+from support.helpers import as_tensor, ball, launched_kernels
 
 from svu_mi.capture.mesh import make_mesh
 from svu_mi.core.arrays import to_drjit
@@ -45,7 +45,7 @@ def a_texture(seed: int, channels: int | None = 3, resolution=RESOLUTION) -> np.
 
 def differentiated(regularizer: Any, values: np.ndarray) -> tuple[float, np.ndarray]:
     """Loss and gradient, as a caller's own loop gets them."""
-    texture = mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
+    texture = as_tensor(values)
     dr.enable_grad(texture)
     loss = regularizer(texture)
     dr.backward(3 * loss)
@@ -184,11 +184,9 @@ def test_other_textures_and_weights_need_no_compilation(kind):
     differentiated(make_one(0), a_texture(1))
     differentiated(make_one(1), a_texture(2))
     another = make_one(2)
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
+    with launched_kernels() as kernels:
         differentiated(another, a_texture(3))
-        history = dr.kernel_history()
-    assert all(k["cache_hit"] for k in history if k["type"] == dr.KernelType.JIT)
+    assert all(kernel["cache_hit"] for kernel in kernels)
 
 
 @pytest.mark.parametrize("kind", ["tv", "sharing"])
@@ -198,9 +196,9 @@ def test_forward_derivatives_agree_with_backward_ones(kind):
     values = a_texture(70071)
     way = np.random.default_rng(5).normal(size=values.shape).astype(np.float32)
     _, gradient = differentiated(regularizer, values)
-    texture = mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
+    texture = as_tensor(values)
     dr.enable_grad(texture)
-    dr.set_grad(texture, mi.TensorXf(to_drjit(mi.Float, way.ravel()), shape=way.shape))
+    dr.set_grad(texture, as_tensor(way))
     slope = float(dr.forward_to(regularizer(texture))[0])
     assert slope == pytest.approx((gradient * way).sum(), abs=1e-5 * np.abs(gradient * way).sum())
 

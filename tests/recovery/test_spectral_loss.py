@@ -9,10 +9,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracle import continuous as oracle
-from support.helpers import render_ball
+from support.helpers import STUDIO, as_tensor, launched_kernels, render_ball, unit, unit_vectors
 
 import svu_mi as svu
-from svu_mi import scenes
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.spectra import fit_coefficients, fit_spectra
@@ -30,7 +29,6 @@ from svu_mi.reflection.mix_columns import mixed_radiance
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.render_model import prefiltered_model, shade
 
-STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 TRUTH = {"base_color": [0.7, 0.4, 0.2], "roughness": [0.45], "metallic": [0.6]}
 PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": TRUTH["base_color"]},
          "roughness": TRUTH["roughness"][0], "metallic": TRUTH["metallic"][0]}  # fmt: skip
@@ -59,11 +57,7 @@ def observed(capture):
 def random_textures(seed=9213):
     rng = np.random.default_rng(seed)
     return {
-        name: mi.TensorXf(
-            to_drjit(mi.Float, rng.uniform(0.1, 0.9, SIZE * SIZE * CHANNELS[name])),
-            shape=(SIZE, SIZE, CHANNELS[name]),
-        )
-        for name in NAMES
+        name: as_tensor(rng.uniform(0.1, 0.9, (SIZE, SIZE, CHANNELS[name]))) for name in NAMES
     }
 
 
@@ -119,10 +113,8 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
     model = prefiltered_model(lighting, angular(name), LEVELS)
     moments = moment_map(lighting.environment).in_world(surface.normal)
     rng = np.random.default_rng(4410)
-    normal = surface.normal.numpy().T.astype(np.float64)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    direction = normal + 0.9 * rng.uniform(-1, 1, normal.shape)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    normal = unit(surface.normal.numpy().T)
+    direction = unit(normal + 0.9 * rng.uniform(-1, 1, normal.shape))
     keep = np.einsum("ni,ni->n", normal, direction) > 0.05
     direction[~keep] = normal[~keep]
     roughness = rng.random(len(normal))
@@ -168,8 +160,7 @@ def test_moments_by_normal_are_sums_over_the_light(observed):
     solid = np.repeat(latlong.quadrature(rows) * 2 * np.pi / columns, columns)
     flux = environment.radiance.reshape(-1, 3) * solid[:, None]
     rng = np.random.default_rng(802)
-    normal = rng.normal(size=(20, 3))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = unit_vectors(rng, 20)
     world = normal @ environment.to_local  # rows: local to world
     moments = moment_map(environment).at(to_drjit(mi.Normal3f, world.T.astype(np.float32)))
     for k, n in enumerate(normal):
@@ -200,10 +191,8 @@ KINDS = ("paper", "default coefficients", "default spectrum")
 def test_nothing_is_compiled_between_steps(observed, kind):
     objective = objectives(observed, kind)
     for step in range(5):
-        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-            dr.kernel_history_clear()
+        with launched_kernels() as kernels:
             backward(objective, random_textures(step), step)
-            kernels = dr.kernel_history([dr.KernelType.JIT])
         if step > 1:
             assert kernels and all(kernel["cache_hit"] for kernel in kernels)
 

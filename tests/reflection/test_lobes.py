@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracle import angular as oracle
+from support.helpers import unit_vectors
 
 from svu_mi.reflection.lobes import (
     ALBEDO_NODES,
@@ -82,11 +83,6 @@ def shading(lights, flux, n, o, roughness, model="disney"):
     a, b = diffuse_shading(model, [mi.Float(float(m)) for m in moments],
                            [mi.Float(float(x)) for x in o], mi.Float(float(o @ n)))  # fmt: skip
     return float((a + roughness * b)[0])
-
-
-def unit_vectors(rng, count):
-    d = rng.normal(size=(count, 3))
-    return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.5, 1.0])

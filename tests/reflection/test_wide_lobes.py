@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracle import angular as oracle
-from support.helpers import ball
+from support.helpers import ball, bits_of, unit
 
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.core.arrays import to_drjit
@@ -35,21 +35,23 @@ def spotted() -> np.ndarray:
     return image
 
 
-def surroundings() -> tuple[object, Texels]:
-    """A ball beside a wall, and its texels."""
+def surroundings(
+    image: np.ndarray, coarse: int, fine: int = 512
+) -> tuple[Texels, TexelLanes, LightVisibility]:
+    """Texels of a ball beside a wall, and what they see of a light."""
     mesh = capture_mesh.make_mesh("ball", ball())
     turn = mi.ScalarTransform4f().translate([1.3, 0, 0]).rotate([0, 1, 0], -90).scale(1.5)
     wall = {"type": "rectangle", "to_world": turn, "bsdf": {"type": "diffuse"}}
     scene = mi.load_dict({"type": "scene", "ball": mesh, "wall": wall}, optimize=False)
-    return scene, texels(mesh, (8, 6))
+    grid = texels(mesh, (8, 6))
+    surface, tree = TexelLanes.of(grid), build_light_tree(environment(image), coarse, fine)
+    return grid, surface, trace_light_visibility(scene, surface, tree)
 
 
 def views_of(grid: Texels, spread: float = 0.8) -> tuple[np.ndarray, np.ndarray]:
     """Normals and directions to cameras of all texels, some of them grazing, float64."""
-    normal = np.array(grid.normal, np.float64).T
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    view = normal + np.random.default_rng(3).normal(scale=spread, size=normal.shape)
-    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    normal = unit(np.array(grid.normal).T)
+    view = unit(normal + np.random.default_rng(3).normal(scale=spread, size=normal.shape))
     away = (view * normal).sum(axis=1) < 0.1
     view[away] = normal[away]
     return normal, view
@@ -77,12 +79,6 @@ def table(cells: LightCells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions, flux in colour, and radii, float64."""
     toward = cells.toward.numpy().reshape(-1, 4).astype(np.float64)
     return toward[:, :3], cells.flux.numpy().reshape(-1, 4)[:, :3].astype(np.float64), toward[:, 3]
-
-
-def seen_by(bits: object, numbers: int, lanes: int) -> np.ndarray:
-    """(N, T) bool."""
-    lane = dr.arange(mi.UInt32, lanes)
-    return np.array([bits.test(dr.opaque(mi.UInt32, n), lane).numpy() for n in range(numbers)])
 
 
 def direct(
@@ -114,13 +110,9 @@ def test_what_is_not_refined_is_the_sum_over_visible_cells(
 ) -> None:
     """The exact BRDF of every coarse cell, blurred as its disk blurs it."""
     monkeypatch.setattr(wide_lobes, "LARGE", 1e30)
-    scene, grid = surroundings()
-    surface = TexelLanes.of(grid)
-    visibility = trace_light_visibility(
-        scene, surface, build_light_tree(environment(spotted()), count, 512)
-    )
+    grid, surface, visibility = surroundings(spotted(), count)
     normal, view = views_of(grid)
-    seen = seen_by(visibility.coarse, count, grid.count)
+    seen = bits_of(visibility.coarse, count, grid.count)
     assert 0.05 < seen.mean() < 0.5
     exact = direct(visibility.tree.coarse, seen, normal, view)
     ours = found_by(visibility, surface, view)
@@ -134,13 +126,9 @@ def test_what_is_not_refined_is_the_sum_over_visible_cells(
 def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of fine cells that are seen."""
     monkeypatch.setattr(wide_lobes, "LARGE", 0.0)
-    scene, grid = surroundings()
-    surface = TexelLanes.of(grid)
-    visibility = trace_light_visibility(
-        scene, surface, build_light_tree(environment(spotted()), 64, 512)
-    )
+    grid, surface, visibility = surroundings(spotted(), 64)
     normal, view = views_of(grid)
-    leaves = below(visibility.tree.first_leaf, seen_by(visibility.fine, 512, grid.count))
+    leaves = below(visibility.tree.first_leaf, bits_of(visibility.fine, 512, grid.count))
     exact = direct(visibility.tree.leaves, leaves, normal, view)
     ours = found_by(visibility, surface, view)
     # A cell whose disk lies below the horizon is left out with its leaves.
@@ -154,13 +142,9 @@ def test_at_all_widths_it_is_the_quadrature_over_leaves(name: str) -> None:
     if name == "studio-like":
         image[10:14, 5:20] = (3, 4, 5)
         image[15:20, 38:40] = (20, 18, 16)
-    scene, grid = surroundings()
-    surface = TexelLanes.of(grid)
-    visibility = trace_light_visibility(
-        scene, surface, build_light_tree(environment(image), 128, 1024)
-    )
+    grid, surface, visibility = surroundings(image, 128, 1024)
     normal, view = views_of(grid)
-    leaves = below(visibility.tree.first_leaf, seen_by(visibility.fine, 1024, grid.count))
+    leaves = below(visibility.tree.first_leaf, bits_of(visibility.fine, 1024, grid.count))
     ours = found_by(visibility, surface, view)
     plain, blurred = (
         direct(visibility.tree.leaves, leaves, normal, view, disks=disks) for disks in (False, True)
@@ -179,11 +163,7 @@ def test_at_all_widths_it_is_the_quadrature_over_leaves(name: str) -> None:
 
 
 def test_one_channel_is_the_mean_of_three() -> None:
-    scene, grid = surroundings()
-    surface = TexelLanes.of(grid)
-    visibility = trace_light_visibility(
-        scene, surface, build_light_tree(environment(spotted()), 64, 512)
-    )
+    grid, surface, visibility = surroundings(spotted(), 64)
     _, view = views_of(grid)
     three, one = (found_by(visibility, surface, view, channels) for channels in (3, 1))
     np.testing.assert_allclose(one[:, :, 0], three.mean(axis=2), rtol=1e-5, atol=1e-7)

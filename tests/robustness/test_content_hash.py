@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import shutil
-import tracemalloc
 from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import ball, memory_capture, python, sensor_xml, write_scene
+from support.helpers import ball, memory_capture, peak_memory, python, sensor_xml, write_scene
 
 import svu_mi as svu
 from svu_mi.capture.content_hash import Key, capture_key, capture_parts
@@ -173,11 +172,7 @@ def test_photographs_are_not_copied_and_views_without_one_take_no_time(capture):
         used=(True,) * 4 + (False,), exposures=(1.0,) * 5,
     )  # fmt: skip
     capture_key(large)
-    tracemalloc.start()
-    capture_key(large)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < images[0].nbytes
+    assert peak_memory(lambda: capture_key(large)) < images[0].nbytes
 
 
 def test_what_has_no_digest_is_refused():

@@ -5,13 +5,13 @@ from __future__ import annotations
 import io
 import json
 import os
-import tracemalloc
 import warnings
 import zipfile
 
 import numpy as np
 import pytest
 from support import fuzz_records as rows
+from support.helpers import peak_memory
 
 from svu_mi.bench.result_cache import Store
 from svu_mi.core.io.npz import DIGEST, read_arrays, write_arrays
@@ -55,15 +55,6 @@ def liar(path, shape):
         archive.writestr("losses.npy", told)
 
 
-def peak_of(work):
-    """Return the bytes that something has taken at most."""
-    tracemalloc.start()
-    work()
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    return peak
-
-
 def test_a_packed_file_is_refused_before_it_is_unpacked(path):
     def refused():
         with pytest.raises(
@@ -72,7 +63,7 @@ def test_a_packed_file_is_refused_before_it_is_unpacked(path):
             load(path)
 
     bomb(path)
-    assert path.stat().st_size < 2**21 and peak_of(refused) < 2**22
+    assert path.stat().st_size < 2**21 and peak_memory(refused) < 2**22
 
 
 @pytest.mark.parametrize("shape", [b"(2**9,)}", b"(-16,),}", b"(10**9)}", b"(9**99,}", b"(8,), }"])
@@ -195,14 +186,13 @@ def told(path):
 
 
 def test_a_sound_reference_is_taken(reference):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert reference_cache.load(reference, rows.OPTIONS).count == 3
 
 
 def test_a_packed_reference_is_not_unpacked(reference):
     bomb(reference)
-    assert peak_of(lambda: told(reference)) < 2**22
+    assert peak_memory(lambda: told(reference)) < 2**22
 
 
 def test_a_reference_under_another_name_is_not_taken(reference):

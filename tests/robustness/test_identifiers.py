@@ -130,8 +130,7 @@ def test_pictures_have_any_name_for_a_title(name, tmp_path):
     figure = style.new_figure(4, 1)
     style.heading(figure, _short_name(name) + " $", [_short_name(name), "$\\frac$"])
     style.title(figure.add_subplot(), _short_name(name) + "$\\nonsense$")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a glyph that the font lacks
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # glyphs a font lacks
         style.save_figure(figure, tmp_path / "a.png")
 
 

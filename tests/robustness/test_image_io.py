@@ -115,8 +115,7 @@ def test_16_bits_are_decoded_as_16_and_called_so(scene):
     assert open_image(path).bits == 16
     assert any("view_0000.png: 16-bit, not HDR; decoded as sRGB, 1 sat" in note
                for note in notes_of(scene))  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         capture = load_capture(scene)
     wanted = decoded((pixels / 65_535).astype(np.float32))
     np.testing.assert_allclose(capture.images[0][1:], wanted[1:], rtol=1e-5)

@@ -243,8 +243,7 @@ BAD = (
 @pytest.mark.usefixtures("variant")
 def test_impossible_names_are_one_sentence(scene, tmp_path, capsys, monkeypatch, words, bad):
     monkeypatch.chdir(tmp_path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SvuWarning)
+    with warnings.catch_warnings(action="ignore", category=SvuWarning):
         status = main([{"BAD": bad, "SCENE": str(scene)}.get(w, w) for w in words.split()])
     error = capsys.readouterr().err
     assert status == 2 and error.startswith("svu: ") and error.count("\n") == 1

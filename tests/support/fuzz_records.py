@@ -69,8 +69,7 @@ def write_reference(folder: Path) -> None:
 
 def read_reference(folder: Path, out: Path) -> None:
     """Read a reference; the warning that it is made again is what the user sees."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", SvuWarning)
+    with warnings.catch_warnings(action="error", category=SvuWarning):
         try:
             reference = reference_cache.load(folder / REFERENCE, OPTIONS)
         except SvuWarning as warning:

@@ -7,7 +7,9 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable
+import tracemalloc
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,6 +43,7 @@ from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.scenes import meshes
 from svu_mi.statistics.gather_statistics import Values
 
+STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 SPHERE_XML = """<scene version="3.0.0">
   <integrator type="direct"/>
   <emitter type="{emitter}" id="light"/>
@@ -61,6 +64,62 @@ def as_values(rows: np.ndarray) -> Values:
         to_drjit(mi.Float, np.asarray(row, np.float32)) for row in rows
     )
     return {"base_color": [red, green, blue], "roughness": [roughness], "metallic": [metallic]}
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Float64, and of unit length in that."""
+    d = np.asarray(vectors, np.float64)
+    return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+
+def unit_vectors(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Random directions (*shape, 3)."""
+    return unit(rng.normal(size=(*shape, 3)))
+
+
+def as_tensor(values: Any) -> mi.TensorXf:
+    """Return a TensorXf of single precision."""
+    values = np.asarray(values, np.float32)
+    return mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
+
+
+@contextmanager
+def launched_kernels() -> Iterator[list[dict[str, Any]]]:
+    """Give a list, which holds the kernels that have been launched within once that has ended."""
+    kernels: list[dict[str, Any]] = []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        yield kernels
+        kernels += dr.kernel_history((dr.KernelType.JIT,))
+
+
+def peak_memory(work: Callable[[], object]) -> int:
+    """Return the bytes that Python and NumPy have taken at most."""
+    tracemalloc.start()
+    work()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return peak
+
+
+def box_film(size: int) -> dict[str, Any]:
+    """A square film of RGBA whose pixels do not mix."""
+    return {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"},
+            "pixel_format": "rgba"}  # fmt: skip
+
+
+def bits_of(bits: Any, numbers: int, lanes: int) -> np.ndarray:
+    """(N, T) bool."""
+    lane = dr.arange(mi.UInt32, lanes)
+    return np.array([bits.test(dr.opaque(mi.UInt32, n), lane).numpy() for n in range(numbers)])
+
+
+def photographs(scene: Any, sensors: Any, spp: int, seed: int = 0) -> list[np.ndarray]:
+    """Render (H, W, 3) of every sensor, with seeds that count up."""
+    return [
+        np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed + index))[..., :3]
+        for index, sensor in enumerate(sensors)
+    ]
 
 
 def run(*words: object) -> int:
@@ -208,11 +267,7 @@ def render_ball(
     """Render the ball from all sides."""
     scene = ball_scene(tmp_path, emitter, bsdf)
     sensors = sphere_sensors(scene.shapes()[0], views, resolution)
-    images = [
-        np.array(mi.render(scene, sensor=sensor, spp=spp, seed=index))[..., :3]
-        for index, sensor in enumerate(sensors)
-    ]
-    return memory_capture(scene, images, sensors)
+    return memory_capture(scene, photographs(scene, sensors, spp), sensors)
 
 
 def write_dark(capture: Path, folder: Path) -> Path:

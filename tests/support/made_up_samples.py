@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from support.helpers import unit, unit_vectors
 from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import Materials, Transport
 from svu_mi.core.arrays import fibonacci, to_drjit
@@ -40,10 +41,7 @@ def made_up(texels: int, views: int, seed: int = 31) -> tuple[TexelSamples, Mate
     """Samples of texels that face all ways, seen from above their horizons, and materials."""
     rng = np.random.default_rng(seed)
     normals = fibonacci(texels)
-    directions = rng.normal(size=(texels, views, 3))
-    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
-    directions += 1.2 * normals[:, None]
-    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    directions = unit(unit_vectors(rng, texels, views) + 1.2 * normals[:, None])
     materials = Materials(
         rng.uniform(0.15, 0.9, texels), rng.choice([0.0, 0.3, 1.0], (texels, 1)),
         rng.uniform(0.1, 0.8, (texels, 3)),

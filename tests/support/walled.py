@@ -8,8 +8,7 @@ import numpy as np
 from oracle import angular as oracle
 
 import svu_mi as svu
-from support.helpers import memory_capture, write_ball
-from svu_mi import scenes
+from support.helpers import STUDIO, memory_capture, write_ball
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.posterior.observations import observe
@@ -18,7 +17,6 @@ from svu_mi.statistics.gather_statistics import SMALLEST
 from svu_mi.statistics.statistics import EDGES
 
 ROUGHNESS = np.array([0.0, 0.3, 0.6, 1.0])
-STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 PAINT = {"type": "principled"}
 GLOSSY = {"type": "principled", "base_color": {"type": "rgb", "value": [0.9, 0.7, 0.4]},
           "metallic": 1.0, "roughness": 0.25}  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from support.helpers import unit
 from trimesh.visual.material import PBRMaterial
 
 import svu_mi as svu
@@ -47,8 +48,7 @@ def test_a_box_without_normals_keeps_its_edges(tmp_path):
 @pytest.mark.parametrize("encoding", ["binary", "ascii"])
 def test_a_ply_keeps_its_own_normals(tmp_path, encoding):
     ball = trimesh.creation.icosphere(subdivisions=1)
-    own = np.array(ball.vertices) + [0.2, 0, 0]  # nobody would compute these
-    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    own = unit(np.array(ball.vertices) + [0.2, 0, 0])  # nobody would compute these
     ball.vertex_normals = own
     ball.export(tmp_path / "ball.ply", vertex_normal=True, encoding=encoding)
     imported = read_textured_mesh(tmp_path / "ball.ply")
