@@ -27,7 +27,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 @pytest.hookimpl(tryfirst=True)  # before -m is looked at
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark all but some cases of a test slow where it asks for that (``few``)."""
+    """Mark all but some cases of a test slow where it asks for that (``few``); sort files.
+
+    A file is one worker's, so the one that takes longest goes first: at the end, others would wait.
+    """
+    items.sort(key=lambda item: "test_notebooks" not in item.nodeid)
     cases: dict[str, list[pytest.Item]] = {}
     for item in items:
         if item.get_closest_marker("few"):

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support.axis_mistakes import CASES, Case, outcome, same, spoil
-from support.helpers import ball, memory_capture, photographs
+from support.helpers import ball, memory_capture, render_views
 from support.photographs import before_wall, eight_bit, without_masks
 from support.written import write
 
@@ -92,7 +92,7 @@ def photographed(shape, light, bsdf, count=VIEWS, film=FILM):
         optimize=False,
     )
     sensors = sphere_sensors(shape, count, film)
-    images = photographs(scene, sensors, SPP, SEED)
+    images = render_views(scene, sensors, SPP, SEED)
     masks = tuple(object_mask(scene, shape, sensor) >= 0.999 for sensor in sensors)
     return memory_capture(scene, images, sensors, masks=masks)
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import ball, memory_capture, photographs, run, unit
+from support.helpers import ball, memory_capture, render_views, run, unit
 
 import svu_mi as svu
 from svu_mi import scenes
@@ -159,7 +159,7 @@ def test_no_material_is_taken_for_a_gain(vase, material, count):
         "base_color": {"type": "rgb", "value": list(color)},
     }))  # fmt: skip
     sensors = sphere_sensors(vase.shape, count, (64, 64))
-    images = photographs(vase.scene, sensors, 16)
+    images = render_views(vase.scene, sensors, 16)
     finding = gain_finding(memory_capture(vase.scene, images, sensors))
     assert finding.verdict in ("fits", "unknown"), finding.sentence
 

@@ -219,7 +219,7 @@ def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
     """Everything that goes on from them, under one light."""
     out = tmp_path / "textures"
     size = ("--resolution", 24)
-    assert run("entropy", dark, *size, "-o", tmp_path / "entropy") == 0
+    assert run("entropy", dark, *size, "--no-pictures", "-o", tmp_path / "entropy") == 0
     assert run("recover", dark, *size, "--steps", 10, "-o", out) == 0
     assert run("report", dark, "--recovered", out, "-o", tmp_path / "page.html") == 0
     assert run("guide", dark, *size, "--candidates", 6, "--add", 1, "-o", tmp_path / "next") == 0

@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import ball, ball_scene, memory_capture, photographs, render_ball, write_ball
+from support.helpers import ball, ball_scene, memory_capture, render_ball, render_views, write_ball
 
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.sensors import sphere_sensors
@@ -90,7 +90,7 @@ def valley_capture(tmp_path, max_depth: int):
         optimize=False,
     )
     sensors = sphere_sensors(scene.shapes()[0], 12, (32, 32))
-    return memory_capture(scene, photographs(scene, sensors, 128), sensors)
+    return memory_capture(scene, render_views(scene, sensors, 128), sensors)
 
 
 # --- right -------------------------------------------------------------------------------
@@ -182,7 +182,7 @@ def test_the_rest_of_the_scene_stays(tmp_path, kind):
         scene["lamp"] = {"type": "sphere", "center": [0, 2.5, 0], "radius": 0.4, "emitter": area}
     made = mi.load_dict({"integrator": {"type": "path", "max_depth": 2}, **scene}, optimize=False)
     sensors = sphere_sensors(made.shapes()[0], 20, (40, 40))
-    images = photographs(made, sensors, 64)
+    images = render_views(made, sensors, 64)
     target = next(shape for shape in made.shapes() if shape.id() == "ball")
     capture = memory_capture(made, images, sensors, shape=target, mesh=target)
     reference = traced(capture, texels(capture.mesh, 16), 80, 128)

@@ -626,9 +626,9 @@ class TestNextBestView:
         for values, exact in zip(maps, every, strict=True):
             for number in np.unique(block):
                 own = values[block == number]
-                values = np.unique(own[own != 0])
-                assert len(values) <= 1 and all(np.abs(exact[block == number] - v).min() < 1e-5
-                                                for v in values)  # fmt: skip
+                gains = np.unique(own[own != 0])
+                assert len(gains) <= 1 and all(np.abs(exact[block == number] - v).min() < 1e-5
+                                               for v in gains)  # fmt: skip
         assert maps.mean() == pytest.approx(every.mean(), rel=0.2)
 
     def test_unreachable_candidates_are_never_proposed(self, sunny, estimated):

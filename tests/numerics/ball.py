@@ -13,7 +13,7 @@ import numpy as np
 from oracle.rounded_integrals import calibrated_entropies
 from oracle.rounding import Exact, angular_entropy
 from support.helpers import ball as sphere
-from support.helpers import photographs
+from support.helpers import render_views
 
 from numerics.samples import noise_of
 from svu_mi.bench.captures import capture_in_memory
@@ -83,7 +83,7 @@ class Ball:
         scene = self._scene(folder)
         sensors = tuple(self._sensor(d, k) for k, d in enumerate(self.directions))
         if images is None:
-            images = photographs(scene, sensors, 16)
+            images = render_views(scene, sensors, 16)
         return capture_in_memory(scene, scene.shapes()[0], sensors, images)
 
     def _scene(self, folder: Path) -> Any:

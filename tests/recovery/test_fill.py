@@ -28,6 +28,7 @@ from svu_mi.recovery.inpaint.cross_validation import (
     holdout_masks,
 )
 from svu_mi.recovery.inpaint.fill import fill
+from svu_mi.recovery.inpaint.fill_result import Filled
 from svu_mi.recovery.inpaint.symmetry_predictors import (
     FEWEST,
     KNN_SETTINGS,
@@ -275,13 +276,18 @@ def banded(vase: SimpleNamespace) -> SimpleNamespace:
     return SimpleNamespace(field=field, hidden=hidden, values=values)
 
 
+@pytest.fixture(scope="module")
+def filled(banded: SimpleNamespace) -> Filled:
+    return fill(banded.field, ~banded.hidden)
+
+
 def error(field: TextureField, banded: SimpleNamespace, name: str) -> float:
     true = np.squeeze(banded.values[name])[banded.hidden]
     estimated = field.textures.at(field.texels, name)[banded.hidden]
     return float(np.sqrt(((estimated - true) ** 2).mean()))
 
 
-def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace) -> None:
+def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace, filled: Filled) -> None:
     """What is hidden has its true values in the field that is given: they must not be looked at."""
     field, hidden = banded.field, banded.hidden
     other = lay_out(field.texels, {
@@ -289,11 +295,9 @@ def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace) -> None:
     })  # fmt: skip
     spoiled = replace(field, textures=other)
     result = fill(spoiled, ~hidden)
-    again = fill(field, ~hidden)
     for name in NAMES:
-        np.testing.assert_allclose(
-            result.textures.at(field.texels, name), again.textures.at(field.texels, name), atol=2e-3
-        )
+        got, wanted = (each.textures.at(field.texels, name) for each in (result, filled))
+        np.testing.assert_allclose(got, wanted, atol=2e-3)
     weights = result.weights["roughness"]
     assert sum(weights.values()) == pytest.approx(1)
     assert max(weights, key=weights.get).endswith(("about y", "along y"))
@@ -342,8 +346,7 @@ def test_large_textures_are_judged_by_groups_of_texels(monkeypatch, banded) -> N
         np.testing.assert_array_equal(new[:, ~hidden], old[:, ~hidden])
 
 
-def test_intervals_of_what_was_filled_are_honest(banded: SimpleNamespace) -> None:
-    filled = fill(banded.field, ~banded.hidden)
+def test_intervals_of_what_was_filled_are_honest(banded: SimpleNamespace, filled: Filled) -> None:
     low, high = filled.field.interval("roughness")
     true = np.squeeze(banded.values["roughness"])
     assert ((low <= true) & (true <= high))[banded.hidden].mean() > 0.8
@@ -367,9 +370,8 @@ def test_one_texel_that_nobody_saw_is_filled(banded: SimpleNamespace) -> None:
 
 
 @pytest.mark.slow
-def test_standard_deviations_are_at_least_what_was_measured(banded: SimpleNamespace) -> None:
+def test_standard_deviations_are_at_least_what_was_measured(banded, filled: Filled) -> None:
     """Of values that are clipped, too, where a normal distribution loses half of its width."""
-    filled = fill(banded.field, ~banded.hidden)
     for name in NAMES:
         assert (filled.field.sd(name)[banded.hidden] > 0.97 * filled.errors[name]).all()
 

@@ -8,11 +8,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import as_tensor, ball_scene, memory_capture, photographs, render_ball
+from support.helpers import as_tensor, memory_capture, random_textures, render_ball, render_views
 
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.replace_material import is_same, replace_material
-from svu_mi.capture.sensors import describe, film_size, make_sensor, sphere_sensors
+from svu_mi.capture.sensors import describe, film_size, make_sensor
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.texels import texels as lay_texels
@@ -62,15 +62,6 @@ def textures_of(grid, base_color=(0.6, 0.4, 0.2), roughness=0.4, metallic=0.3):
             "metallic": as_tensor(one * metallic)}  # fmt: skip
 
 
-def random_textures(grid, seed=0):
-    rng = np.random.default_rng(seed)
-    width, height = grid.resolution
-    return {
-        name: as_tensor(rng.uniform(0.3, 0.7, (height, width, 3 if name == "base_color" else 1)))
-        for name in NAMES
-    }
-
-
 # ---- losses ----
 
 
@@ -116,9 +107,8 @@ def test_an_unwrapped_mesh_brings_its_own_uvs(capture):
 
 
 def test_both_sides_reflect_if_they_did(tmp_path):
-    scene = ball_scene(tmp_path, light(), {"type": "twosided", "bsdf": paint()})
-    sensors = sphere_sensors(scene.shapes()[0], 1, (8, 8))
-    capture = memory_capture(scene, [np.zeros((8, 8, 3))], sensors)
+    both = {"type": "twosided", "bsdf": paint()}
+    capture = render_ball(tmp_path, light(), both, views=1, resolution=(8, 8), spp=1)
     assert "TwoSided" in replace_material(capture, mi.load_dict(paint())).shape.bsdf().class_name()
 
 
@@ -164,7 +154,7 @@ def odd_sensor(sensor, **changes):
 def mixed(capture):
     """Views of several sizes, a crop, a mask, a hole, and one that is left out."""
     sensors = [odd_sensor(capture.sensors[0]), *capture.sensors[1:]]
-    images = photographs(capture.scene, sensors, 256)
+    images = render_views(capture.scene, sensors, 256)
     images[2][10:14] = np.nan
     masks = [None] * len(sensors)
     masks[3] = np.zeros((32, 32), bool)
@@ -286,7 +276,7 @@ def test_gradients_are_those_of_finite_differences(capture, grid, loss):
         )
         for halves in (False, True)
     )
-    at = random_textures(grid)
+    at = random_textures(grid.resolution, 0)
     losses, gradients = zip(*(loss_and_gradients(o, at) for o in (plain, halves)), strict=True)
     assert losses[1] == pytest.approx(losses[0], rel=0.03)  # each half is noisier
     h = 0.01  # the error of a central difference falls as h^2, its rounding rises as 1e-7 / h

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracle import continuous as oracle
-from support.helpers import STUDIO, as_tensor, launched_kernels, render_ball, unit, unit_vectors
+from support.helpers import STUDIO, launched_kernels, random_textures, render_ball, unit
 
 import svu_mi as svu
 from svu_mi.core.arrays import to_drjit
@@ -19,7 +19,7 @@ from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light import latlong
 from svu_mi.light.band_limited import moment_map
 from svu_mi.light.prefiltered import filter_light
-from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.parameters import NAMES
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.recovery.sh.angular_l1_loss import angular_objective
@@ -52,13 +52,6 @@ def capture(tmp_path_factory):
 def observed(capture):
     """Views, texels, visibility and light."""
     return observe(capture, svu.texels(capture.mesh, SIZE))
-
-
-def random_textures(seed=9213):
-    rng = np.random.default_rng(seed)
-    return {
-        name: as_tensor(rng.uniform(0.1, 0.9, (SIZE, SIZE, CHANNELS[name]))) for name in NAMES
-    }
 
 
 def as_rows(textures, place):
@@ -160,7 +153,7 @@ def test_moments_by_normal_are_sums_over_the_light(observed):
     solid = np.repeat(latlong.quadrature(rows) * 2 * np.pi / columns, columns)
     flux = environment.radiance.reshape(-1, 3) * solid[:, None]
     rng = np.random.default_rng(802)
-    normal = unit_vectors(rng, 20)
+    normal = unit(rng.normal(size=(20, 3)))
     world = normal @ environment.to_local  # rows: local to world
     moments = moment_map(environment).at(to_drjit(mi.Normal3f, world.T.astype(np.float32)))
     for k, n in enumerate(normal):
@@ -192,7 +185,7 @@ def test_nothing_is_compiled_between_steps(observed, kind):
     objective = objectives(observed, kind)
     for step in range(5):
         with launched_kernels() as kernels:
-            backward(objective, random_textures(step), step)
+            backward(objective, random_textures((SIZE, SIZE), step, 0.1, 0.9), step)
         if step > 1:
             assert kernels and all(kernel["cache_hit"] for kernel in kernels)
 
@@ -208,7 +201,7 @@ def test_the_spectral_losses_and_their_slopes_are_those_of_float64(observed, nam
     fitted = fit_coefficients(observed, switches)
     table = np.array(fitted.values, np.float64).reshape(25, 6, texels.count)
     table = table[..., np.array(objective.texel)].transpose(2, 0, 1)
-    textures = random_textures()
+    textures = random_textures((SIZE, SIZE), 9213, 0.1, 0.9)
     loss, slopes = backward(objective, textures)
     rows = as_rows(textures, objective.place)
     irradiance = np.stack([np.array(E, np.float64) for E in objective.irradiance], axis=-1)

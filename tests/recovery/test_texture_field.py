@@ -184,6 +184,17 @@ def recovered(vase: SimpleNamespace) -> SimpleNamespace:
     return SimpleNamespace(recovery=recovery, field=field)
 
 
+@pytest.fixture(scope="module")
+def draws(recovered: SimpleNamespace) -> list:
+    return list(recovered.field.draw(200, seed=1))
+
+
+@pytest.fixture(scope="module")
+def inverses(recovered: SimpleNamespace) -> dict[int, np.ndarray]:
+    """(D + K)^-1 of some values, from the equations."""
+    return {row: np.linalg.inv(dense(recovered.field, row)) for row in (0, 3, 4)}
+
+
 def dense(field: TextureField, row: int) -> np.ndarray:
     """(T, T) float64, D + K of one value, from the equations."""
     T, epsilon = field.texels.count, float(field.smoother.epsilon[0])
@@ -199,12 +210,10 @@ def dense(field: TextureField, row: int) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_the_variance_of_the_field_is_that_of_its_inverse(recovered: SimpleNamespace) -> None:
+def test_the_variance_of_the_field_is_that_of_its_inverse(recovered, inverses) -> None:
     """The approximation by the lattice, against dense inverses: right on average."""
-    field = recovered.field
-    for row in (0, 3, 4):
-        exact_sd = np.sqrt(np.diag(np.linalg.inv(dense(field, row))))
-        ratio = np.sqrt(field._variance[row]) / exact_sd
+    for row, inverse in inverses.items():
+        ratio = np.sqrt(recovered.field._variance[row] / np.diag(inverse))
         assert 0.9 < np.median(ratio) < 1.1
         assert np.quantile(ratio, 0.02) > 0.6 and np.quantile(ratio, 0.98) < 1.6
 
@@ -226,10 +235,9 @@ def test_the_field_says_of_every_texel_how_sure_it_is(recovered: SimpleNamespace
 
 
 @pytest.mark.slow
-def test_draws_have_the_mean_and_the_deviation_that_are_said(recovered: SimpleNamespace) -> None:
+def test_draws_have_the_mean_and_the_deviation_that_are_said(recovered, draws) -> None:
     """And neighbours are as alike as the field says."""
     field = recovered.field
-    draws = list(field.draw(200, seed=1))
     for name in NAMES:
         values = np.stack([draw.at(field.texels, name) for draw in draws]).astype(np.float64)
         mean, sd = field.mean(name), field.sd(name)
@@ -251,11 +259,11 @@ def exact_coherent(field: TextureField, row: int, inverse: np.ndarray) -> np.nda
 
 
 @pytest.mark.slow
-def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNamespace) -> None:
+def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered, draws, inverses) -> None:
     """Dense: rho c c L L k(p_i, p_j) + (1 - rho) (D + K)^-1, where nothing is clipped."""
     field = recovered.field
     row = 3  # roughness
-    inverse = np.linalg.inv(dense(field, row))
+    inverse = inverses[row]
     coherent = exact_coherent(field, row, inverse)
     np.testing.assert_allclose(field._coherent_sd[row], coherent, atol=0.02 * coherent.max())
     place = np.array(field.texels.position, np.float64).T
@@ -279,7 +287,7 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
         for k, part in zip((i, j), share, strict=True)
     ]
     wanted = covariance / np.sqrt(variance[0] * variance[1])
-    values = np.stack([draw.at(field.texels, "roughness") for draw in field.draw(200, seed=4)])
+    values = np.stack([draw.at(field.texels, "roughness") for draw in draws])
     centered = values - values.mean(axis=0)
     sd = values.std(axis=0)
     correlation = (centered[:, i] * centered[:, j]).mean(axis=0) / (sd[i] * sd[j])

@@ -38,7 +38,7 @@ from svu_mi.core.io.output_folder import writing
 from svu_mi.core.progress import Progress
 from svu_mi.geometry.texels import texels
 from svu_mi.output.texture_files import write_scene as write_recovered
-from svu_mi.parameters import NAMES
+from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.scenes import meshes
 from svu_mi.statistics.gather_statistics import Values
@@ -83,6 +83,15 @@ def as_tensor(values: Any) -> mi.TensorXf:
     return mi.TensorXf(to_drjit(mi.Float, values.ravel()), shape=values.shape)
 
 
+def random_textures(
+    resolution: tuple[int, int], seed: int, low: float = 0.3, high: float = 0.7
+) -> dict[str, mi.TensorXf]:
+    """Textures whose texels have nothing in common."""
+    (width, height), rng = resolution, np.random.default_rng(seed)
+    shapes = {name: (height, width, CHANNELS[name]) for name in NAMES}
+    return {name: as_tensor(rng.uniform(low, high, shape)) for name, shape in shapes.items()}
+
+
 @contextmanager
 def launched_kernels() -> Iterator[list[dict[str, Any]]]:
     """Give a list, which holds the kernels that have been launched within once that has ended."""
@@ -114,7 +123,7 @@ def bits_of(bits: Any, numbers: int, lanes: int) -> np.ndarray:
     return np.array([bits.test(dr.opaque(mi.UInt32, n), lane).numpy() for n in range(numbers)])
 
 
-def photographs(scene: Any, sensors: Any, spp: int, seed: int = 0) -> list[np.ndarray]:
+def render_views(scene: Any, sensors: Any, spp: int, seed: int = 0) -> list[np.ndarray]:
     """Render (H, W, 3) of every sensor, with seeds that count up."""
     return [
         np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed + index))[..., :3]
@@ -267,7 +276,7 @@ def render_ball(
     """Render the ball from all sides."""
     scene = ball_scene(tmp_path, emitter, bsdf)
     sensors = sphere_sensors(scene.shapes()[0], views, resolution)
-    return memory_capture(scene, photographs(scene, sensors, spp), sensors)
+    return memory_capture(scene, render_views(scene, sensors, spp), sensors)
 
 
 def write_dark(capture: Path, folder: Path) -> Path:
