@@ -506,8 +506,10 @@ def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path):
         ({"max_depth": 1}, "max_depth must be in [2, inf]"),
         ({"max_depth": 3}, "or the method brute, got 3"),
         ({"method": "magic"}, "method must be one of linear, brute, got 'magic'"),
-        ({"noise": "fixed"},
-         "noise must be one of relative, heteroscedastic, estimated, got 'fixed'"),
+        (
+            {"noise": "fixed"},
+            "noise must be one of relative, heteroscedastic, estimated, got 'fixed'",
+        ),
         ({"noise": "estimated", "method": "brute"}, "method must be linear with estimated noise"),
         ({"noise": "estimated", "max_depth": 3}, "or the method brute, got 3"),
         ({"errors": "median"}, "errors must be one of mean, sum, got 'median'"),
