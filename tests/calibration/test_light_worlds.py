@@ -29,7 +29,7 @@ def vase():
     capture = svu.render_capture(
         scenes.path("vase"), spp=32, views=24, resolution=(96, 96), defines={"light": "window"}
     )
-    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96), FEW)
+    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96))
 
 
 @pytest.fixture(scope="module")
