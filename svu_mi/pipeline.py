@@ -169,13 +169,13 @@ def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
         )  # fmt: skip
 
 
-def materialized(estimate_: Estimate, progress: Progress | None = None) -> Estimate:
+def materialized(result: Estimate, progress: Progress | None = None) -> Estimate:
     """Return an estimate with the statistics of all texels; made again if it works in tiles."""
-    if not isinstance(estimate_.posterior.kernel, TiledKernel):
-        return estimate_
-    grid: Any = estimate_.posterior.grid
-    method: Any = estimate_.method
+    if not isinstance(result.posterior.kernel, TiledKernel):
+        return result
+    grid: Any = result.posterior.grid
+    method: Any = result.method
     return estimate(
-        estimate_, None, method, estimate_.preset, grid=grid, prior=estimate_.prior, whole=True,
+        result, None, method, result.preset, grid=grid, prior=result.prior, whole=True,
         progress=progress,
     )  # fmt: skip

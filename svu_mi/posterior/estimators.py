@@ -41,10 +41,8 @@ class EstimatorInputs:
 def gather_factors(inputs: EstimatorInputs, switches: AngularPreset) -> Factors:
     """Gather the statistics of all texels, and factor them."""
     observed = inputs.observed
-    unclipped = not _uses_all(observed, switches)
-    return _factors(
-        inputs, observed, switches, np.flatnonzero(observed.coverage) if unclipped else None
-    )
+    texels = None if _uses_all(observed, switches) else np.flatnonzero(observed.coverage)
+    return _factors(inputs, observed, switches, texels)
 
 
 def statistics_posterior(
@@ -76,7 +74,7 @@ def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posteri
 
 
 def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
-    """The same, but of no more than a tile are there sums, and what reaches it of the light."""
+    """Factor statistics tile by tile: sums and visibility of light are of one tile at a time."""
     seen, texels = inputs.observed, inputs.observed.seen
     if not _uses_all(seen, switches):
         texels = np.flatnonzero(seen.coverage)
