@@ -103,9 +103,7 @@ def search_folder_first(folder: str) -> Iterator[None]:
 
 
 def _refuse_files_of(name: str) -> None:
-    path = mi.filesystem.path
-    for suffix in SUFFIXES:  # the files that Mitsuba looks for, by its own rules
-        file = (path(FOLDER) / path(name)).replace_extension(path(suffix))
+    for file in _libraries(name):
         library = Path(str(mi.file_resolver().resolve(file)))
         if os.path.exists(library) and not _is_own(library):
             raise _refused(library)
@@ -134,6 +132,12 @@ def _own_folder() -> Path:
 
 def _is_own(path: Path) -> bool:
     return Path(os.path.realpath(path)).parent == _own_folder() / FOLDER
+
+
+def _libraries(name: str) -> list[str]:
+    """Return the files that Mitsuba looks for, by its own rules about suffixes."""
+    path = mi.filesystem.path
+    return [str((path(FOLDER) / path(name)).replace_extension(path(end))) for end in SUFFIXES]
 
 
 def _names(folder: Path) -> list[str]:

@@ -57,11 +57,7 @@ class Hypotheses:
         if most >= (probabilities.shape[1] if possible is None else possible):
             weights = probabilities / total
         else:
-            cumulative = np.cumsum(probabilities / total, axis=1)
-            # How many of the points (i + start) / K lie below the end of every cell.
-            below = np.clip(np.ceil(cumulative * most - starts[:, None]), 0, most)
-            below[cumulative >= cumulative[:, -1:]] = most  # the last that is possible, and others
-            weights = np.diff(below, axis=1, prepend=0) / most
+            weights = _systematic_sample(np.cumsum(probabilities / total, axis=1), most, starts)
         return Hypotheses.of(weights)
 
     @staticmethod
@@ -78,6 +74,14 @@ class Hypotheses:
             weights=to_drjit(mi.Float, part.T.astype(np.float32).ravel()),
             counts=to_drjit(mi.UInt32, counts.astype(np.uint32)),
         )
+
+
+def _systematic_sample(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
+    """Return (T, N) shares k / K of bins drawn at equal steps of probability."""
+    # How many of the points (i + start) / K lie below the end of every cell.
+    below = np.clip(np.ceil(cumulative * most - starts[:, None]), 0, most)
+    below[cumulative >= cumulative[:, -1:]] = most  # the last cell that is possible, and others
+    return np.diff(below, axis=1, prepend=0) / most
 
 
 @dataclass(frozen=True)

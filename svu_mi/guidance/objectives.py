@@ -140,6 +140,14 @@ ChannelFields = tuple[Any, Any, Any, Any]
 """A ``ChannelLikelihood``, as what Dr.Jit can carry through a branch."""
 
 
+def _channel(A: Any, B: Any, C: Any, truth: Any) -> ChannelLikelihood:
+    """Complete the square: E = A (c - mu)^2 + C - B^2 / A."""
+    A = dr.maximum(A, 1e-20)
+    shift = B / A
+    a = dr.sqrt(2 * A)
+    return ChannelLikelihood.of([a], [-a * (truth + shift)], 2 * dr.maximum(C - B * shift, 0))
+
+
 @dataclass(frozen=True)
 class Colors:
     """Grid of the base colours of a row.
@@ -159,13 +167,8 @@ class Colors:
         """Return the energy of the best colours, Float, and each channel's likelihood."""
         if self.edges[0] == self.edges[-1]:  # known: the truth has that colour, too
             return self.copies * sum(sums[2::3]), []
-        likelihoods = []
-        for A, B, C, c in zip(sums[::3], sums[1::3], sums[2::3], truth, strict=True):
-            # Complete the square: E = A (x - mu)^2 + C - B^2 / A.
-            A = dr.maximum(A, 1e-20)
-            shift, a = B / A, dr.sqrt(2 * A)
-            least = 2 * dr.maximum(C - B * shift, 0)
-            likelihoods.append(ChannelLikelihood.of([a], [-a * (c + shift)], least))
+        thirds = zip(sums[::3], sums[1::3], sums[2::3], truth, strict=True)
+        likelihoods = [_channel(*one) for one in thirds]
         parts = [(one.min_energy, one.mirrored, one.mu, one.s) for one in likelihoods]
         return self.copies * sum(one.min_energy for one in likelihoods), parts
 

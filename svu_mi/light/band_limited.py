@@ -155,19 +155,21 @@ def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
     """Convolve the light with both cosine lobes of diffuse reflection."""
     factors = zonal_cosine(COSINE_DEGREE, 0), zonal_cosine(COSINE_DEGREE, 5)
     expanded = [environment.coefficients(COSINE_DEGREE)]
-    rows, columns = environment.radiance.shape[:2]
-    for axis in range(3):  # the light times a component of its direction
-        part = latlong.directions(columns, rows)[..., axis, None]
-        of_disk = environment.disk_directions[:, axis, None]
-        turned = replace(
-            environment,
-            radiance=environment.radiance * part,
-            disk_radiance=environment.disk_radiance * of_disk,
-        )
-        expanded.append(turned.coefficients(COSINE_DEGREE))
+    expanded += [_directional(environment, axis).coefficients(COSINE_DEGREE) for axis in range(3)]
     if channels == 1:
         expanded = [c.mean(axis=1, keepdims=True) for c in expanded]
     wide = [c * f[degrees(COSINE_DEGREE)][:, None] for f in factors for c in expanded]
     by_channel = np.stack(wide, axis=-1).reshape(len(wide[0]), -1)  # (lm, channel * moment)
     grid = synthesize(by_channel, 2 * (COSINE_ROWS - 1), COSINE_ROWS)
     return MomentMap(lat_long_texture(grid), mi.Matrix3f(environment.to_local), channels)
+
+
+def _directional(environment: Environment, axis: int) -> Environment:
+    """Return the light times a component of its direction."""
+    rows, columns = environment.radiance.shape[:2]
+    part = latlong.directions(columns, rows)[..., axis, None]
+    return replace(
+        environment,
+        radiance=environment.radiance * part,
+        disk_radiance=environment.disk_radiance * environment.disk_directions[:, axis, None],
+    )

@@ -101,6 +101,12 @@ class _Cluster:
     def __lt__(self, other: _Cluster) -> bool:
         return self.variance > other.variance
 
+    def far_half(self) -> np.ndarray:
+        """Return which members lie beyond the mean along the axis of largest variance."""
+        far = self.offset @ np.linalg.eigh(self.covariance)[1][:, -1] > 0
+        # Equal points would all fall on one side.
+        return far if far.any() and not far.all() else np.arange(len(far)) > 0
+
 
 def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightTree:
     """Cluster an environment into a tree of cells."""
@@ -129,12 +135,7 @@ def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightT
     above = _cells(_sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment)
     starts = np.searchsorted(upper, np.arange(coarse + 1))
     leaves = np.searchsorted(label, np.arange(fine + 1))
-    # Where groups begin, and the end; long ones are cut.
-    owner = of_group[order][starts[:-1]]
-    begins = np.flatnonzero(np.diff(owner, prepend=-1) != 0)
-    ends = np.append(begins[1:], len(owner))
-    cut = [np.arange(a, b, LARGEST) for a, b in zip(begins, ends, strict=True)]
-    edges = np.append(np.concatenate(cut), len(owner))
+    edges = _edges(of_group[order][starts[:-1]])
     grey = below.flux.numpy().reshape(-1, 4)[:, 3]
     return LightTree(
         coarse=above,
@@ -163,6 +164,14 @@ def disk_cells(environment: Environment) -> LightCells | None:
     label = np.where(away <= away.max() / np.sqrt(RING + 1), RING, ring)
     pull = _sum(label, environment.disk_directions * light, RING + 1)
     return _cells(_sum(label, flux, RING + 1), pull, environment)
+
+
+def _edges(owner: np.ndarray) -> np.ndarray:
+    """Return where runs of equal numbers begin, and the end; long runs are cut."""
+    begins = np.flatnonzero(np.diff(owner, prepend=-1) != 0)
+    ends = np.append(begins[1:], len(owner))
+    cut = [np.arange(a, b, LARGEST) for a, b in zip(begins, ends, strict=True)]
+    return np.append(np.concatenate(cut), len(owner))
 
 
 def _cell_sums(environment: Environment, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -221,10 +230,7 @@ def _split(points: np.ndarray, weight: np.ndarray, count: int) -> tuple[np.ndarr
     heap = [_Cluster.of(0, points, weight, np.arange(len(points)))]
     for new in range(1, count):
         old = heapq.heappop(heap)
-        # Those beyond the mean along the axis of largest variance.
-        far = old.offset @ np.linalg.eigh(old.covariance)[1][:, -1] > 0
-        if far.all() or not far.any():  # of equal points
-            far = np.arange(len(far)) > 0
+        far = old.far_half()
         label[old.members[far]], parent[new] = new, old.number
         for number, half in ((old.number, ~far), (new, far)):
             heapq.heappush(heap, _Cluster.of(number, points, weight, old.members[half]))

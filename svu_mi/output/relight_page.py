@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,23 +47,14 @@ def write_relighting(
 ) -> None:  # fmt: skip
     """Write pictures, their standard deviations, ``relight.png`` and ``run.json``.
 
-    Views are ``NAME.exr`` (R, G, B, mean.R, ... and sd.R, ..., linear) and ``NAME.png``.
-
     Raises:
         OutputError: the folder or a file cannot be written.
     """
     run = run or RunInfo()
-    about: dict[str, Any] = {"svu:version": svu_mi.__version__, "svu:draws": draws}
+    about = {"svu:version": svu_mi.__version__, "svu:draws": draws}
     with writing(folder, "relight", RECORD, capture=capture_key(capture)) as draft:
         files = view_file_names(names)
-        for view, file in zip(views, files, strict=True):
-            channels = {"RGB": view.picture}
-            for kind, image in (("mean", view.mean), ("sd", view.sd)):
-                channels |= {f"{kind}.{letter}": image[..., k] for k, letter in enumerate("RGB")}
-            write_exr(draft.folder / f"{file}.exr", channels, about)
-            shown = tone_mapped(view.picture, view.inside)
-            with replacing(draft.folder / f"{file}.png") as temporary:
-                Image.fromarray(quantized(shown)).save(temporary)
+        write_relit_views(views, files, draft.folder, about)
         if pictures:
             notes = [f"{len(views)} views", f"{draws} draws"]
             write_relit_page(views, names, draft.folder / PAGE, notes)
@@ -98,6 +89,21 @@ def uncertainty_sentence(views: Sequence[RelitView]) -> str:
     if not parts:
         return "The object is in none of the pictures, or is black."
     return f"Half of the object's pixels are known to {100 * float(np.median(parts)):.1f} % (sd)."
+
+
+def write_relit_views(
+    views: Sequence[RelitView], names: Sequence[str], folder: Path,
+    attributes: Mapping[str, Any] | None = None,
+) -> None:  # fmt: skip
+    """Write ``NAME.exr`` (R, G, B, mean.R, ... and sd.R, ..., linear) and ``NAME.png`` per view."""
+    for view, name in zip(views, names, strict=True):
+        channels = {"RGB": view.picture}
+        for kind, image in (("mean", view.mean), ("sd", view.sd)):
+            channels |= {f"{kind}.{letter}": image[..., k] for k, letter in enumerate("RGB")}
+        write_exr(folder / f"{name}.exr", channels, attributes)
+        shown = tone_mapped(view.picture, view.inside)
+        with replacing(folder / f"{name}.png") as temporary:
+            Image.fromarray(quantized(shown)).save(temporary)
 
 
 def write_relit_page(

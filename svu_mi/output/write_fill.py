@@ -120,13 +120,9 @@ def _model_record(model: ModelReport) -> dict[str, Any]:
 def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Path) -> None:
     """Draw every parameter before and after filling, facing most of the filled texels."""
     rows = ("before", "after", "standard deviation")
-    model = result.invented
+    model, texels = result.invented, before.texels
     heading = LIKE if model is None else INVENTED.format(model.model)
-    texels = before.texels
-    position, normal = (np.array(x)[:, result.filled] for x in (texels.position, texels.normal))
-    eyes = [to_world(sensor)[:3, 3] for sensor in capture.sensors]
-    facing = [int((((eye[:, None] - position) * normal).sum(axis=0) > 0).sum()) for eye in eyes]
-    look = ObjectView.at(object_only_scene(capture), capture.sensors[int(np.argmax(facing))])
+    look = ObjectView.at(object_only_scene(capture), capture.sensors[_best_sensor(capture, result)])
     everywhere = fully_seen(texels)
     mask = partial(draw_map, estimate=everywhere, colormap=style.GREY)
     masks = {"before": ("Filled, in the texture", partial(mask, values=result.filled))}
@@ -150,3 +146,12 @@ def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Pat
         space=(0.04, 0.16), anchor="NW",
     )  # fmt: skip
     style.write_page(path, (CELL * columns, height), heading, [], [block])
+
+
+def _best_sensor(capture: Capture, result: Filled) -> int:
+    """Return the sensor that faces the most filled texels."""
+    texels = result.field.texels
+    position, normal = (np.array(x)[:, result.filled] for x in (texels.position, texels.normal))
+    eyes = [to_world(sensor)[:3, 3] for sensor in capture.sensors]
+    facing = [int((((eye[:, None] - position) * normal).sum(axis=0) > 0).sum()) for eye in eyes]
+    return int(np.argmax(facing))

@@ -57,10 +57,7 @@ def write_guidance(
     run = run or RunInfo()
     with writing(folder, "guide", RECORD, capture=capture_key(capture)) as draft:
         target = draft.folder
-        names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
-        frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
-        write_transforms(target / POSES, frames)
-        write_sensors(target / SENSORS, sensors, [Path(name).stem for name in names])
+        _write_poses(capture, guidance, target)
         write_manifest(target / PLAN, plan_record(capture, estimate, guidance))
         run.progress(1, 4)
         maps = guidance.gain_maps()
@@ -71,25 +68,23 @@ def write_guidance(
             thumbnails = information_gain_pictures(
                 looks, guidance, maps, information_gain_limit(maps)
             )
-            small = prepare_folder(target / THUMBNAILS)
-            for k, picture in enumerate(thumbnails):
-                with replacing(small / f"proposal_{k}.png") as temporary:
-                    Image.fromarray(quantized(picture[..., :3])).save(temporary)
+            _write_thumbnails(thumbnails, prepare_folder(target / THUMBNAILS))
         run.progress(3, 4)
-        for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
-            image = padded_image(guidance, gains, fill=0)
-            about = exr_attributes(
-                guidance, candidate=proposal.candidate, name=proposal.name, gutter=GUTTER
-            )
-            write_exr(target / f"gain_{k}.exr", {"Y": image}, about)
+        _write_maps(guidance, maps, target)
         run.progress(4, 4)
         write_run(draft, guidance_record(capture, estimate, guidance), run)
+
+
+def _write_poses(capture: Capture, guidance: Guidance, folder: Path) -> None:
+    names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
+    frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
+    write_transforms(folder / POSES, frames)
+    write_sensors(folder / SENSORS, sensors, [Path(name).stem for name in names])
 
 
 def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
     """Return the content of ``guidance.json``: proposals with poses, ranked candidates."""
     ranked = enumerate(zip(guidance.proposals, file_names(capture, guidance), strict=True), 1)
-    names, reachable = guidance.candidates.names, guidance.candidates.reachable
     return {
         "settings": {
             "method": guidance.method,
@@ -108,11 +103,7 @@ def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dic
             }
             for rank, (proposal, file) in ranked
         ],
-        "candidates": [
-            {"number": int(k), "name": names[k], "reachable": bool(reachable[k]),
-             "gain": float(guidance.scores[k])}
-            for k in (*guidance.ranking, *np.flatnonzero(~reachable))  # out of reach last
-        ],
+        "candidates": _candidate_records(guidance),
     }  # fmt: skip
 
 
@@ -140,3 +131,30 @@ def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]
     root = scene_xml.scene()
     root.extend(scene_xml.sensor(s, name) for s, name in zip(sensors, names, strict=True))
     scene_xml.write_document(root, Path(path))
+
+
+def _candidate_records(guidance: Guidance) -> list[dict[str, Any]]:
+    """All candidates, the best first, those that cannot be reached last."""
+    names, reachable = guidance.candidates.names, guidance.candidates.reachable
+    return [
+        {"number": int(k), "name": names[k], "reachable": bool(reachable[k]),
+         "gain": float(guidance.scores[k])}
+        for k in (*guidance.ranking, *np.flatnonzero(~reachable))
+    ]  # fmt: skip
+
+
+def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
+    """Write one EXR per proposal, channel Y: the gain of every texel, 0 outside the charts."""
+    for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
+        image = padded_image(guidance, gains, fill=0)
+        about = exr_attributes(
+            guidance, candidate=proposal.candidate, name=proposal.name, gutter=GUTTER
+        )
+        write_exr(folder / f"gain_{k}.exr", {"Y": image}, about)
+
+
+def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
+    """Write the views of proposed cameras, coloured by information gain."""
+    for k, picture in enumerate(pictures):
+        with replacing(folder / f"proposal_{k}.png") as temporary:
+            Image.fromarray(quantized(picture[..., :3])).save(temporary)

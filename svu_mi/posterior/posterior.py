@@ -202,12 +202,7 @@ class Posterior(Generic[K]):
         """Indices (t, axes, G) of the most probable nodes, of the prior's where nobody looked."""
         seen = self.observed[chosen]
         best = np.empty((len(chosen), len(self.axes), self.channels), np.int64)
-        prior = self.prior
-        shape = np.array(prior.shape)
-        # The tables that a prior is kept in are rounded, some in single precision.
-        likely = np.argwhere(prior >= (1 - 1e-5) * prior.max())
-        away = likely - (shape // 2 if len(likely) == prior.size else (shape - 1) / 2)
-        best[~seen] = likely[(away**2).sum(axis=1).argmin()][:, None]
+        best[~seen] = _best_of_prior(self.prior)[:, None]
         if seen.any():
             best[seen] = self.kernel.best(chosen[seen])
         return best
@@ -380,6 +375,15 @@ class Posterior(Generic[K]):
         if name not in self.axes:
             known = " or ".join(self.axes)
             raise OptionError(f"Posterior: there is no parameter {name!r}; use {known}.")
+
+
+def _best_of_prior(prior: np.ndarray) -> np.ndarray:
+    """Return the index (axes,) of the bin that stands for a prior; see ``Posterior.map``."""
+    # The tables that a prior is kept in are rounded, some in single precision.
+    likely = np.argwhere(prior >= (1 - 1e-5) * prior.max())
+    away = likely - (np.array(prior.shape) // 2 if len(likely) == prior.size
+                     else (np.array(prior.shape) - 1) / 2)  # fmt: skip
+    return np.asarray(likely[(away**2).sum(axis=1).argmin()])
 
 
 def _tensor(values: np.ndarray) -> Any:

@@ -137,17 +137,11 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
     for name in COMPRESSION:
         if name in record.get("extensionsRequired", ()):
             raise MeshError(f"{path}: is compressed ({name}); export it without compression.")
-    names = [buffer.get("uri", "data:") for buffer in record.get("buffers", ())]
-    names = [unquote(name) for name in names if not name.startswith("data:")]
-    files = {path, *(safe_path(path.parent, name, str(path)) for name in names)}
-    held = sum(file.stat().st_size for file in files if file.is_file())
-    accessors, primitives = record.get("accessors", ()), _primitives(record)
-    counts = [int(accessor.get("count", 0)) for accessor in accessors]
-    used = [counts[index] for p in primitives for index in p["attributes"].values()]
-    if min(counts, default=0) < 0 or max(sum(counts), sum(used)) > max(FREE, held):
-        raise MeshError(f"{path}: an accessor reads past the end of the file; export it again.")
+    held = _file_bytes(path, record)
+    _refuse_bombs(path, record, held)
     attributes = ATTRIBUTES[:2] if geometry_only else ATTRIBUTES
-    for primitive in primitives:
+    accessors = record.get("accessors", ())
+    for primitive in _primitives(record):
         for name in attributes:
             index = primitive["attributes"].get(name)
             given = {} if index is None else accessors[index]
@@ -191,6 +185,21 @@ def _header(path: Path) -> dict[str, Any]:
     with path.open("rb") as stream:
         (length,) = struct.unpack_from("<I", stream.read(20), 12)
         return dict(json.loads(stream.read(length)))
+
+
+def _file_bytes(path: Path, record: Mapping[str, Any]) -> int:
+    """Return the bytes of the file and its buffers."""
+    names = [buffer.get("uri", "data:") for buffer in record.get("buffers", ())]
+    names = [unquote(name) for name in names if not name.startswith("data:")]
+    files = {path, *(safe_path(path.parent, name, str(path)) for name in names)}
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def _refuse_bombs(path: Path, record: Mapping[str, Any], held: int) -> None:
+    counts = [int(accessor.get("count", 0)) for accessor in record.get("accessors", ())]
+    used = [counts[index] for p in _primitives(record) for index in p["attributes"].values()]
+    if min(counts, default=0) < 0 or max(sum(counts), sum(used)) > max(FREE, held):
+        raise MeshError(f"{path}: an accessor reads past the end of the file; export it again.")
 
 
 def _nested_objects(value: Any) -> Iterator[Mapping[str, Any]]:

@@ -81,11 +81,8 @@ def _with_computed_normals(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[M
     fan = scipy.sparse.csgraph.connected_components(links, directed=False)[1]
     weighted = np.nan_to_num(welded.face_angles)[..., None] * normal[:, None]
     total = np.stack([np.bincount(fan, weighted[..., k].ravel()) for k in range(3)], axis=-1)
-    # Corners of triangles without area get a fan of their vertex that has a normal.
-    is_real, vertex = (np.linalg.norm(total, axis=1) > 0)[fan], welded.faces.ravel()
-    real = np.full(vertex.max() + 1, -1)
-    real[vertex[is_real]] = fan[is_real]
-    fan = np.where(is_real | (real[vertex] < 0), fan, real[vertex])
+    is_real = np.linalg.norm(total, axis=1) > 0
+    fan = _fill_empty_fans(fan, is_real[fan], welded.faces.ravel())
     key = mesh.faces.ravel() * count + fan
     _, corner, faces = np.unique(key, return_index=True, return_inverse=True)
     vertex = mesh.faces.ravel()[corner]
@@ -104,6 +101,13 @@ def _is_noisy(cosine: np.ndarray, triangles: int) -> bool:
         return False
     crease, flat = np.cos(np.radians([CREASE, PLANE]))
     return bool((cosine < crease).mean() > NOISY and (cosine > flat).mean() < FLAT)
+
+
+def _fill_empty_fans(fan: np.ndarray, is_real: np.ndarray, vertex: np.ndarray) -> np.ndarray:
+    """Give corners (N,) of triangles without area a fan of their vertex that has a normal."""
+    real = np.full(vertex.max() + 1, -1)
+    real[vertex[is_real]] = fan[is_real]
+    return np.where(is_real | (real[vertex] < 0), fan, real[vertex])
 
 
 def _corners_at_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -56,6 +56,10 @@ class Guard:
             and all(origin == f"http://{hosts[0]}" for origin in origins)
         )
 
+    def without_secret(self, path: str) -> str:
+        """Return a path without the secret."""
+        return "/" + path.removeprefix(f"/{self.secret}").removeprefix("/")
+
     def process_request(self, then: Callable[..., Any] | None) -> Callable[..., Any]:
         """Return a ``process_request`` of ``websockets`` that asks this guard before another."""
 
@@ -66,8 +70,7 @@ class Guard:
                 return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL)
             if then is None:
                 return None
-            path = "/" + request.path.removeprefix(f"/{self.secret}").removeprefix("/")
-            response = then(connection, replace(request, path=path))
+            response = then(connection, replace(request, path=self.without_secret(request.path)))
             if response is not None:
                 response.headers.update(PRIVATE)
             return response

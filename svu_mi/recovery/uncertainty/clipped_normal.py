@@ -30,17 +30,20 @@ def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
     for part in _chunks(place.size):
         mean, wanted = places[part], width[part]
         near = (np.minimum(mean, 1 - mean) < FAR * wanted) & (wanted > SMALLEST_WIDTH)
-        mean, asked = mean[near], wanted[near]
-        found = asked
-        for _ in range(STEPS):
-            # The standard deviation is a concave function of the width and never above it: steps
-            # from below stay below.
-            _, variance, slope = _moments(mean, found)
-            now = np.sqrt(np.maximum(variance, SMALLEST_WIDTH**2))
-            step = (asked - now) * 2 * now / np.maximum(slope, SMALLEST_WIDTH)
-            found = np.clip(found + step, found, WIDEST)
-        wanted[near] = found
+        wanted[near] = _newton(mean[near], wanted[near])
     return width.reshape(place.shape)
+
+
+def _newton(mean: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    width = wanted.copy()
+    for _ in range(STEPS):
+        # The standard deviation is a concave function of the width and never above it: steps from
+        # below stay below.
+        _, variance, slope = _moments(mean, width)
+        now = np.sqrt(np.maximum(variance, SMALLEST_WIDTH**2))
+        step = (wanted - now) * 2 * now / np.maximum(slope, SMALLEST_WIDTH)
+        width = np.clip(width + step, width, WIDEST)
+    return width
 
 
 def _chunks(count: int) -> list[slice]:

@@ -299,10 +299,7 @@ def field_around(
     values = {name: np.atleast_2d(textures.at(texels, name).T).astype(np.float64)
               for name in NAMES}  # fmt: skip
     x0 = np.concatenate(list(values.values()))
-    means, sds = (np.concatenate(list(table.values())) for table in texel_moments(posterior))
-    own_mean = np.where(posterior.observed, means, x0)
-    sds = np.where(posterior.observed, sds, prior_sds(posterior)[:, None])
-    deviation = np.maximum(sds, SMALLEST_SD)
+    own_mean, deviation = _texel_moments(posterior, x0)
     # Total variation is a mean over pairs, in nats of the mean texel that is seen.
     seen, pairs = int(posterior.observed.sum()), max(int(dr.width(around.pairs[0])), 1)
     strength = options.tv * np.sqrt(texels.count) * seen / pairs / (1 + PRIOR_WEIGHT)
@@ -323,3 +320,14 @@ def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
         np.full(CHANNELS[name], COMMON_MIXED if name in MIXED else COMMON) for name in NAMES
     ])  # fmt: skip
     return np.where(posterior.observed, parts[:, None], 1.0).astype(np.float32)
+
+
+def _texel_moments(
+    posterior: Posterior[CalibratedKernel], x0: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return means and standard deviations of texels by themselves, (N, T) each; of those unseen,
+    x0 and the prior's."""
+    means, sds = (np.concatenate(list(table.values())) for table in texel_moments(posterior))
+    seen = posterior.observed
+    deviation = np.maximum(np.where(seen, sds, prior_sds(posterior)[:, None]), SMALLEST_SD)
+    return np.where(seen, means, x0), deviation
