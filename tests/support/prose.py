@@ -130,7 +130,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("paths", nargs="*", type=Path, default=[ROOT / n for n in DEFAULT])
+    parser.add_argument(
+        "paths",
+        nargs="*",
+        type=Path,
+        default=[p for p in (ROOT / n for n in DEFAULT) if p.exists()],
+    )
     parser.add_argument("--list", action="store_true", help="print every hit")
     options = parser.parse_args()
     words: dict[str, int] = defaultdict(int)
