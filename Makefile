@@ -29,6 +29,7 @@ lint: .venv/installed-test
 
 docs: .venv/installed-docs
 	$(PY) -m sphinx --quiet --fail-on-warning --keep-going --conf-dir notebooks . out/docs
+	$(PY) -m sphinx --quiet --builder doctest --doctree-dir out/docs/.doctrees --conf-dir notebooks . out/examples
 	@echo "Wrote out/docs/README.html"
 
 .venv/installed: pyproject.toml .venv/here

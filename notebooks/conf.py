@@ -7,6 +7,7 @@ import io
 import os
 from typing import Any, get_args
 
+import svu_mi  # first: it finds a usable LLVM
 import mitsuba as mi
 from docutils import nodes
 from docutils.parsers.rst.directives.tables import ListTable
@@ -15,14 +16,13 @@ from sphinx.directives.code import CodeBlock
 from sphinx.ext.napoleon import Config, GoogleDocstring
 from sphinx.util.docutils import SphinxDirective
 
-import svu_mi  # first: it finds a usable LLVM
 from svu_mi.cli.main import Command, main
 
 mi.set_variant("llvm_ad_rgb")  # classes of plugins exist only in a variant
 os.environ["COLUMNS"] = "100"  # of the commands' help
 
 project, version = "svu_mi", svu_mi.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.doctest", "sphinx.ext.viewcode"]
 root_doc = "README"
 include_patterns = ["*.md", "notebooks/*.md", "notebooks/*.rst", "notebooks/*.ipynb"]
 exclude_patterns = [".*", "build", "dist", "out", "scenes", "svu_mi", "tests"]
@@ -37,6 +37,27 @@ autodoc_default_options = {"members": True}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 GOOGLE = Config(napoleon_use_ivar=True)
+
+# The examples of the reference run in a temporary folder that holds a small capture of the vase.
+doctest_global_setup = """
+import contextlib, io, os, tempfile
+import svu_mi as svu
+import mitsuba as mi
+import numpy as np
+from svu_mi.cli.main import main
+
+folder = tempfile.TemporaryDirectory()
+os.chdir(folder.name)
+size = ["--views", "12", "--resolution", "96", "--spp", "16"]
+with contextlib.redirect_stdout(io.StringIO()):
+    main(["scenes", "vase"])
+    main(["render", "scenes/vase/vase.xml", *size, "-D", "light=window", "-o", "capture"])
+capture = svu.load_capture("capture")
+texels = svu.texels(capture.mesh, 64)
+estimate = svu.estimate(capture, texels)
+recovery = svu.recover(estimate)
+"""
+doctest_global_cleanup = "os.chdir('/')"
 
 # The names of Mitsuba's own manual, in which plugins are documented.
 TYPES = "bool exposed false float int rgb string texture true".split()
