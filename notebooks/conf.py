@@ -1,4 +1,4 @@
-"""How Sphinx makes pages of the README, of this folder and of the docstrings (make docs)."""
+"""Sphinx configuration: pages from the README, this folder and the docstrings (make docs)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sphinx.util.docutils import SphinxDirective
 from svu_mi.cli.main import Command, main
 
 mi.set_variant("llvm_ad_rgb")  # classes of plugins exist only in a variant
-os.environ["COLUMNS"] = "100"  # of the commands' help
+os.environ["COLUMNS"] = "100"  # width of the help texts
 
 project, version = "svu_mi", svu_mi.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.doctest", "sphinx.ext.viewcode"]
@@ -38,7 +38,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 GOOGLE = Config(napoleon_use_ivar=True)
 
-# The examples of the reference run in a temporary folder that holds a small capture of the vase.
+# Examples of the reference run in a temporary folder with a small capture of the vase.
 doctest_global_setup = """
 import contextlib, io, os, tempfile
 import svu_mi as svu
@@ -59,7 +59,7 @@ recovery = svu.recover(estimate)
 """
 doctest_global_cleanup = "os.chdir('/')"
 
-# The names of Mitsuba's own manual, in which plugins are documented.
+# Substitutions that docstrings of plugins use, as in Mitsuba's manual.
 TYPES = "bool exposed false float int rgb string texture true".split()
 rst_prolog = "\n".join(f".. |{name}| replace:: ``{name}``" for name in TYPES)
 MANUAL = "https://mitsuba.readthedocs.io/en/stable/src/generated/plugins_{}s.html#{}"
@@ -79,6 +79,7 @@ notebooks/cluster
 notebooks/limits
 notebooks/promises
 notebooks/troubleshooting
+notebooks/glossary
 notebooks/paper
 BENCHMARKS
 ```
@@ -106,11 +107,11 @@ CHANGELOG
 
 
 class PluginParameters(ListTable):
-    """The table of a plugin's parameters: name, type, meaning."""
+    """Table of a plugin's parameters: name, type, meaning."""
 
 
 class Tabs(SphinxDirective):
-    """Alternatives, one below the other."""
+    """Tabs, rendered one below the other."""
 
     has_content = True
 
@@ -119,7 +120,7 @@ class Tabs(SphinxDirective):
 
 
 def in_mitsubas_manual(app: Sphinx, env: Any, node: Any, text: nodes.Node) -> nodes.Node | None:
-    """Resolve references of plugins to Mitsuba's, such as ``bsdf-principled``."""
+    """Resolve references to plugins of Mitsuba, such as ``bsdf-principled``."""
     kind = node["reftarget"].partition("-")[0]
     if kind not in ("bsdf", "integrator"):
         return None
@@ -127,7 +128,7 @@ def in_mitsubas_manual(app: Sphinx, env: Any, node: Any, text: nodes.Node) -> no
 
 
 def help_of(command: str) -> str:
-    """Return what ``svu COMMAND --help`` prints."""
+    """Return the output of ``svu COMMAND --help``."""
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
         main([command, "--help"])
@@ -135,7 +136,7 @@ def help_of(command: str) -> str:
 
 
 def complete(app: Sphinx, page: str, source: list[str]) -> None:
-    """Add what a page does not hold in the repository: the contents, and the help of commands."""
+    """Add the table of contents to the README, and help texts to the page of commands."""
     if page == root_doc:
         source[0] += CONTENTS
     if page == "notebooks/commands":
@@ -146,14 +147,14 @@ def complete(app: Sphinx, page: str, source: list[str]) -> None:
 def read_docstring(
     app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]
 ) -> None:
-    """Turn a docstring into reST: sections in Google's style, formulas that stand indented."""
+    """Convert a Google-style docstring to reST; indented formulas become literal blocks."""
     text, last = [], ""
     for before, line in zip(["", *lines], lines, strict=False):
         if line.startswith(" ") and not before and last and not last.startswith((" ", "*", "..")):
             text += ["::", ""]
         text.append(line)
         last = line or last
-    # Of an attribute, a colon on the first line would end its type.
+    # As an attribute, text before a colon on the first line would be read as its type.
     kind = "method" if what in ("attribute", "property") else what
     lines[:] = GoogleDocstring(text, GOOGLE, app, kind, name, thing, options).lines()
 
@@ -161,17 +162,17 @@ def read_docstring(
 def without_factories(
     app: Sphinx, what: str, name: str, thing: Any, options: Any, signature: str, returned: str
 ) -> tuple[str, str] | None:
-    """Replace the defaults of dataclasses that Sphinx could not read."""
+    """Replace default factories of dataclasses, which Sphinx cannot parse."""
     return (signature.replace("<factory>", "..."), returned) if signature else None
 
 
 def setup(app: Sphinx) -> None:
-    """Register the above."""
+    """Register directives, roles and event handlers."""
     app.add_directive("pluginparameters", PluginParameters)
     app.add_directive("tabs", Tabs)
     app.add_directive("code-tab", CodeBlock)
     app.add_generic_role("monosp", nodes.literal)
-    app.add_generic_role("math", nodes.emphasis, override=True)  # MathJax is loaded from elsewhere
+    app.add_generic_role("math", nodes.emphasis, override=True)  # MathJax needs a network
     app.connect("missing-reference", in_mitsubas_manual)
     app.connect("source-read", complete)
     app.connect("autodoc-process-docstring", read_docstring)

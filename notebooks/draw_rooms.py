@@ -1,4 +1,4 @@
-"""Draw rooms.svg, the rooms of svu_mi and their imports: python notebooks/draw_rooms.py."""
+"""Draw rooms.svg, the import graph of the package: python notebooks/draw_rooms.py."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def imports(node: ast.AST) -> Iterator[str]:
 
 
 def graph(package: Path = FOLDER.parent / "svu_mi") -> Graph:
-    """Return the rooms that each room imports; a room is a folder of the package, or pipeline."""
+    """Return the imports of each room: a folder of the package, or ``pipeline.py``."""
     files = {path.parent.name: path.parent.rglob("*.py") for path in package.glob("*/__init__.py")}
     files["pipeline"] = iter([package / "pipeline.py"])
     return {
@@ -39,7 +39,7 @@ def floor(room: str, below: Graph) -> int:
 
 
 def arrows(below: Graph) -> list[tuple[str, str]]:
-    """Return the imports that no chain of other imports implies."""
+    """Return the transitive reduction of the import graph."""
     reached: Graph = {}
     for room in sorted(below, key=lambda room: floor(room, below)):
         reached[room] = below[room].union(*(reached[other] for other in below[room]))
@@ -51,13 +51,13 @@ def arrows(below: Graph) -> list[tuple[str, str]]:
 
 
 def drawn(picture: Path = PICTURE) -> list[tuple[str, ...]]:
-    """Return the arrows of a picture, which its description lists."""
+    """Return the arrows that the description of a picture lists."""
     words = re.search(r"<dc:description>([^<]*)", picture.read_text())
     return [tuple(pair.split()) for pair in words[1].split(",")] if words else []
 
 
 def draw(picture: Path = PICTURE) -> None:
-    """Draw the rooms, each above those that it imports."""
+    """Draw the rooms, each above all rooms that it imports."""
     import matplotlib
 
     matplotlib.use("svg")

@@ -11,11 +11,11 @@ import nbformat
 from nbclient import NotebookClient
 from PIL import Image
 
-STEP = 4  # pictures are stored in steps of four of 256 levels: two thirds of the size, none seen
+STEP = 4  # quantisation of pixel values in 256 levels: invisible, and a third smaller
 
 
 def smaller(png: str) -> str:
-    """Return a base64-encoded PNG that looks the same, without transparency and in fewer levels."""
+    """Return a base64-encoded PNG without transparency and with fewer levels per channel."""
     image = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")
     levels = [min(STEP * round(value / STEP), 255) for value in range(256)]
     buffer = io.BytesIO()
@@ -27,7 +27,7 @@ def execute(path: Path) -> None:
     """Run a notebook from top to bottom in a fresh kernel, and write it back with its outputs."""
     notebook = nbformat.read(path, as_version=4)
     NotebookClient(notebook, timeout=900, kernel_name="python3", record_timing=False).execute()
-    # Nothing of this machine: no times, no version of Python.
+    # Remove times and versions, which depend on the machine.
     notebook.metadata = {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
         "language_info": {"name": "python"},
