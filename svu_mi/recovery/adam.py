@@ -1,8 +1,8 @@
-"""Gradient descent on textures: Adam, bounds, a falling rate, and an end.
+"""Gradient descent on textures: Adam with bounds, a falling learning rate and early stopping.
 
-An *objective* is any function ``objective(textures, step)`` of a dictionary of tensors that
-returns one differentiable Float, and depends on nothing else: then a run that was interrupted
-after a step goes on from there as if nothing had happened.
+An *objective* is a function ``objective(textures, step)`` that takes a dictionary of tensors and
+returns one differentiable Float. It must not depend on anything else: then a resumed run gives the
+same result as an uninterrupted one.
 
     descent = descend(lambda t, step: dr.mean(dr.square(t["roughness"] - 0.3), axis=None),
                       {"roughness": start}, DescentOptions(steps=100))
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
     from svu_mi.recovery.recovery_options import DescentOptions
 
 Objective = Callable[[dict[str, Any], int], Any]
-READ_EVERY = 10  # steps between two looks at the losses, each of which waits for the device
+READ_EVERY = 10  # steps between reads of the losses; each read waits for the device
 
 
 @dataclass(frozen=True, kw_only=True)
 class Descent:
-    """Where a descent ended.
+    """Result of a gradient descent.
 
     Attributes:
-        values: the parameters, by name; tensors of the shapes they started with.
-        losses: (N,) float32, before each step.
-        steps: N, the number of steps that were taken.
-        stopped: ``finished``: all steps; ``converged``: the loss fell no further.
+        values: Final parameters: TensorXf by name, in their initial shapes.
+        losses: (N,) float32, loss before each step.
+        steps: Number of steps taken, N.
+        stopped: ``finished`` after all steps, or ``converged``.
     """
 
     values: dict[str, Any]
@@ -58,18 +58,18 @@ def descend(
     checkpoint: Checkpoint | None = None,
     progress: Stage | None = None,
 ) -> Descent:
-    """Minimise an objective by Adam with projection onto bounds.
-
-    The rate falls geometrically from ``learning_rate`` to ``final_rate`` times that.
+    """Minimise an objective with Adam and clip parameters to bounds after each step.
 
     Args:
-        objective: ``objective(textures, step)``; its loss is read every few steps only.
-        start: TensorXf by name, the parameters that the objective is a function of; values
-            outside the bounds are clipped.
-        options: how to descend.
-        checkpoint: where to save states, and perhaps to go on from. A ``KeyboardInterrupt``
-            saves the last whole step before it is raised again.
-        progress: a stage that shows steps, loss, rate and time left.
+        objective: Function ``objective(textures, step)``, see the module.
+        start: Initial parameters, TensorXf by name; values outside the bounds are clipped.
+        options: Number of steps, learning rates, bounds and stopping criterion.
+        checkpoint: File for states; the descent resumes from it if ``checkpoint.resume``. A
+            ``KeyboardInterrupt`` saves the last complete step and is raised again.
+        progress: Display of steps, loss, rate and remaining time.
+
+    Raises:
+        SvuError: The loss or a gradient is NaN or infinite.
     """
     run = _DescentRun(objective, start, options)
     if checkpoint is not None and checkpoint.resume:
@@ -98,16 +98,16 @@ def descend(
 
 
 def rate(options: DescentOptions, step: int) -> float:
-    """Return the learning rate of a step: geometric from the first to the last."""
+    """Return the learning rate of a step, which falls geometrically to ``final_rate``."""
     part = step / max(options.steps - 1, 1)
     return options.learning_rate * options.final_rate**part
 
 
 class _DescentRun:
-    """A descent under way.
+    """State of a running descent.
 
-    ``step`` and what belongs to it change together at the end of a step, so that an interrupt in
-    the middle of one finds the step before it.
+    ``step``, optimizer state and unread losses are assigned together at the end of a step. An
+    interrupt during a step thus leaves the state of the previous one.
     """
 
     def __init__(
@@ -119,22 +119,22 @@ class _DescentRun:
         )
         for name, tensor in start.items():
             self._optimizer[name] = self._project(mi.TensorXf(tensor))
-        self.losses: list[float] = []  # those that were read
+        self.losses: list[float] = []  # without ``_unread``
         self.step, self._state = 0, dict(self._optimizer.state)
-        self._unread: tuple[tuple[Any, Any], ...] = ()  # losses, and whether gradients are broken
+        self._unread: tuple[tuple[Any, Any], ...] = ()  # losses and flags of invalid gradients
         self._clock: tuple[int, float] | None = None
 
     def advance(self) -> None:
-        """Take one step; nothing waits for the device."""
+        """Take one step without waiting for the device."""
         step, optimizer = self.step, self._optimizer
         loss = self._objective({name: optimizer[name] for name in optimizer}, step)
         dr.backward(loss)
         broken = dr.opaque(mi.UInt32, 0)
         for value in optimizer.values():
             gradient = value.grad.array
-            # Adam would carry one bad gradient along for good, and hide where it began.
+            # Adam would keep a NaN in its means, so its first step could not be reported.
             dr.scatter(broken, mi.UInt32(1), mi.UInt32(0), ~dr.isfinite(gradient))
-        # A number, not an array: Adam multiplies an array in place, and makes it opaque itself.
+        # A Python number: Adam would multiply an array in place; it makes numbers opaque itself.
         now = rate(self._options, step)
         optimizer.set_learning_rate({n: now * self._options.scales.get(n, 1.0) for n in optimizer})
         optimizer.step(eval=False)
@@ -146,7 +146,7 @@ class _DescentRun:
         self.step, self._state, self._unread = step + 1, dict(optimizer.state), unread
 
     def read(self) -> None:
-        """Wait for the device; refuse losses and gradients that are NaN or infinite."""
+        """Wait for the device and read the losses; raise an error for NaN or infinite values."""
         first = self.step - len(self._unread)
         losses = []
         for step, (loss, broken) in enumerate(self._unread, first):
@@ -154,14 +154,16 @@ class _DescentRun:
             if broken[0] or not np.isfinite(losses[-1]):
                 what = "a gradient" if np.isfinite(losses[-1]) else "the loss"
                 raise SvuError(
-                    f"Descent: {what} of step {step} is NaN or infinite; look for NaN in the "
-                    "photographs and for divisions by zero, or lower the learning rate."
+                    f"Descent: {what} of step {step} is NaN or infinite; check the photographs for "
+                    "NaN and the objective for divisions by 0, or lower the learning rate."
                 )
         self.losses[first:], self._unread = losses, ()
 
     def show(self, stage: Stage) -> None:
-        """Show steps, loss, rate, and time left: from the first look on, before which kernels are
-        compiled."""
+        """Display step, loss, rate and remaining time.
+
+        The clock starts at the first display, because the steps before it compile kernels.
+        """
         total, now = self._options.steps, time.monotonic()
         stage.update(self.step, total)
         text = f"loss {self.losses[-1]:.4g}, rate {rate(self._options, self.step - 1):.2g}"
@@ -171,11 +173,11 @@ class _DescentRun:
         stage.state(text)
 
     def ends_window(self) -> bool:
-        """Return whether it is time to ask whether the descent has converged."""
+        """Return whether a window of the convergence test ends at this step."""
         return self._options.tolerance > 0 and self.step % self._options.window == 0
 
     def has_converged(self) -> bool:
-        """Return whether the mean loss of a window fell by less than ``tolerance`` of itself."""
+        """Return whether the mean loss of a window decreased by less than ``tolerance``."""
         window = self._options.window
         if not self.ends_window() or self.step < 2 * window:
             return False
@@ -183,11 +185,11 @@ class _DescentRun:
         return float(before.mean() - now.mean()) < self._options.tolerance * abs(before.mean())
 
     def values(self) -> dict[str, Any]:
-        """Return the parameters, detached."""
+        """Return the parameters as detached TensorXf."""
         return {name: mi.TensorXf(dr.detach(entry[0])) for name, entry in self._state.items()}
 
     def state(self) -> DescentState:
-        """Copy the last whole step."""
+        """Return a NumPy copy of the last complete step."""
         self.read()
         entries = self._state.items()
         return DescentState(
@@ -199,7 +201,7 @@ class _DescentRun:
         )
 
     def resume(self, checkpoint: Checkpoint) -> None:
-        """Continue from a checkpoint, if there is one."""
+        """Load the state of a checkpoint, if its file exists."""
         optimizer = self._optimizer
         shapes = {name: tuple(value.shape) for name, value in optimizer.items()}
         state = checkpoint.load(shapes)

@@ -1,10 +1,10 @@
-"""Checkpoints of a descent: one file that is complete or missing, and belongs to one run.
+"""Checkpoints of a descent, in one file that is replaced atomically.
 
     checkpoint = Checkpoint("run/checkpoint.npz", {"seed": 0, ...}, resume=True)
     descend(objective, start, options, checkpoint=checkpoint)
 
-The settings are everything that the result depends on, and the content is what it works on, as
-digests; a checkpoint that was saved under others is refused.
+A checkpoint stores the settings of its run and digests of its inputs. Loading raises an error if
+they differ from those of the present run.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ import numpy as np
 from svu_mi.core.io.npz import LARGEST, Field, read_arrays, require_schema, write_arrays
 from svu_mi.errors import OptionError, OutputError, excerpt
 
-FORMAT = 5  # raised whenever a resumed run would continue otherwise than the one that saved
-LOWEST = -LARGEST  # any finite number
-GROUPS = ("values", "first", "second")  # of a state's arrays by name of the parameter
-# Of every checkpoint, whatever the parameters.
+FORMAT = 5  # incremented when older checkpoints would give other results
+LOWEST = -LARGEST  # lower limit of finite numbers
+GROUPS = ("values", "first", "second")  # attributes of a state with one array per parameter
+# Arrays of every checkpoint.
 HEAD = {
     "format": Field("iu"), "settings": Field("U"), "content": Field("U"), "step": Field("iu", low=0)
 }  # fmt: skip
@@ -32,13 +32,13 @@ HEAD = {
 
 @dataclass(frozen=True, kw_only=True)
 class DescentState:
-    """A descent after a number of steps; NumPy copies, so nothing of it changes any more.
+    """State of a descent after a number of steps, as NumPy copies.
 
     Attributes:
-        step: number of steps that were taken.
-        values: the parameters, by name, as textures (H, W, C) float32.
-        first, second: Adam's means of the gradient and of its square, flat float32, by name.
-        losses: (step,) float32.
+        step: Number of steps taken.
+        values: Parameters by name: (H, W, C) float32 textures.
+        first, second: Adam's means of gradients and of squared gradients: flat float32, by name.
+        losses: (step,) float32, loss before each step.
     """
 
     step: int
@@ -49,7 +49,7 @@ class DescentState:
 
 
 class Checkpoint:
-    """A file that states of one run are saved to; attributes are as the arguments."""
+    """Checkpoint file of one run. Attributes have the meaning of the arguments."""
 
     def __init__(
         self,
@@ -60,14 +60,17 @@ class Checkpoint:
         resume: bool = False,
         every: float = 30.0,
     ) -> None:
-        """Name a file and what is saved in it; neither is touched yet.
+        """Define a checkpoint without accessing the file.
 
         Args:
-            path: the file, ``.npz``; its folder must exist.
-            settings: names and values that JSON can hold, nested to any depth.
-            content: digests of what the run works on, by words for messages, such as ``sensors``.
-            resume: whether a descent starts from what the file holds.
-            every: seconds between two states; 0 saves whenever losses are read.
+            path: Path of the file, ``.npz``, in an existing folder.
+            settings: All settings that affect the result, as values that JSON can store.
+            content: Digests of the inputs, by names that messages use, such as ``sensors``.
+            resume: True to start descents from the stored state.
+            every: Seconds between saved states; 0 saves whenever losses are read.
+
+        Raises:
+            OptionError: A setting is not a JSON value, or ``every`` is negative.
         """
         if not every >= 0:
             raise OptionError(f"Checkpoint: every must be at least 0 seconds, got {every!r}.")
@@ -77,18 +80,18 @@ class Checkpoint:
             self.settings: dict[str, Any] = json.loads(_canonical(settings))
         except (TypeError, ValueError) as error:
             raise OptionError(
-                f"Checkpoint: a setting cannot be written as JSON ({error}); give numbers, text, "
+                f"Checkpoint: a setting cannot be written as JSON ({error}); use numbers, strings, "
                 "lists and dictionaries."
             ) from error
         self._saved = time.monotonic()
 
     @property
     def due(self) -> bool:
-        """Whether ``every`` seconds have passed since a state was saved."""
+        """True if ``every`` seconds have passed since the last save."""
         return time.monotonic() - self._saved >= self.every
 
     def save(self, state: DescentState) -> None:
-        """Replace the state that was saved before."""
+        """Write a state; replaces the file atomically."""
         arrays: dict[str, Any] = {
             "format": FORMAT,
             "settings": _canonical(self.settings),
@@ -102,10 +105,14 @@ class Checkpoint:
         self._saved = time.monotonic()
 
     def load(self, shapes: Mapping[str, tuple[int, ...]]) -> DescentState | None:
-        """Read the state that was saved last; None when there is no file.
+        """Read the saved state; None if the file does not exist.
 
         Args:
-            shapes: of the run's parameters, by name.
+            shapes: Expected shapes of the parameters, by name.
+
+        Raises:
+            OptionError: The checkpoint belongs to another run or version.
+            OutputError: The file is damaged.
         """
         if not self.path.exists():
             return None
@@ -121,7 +128,7 @@ class Checkpoint:
             ) from error
 
     def _require_same(self, stored: Mapping[str, np.ndarray]) -> None:
-        """Refuse the checkpoint of another run, and say what is different."""
+        """Raise an error with the first difference if the checkpoint belongs to another run."""
         if int(stored["format"]) != FORMAT:
             raise OptionError(
                 f"{self.path}: the checkpoint was written by another version of svu_mi; remove it "
@@ -138,8 +145,8 @@ class Checkpoint:
         for key in _changed(mine, settings):
             there, here = (excerpt(repr(each.get(key)), 80) for each in (settings, mine))
             raise OptionError(
-                f"{self.path}: the checkpoint belongs to another run ({excerpt(key, 80)} was "
-                f"{there} there and is {here} here); resume with the same settings, or remove it "
+                f"{self.path}: the checkpoint belongs to another run ({excerpt(key, 80)} is "
+                f"{there} in the file, {here} now); resume with the same settings, or remove it "
                 "and start again."
             )
 
@@ -149,7 +156,7 @@ def _canonical(settings: Mapping[str, Any]) -> str:
 
 
 def _state(stored: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> DescentState:
-    """Return what was read as a state; a ValueError if it is none of these parameters."""
+    """Convert stored arrays to a state; raise a ValueError if their shapes do not match."""
     schema = {**HEAD, "losses": Field("f4", (int(stored["step"]),), LOWEST)}
     for name, shape in shapes.items():
         size = (int(np.prod(shape)),)
@@ -168,7 +175,7 @@ def _changed(mine: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
 
 
 def _flat(settings: Any, prefix: str = "") -> dict[str, Any]:
-    """Return nested settings as one dictionary with dotted names."""
+    """Flatten nested settings into one dictionary with dotted keys."""
     if not isinstance(settings, Mapping):
         raise ValueError("its settings are not a JSON object")
     flat: dict[str, Any] = {}

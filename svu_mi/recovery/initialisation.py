@@ -1,4 +1,4 @@
-"""Starting point of a recovery: an estimate in colour, and the means of its posterior."""
+"""Starting point of a recovery: an RGB estimate and its posterior means."""
 
 from __future__ import annotations
 
@@ -25,10 +25,17 @@ from svu_mi.statistics.gather_statistics import Weighting
 def estimate_for_textures(
     given: Estimate | None, observed: Observed, *, robust: int, sharing: bool, progress: Progress
 ) -> Estimate:  # fmt: skip
-    """Return an estimate in colour that knows its noise.
+    """Return an RGB estimate with a noise level per texel (``CalibratedKernel``).
 
-    That is the given one if it is in colour and knows its noise. Another is made again, with its
-    reflection model and what is known; rays are not.
+    If ``given`` has another posterior, it is recomputed with the same reflection model and known
+    values; visibility is reused.
+
+    Args:
+        given: Estimate to use, or None to compute one.
+        observed: Capture with texels, visibility and light.
+        robust: Number of re-weighting passes.
+        sharing: True to learn a prior of all texels.
+        progress: Display of stages.
     """
     estimated = materialized(given or estimate(observed, whole=True, progress=progress), progress)
     kernel = estimated.posterior.kernel
@@ -39,14 +46,14 @@ def estimate_for_textures(
         with progress.stage("Reweighting samples"):
             estimated = replace(estimated, posterior=_reweighted(estimated, observed))
     if sharing:
-        with progress.stage("Learning what texels have in common"):
+        with progress.stage("Learning the common prior"):
             assert isinstance(estimated.posterior.kernel, CalibratedKernel)
             estimated = replace(estimated, posterior=with_empirical_prior(estimated.posterior))
     return estimated
 
 
 def supports_texture_field(estimated: Estimate) -> bool:
-    """Return whether an estimate is in colour and knows its noise."""
+    """Return whether an estimate is RGB and has a noise level per texel."""
     kernel = estimated.posterior.kernel
     return isinstance(kernel, CalibratedKernel) and kernel.channels == CHANNELS["base_color"]
 
@@ -63,7 +70,7 @@ def _reestimated_in_color(estimated: Estimate, observed: Observed, progress: Pro
         parameters="principled",
     )  # fmt: skip
     grid, prior = estimated.posterior.grid, estimated.prior
-    if isinstance(grid, ParameterGrid):  # of (roughness, Ks): what is said of roughness stays
+    if isinstance(grid, ParameterGrid):  # over (roughness, Ks): keep the settings of roughness
         prior = roughness_prior(estimated)
         grid = PrincipledGrid(roughness=grid.roughness, known=known_parameters(estimated))
     assert isinstance(grid, PrincipledGrid)
@@ -73,7 +80,7 @@ def _reestimated_in_color(estimated: Estimate, observed: Observed, progress: Pro
 
 
 def roughness_prior(estimated: Estimate) -> np.ndarray | None:
-    """Return an estimate's prior, summed over all but roughness; None without one."""
+    """Return the marginal prior of roughness, or None if the estimate has no prior."""
     if estimated.prior is None:
         return None
     rows = estimated.posterior.grid.shape[0]
@@ -81,7 +88,7 @@ def roughness_prior(estimated: Estimate) -> np.ndarray | None:
 
 
 def known_parameters(estimated: Estimate) -> dict[str, float]:
-    """Return the known parameters of an estimate, by name."""
+    """Return the values of the known parameters of an estimate, by name."""
     return {
         name: float(nodes[0])
         for name, nodes in estimated.posterior.axes.items()
@@ -90,13 +97,13 @@ def known_parameters(estimated: Estimate) -> dict[str, float]:
 
 
 def _reweighted(estimated: Estimate, observed: Observed) -> Posterior[CalibratedKernel]:
-    """Gather again, with samples weighted by their residual at the present means."""
+    """Recompute the posterior with samples weighted by residuals at the posterior means."""
     posterior, switches = estimated.posterior, estimated.switches
     assert isinstance(posterior.kernel, CalibratedKernel) and isinstance(switches, AngularPreset)
     factors = posterior.kernel.problem.factors
     means, _ = texel_moments(posterior)
     texels = factors.texel.numpy()
-    texels = texels[observed.coverage[texels] > 0]  # clipped samples are not weighted again
+    texels = texels[observed.coverage[texels] > 0]  # re-weighting ignores saturated samples
     weighting = Weighting(switches.kappa(observed.unit), switches.edges, values_of(means, texels))
     sums = observed.factors(factors.roughness, switches, 3, weighting=weighting, texels=texels)
     return calibrated_posterior(

@@ -1,7 +1,7 @@
-"""Presets of the paper for a recovery: its models, and the posterior of Eq. 11 for sharing.
+"""Settings of the paper's recovery: reflection models, and the posterior of Eq. 11 for sharing.
 
-An estimate of preset ``paper`` as the source, say with another degree, keeps its preset, and a
-known value or prior of roughness.
+If the source is an estimate with preset ``paper``, its options (such as the degree) are kept, and
+so are known values and priors of roughness.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ from svu_mi.recovery.regularizers.global_sharing import PAPER_SETTINGS, SEEDS, G
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """Presets of the paper, for one recovery.
+    """Settings of the paper for one recovery.
 
     Attributes:
-        given: the estimate that recovery starts from, or None.
-        known: known parameters, by name.
+        given: Estimate passed to ``recover``, or None.
+        known: Values of known parameters, by name.
     """
 
     given: Estimate | None
     known: Mapping[str, float]
 
     def switches(self, method: Literal["angular", "spectrum"]) -> Any:
-        """Return preset ``paper`` of a method, the given estimate's if it has one."""
+        """Return the options of preset ``paper``, from the given estimate if it uses them."""
         own = self._paper_estimate(method)
         return preset("paper", method=method) if own is None else own.preset
 
     def _paper_estimate(self, method: str) -> Estimate | None:
-        """Return the given estimate if it is the paper's by this method."""
+        """Return the given estimate if it has preset ``paper`` and this method, else None."""
         given = self.given
         is_own = given and given.method == method and given.preset.name == "paper"
         return given if is_own else None
 
     def record(self) -> dict[str, Any]:
-        """Return the rule of Eq. 14 and 15, and the posterior of its weights."""
+        """Return the settings of Eq. 14 and 15, and of the posterior in their weights."""
         grid, prior = self._grid_and_prior()
         posterior = {
             "method": "spectrum", **asdict(self.switches("spectrum")), "grid": asdict(grid),
@@ -57,7 +57,7 @@ class PaperSettings:
         return {"seeds": SEEDS, **PAPER_SETTINGS, "posterior": posterior}
 
     def sharing(self, observed: Observed, around: Neighbors, progress: Progress) -> GlobalSharing:
-        """Find the most certain texels by the posterior of Eq. 11."""
+        """Return the sharing of Eq. 14 and 15, with seeds by the posterior of Eq. 11."""
         certain = self._spectrum_estimate()
         if certain is None:
             grid, prior = self._grid_and_prior()
@@ -69,12 +69,12 @@ class PaperSettings:
             return GlobalSharing.printed(certain, around)
 
     def _spectrum_estimate(self) -> Estimate | None:
-        """Return the given estimate if it is the paper's, over (roughness, Ks)."""
+        """Return the given estimate if it is the paper's posterior over (roughness, Ks)."""
         own = self._paper_estimate("spectrum")
         return own if own and isinstance(own.posterior.grid, ParameterGrid) else None
 
     def _grid_and_prior(self) -> tuple[ParameterGrid, Any | None]:
-        """Return the grid of Eq. 11, and the prior of roughness."""
+        """Return the grid of Eq. 11, and the prior of roughness or None."""
         if (given := self._spectrum_estimate()) is not None:
             grid = given.posterior.grid
             assert isinstance(grid, ParameterGrid)
@@ -85,7 +85,7 @@ class PaperSettings:
         prior = None if self.given is None else roughness_prior(self.given)
         if prior is not None and len(prior) != grid.shape[0]:
             raise OptionError(
-                f"recover(): the estimate's prior has {len(prior)} roughness nodes, but that "
-                f"of Eq. 11 has {grid.shape[0]}; estimate with as many nodes, or without a prior."
+                f"recover(): the estimate's prior has {len(prior)} roughness nodes, but the grid "
+                f"of Eq. 11 has {grid.shape[0]}; use {grid.shape[0]} nodes, or no prior."
             )
         return grid, prior

@@ -1,14 +1,15 @@
-"""SVBRDF recovery (Sec. 5.2 to 5.4): photographs in, textures out. The file to read first.
+"""Recovery of SVBRDF textures from photographs (Sec. 5.2 to 5.4). Start reading here.
 
-Textures psi minimise, by gradient descent with Adam,
+Gradient descent with Adam minimises, over the textures psi,
 
     L(psi) = L_data(psi) + w_TV TV(psi) + w_S L_S(psi)
 
-sh:       L_data compares photographs with a reflection model; psi starts from posterior means
-path:     L_data compares photographs with renderings by Mitsuba's prb; psi starts from 0.5
-sh+path:  the first, then one epoch of the second
+sh:       L_data compares photographs with a reflection model; psi starts at the posterior means
+path:     L_data compares photographs with renderings by Mitsuba's prb; psi starts at 0.5
+sh+path:  sh, then one epoch of path
 
-TV is total variation between neighbours, and L_S draws uncertain texels to others (Eq. 14, 15).
+TV is the total variation between neighbouring texels. L_S is global sharing (Eq. 14, 15): it pulls
+uncertain texels towards certain ones with similar posteriors.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ from svu_mi.recovery.sh.spectral_loss import spectral_objective
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 
 # Chosen on our own scenes:
-START_SMOOTHING = 0.6  # part of the TV weight for a start, whose texels must tell materials apart
-PRIOR_WEIGHT = 0.5  # of the pull towards posterior means, which know the prior
+START_SMOOTHING = 0.6  # factor of the TV weight for the start: weaker, to keep material edges
+PRIOR_WEIGHT = 0.5  # weight of the quadratic prior around the posterior means
 Result = tuple[Textures, Descent]
 
 
@@ -58,33 +59,38 @@ def recover(
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
 
     Args:
-        source: a capture; or an estimate of one, from whose posterior ``sh`` starts if it is in
-            colour, else computes it again. Known parameters of an estimate stay as they are.
-        texels: of ``capture.mesh``, one per pixel of the textures; optional with an estimate.
-        method: ``sh`` compares photographs with a reflection model; ``path`` with renderings by
-            Mitsuba's ``prb``; ``sh+path`` continues the first with one epoch of the second.
-        preset: ``default`` or ``paper``; ``coefficients`` and ``spectrum`` are the paper's other
-            losses, of ``sh`` and of that part of ``sh+path``, whose epoch is then the paper's, too.
-            For ``path``, also ``polish`` and ``paper_polish``, those epochs by themselves.
-        sharing: let uncertain texels be like others. True learns a prior that texels have in
-            common; with presets of the paper, it is Eq. 14 and 15, by the posterior of Eq. 11 (that
-            of ``source`` if it is one over (roughness, Ks)). Or your own ``GlobalSharing``.
-        tv: weight of total variation, instead of the options'.
-        parameters: names of the textures to recover; others are those of ``start``, or the scene's.
-        start: textures to start from, instead of the closed form (sh) or of 0.5 (path).
-        sh: options of ``sh``, instead of the preset's.
-        path: options of ``path``, likewise.
-        checkpoint: file that states of the last descent are saved to.
-        resume: continue from that file, if there is one.
-        checkpoint_seconds: between two states.
-        progress: shows the stages and collects timings.
+        source: Capture, or an estimate of it. ``sh`` starts from the estimate's posterior, which
+            is recomputed unless it is RGB. Known parameters of an estimate stay fixed.
+        texels: Texels of ``capture.mesh``, one per texture pixel; optional with an estimate.
+        method: ``sh`` compares photographs with a reflection model, ``path`` with renderings by
+            Mitsuba's ``prb``; ``sh+path`` runs ``sh``, then one epoch of ``path``.
+        preset: ``default`` or ``paper``. ``coefficients`` and ``spectrum`` select the paper's
+            other losses for ``sh`` and ``sh+path`` (whose epoch of ``path`` is then the paper's).
+            ``polish`` and ``paper_polish`` run the epoch of ``sh+path`` alone (``path`` only).
+        sharing: Regularisation of uncertain texels by similar ones. True learns a common prior;
+            with presets of the paper, it applies Eq. 14 and 15 to the posterior of Eq. 11 (from
+            ``source`` if that is over (roughness, Ks)). Or a ``GlobalSharing``.
+        tv: Weight of total variation, overrides the options.
+        parameters: Textures to recover; the others keep ``start`` or the scene's values.
+        start: Initial textures; default: smoothed posterior means (sh) or 0.5 (path).
+        sh: Options of ``sh``, override the preset.
+        path: Options of ``path``, override the preset.
+        checkpoint: File (.npz) to which the state of the last descent is saved.
+        resume: Continue from ``checkpoint`` if the file exists.
+        checkpoint_seconds: Seconds between saved states.
+        progress: Display of stages; collects timings.
 
     Raises:
-        OptionError: an invalid choice, or a checkpoint of another run.
-        ShapeError: ``start`` has another resolution than the texels.
-        CaptureError: no texel is seen in any photograph.
-        SvuError: the loss or a gradient is NaN or infinite.
-        OutputError: the checkpoint cannot be read or written.
+        OptionError: An option is invalid, or the checkpoint belongs to another run.
+        ShapeError: The resolution of ``start`` differs from the texels'.
+        CaptureError: No texel is seen in any photograph.
+        SvuError: The loss or a gradient is NaN or infinite.
+        OutputError: The checkpoint cannot be read or written.
+
+    Example:
+        >>> textures = svu.recover(estimate, tv=0.3).textures
+        >>> textures.base_color.shape, textures.roughness.shape
+        ((64, 64, 3), (64, 64, 1))
     """
     if resume and checkpoint is None:
         raise OptionError("recover(): resume=True needs a checkpoint to resume from.")
@@ -93,7 +99,7 @@ def recover(
     require_resolution(capture_and_texels(source, texels)[1], start)
     observed = observations_of(source, texels, progress)
     with progress.stage("Reading the light"):
-        _ = observed.lighting  # refused before any work: a black light shows nothing
+        _ = observed.lighting  # raises an error for a black environment map before any work
     given = source if isinstance(source, Estimate) else None
     run = RecoveryRun(method, observed, given, names, options, start, sharing, progress)
     saved = None if checkpoint is None else run.checkpoint(checkpoint, resume, checkpoint_seconds)
@@ -111,7 +117,7 @@ def recover(
 
 
 def _recover_by_sh(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | None) -> Result:
-    """Fit the reflection model to the photographs, from smoothed posterior means."""
+    """Fit the reflection model to the photographs, starting at smoothed posterior means."""
     options = run.options["sh"]
     data = _sh_loss(run, options)
     if options.loss == "statistics" and options.closed_form and run.start is None:
@@ -120,12 +126,12 @@ def _recover_by_sh(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | N
 
 
 def _sh_loss(run: RecoveryRun, options: ShOptions) -> Objective:
-    """Return -log p(B | psi) and a pull towards posterior means; or a loss of the paper."""
+    """Return the data loss: -log p(B | psi) + quadratic prior, or a loss of the paper."""
     if options.loss == "statistics":
         likelihood = Likelihood.of(run.posterior, run.texels)
         prior = QuadraticPrior.of(run.posterior, run.texels)
         if len(run.names) + len(run.known) < len(NAMES):
-            return likelihood  # means are those of all colours, say, not of the one that stays
+            return likelihood  # the means ignore that some parameters are fixed at other values
         return lambda psi, step: likelihood(psi, step) + PRIOR_WEIGHT * prior(psi, step)
     with run.progress.stage("Gathering statistics"):
         if options.loss == "angular":
@@ -135,7 +141,7 @@ def _sh_loss(run: RecoveryRun, options: ShOptions) -> Objective:
 
 
 def _smoothed(run: RecoveryRun, options: ShOptions, means: Textures) -> Textures:
-    """Smooth posterior means, weighted by their variances: neighbours decide what one cannot."""
+    """Smooth posterior means by total variation, weighted by their inverse variances."""
     if not options.tv:
         return means
     variation = START_SMOOTHING * run.tv_weight(options), options.tv_epsilon
@@ -149,7 +155,7 @@ def _smoothed(run: RecoveryRun, options: ShOptions, means: Textures) -> Textures
 
 
 def _recover_by_path(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | None) -> Result:
-    """Fit renderings to batches of pixels of the photographs."""
+    """Fit path-traced renderings to batches of pixels of the photographs."""
     options = run.options["path"]
     if options.max_depth is None:
         options = replace(options, max_depth=path_length(run.capture.scene))
@@ -164,7 +170,7 @@ def _minimise(
     run: RecoveryRun, title: str, start: Textures, data: Objective,
     options: ShOptions | PathOptions, checkpoint: Checkpoint | None,
 ) -> Result:  # fmt: skip
-    """Minimise L over the parameters to recover; all others stay as in ``start``."""
+    """Minimise L over the parameters to recover; the others keep the values of ``start``."""
     sharing = run.sharing_term(options)
     terms = [(options.sharing, sharing)] if sharing else []
     if options.tv:
@@ -176,14 +182,14 @@ def _minimise(
             objective, run.free(start), options.descent, checkpoint=checkpoint, progress=stage
         )
     textures = Textures(**(fixed | descent.values))
-    # Nothing pulls gutters along where texels alone are compared.
+    # Losses that compare texels have no gradient in the gutters, so these are filled again.
     return lay_out(run.texels, {name: textures.at(run.texels, name) for name in NAMES}), descent
 
 
 def regularized(
     data: Objective, terms: Sequence[tuple[float, LossTerm]], fixed: dict[str, Any]
 ) -> Objective:
-    """Return data + sum of weight * term(textures); ``fixed`` textures are not optimised."""
+    """Return data + sum of weight * term; terms also get the ``fixed`` textures."""
     weights = [dr.opaque(mi.Float, weight) for weight, _ in terms]
 
     def objective(textures: dict[str, Any], step: int) -> Any:

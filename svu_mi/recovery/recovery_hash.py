@@ -1,4 +1,4 @@
-"""Digests of the inputs of a recovery, by which a checkpoint identifies its run."""
+"""Digests of the inputs of a recovery, which identify the run of a checkpoint."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def recovery_digests(
     capture: Capture, texels: Texels, start: Textures | None, sharing: GlobalSharing | bool,
     posterior: Posterior | None,
 ) -> dict[str, str]:  # fmt: skip
-    """Return digests of everything but the settings."""
-    # Their normals are those of the shape, which has a digest that knows rounding.
+    """Return digests of capture, texels, start, sharing and posterior, by name."""
+    # Normals follow from the shape, whose digest tolerates rounding.
     digests = {"layout of texels": _digest(texels.index, texels.position)}
     if start is not None:
         digests["textures to start from"] = _digest(*(tensor for _, tensor in start.items()))

@@ -1,7 +1,4 @@
-"""Settings of recovery: how to descend, and on what.
-
-Frozen; every run writes them down, and can be repeated from them.
-"""
+"""Options of recovery, and their presets. Each run records its options, so it can be repeated."""
 
 from __future__ import annotations
 
@@ -21,18 +18,28 @@ Method = Literal["sh", "path", "sh+path"]
 
 @dataclass(frozen=True, kw_only=True)
 class DescentOptions:
-    """How gradient descent (Adam) runs.
+    """Options of gradient descent with Adam.
 
     Attributes:
-        steps: at most so many.
-        learning_rate: of the first step, in units of the parameters (all in [0, 1]).
-        final_rate: of the last, as a part of ``learning_rate``; it falls geometrically.
-        tolerance: stop when the mean loss over a window has fallen by less than this part of
-            itself since the window before; 0 never stops early.
-        window: steps of such a window.
-        low, high: bounds of every parameter; values are projected onto them after each step.
-        scales: factors of the rates of single parameters, by name; 1 for all others.
-        beta_1, beta_2: how long Adam remembers gradients and their squares.
+        steps: Maximum number of steps, at least 1 (default 200; ``sh`` 100). Raise it if the loss
+            still falls at the end. ``path`` ignores it (``PathOptions.epochs``).
+        learning_rate: Rate of the first step, > 0, in parameter units (default 0.01; ``sh`` 0.02,
+            ``path`` 0.05). Lower it if the loss oscillates.
+        final_rate: Ratio of the last rate to the first, in (0, 1] (default 0.1; ``path`` 0.02).
+            The rate falls geometrically; 1 keeps it constant.
+        tolerance: Relative decrease of the mean loss from one window to the next, in [0, 1), below
+            which the descent stops. Default 0: all steps. Set it, e.g. to 1e-3, to save time.
+        window: Steps per window of ``tolerance``, at least 1 (default 25). Raise it for noisy
+            losses.
+        low, high: Bounds of all parameters (default 0 and 1), applied after each step. Tighten
+            them to exclude extreme values.
+        scales: Factors >= 0 of the rates of single parameters, by name; 1 if absent. 0 freezes one.
+        beta_1, beta_2: Decay rates of Adam's means of gradients and of their squares, in [0, 1)
+            (default 0.9 and 0.999; ``path`` 0.99 for the latter). Raise them for noisy gradients.
+
+    Example:
+        >>> svu.DescentOptions(steps=50, scales={"roughness": 0.2}).learning_rate
+        0.01
     """
 
     steps: int = 200
@@ -62,28 +69,34 @@ class DescentOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ShOptions:
-    """Recovery by the SH reflection model.
+    """Options of recovery by the reflection model.
 
     Attributes:
-        loss: ``statistics``: what photographs say by the calibrated posterior, which costs the same
-            for any number of them; or, as in the paper, ``angular``: mean absolute error over
-            all samples; ``coefficients`` and ``spectrum``: those of SH expansions.
-        closed_form: start from the mean of every texel's posterior, smoothed, instead of 0.5
-            everywhere (``statistics``).
-        smoothing: how to descend where this start is smoothed; with ``tv`` 0 it is not.
-        robust: number of re-weighted passes, after each of which the squared error is nearer to
-            an absolute one (``statistics``).
-        tv: weight of total variation; with ``statistics`` in nats per texel and multiplied by the
-            square root of the number of texels, as steps from one to the next get smaller.
-        tv_space: where neighbours are: on the ``surface``, across the seams of UV charts; or, as
-            in the paper, in the ``texture``, to the right and below.
-        tv_epsilon: differences far below it count as squares; 0, as printed, for absolute values.
-        sharing: weight of a ``GlobalSharing``, if there is any. A prior in common has none, but
-            there is none either if this is 0.
-        common_prior: share by a prior of all texels (``posterior/empirical_bayes.py``);
-            else as the paper prints Eq. 14 and 15 (``GlobalSharing.printed``), by the posterior
-            of Eq. 11.
-        descent: how to descend.
+        loss: Data loss. ``statistics`` (default): likelihood of the calibrated posterior, at a cost
+            independent of the number of photographs. Losses of the paper: ``angular`` (mean
+            absolute error of radiance), ``coefficients`` and ``spectrum`` (of SH expansions).
+        closed_form: Start at the smoothed posterior means (default) instead of 0.5
+            (``statistics`` only). Disable to test the dependence on the start.
+        smoothing: Descent that smooths this start (240 steps, rate 0.05); skipped if ``tv`` is 0.
+        robust: Number of re-weighting passes, 0 to 20 (default 0), that bring the squared error
+            closer to an absolute error (``statistics`` only). 2 or 3 suppress outliers.
+        tv: Weight of total variation, >= 0 (default 0.6). Unit with ``statistics``: nats per texel,
+            times the square root of the number of texels. Raise it for noisy textures.
+        tv_space: Neighbours: on the ``surface`` (default), across chart seams; or in the
+            ``texture``, right and below, as in the paper.
+        tv_epsilon: Difference, >= 0 in parameter units, below which total variation is quadratic
+            (default 0.01). 0 for absolute values, as in the paper.
+        sharing: Weight of a ``GlobalSharing``, >= 0 (default 160). Raise it to pull uncertain
+            texels harder. 0 disables all sharing; a common prior ignores other values.
+        common_prior: Share by a learned prior of all texels (default;
+            ``posterior/empirical_bayes.py``). If False, by Eq. 14 and 15 of the paper with the
+            posterior of Eq. 11.
+        descent: Options of the descent (100 steps, rate 0.02).
+
+    Example:
+        >>> options = svu.ShOptions(tv=0.3, descent=svu.DescentOptions(steps=20))
+        >>> len(svu.recover(estimate, sh=options).losses)
+        20
     """
 
     loss: ShLoss = "statistics"
@@ -109,25 +122,32 @@ class ShOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PathOptions:
-    """Recovery by Mitsuba's own loop.
+    """Options of recovery by differentiable path tracing.
 
     Attributes:
-        epochs: times every usable pixel is looked at; ``descent.steps`` is not used.
-        pixels_per_batch: of one step, drawn from all views; None for as many as a photograph has on
-            average.
-        spp: paths per pixel.
-        max_depth: longest path; 2 is direct light only; None takes that of the scene's integrator.
-        loss: of a pixel: ``l2``; ``l1``, as in the paper; or ``relative``: l2 over the squared
-            radiance, which noise in dark photographs biases.
-        halves: trace a batch in two passes instead of three, where the paths of a pixel serve each
-            other in halves; an odd ``spp`` has none.
-        tv: weight of total variation.
-        tv_space, tv_epsilon: as for ``ShOptions``.
-        sharing: weight of global sharing, if there is any; 0 for none.
-        common_prior: share by a prior that texels have in common: they are pulled towards what
-            they probably are under it; else as for ``ShOptions``.
-        seed: of batches and paths.
-        descent: how to descend.
+        epochs: Passes over all usable pixels, > 0 (default 60); determines the number of steps.
+            Lower it to save time.
+        pixels_per_batch: Pixels per step, from all views, at least 1 (default 65536). None: mean
+            number per photograph. Lower it if memory is short.
+        spp: Paths per pixel, 1 to 65535 (default 2). Raise it if gradients are noisy.
+        max_depth: Maximum path length: 2 for direct light, -1 for any length. Default None: the
+            value of the scene's integrator.
+        loss: Loss of a pixel: ``l2`` (default); ``l1``, as in the paper; or ``relative`` (l2
+            divided by squared radiance), which weights dark pixels more, but is biased by noise.
+        halves: Use each half of a pixel's paths for the gradient of the other half: two passes
+            per batch instead of three (default). Needs an even ``spp``.
+        tv: Weight of total variation, >= 0 (default 2). Raise it for noisy textures.
+        tv_space, tv_epsilon: See ``ShOptions``.
+        sharing: Weight of sharing, >= 0 (default 8); 0 disables it.
+        common_prior: Pull texels towards their posterior means under a learned prior (default);
+            if False, see ``ShOptions``.
+        seed: Seed of batches and paths, 0 to 2^32 - 1 (default 0). Change it to measure noise.
+        descent: Options of the descent (rates 0.05 to 0.001; roughness and metallic a fifth).
+
+    Example:
+        >>> options = svu.PathOptions(epochs=0.5, pixels_per_batch=4096)
+        >>> svu.recover(estimate, method="path", path=options).method
+        'path'
     """
 
     epochs: float = 60.0
@@ -145,7 +165,7 @@ class PathOptions:
     descent: DescentOptions = field(
         default_factory=lambda: DescentOptions(
             learning_rate=0.05, final_rate=0.02, beta_2=0.99,
-            # Base colour first: what light there is in all must be right before its shape is.
+            # Base colour converges first: overall brightness before the shape of highlights.
             scales={"roughness": 0.2, "metallic": 0.2},
         )
     )  # fmt: skip
@@ -165,7 +185,7 @@ class PathOptions:
 
 
 def _require_weights(options: ShOptions | PathOptions) -> None:
-    """Refuse regularisers with an invalid weight."""
+    """Raise an error for negative, infinite or NaN weights of regularisers."""
     for name in ("tv", "tv_epsilon", "sharing"):
         require(options, 0 <= getattr(options, name) < inf, name, "at least 0")
 
@@ -177,8 +197,8 @@ _PAPER = ShOptions(
 )  # fmt: skip
 
 _PAPER_PATH = PathOptions(
-    # As many rays as a photograph has, and ten epochs: the paper does not say; its code does so.
-    # In halves, the error of 32 paths would be that of twice 16: an absolute error is not linear.
+    # Batch size and epochs follow the paper's code; the paper does not give them.
+    # No halves: the absolute error is not linear, so two halves of 16 paths differ from 32 paths.
     epochs=10.0, pixels_per_batch=None, spp=32, loss="l1", halves=False,
     tv=1e-2, tv_space="texture", tv_epsilon=0.0, sharing=1e-2, common_prior=False,
     descent=DescentOptions(learning_rate=0.02, final_rate=1.0),
@@ -206,8 +226,8 @@ PATH_PRESETS: dict[str, PathOptions] = {
 
 PAPER_PRESETS = ("paper", "coefficients", "spectrum", "paper_polish")
 
-# Of sh+path: the presets of its two parts. After sh, the start is as good as many epochs: what is
-# left is detail, no cause for noise.
+# Presets of both parts of sh+path. Textures of sh are close to the optimum, so path uses low rates
+# and more paths: noise would undo the result.
 BOTH_PRESETS: dict[str, tuple[str, str]] = {
     "default": ("default", "polish"),
     "paper": ("paper", "paper_polish"),
@@ -225,7 +245,7 @@ def method_options(
     method: Method, preset: str, sh: ShOptions | None = None, path: PathOptions | None = None,
     tv: float | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the options of the parts of a method, by name; the preset's where none are given."""
+    """Return the options of each part of a method; given ones override the preset."""
     names = _preset(preset, method) if method == "sh+path" else (preset,)
     options = {}
     for part, name in zip(method.split("+"), names, strict=True):
@@ -240,6 +260,6 @@ def _preset(name: str, method: str) -> Any:
         others = [other for other, theirs in PRESETS_OF.items() if name in theirs]
         raise OptionError(
             f"Unknown preset {name!r} of method {method!r}; use one of {', '.join(known)}."
-            + (f" {name!r} is one of method {others[0]!r}." if others else "")
+            + (f" {name!r} is a preset of method {others[0]!r}." if others else "")
         )
     return known[name]

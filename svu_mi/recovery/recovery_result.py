@@ -1,4 +1,4 @@
-"""What recovery returns: textures, their coverage, and how they came about."""
+"""Result of a recovery: textures, coverage, losses and settings."""
 
 from __future__ import annotations
 
@@ -18,21 +18,25 @@ from svu_mi.recovery.svbrdf_textures import Textures
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Recovery:
-    """Recovered textures, and how they came about.
+    """Recovered textures, with losses, settings and timings.
 
     Attributes:
-        method: what they were recovered by.
-        texels: the T texels they belong to.
-        textures: base colour, roughness and metallic.
-        coverage: (T,) uint32, number of photographs that show each texel; where it is 0, values
-            come from neighbours and, if shared, from texels that look alike.
-        losses: (N,) float32, of the last descent, before each step.
-        stopped: why that ended: ``finished`` or ``converged``.
-        settings: everything the result depends on, besides the capture.
-        timings: seconds per stage, synchronised.
-        estimate: posterior of every texel by itself, or with a prior in common; None if the
-            recovery did not need one (``path``, losses of the paper).
-        around: neighbours of the texels, None if the recovery did not need them.
+        method: ``sh``, ``path`` or ``sh+path``.
+        texels: The T texels of the textures.
+        textures: Base colour, roughness and metallic.
+        coverage: (T,) uint32, number of photographs that show each texel. Texels with 0 take
+            values from neighbours and, with sharing, from similar texels.
+        losses: (N,) float32, loss before each of the N steps of the last descent.
+        stopped: Reason of the end of the descent: ``finished`` or ``converged``.
+        settings: All settings that affect the result, except for the capture.
+        timings: Seconds per stage, including the work of the device.
+        estimate: Per-texel posterior, with a common prior if shared; None if unused (``path``,
+            losses of the paper).
+        around: Neighbours of the texels; None if unused.
+
+    Example:
+        >>> recovery.image("roughness").shape, recovery.image("base_color").shape
+        ((64, 64), (64, 64, 3))
     """
 
     method: Method
@@ -54,17 +58,17 @@ class Recovery:
         )
 
     def image(self, name: str) -> np.ndarray:
-        """Return a map as (H, W) or (H, W, 3) float32: a texture, or ``coverage``.
+        """Return a texture, or ``coverage``, as (H, W) or (H, W, 3) float32.
 
         Raises:
-            OptionError: an unknown name.
+            OptionError: The name is unknown.
         """
         if name == "coverage":
             return self.texels.to_image(self.coverage.astype(np.float32), 0.0)
         if name not in NAMES:
             raise OptionError(
-                f"Recovery.image(): there is no map {name!r}; use {', '.join(NAMES)} or coverage; "
-                "Recovery.estimate.image() has entropy and standard deviations."
+                f"Recovery.image(): unknown map {name!r}; use {', '.join(NAMES)} or coverage. "
+                "For entropy and standard deviations, use Recovery.estimate.image()."
             )
         values = np.array(getattr(self.textures, name))
         return values if values.shape[2] > 1 else values[..., 0]

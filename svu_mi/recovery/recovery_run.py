@@ -1,4 +1,4 @@
-"""Inputs of one recovery: estimate, neighbours, regularisers and settings, made on demand."""
+"""Inputs of a recovery: estimate, neighbours, regularisers and settings, computed on demand."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ LossTerm = Callable[[dict[str, Any]], Any]
 
 @dataclass
 class RecoveryRun:
-    """Inputs of one recovery, each made when it is first needed.
+    """Inputs of a recovery, each computed on first use.
 
     Attributes:
-        method, start, sharing, progress: as for ``recover``.
-        options: of the parts of the method, by name (``method_options``).
-        observed: the photographs.
-        given: the estimate that recovery starts from, or None.
-        names: parameters to recover; those that the estimate knows leave the list.
-        estimate_used: whether ``estimate`` was used.
-        surface_neighbors: of the texels, None until ``around`` is used.
+        method, start, sharing, progress: Arguments of ``recover``.
+        options: Options by part of the method (``method_options``).
+        observed: Capture with texels, visibility and light.
+        given: Estimate passed to ``recover``, or None.
+        names: Parameters to recover, without those that are known in ``given``.
+        estimate_used: True once ``estimate`` was computed.
+        surface_neighbors: Neighbours of the texels; None until ``around`` is computed.
     """
 
     method: Method
@@ -61,22 +61,22 @@ class RecoveryRun:
         self.capture, self.texels = self.observed.capture, self.observed.texels
         if not self.observed.visibility.scale > 0:
             raise CaptureError(
-                f"No texel of '{self.capture.shape.id()}' is seen with any radiance; check poses "
-                "(camera space is +X left, +Y up, +Z forward), masks and exposures."
+                f"No photograph shows a texel of '{self.capture.shape.id()}' with radiance above "
+                "0; check poses (camera space is +X left, +Y up, +Z forward), masks and exposures."
             )
         self.known = {} if self.given is None else known_parameters(self.given)
         self.paper = PaperSettings(self.given, self.known)
         left = tuple(name for name in self.names if name not in self.known)
         if not left:
             raise OptionError(
-                "recover(): nothing is left to recover, because the estimate takes "
-                f"{', '.join(self.names)} as known; estimate without known=."
+                f"recover(): the estimate fixes all parameters to recover "
+                f"({', '.join(self.names)}); estimate without known=."
             )
         self.names = left
 
     @cached_property
     def settings(self) -> dict[str, Any]:
-        """Everything that the result depends on, besides the capture, as JSON has it."""
+        """All settings that affect the result, except for the capture, as JSON values."""
         settings: dict[str, Any] = {"method": self.method}
         settings |= {name: asdict(own) for name, own in self.options.items()}
         settings |= {"parameters": list(self.names), "sharing": self._sharing_record()}
@@ -87,13 +87,13 @@ class RecoveryRun:
         return settings
 
     def checkpoint(self, path: str | Path, resume: bool, seconds: float) -> Checkpoint:
-        """Return the checkpoint of this run, with digests of its inputs."""
+        """Return a checkpoint with the settings and input digests of this run."""
         posterior = None if self.given is None else self.given.posterior
         content = recovery_digests(self.capture, self.texels, self.start, self.sharing, posterior)
         return Checkpoint(path, self.settings, content=content, resume=resume, every=seconds)
 
     def _sharing_record(self) -> bool | dict[str, Any]:
-        """Return how texels share: False, True for a prior in common, or the rule of Eq. 14, 15."""
+        """Return the record of sharing: False, True (common prior), or settings of Eq. 14, 15."""
         if isinstance(self.sharing, GlobalSharing):
             return self.sharing.record()
         used = [one for one in self.options.values() if one.sharing]
@@ -102,13 +102,13 @@ class RecoveryRun:
         if all(one.common_prior for one in used):
             return True
         rule = self.paper.record()
-        if any(one.common_prior for one in used):  # one part of sh+path has it so, one so
+        if any(one.common_prior for one in used):  # the parts of sh+path differ
             rule["prior in common, too"] = True
         return rule
 
     @property
     def around(self) -> Neighbors:
-        """The texels' neighbours on the surface."""
+        """Neighbours of the texels on the surface."""
         if self.surface_neighbors is None:
             with self.progress.stage("Finding neighbours"):
                 self.surface_neighbors = neighbors(self.texels, self.capture.mesh)
@@ -116,12 +116,12 @@ class RecoveryRun:
 
     @cached_property
     def _paper_sharing(self) -> GlobalSharing:
-        """The paper's sharing; both parts of a recovery have the same."""
+        """Global sharing of the paper, common to both parts of a recovery."""
         return self.paper.sharing(self.observed, self.around, self.progress)
 
     @cached_property
     def estimate(self) -> Estimate:
-        """Posterior of every texel; with a prior in common if that is how they share."""
+        """Per-texel posterior, under a common prior if that is the kind of sharing."""
         self.estimate_used = True
         return estimate_for_textures(
             self.given, self.observed, progress=self.progress,
@@ -132,23 +132,26 @@ class RecoveryRun:
 
     @property
     def posterior(self) -> Posterior[CalibratedKernel]:
-        """The posterior of ``estimate``, in colour."""
+        """RGB posterior of ``estimate``."""
         posterior = self.estimate.posterior
         assert isinstance(posterior.kernel, CalibratedKernel)
         return posterior
 
     def tv_neighbors(self, options: ShOptions | PathOptions) -> Neighbors:
-        """Return the neighbours of total variation."""
+        """Return the neighbours for total variation, on the surface or in the texture."""
         return self.around if options.tv_space == "surface" else neighbors(self.texels)
 
     def tv_weight(self, options: ShOptions | PathOptions) -> float:
-        """Return the weight of total variation: in nats, what edges cost does not depend on the
-        resolution, whose steps from texel to texel are the smaller, the more there are."""
+        """Return the weight of total variation.
+
+        In nats it grows with the square root of the number of texels: differences between
+        neighbours shrink with the texel size, and edges cost the same at any resolution.
+        """
         in_nats = isinstance(options, ShOptions) and options.loss == "statistics"
         return options.tv * (sqrt(self.texels.count) if in_nats else 1.0)
 
     def total_variation(self, options: ShOptions | PathOptions) -> LossTerm:
-        """Return total variation; parts of a recovery with the same settings share one."""
+        """Return the total variation term, cached by its settings."""
         key = options.tv_space, options.tv_epsilon
         if key not in self._variations:
             around = self.tv_neighbors(options)
@@ -162,7 +165,7 @@ class RecoveryRun:
         return {name: tensor for name, tensor in textures.items() if name in self.names}
 
     def sharing_term(self, options: ShOptions | PathOptions) -> LossTerm | None:
-        """Return the term that pulls uncertain texels, None without one."""
+        """Return the loss term of sharing, or None if it needs none."""
         if not self.sharing or not options.sharing:
             return None
         if isinstance(self.sharing, GlobalSharing):
@@ -170,11 +173,11 @@ class RecoveryRun:
         if not options.common_prior:
             return per_texture(self._paper_sharing)
         if isinstance(options, ShOptions) and options.loss == "statistics":
-            return None  # its posterior has the prior already
+            return None  # the posterior already contains the common prior
         return QuadraticPrior.weighted_by_information(self.posterior, self.texels)
 
     def default_start(self) -> Textures:
-        """Return 0.5, known values, and the scene's own of parameters that are not recovered."""
+        """Return initial textures: 0.5; known values; the scene's for parameters not recovered."""
         middle = uniform_textures(self.texels)
         others = [n for n in NAMES if n not in self.names and n not in self.known]
         own = scene_textures(self.capture, self.texels) if others else middle
@@ -183,12 +186,12 @@ class RecoveryRun:
 
 
 def per_texture(rule: Callable[[Any], Any]) -> LossTerm:
-    """Return a regulariser of one texture as one of all: the sum over them."""
+    """Extend a regulariser of one texture to the sum over all textures."""
     return lambda textures: sum(rule(texture) for texture in textures.values())
 
 
 def require_resolution(texels: Texels, start: Textures | None) -> None:
-    """Refuse texels that make no texture, or none like the one to start from."""
+    """Raise an error for textures of one texel per side, or another resolution than ``start``."""
     if min(texels.resolution) < 2:
         width, height = texels.resolution
         raise OptionError(
@@ -201,7 +204,7 @@ def require_resolution(texels: Texels, start: Textures | None) -> None:
 def check_choices(
     method: str, sharing: GlobalSharing | bool, parameters: Sequence[str]
 ) -> tuple[str, ...]:
-    """Refuse invalid choices; return the names of parameters in their usual order."""
+    """Validate arguments of ``recover``; return the parameter names in canonical order."""
     if method not in get_args(Method):
         raise OptionError(f"Unknown method {method!r}; use one of {', '.join(get_args(Method))}.")
     if not isinstance(sharing, bool | GlobalSharing):

@@ -1,4 +1,4 @@
-"""Path-traced pictures of the object in given textures, under the capture's light or another.
+"""Path-traced images of the object with given textures, under any environment map.
 
 images = relight(capture, textures, novel_light(capture), capture.sensors[:3])
 truth = relight(capture, None, novel_light(capture), capture.sensors[:3])
@@ -25,9 +25,9 @@ from svu_mi.light.latlong import directions
 from svu_mi.recovery.path.textured_scene import PathScene
 from svu_mi.recovery.svbrdf_textures import Textures
 
-MAX_DEPTH = 6  # where the scene's own integrator does not say
-COLUMNS, ROWS = 128, 65  # of the light of our own
-ROOM_RADIANCE = 0.15  # radiance of its dark parts, relative to the lamps' fill
+MAX_DEPTH = 6  # if the scene's integrator has no max_depth
+COLUMNS, ROWS = 128, 65  # resolution of ``novel_light``
+ROOM_RADIANCE = 0.15  # radiance of the room around the lamps
 # Direction (up = +Y), half of the opening angle in radians, and colour of each lamp.
 LAMPS = (
     ((0.7, 0.6, -0.4), 0.32, (9.0, 8.0, 6.5)),
@@ -35,7 +35,7 @@ LAMPS = (
     ((-0.1, 0.2, -1.0), 0.45, (2.0, 2.4, 2.2)),
     ((0.3, -0.3, 0.9), 0.25, (4.0, 3.0, 2.0)),
 )
-FEWEST_DRAWS = 2  # draws that a standard deviation is of
+FEWEST_DRAWS = 2  # for a standard deviation
 
 
 def relight(
@@ -52,20 +52,18 @@ def relight(
     """Path-trace the object in recovered textures.
 
     Args:
-        capture: its scene, but for the object's material and the light; it is not modified.
-        textures: of the object, over the UVs of ``capture.mesh``; None for the material that
-            the scene itself has, such as the truth of a synthetic capture.
-        environment: an emitter, or a dictionary for ``mi.load_dict``; the capture's by default.
-        sensors: where from; by default those of the capture. Films of one size share a kernel.
-        spp: samples per pixel.
-        seed: of the first picture; the others' follow.
-        max_depth: longest path; 2 is direct light only. By default that of the scene's own
-            integrator.
-        pixels: (H, W) bool per sensor, the pixels to render, all in one launch; all by default.
+        capture: Capture with the scene, which is not modified.
+        textures: Textures over the UVs of ``capture.mesh``; None keeps the scene's material, such
+            as the ground truth of a synthetic capture.
+        environment: Emitter, or dictionary for ``mi.load_dict``; default: the capture's.
+        sensors: Sensors to render; default: the capture's. Films of one size share a kernel.
+        spp: Samples per pixel.
+        seed: Seed of the first image, incremented for each further one.
+        max_depth: Maximum path length, 2 for direct light; default: that of the scene's integrator.
+        pixels: (H, W) bool mask per sensor of the pixels to render in one launch; default: all.
 
     Returns:
-        One (H, W, 3) float32 picture per sensor, linear radiance, background included;
-        0 in pixels that were not asked for.
+        One (H, W, 3) float32 image per sensor, linear radiance with background; 0 where masked.
     """
     require_spp(spp, "relight(): spp")
     scene = capture.scene if textures is None else PathScene.of(capture, textures).scene
@@ -86,28 +84,25 @@ def _integrator(capture: Capture, max_depth: int | None) -> Any:
 
 
 def path_length(scene: Any) -> int:
-    """Return the longest path of a scene's integrator: 2 for ``direct``, -1 for any length."""
+    """Return the maximum path length of a scene's integrator: 2 for ``direct``, -1 if unlimited."""
     integrator = scene.integrator()
     if integrator is not None and integrator.class_name() == "DirectIntegrator":
         return 2
-    match = re.search(r"max_depth = (\d+)", str(integrator))  # not among its parameters
+    match = re.search(r"max_depth = (\d+)", str(integrator))  # mi.traverse does not expose it
     if match is None:
         return MAX_DEPTH
     return int(match[1]) if int(match[1]) < 2**31 else -1
 
 
 def novel_light(capture: Capture) -> Any:
-    """Make an emitter that the capture was not taken under: four coloured lamps in a dark room.
+    """Create an environment map for relighting: four coloured lamps in a dark room.
 
-    It stands upright in the frame of the capture's light, and is as bright on average.
-
-    Args:
-        capture: says which way is up and how bright.
+    Orientation and mean radiance are those of the capture's environment map.
     """
     emitter = find_environment(capture.scene, "The capture")
     brightness = read_environment(emitter).coefficients(0).mean() / np.sqrt(4 * np.pi)
     d = directions(COLUMNS, ROWS)
-    radiance = np.repeat(ROOM_RADIANCE * (1 + 0.5 * d[..., 1:2]), 3, axis=-1)  # of any unit
+    radiance = np.repeat(ROOM_RADIANCE * (1 + 0.5 * d[..., 1:2]), 3, axis=-1)  # normalised below
     for center, angle, color in LAMPS:
         away = np.arccos(np.clip(d @ (np.array(center) / np.linalg.norm(center)), -1, 1))
         inside = np.clip(0.5 + (angle - away) / 0.08, 0, 1)  # edges wider than a texel
@@ -120,8 +115,7 @@ def novel_light(capture: Capture) -> Any:
 
 
 def with_environment(scene: Any, environment: Any | None) -> Any:
-    """Return a scene of the same shapes under another light: an emitter, or a dictionary for
-    ``mi.load_dict``; the scene itself without one."""
+    """Return a scene with the same shapes and another environment (see ``relight``)."""
     if environment is None:
         return scene
     light = mi.load_dict(environment) if isinstance(environment, dict) else environment
@@ -130,13 +124,20 @@ def with_environment(scene: Any, environment: Any | None) -> Any:
 
 @dataclass(frozen=True)
 class RelitView:
-    """One picture of an object in textures of which nobody is sure.
+    """Image of an object with its uncertainty due to the textures.
 
     Attributes:
-        picture: (H, W, 3) float32, linear radiance in the recovered textures, with what is around
-            the object.
-        mean, sd: (H, W, 3) float32, over draws; ``picture`` and 0 beside the object.
-        inside: (H, W) bool, pixels that show something of the object.
+        picture: (H, W, 3) float32, linear radiance with the recovered textures and background.
+        mean, sd: (H, W, 3) float32, mean and standard deviation over draws of the textures;
+            ``picture`` and 0 in the background.
+        inside: (H, W) bool, pixels in which the object is visible.
+
+    Example:
+        >>> field = svu.texture_field(recovery, mesh=capture.mesh)
+        >>> sensors = capture.sensors[:1]
+        >>> view, = svu.relight_draws(capture, recovery.textures, field.draw(4), None, sensors, 4)
+        >>> view.sd.shape, bool((view.sd[~view.inside] == 0).all())
+        ((96, 96, 3), True)
     """
 
     picture: np.ndarray
@@ -157,25 +158,31 @@ def relight_draws(
     max_depth: int | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> list[RelitView]:
-    """Path-trace the object in recovered textures, and in others that are as likely.
+    """Path-trace the object with its textures and with draws from their distribution.
 
-    All draws are rendered with the same random numbers, so noise of the path tracer is no part of
-    the standard deviation.
+    All draws use the same random numbers. The standard deviation thus contains no Monte Carlo
+    noise of the path tracer.
 
     Args:
-        capture: its scene, but for the object's material and the light; it is not modified.
-        textures: the recovered ones.
-        draws: at least two, such as ``TextureField.draw(16)``.
-        environment: an emitter, or a dictionary for ``mi.load_dict``; the capture's by default.
-        sensors: where from; by default those of the capture.
-        spp: samples per pixel, rounded to a square.
-        seed: of the samples.
-        max_depth: longest path; by default that of the scene's own integrator.
-        progress: called with the number of draws that are done.
+        capture: Capture with the scene, which is not modified.
+        textures: Recovered textures.
+        draws: At least two draws, such as ``TextureField.draw(16)``.
+        environment: Emitter, or dictionary for ``mi.load_dict``; default: the capture's.
+        sensors: Sensors to render; default: the capture's.
+        spp: Samples per pixel, rounded to a square number.
+        seed: Seed of the samples.
+        max_depth: Maximum path length; default: that of the scene's integrator.
+        progress: Function that is called with the number of rendered draws.
 
     Raises:
-        OptionError: fewer than two draws, or less than one sample per pixel.
-        ShapeError: a draw has another resolution.
+        OptionError: There are fewer than two draws, or ``spp`` is less than 1.
+        ShapeError: A draw has another resolution.
+
+    Example:
+        >>> field = svu.texture_field(recovery, mesh=capture.mesh)
+        >>> views = svu.relight_draws(capture, recovery.textures, field.draw(2), spp=1)
+        >>> len(views) == len(capture.sensors)
+        True
     """
     require_spp(spp, "relight_draws(): spp")
     painted = PathScene.of(capture, textures)
@@ -184,7 +191,7 @@ def relight_draws(
     pictures = SensorPixels(capture.sensors if sensors is None else sensors)
     inside = [part > 0 for part in pictures.covered(painted.scene, painted.shape)]
     middle = pictures.traced(scene, integrator, [np.ones_like(m) for m in inside], spp, seed)
-    # Relative to pictures that have the same noise, so that nothing cancels.
+    # Sums are of differences from an image with the same noise, for precision.
     base = pictures.traced(scene, integrator, inside, spp, seed)
     total, squares = ([np.zeros(image.shape) for image in base] for _ in range(2))
     count = 0
@@ -205,7 +212,7 @@ def relight_draws(
 def _relit(
     image: np.ndarray, inside: np.ndarray, total: np.ndarray, squares: np.ndarray, count: int
 ) -> RelitView:
-    """Return a view with the moments of ``count`` draws, by sums of their changes."""
+    """Return a view with mean and standard deviation from sums of ``count`` differences."""
     mean = total / count
     sd = np.sqrt(np.maximum(squares - count * mean**2, 0) / (count - 1))
     return RelitView(image, (image + mean).astype(np.float32), sd.astype(np.float32), inside)

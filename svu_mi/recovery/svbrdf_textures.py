@@ -20,11 +20,11 @@ from svu_mi.parameters import CHANNELS, NAMES, PARAMETERS, ByParameter
 class Textures(ByParameter):
     """Parameters of Mitsuba's ``principled`` BSDF over a UV map, all in [0, 1].
 
-    By name or as an attribute a TensorXf: ``base_color`` (H, W, 3), linear, ``roughness`` and all
-    others (H, W, 1); row 0 is v = 0.
+    Each is a TensorXf, by name or as an attribute: ``base_color`` (H, W, 3), linear RGB; the others
+    (H, W, 1). Row 0 is v = 0.
 
     Raises:
-        ShapeError: one has another shape.
+        ShapeError: The shape of a tensor is not one of these.
     """
 
     def __init__(self, **tensors: Any) -> None:
@@ -39,7 +39,7 @@ class Textures(ByParameter):
 
     @classmethod
     def of(cls, images: Mapping[str, np.ndarray]) -> Textures:
-        """Copy NumPy images of these shapes, by name."""
+        """Copy NumPy images (H, W, C), by name."""
         return cls(**{
             name: mi.TensorXf(to_drjit(mi.Float, images[name].ravel()), shape=images[name].shape)
             for name in NAMES
@@ -47,37 +47,39 @@ class Textures(ByParameter):
 
     @property
     def resolution(self) -> tuple[int, int]:
-        """(W, H) in texels."""
+        """Width and height in texels."""
         height, width = tuple(self.base_color.shape)[:2]
         return width, height
 
     def require_resolution(self, texels: Texels) -> None:
-        """Refuse textures of another resolution than the texels have."""
+        """Raise a ShapeError if the resolution differs from the texels'."""
         if self.resolution != texels.resolution:
             raise ShapeError(
                 f"The textures have {self.resolution} texels, but {texels.resolution} were "
-                "requested; lay texels out at the textures' resolution, or resample these."
+                "requested; create texels at the textures' resolution, or resample the textures."
             )
 
     def at(self, texels: Texels, name: str) -> np.ndarray:
-        """Return a parameter of every texel: (T, 3), or (T,) for a single channel."""
+        """Return the values of a parameter at the texels: (T, 3), or (T,) for one channel."""
         values = np.array(self[name]).reshape(-1, CHANNELS[name])[texels.index.numpy()]
         return values if CHANNELS[name] > 1 else values[:, 0]
 
 
 def lay_out(texels: Texels, values: Mapping[str, Any]) -> Textures:
-    """Lay parameters of texels out as textures whose gutters reach everywhere.
+    """Create textures from per-texel values; pixels outside charts copy the nearest texel.
 
     Args:
         texels: T texels.
-        values: base_color (T, 3), and all others (T,) or (T, 1), finite; values outside [0, 1]
-            are clipped.
+        values: Finite values by name: base_color (T, 3), others (T,) or (T, 1); clipped to [0, 1].
+
+    Raises:
+        OptionError: A value is NaN or infinite.
     """
     return Textures.of({name: _texture(texels, values, name) for name in NAMES})
 
 
 def uniform_textures(texels: Texels, value: float | None = None) -> Textures:
-    """Return textures of one value, on the grid of the texels; by default each has its own."""
+    """Return constant textures: ``value``, or the default of each parameter."""
     width, height = texels.resolution
     return Textures.of({
         p.name: np.full((height, width, p.channels), p.default if value is None else value, "f4")
@@ -86,12 +88,11 @@ def uniform_textures(texels: Texels, value: float | None = None) -> Textures:
 
 
 def scene_textures(capture: Capture, texels: Texels) -> Textures:
-    """Evaluate the parameters of the scene's own material at every texel.
+    """Evaluate the material of the scene at every texel.
 
     Args:
-        capture: its ``shape`` must have a ``principled`` BSDF; if that has bitmap textures, it
-            must have UVs of its own, too.
-        texels: of ``capture.mesh``.
+        capture: Capture whose shape has a ``principled`` BSDF, and UVs if that has bitmaps.
+        texels: Texels of ``capture.mesh``.
     """
     return lay_out(texels, parameters_at(capture, texels))
 
@@ -99,6 +100,6 @@ def scene_textures(capture: Capture, texels: Texels) -> Textures:
 def _texture(texels: Texels, values: Mapping[str, Any], name: str) -> np.ndarray:
     flat = np.array(values[name], np.float32).reshape(texels.count, CHANNELS[name])
     if not np.isfinite(flat).all():
-        raise OptionError(f"lay_out(): {name} is NaN or infinite in some texels.")
+        raise OptionError(f"lay_out(): {name} is NaN or infinite at some texels.")
     image = texels.to_image(np.clip(flat, PARAMETERS[name].low, PARAMETERS[name].high))
     return dilate(image, texels.inside(), float(np.hypot(*image.shape[:2])))

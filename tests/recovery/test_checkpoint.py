@@ -81,9 +81,9 @@ def test_what_is_saved_is_what_is_loaded(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({**SETTINGS, "seed": 4}, "seed was 3 there and is 4 here"),
+        ({**SETTINGS, "seed": 4}, "seed is 3 in the file, 4 now"),
         ({**SETTINGS, "descent": {**SETTINGS["descent"], "bounds": [0.1, 1.0]}}, "descent.bounds"),
-        ({**SETTINGS, "more": 1}, "more was None there"),
+        ({**SETTINGS, "more": 1}, "more is None in the file"),
     ],
 )
 def test_another_runs_checkpoint_is_refused_by_name(tmp_path, changed, words):

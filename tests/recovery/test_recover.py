@@ -156,7 +156,7 @@ def test_what_an_estimate_knows_stays(capture: Capture, grid: Texels) -> None:
             assert np.isfinite(values).all()
             assert np.allclose(values, value) == (other == name)
     known = svu.estimate(capture, grid, known={"metallic": 0.0})
-    with pytest.raises(OptionError, match="nothing is left to recover"):
+    with pytest.raises(OptionError, match="fixes all parameters to recover"):
         svu.recover(known, parameters=["metallic"])
 
 

@@ -52,7 +52,7 @@ def expected(method: str, name: str) -> dict[str, dict[str, Any]]:
 
 
 def test_a_preset_that_a_method_does_not_have_is_refused_and_others_are_listed():
-    """So is the method that has it: "'coefficients' is one of method 'sh'."."""
+    """So is the method that has it: "'coefficients' is a preset of method 'sh'."."""
     tables = {"sh": SH, "path": PATH, "sh+path": BOTH}
     for method, table in tables.items():
         for name in {*SH, *PATH, "best"} - set(table):
@@ -60,7 +60,7 @@ def test_a_preset_that_a_method_does_not_have_is_refused_and_others_are_listed()
                 with pytest.raises(OptionError) as refused:
                     method_options(method, name, given)
                 others = [m for m, there in tables.items() if name in there]
-                hint = f" {name!r} is one of method {others[0]!r}." if others else ""
+                hint = f" {name!r} is a preset of method {others[0]!r}." if others else ""
                 assert str(refused.value) == (
                     f"Unknown preset {name!r} of method {method!r}; use one of {', '.join(table)}."
                     f"{hint}"

@@ -242,5 +242,5 @@ def test_wrong_requests_are_named(observed):
 def test_black_photographs_are_refused(observed):
     seen = observed.visibility
     black = replace(observed, visibility=replace(seen, total=0 * seen.total))
-    with pytest.raises(CaptureError, match="is seen with any radiance"):
+    with pytest.raises(CaptureError, match="No photograph shows a texel"):
         svu.recover(black)
