@@ -102,6 +102,7 @@ notebooks/commands
 notebooks/plugins
 CONTRIBUTING
 CHANGELOG
+SECURITY
 ```
 """
 

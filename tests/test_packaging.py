@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import tomllib
+import venv
 
 import pytest
 
@@ -87,3 +88,30 @@ def test_import_of_plugins_sets_no_variant():
 def test_every_public_name_has_a_home():
     """``import *`` would fail on a name in ``__all__`` that cannot be loaded."""
     assert set(svu_mi.__all__) == set(svu_mi._HOME)
+
+
+@pytest.mark.slow
+def test_wheel_of_the_sdist_runs_outside_of_the_tree(root, tmp_path):
+    """Build sdist and wheel; install the wheel beside the dependencies of this environment."""
+
+    def run(*words, cwd=tmp_path):
+        done = subprocess.run(words, cwd=cwd, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", tmp_path / "dist", root)
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    assert len(list((tmp_path / "dist").glob("*.tar.gz"))) == 1
+    venv.create(tmp_path / "env")
+    python = tmp_path / "env" / "bin" / "python"
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", wheel)
+    (packages,) = (tmp_path / "env" / "lib").glob("python*/site-packages")
+    installed = [path for path in sys.path if path.endswith("site-packages")]
+    (packages / "dependencies.pth").write_text("\n".join(installed))
+    svu = tmp_path / "env" / "bin" / "svu"
+    assert run(svu, "--version").split()[-1] == svu_mi.__version__
+    run(svu, "scenes", "vase")
+    run(svu, "render", "scenes/vase/vase.xml", "--views", "3", "--resolution", "32", "--spp", "1",
+        "-D", "light=window", "-o", "capture")  # fmt: skip
+    place = run(python, "-c", "import svu_mi.plugins, svu_mi.scenes; print(svu_mi.__file__)")
+    assert place.startswith(str(packages))

@@ -82,7 +82,7 @@ def test_the_script_of_the_readme_runs(tmp_path, monkeypatch):
     names: dict[str, Any] = {}
     code = script("README.md", "From Python").replace("256", "64").replace("100", "20")
     exec(compile(code, "README.md", "exec"), names)
-    assert names["entropy"].shape == names["doubt"].shape == names["roughness"].shape == (64, 64)
+    assert names["entropy"].shape == names["sd"].shape == names["roughness"].shape == (64, 64)
     assert (np.array(names["low"]) <= np.array(names["high"])).all()
     assert len(names["views"].proposals) == 5
 
