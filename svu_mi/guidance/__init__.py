@@ -1,1 +1,1 @@
-"""Which photograph to take next: expected entropy of views (Sec. 5.1, Eq. 13)."""
+"""Next best view: candidate views ranked by expected entropy (Sec. 5.1, Eq. 13)."""

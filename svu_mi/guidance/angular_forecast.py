@@ -1,12 +1,13 @@
-"""Expected entropy (Eq. 13), or variance, by the angular method's energies.
+"""Expected entropy (Eq. 13) or variance with the residuals of the angular method.
 
-If psi_0 is true, photographs of a set S of views are r_i(psi_0), and another psi has the energy
+If psi_0 is true, photographs of a set S of views are r_i(psi_0). Other parameters psi then have
+the energy
 
-    d_S(psi_0, psi) = sum_{i in S} w_i |r_i(psi_0) - r_i(psi)|^2 / (2 s^2 tau)
+    d_S(psi_0, psi) = sum_{i in S} w_i |r_i(psi_0) - r_i(psi)|^2 / (2 s^2 tau),
 
-over views and channels; or the mean over views, as in the estimate. The weights are the
-estimator's. A candidate adds one term; three numbers per row and channel hold the sum for all base
-colours (``objectives.py``). Only ``Responses`` (e, p, q, d by level and channel) are used.
+a sum over views and channels, or a mean over views if the estimate uses one, with the weights w_i
+of the estimate. A candidate adds one term. Three sums per row and channel determine the energy of
+all base colours (``objectives.py``). ``Responses`` contain e, p, q, d by level and channel.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ from svu_mi.reflection.reflection_model import ReflectionModel
 from svu_mi.statistics.gather_statistics import GRAZING
 from svu_mi.statistics.statistics import noise_weight
 
-HOPELESS = 16.0  # nats above the truth, from which on a row is left out
+HOPELESS = 16.0  # skip rows whose energy exceeds the truth's by this many nats
 
 
 def columns(levels: int, channels: int) -> int:
-    """Numbers per view and texel: cos theta, then e, p, q, d of every level and channel."""
+    """Return the number of columns: cos theta, then e, p, q, d of every level and channel."""
     return 1 + 4 * levels * channels
 
 
@@ -60,12 +61,13 @@ def respond(scene: Any, model: ReflectionModel) -> ResponseFunction:
 
 @dataclass(frozen=True)
 class AngularForecast(Forecast):
-    """``Forecast`` on a ``PrincipledGrid``, whose R M rows are all but base colour.
+    """``Forecast`` on a ``PrincipledGrid`` of R M rows: all axes except the base colour.
 
     Attributes:
-        truths: (T * R * M * C,) Float, base colour of each row if it is true.
+        truths: (T * R * M * C,) Float, base colour of each row if the row is true.
         precision: (T,) Float, 1 / (2 s^2 tau).
-        kappa: radiance where weights begin to fall (``noise_weight``).
+        kappa: Radiance at which weights begin to fall (``noise_weight``).
+        averaged: Whether energies are means over views.
     """
 
     grid: PrincipledGrid
@@ -89,7 +91,7 @@ class AngularForecast(Forecast):
         return self._expect(texels, len(candidates), each)
 
     def cumulative(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-        # Products of the views so far are summed up once, not once for every candidate.
+        # One kernel accumulates the views; the base class would repeat them per candidate.
         order = _ViewList(np.concatenate([views, candidates]))
         in_turn = partial(_view_by_view, views=order, known=len(views))
         steps = self._expect(np.arange(self.count), 1 + len(candidates), in_turn)
@@ -99,7 +101,7 @@ class AngularForecast(Forecast):
         return steps
 
     def _expect(self, texels: np.ndarray, number: int, kernel: Callable[..., Any]) -> np.ndarray:
-        """Return expected measures (number, L) of texels (L,), 0 where a view sees nothing."""
+        """Return expected measures (number, L) of texels (L,); 0 for candidates that see none."""
         place, hypothesis = self.hypotheses.of_texels(texels)
         out = dr.zeros(mi.Float, number * len(place))
         dr.eval(out)
@@ -110,26 +112,26 @@ class AngularForecast(Forecast):
 
 
 class _ViewList:
-    """Numbers of views, in the order in which a kernel visits them."""
+    """View indices in the order in which a kernel visits them."""
 
     def __init__(self, views: np.ndarray) -> None:
         self.count = dr.opaque(mi.UInt32, len(views))
-        self._views = numbers(views if len(views) else [0])  # nothing can be read from nothing
+        self._views = numbers(views if len(views) else [0])  # Dr.Jit cannot gather from size 0
 
     def at(self, place: Any) -> Any:
         return dr.gather(mi.UInt32, self._views, place)
 
 
 Truth = tuple[Any, list[Any], Any, Any]
-"""Row, colour of every channel, probability and -log prior of a hypothesis."""
+"""Row, base colour of every channel, probability and -log prior of a hypothesis."""
 Lobes = list[tuple[Any, ...]]
 """Columns of every lobe (``reflection/principled.py``)."""
 PredictedSample = tuple[Any, list[Any]]
-"""Weight of the errors of a photograph, over 2 s^2 tau, and its radiance by channel."""
+"""Weight of the squared error of a photograph (over 2 s^2 tau), radiance of every channel."""
 
 
 class _HypothesisLanes:
-    """Hypotheses of texels, one per lane, against all rows of their grid."""
+    """Hypotheses of texels, one per lane, compared with all rows of the grid."""
 
     def __init__(self, forecast: AngularForecast, lane: Any, number: Any) -> None:
         self._forecast, self._lane = forecast, lane
@@ -139,7 +141,7 @@ class _HypothesisLanes:
         self.mixtures = prod(mixed)
         self.rows = self.levels * self.mixtures
         self._truths, self.channels = forecast.truths, forecast.channels
-        self._lobes = (self._responses.columns - 1) // (4 * self.levels)  # 1 of grey light
+        self._lobes = (self._responses.columns - 1) // (4 * self.levels)  # 1 if light is grey
         self._kappa = dr.opaque(mi.Float, forecast.kappa)
         self._averaged = dr.opaque(mi.Bool, forecast.averaged)
         self._precision = dr.gather(mi.Float, forecast.precision, lane)
@@ -149,7 +151,7 @@ class _HypothesisLanes:
         self.truth = self._truth(number)
 
     def sees(self, view: Any) -> Any:
-        """cos theta of a view, 0 where it does not see the texel."""
+        """Return cos theta of a view; 0 if the view does not see the texel."""
         return self._responses.sees(view)
 
     def _truth(self, number: Any) -> Truth:
@@ -159,7 +161,7 @@ class _HypothesisLanes:
         return row, colors, weight, self._prior(row)
 
     def predicted(self, view: Any) -> PredictedSample:
-        """Predict the sample of a view if the hypothesis is true."""
+        """Predict weight and radiance of a view if the hypothesis is true."""
         row, colors, *_ = self.truth
         level = row // self.mixtures
         lines = self._lines(self.lobes(view, level), row - level * self.mixtures)
@@ -167,7 +169,7 @@ class _HypothesisLanes:
         return self._precision * noise_weight(sum(r) / len(r), self._kappa), r
 
     def lobes(self, view: Any, level: Any) -> Lobes:
-        """Return the columns of every lobe in a view, for all rows of a level."""
+        """Return the columns of every lobe in a view, shared by all rows of a level."""
         return [
             columns_of(*self._responses.read(view, level * self._lobes + lobe))
             for lobe in range(self._lobes)
@@ -176,7 +178,7 @@ class _HypothesisLanes:
     def products(
         self, sums: list[Any], lobes: Lobes, mixed: Any, shown: PredictedSample | None
     ) -> list[Any]:  # fmt: skip
-        """Add w slope^2, w slope rest, w rest^2 of every channel, in a view (or None) of a row."""
+        """Add w slope^2, w slope rest and w rest^2 of a view to a row; ``shown`` None adds 0."""
         if shown is None:
             return sums
         weight, radiance = shown
@@ -191,7 +193,7 @@ class _HypothesisLanes:
 
     @dr.syntax
     def empty(self) -> list[Any]:
-        """Return local memory for the products of every row, all 0."""
+        """Allocate local memory for the sums of every row, all 0."""
         sums = allocate(mi.Float, 3 * self.channels, self.rows)
         row = mi.UInt32(0)
         while row < mi.UInt32(self.rows):
@@ -201,13 +203,13 @@ class _HypothesisLanes:
 
     @dr.syntax
     def accumulate(self, sums: list[Any], view: Any) -> Any:
-        """Add the products of a view to those of every row; return 1 if it sees the texel."""
+        """Add a view to the sums of every row; return 1 if the view sees the texel, else 0."""
         sees = mi.Float(0)
         if self.sees(view) > 0:
             sees = mi.Float(1)
             shown = self.predicted(view)
             level = mi.UInt32(0)
-            # Literals: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
+            # Literal bounds: Dr.Jit 1.5 omits the size of local memory from the kernel's hash.
             while level < mi.UInt32(self.levels):
                 lobes = self.lobes(view, level)
                 mixed = mi.UInt32(0)
@@ -220,7 +222,7 @@ class _HypothesisLanes:
 
     @dr.syntax
     def evaluate(self, sums: list[Any], views: Any, candidate: Any | None) -> Any:
-        """Return the measure, a Float, from sums of views and of a visible candidate or None."""
+        """Return the measure (Float) for ``sums``, plus a visible candidate if there is one."""
         share = dr.select(self._averaged, dr.rcp(views), 1)
         shown = None if candidate is None else self.predicted(candidate)
         total = self.measure.start()
@@ -240,7 +242,7 @@ class _HypothesisLanes:
         return self.measure.value(total)
 
     def row(self, sums: list[Any], row: Any) -> tuple[Any, Any]:
-        """Return the least energy of a row, less the truth's, and each channel's likelihood."""
+        """Return the lowest energy of a row minus the truth's, and the channels' likelihoods."""
         _, colors, _, usual = self.truth
         bound, channels = self._forecast.colors.channels(sums, colors)
         return bound + self._prior(row) - usual, channels
@@ -248,7 +250,7 @@ class _HypothesisLanes:
     def add(
         self, sums: list[Any], row: Any, energy: Any, channels: list[ChannelFields]
     ) -> list[Any]:
-        """Add a row to the measure's sums."""
+        """Add a row to the sums of the measure."""
         level = row // self.mixtures
         mixed = row_entropy.row_values(mi.Float, self._mixed, row - level * self.mixtures)
         shared = (row_entropy.axis_value(mi.Float, self._roughness, level), *mixed)
@@ -256,7 +258,7 @@ class _HypothesisLanes:
         return self.measure.add(sums, self._forecast.colors.row(energy, channels, row), shared)
 
     def write(self, out: Any, place: Any, measure: Any) -> None:
-        """Write p(psi_0) times the measure to a row of ``out``."""
+        """Write p(psi_0) times the measure to row ``place`` of ``out``."""
         value = self.truth[2] * measure
         dr.scatter(out, value, place * self._size + self._own, mode=dr.ReduceMode.NoConflicts)
 
@@ -264,7 +266,7 @@ class _HypothesisLanes:
         return dr.gather(mi.Float, self._forecast.prior, row)
 
     def _lines(self, lobes: Lobes, mixed: Any) -> list[tuple[Any, Any]]:
-        """Radiance of a row as slope and value at 0 over the base colour of each channel."""
+        """Return radiance as (slope, intercept) over the base colour, per channel of a row."""
         how = mixture(*row_entropy.row_values(mi.Float, self._mixed, mixed))
         lines = [(dot(how.slope, x), dot(how.offset, x)) for x in lobes]
         return lines if len(lines) == self.channels else lines * self.channels
@@ -274,7 +276,7 @@ class _HypothesisLanes:
 def _with_each_candidate(
     lanes: _HypothesisLanes, known: _ViewList, candidates: _ViewList, out: Any
 ) -> Any:
-    """Write p(psi_0) times the measure with each candidate: (candidates, lanes)."""
+    """Write p(psi_0) times the measure for the views and each candidate: (candidates, lanes)."""
     sums = lanes.empty()
     n = mi.Float(0)
     i = mi.UInt32(0)
@@ -292,7 +294,7 @@ def _with_each_candidate(
 
 @dr.syntax
 def _view_by_view(lanes: _HypothesisLanes, views: _ViewList, known: int, out: Any) -> Any:
-    """Write the same with the known views, which come first, then with one view more at a time."""
+    """Write p(psi_0) times the measure after the first ``known`` views and after each later one."""
     sums, last = lanes.empty(), dr.opaque(mi.UInt32, known - 1)
     n = mi.Float(0)
     i = mi.UInt32(0)

@@ -21,17 +21,24 @@ from svu_mi.errors import CaptureError, OptionError, ShapeError
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate views.
+    """Candidate views for the next photograph.
 
     Attributes:
         sensors: C perspective sensors.
         names: C labels.
-        reachable: (C,) bool; False where no camera can be put.
+        reachable: (C,) bool; False where no camera can be placed.
 
     Raises:
-        OptionError: there is no candidate, or none that can be reached.
-        ShapeError: names or flags for another number of sensors.
+        OptionError: no candidate is reachable.
+        ShapeError: the numbers of sensors, names and flags differ.
         SceneError: a sensor is not a pinhole, or its pose is mirrored.
+
+    Example:
+        >>> views = svu.Candidates.around(capture, 50, lowest=0.0)
+        >>> views.count
+        50
+        >>> svu.Candidates.at(capture, [0, 5]).count
+        2
     """
 
     sensors: tuple[Any, ...]
@@ -47,7 +54,7 @@ class Candidates:
                 f"shape {reachable.shape}."
             )
         if not reachable.any():
-            raise OptionError("Candidates: there is no view that can be reached; add some.")
+            raise OptionError("Candidates: no candidate is reachable; add one that is.")
         for sensor, name in zip(self.sensors, self.names, strict=True):
             check_sensor(sensor, f"Candidate '{name}'")
 
@@ -58,13 +65,13 @@ class Candidates:
 
     @staticmethod
     def of(sensors: Sequence[Any]) -> Candidates:
-        """Take live Mitsuba sensors, all of them reachable."""
+        """Return candidates from Mitsuba sensors; all are reachable."""
         names = tuple(sensor.id() or f"view_{i:04d}" for i, sensor in enumerate(sensors))
         return Candidates(tuple(sensors), names, np.ones(len(sensors), bool))
 
     @staticmethod
     def without_photograph(capture: Capture) -> Candidates:
-        """Take the sensors of a capture whose photographs are not used or do not exist yet.
+        """Return the sensors of a capture without a used photograph.
 
         Raises:
             OptionError: every sensor has a photograph.
@@ -81,7 +88,7 @@ class Candidates:
 
     @staticmethod
     def at(capture: Capture, views: Sequence[int]) -> Candidates:
-        """Take some of a capture's sensors, by their numbers, all of them reachable."""
+        """Return the sensors of a capture with these indices; all are reachable."""
         sensors = tuple(capture.sensors[view] for view in views)
         names = tuple(capture.names[view] for view in views)
         return Candidates(sensors, names, np.ones(len(sensors), bool))
@@ -91,17 +98,18 @@ class Candidates:
         capture: Capture, count: int = 100, *, up: tuple[float, float, float] = (0.0, 1.0, 0.0),
         lowest: float = -1.0, distance: float | None = None,
     ) -> Candidates:  # fmt: skip
-        """Place candidates on a sphere around the object, with the camera of the photographs.
+        """Place candidates on a sphere around the object, with the photographs' camera.
 
         Args:
-            capture: film and lens are those of its first photograph.
-            count: number of candidates.
-            up: the top of the sphere.
-            lowest: sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
-            distance: from the object's centre; by default the photographs' median.
+            capture: Capture whose first photograph defines film size and lens.
+            count: Number of candidates.
+            up: Direction of the top of the sphere.
+            lowest: Sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
+            distance: Distance to the object's centre, in scene units; default: the median of the
+                photographs.
 
         Raises:
-            OptionError: a number out of range, or anything but a capture.
+            OptionError: a number is out of range, or ``capture`` is not a ``Capture``.
         """
         if not isinstance(capture, Capture):
             raise OptionError(
@@ -117,12 +125,12 @@ class Candidates:
         """Read candidates from a file.
 
         Args:
-            path: ``transforms.json``, the ``capture.json`` of a capture folder (or the folder),
-                or a Mitsuba XML file whose sensors are meant.
+            path: Path of ``transforms.json``, of ``capture.json`` (or its folder), or of a
+                Mitsuba XML file with sensors.
 
         Raises:
-            CaptureError: the file is missing, or is none of these.
-            SceneError: Mitsuba refuses the file, or it has no sensor.
+            CaptureError: the file is missing, or has another format.
+            SceneError: Mitsuba cannot load the file, or it contains no sensor.
         """
         path = Path(path)
         if path.is_dir():
@@ -141,19 +149,19 @@ class Candidates:
         return Candidates.of([frame.sensor() for frame in frames])
 
     def restricted(self, reachable: Any) -> Candidates:
-        """Return the candidates with some out of reach.
+        """Return the candidates with some marked as unreachable.
 
         Args:
-            reachable: (C,) bool.
+            reachable: (C,) bool flags, combined with the existing ones by "and".
 
         Raises:
-            ShapeError: another number of flags.
-            OptionError: they are not flags, or none is left.
+            ShapeError: the number of flags differs from C.
+            OptionError: flags are not bool, or no candidate remains.
         """
         flags = np.asarray(reachable).ravel()
         if flags.dtype != bool:
             raise OptionError(
-                "Candidates.restricted() takes True or False for each candidate, not numbers."
+                "Candidates.restricted(): reachable must be bool flags, one per candidate."
             )
         if flags.shape != (self.count,):
             raise ShapeError(
@@ -166,7 +174,7 @@ class Candidates:
 def candidates_or_default(
     given: Candidates | Sequence[Any] | None, capture: Capture
 ) -> Candidates:  # fmt: skip
-    """Return candidates; by default sensors without a photograph (black counts as one)."""
+    """Return ``given`` as candidates; None selects sensors without an image file, or a sphere."""
     if isinstance(given, Candidates):
         return given
     if isinstance(given, Sequence) and not isinstance(given, str):

@@ -1,8 +1,8 @@
-"""Expected entropy of texels with additional photographs: the interface of both methods.
+"""Expected entropy of texels with additional photographs: interface of both methods.
 
-Eq. 13 averages over truths drawn from the posterior of each texel: bins of a grid, or rows with
-the colour that the photographs give (``objectives.py``). Small grids are enumerated. From large
-ones, K bins are drawn by systematic sampling; all candidates share the draws.
+Eq. 13 averages over truths drawn from the posterior of each texel. A truth is a grid cell, or a row
+with its best base colour (``objectives.py``). Small grids are enumerated. From large grids, K cells
+are drawn by systematic sampling; all candidates share the draws.
 """
 
 from __future__ import annotations
@@ -24,19 +24,25 @@ from svu_mi.posterior.grid import Grid
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Cells psi_0, number k T + t, and probabilities of T texels; ``counts`` (T,) of K are used."""
+    """Hypotheses psi_0 of T texels.
+
+    Attributes:
+        bins: (K T,) UInt32, cell or row of hypothesis k of texel t at k T + t.
+        weights: (K T,) Float, probabilities.
+        counts: (T,) UInt32, number of used hypotheses, at most K.
+    """
 
     bins: Any
     weights: Any
     counts: Any
 
     def at(self, number: Any, texel: Any) -> tuple[Any, Any]:
-        """Read cell and probability of a hypothesis of texels, by its number."""
+        """Return cell and probability of hypothesis ``number`` of texels."""
         place = number * self._stride + texel
         return dr.gather(mi.UInt32, self.bins, place), dr.gather(mi.Float, self.weights, place)
 
     def of_texels(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return which of L texels hypotheses are of, and their numbers: (N,) int64 each."""
+        """Return the position in ``texels`` and the number of all N hypotheses: (N,) int64 each."""
         counts = self.counts.numpy()[texels].astype(np.int64)
         place = np.repeat(np.arange(len(texels)), counts)
         return place, np.arange(len(place)) - (np.cumsum(counts) - counts)[place]
@@ -49,9 +55,10 @@ class Hypotheses:
     def draw(
         probabilities: np.ndarray, most: int, starts: np.ndarray, possible: int | None = None
     ) -> Hypotheses:
-        """Draw ``most`` bins of (T, N) probabilities, or enumerate them if there are no more.
+        """Draw ``most`` cells from (T, N) probabilities; enumerate if no more are possible.
 
-        ``starts`` is (T,) random in [0, 1); ``possible`` counts bins that the prior allows.
+        ``starts`` are (T,) random numbers in [0, 1). ``possible`` is the number of cells that the
+        prior allows, by default N.
         """
         total = probabilities.sum(axis=1, keepdims=True, dtype=np.float64)
         if most >= (probabilities.shape[1] if possible is None else possible):
@@ -62,7 +69,7 @@ class Hypotheses:
 
     @staticmethod
     def of(weights: np.ndarray) -> Hypotheses:
-        """Take the bins of positive weight (T, N), the heaviest first."""
+        """Return the cells of positive weight (T, N), in descending order."""
         counts = (weights > 0).sum(axis=1)
         most = max(int(counts.max(initial=0)), 1)
         bins = np.argpartition(-weights, min(most, weights.shape[1] - 1), axis=1)[:, :most]
@@ -77,20 +84,22 @@ class Hypotheses:
 
 
 def _systematic_sample(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
-    """Return (T, N) shares k / K of bins drawn at equal steps of probability."""
-    # How many of the points (i + start) / K lie below the end of every cell.
+    """Return shares k / K of cells drawn at equal steps of probability, (T, N)."""
+    # Number of points (i + start) / K below the upper end of each cell.
     below = np.clip(np.ceil(cumulative * most - starts[:, None]), 0, most)
-    below[cumulative >= cumulative[:, -1:]] = most  # the last cell that is possible, and others
+    below[cumulative >= cumulative[:, -1:]] = most  # rounding must not lose the last point
     return np.diff(below, axis=1, prepend=0) / most
 
 
 @dataclass(frozen=True)
 class Forecast(ABC):
-    """Expected entropies of T texels. Views are numbered: photographs first, then candidates.
+    """Expected entropies of T texels. View indices: photographs first, then candidates.
 
     Attributes:
-        hypotheses: psi of Eq. 13, and p(psi | B, L).
-        prior: Float, -log prior of every cell, or row; or None.
+        responses: Predicted reflectance columns of all views.
+        hypotheses: psi of Eq. 13 and p(psi | B, L).
+        prior: Float, -log prior of every cell or row; None if uniform.
+        measure: Uncertainty of a texel: entropy or variance.
     """
 
     responses: Responses
@@ -101,16 +110,16 @@ class Forecast(ABC):
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """(V, T) bool, which view sees which texel."""
+        """Visibility of texels in views, (V, T) bool."""
         return self.responses.seen
 
     @property
     def count(self) -> int:
-        """T."""
+        """Number of texels, T."""
         return int(self.responses.count[0])
 
     def current(self, views: np.ndarray) -> np.ndarray:
-        """Return E[H] (T,) of photographs from some views; of unseen texels, H of the prior."""
+        """Return E[H] with photographs from ``views``, (T,); the prior's H for unseen texels."""
         seen = self.seen[views].any(axis=0)
         result = np.full(self.count, self.measure.unseen, np.float32)
         if seen.any():
@@ -118,14 +127,14 @@ class Forecast(ABC):
         return result
 
     def expected(self, views: np.ndarray, candidates: np.ndarray, texels: np.ndarray) -> np.ndarray:
-        """Return E[H] with views and one candidate (Eq. 13): (A, L); NaN where it does not see."""
+        """Return E[H] with views and one candidate (Eq. 13), (A, L); NaN if it sees no texel."""
         if not len(candidates) or not len(texels):
             return np.empty((len(candidates), len(texels)), np.float32)
         values = self._evaluate(views, candidates, texels)
         return np.where(self.seen[np.ix_(candidates, texels)], values, np.nan)
 
     def cumulative(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-        """Return E[H] of some views, then with each of A candidates in addition: (A + 1, T)."""
+        """Return E[H] with ``views``, then with candidates added one by one: (A + 1, T)."""
         steps = [self.current(views)]
         for k, candidate in enumerate(candidates):
             texels = np.flatnonzero(self.seen[candidate])
@@ -137,16 +146,16 @@ class Forecast(ABC):
 
     @property
     def is_separable(self) -> bool:
-        """Whether E[H] of a texel stays when a view is added that does not see it."""
+        """True if views that do not see a texel leave its E[H] unchanged."""
         return True
 
     @abstractmethod
     def _evaluate(
         self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
     ) -> np.ndarray:
-        """As ``expected``; anything where not seen. Without candidates, (1, L) of the views."""
+        """Return E[H] like ``expected``, undefined if not seen; (1, L) without candidates."""
 
 
 def numbers(values: np.ndarray | list[int]) -> Any:
-    """Return indices as UInt32."""
+    """Return indices as a UInt32 array."""
     return to_drjit(mi.UInt32, np.asarray(values, np.uint32))

@@ -1,4 +1,4 @@
-"""Greedy choice of views, each as if those before it were photographed."""
+"""Greedy selection of views: every choice is treated as photographed by the next ones."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import numpy as np
 
 from svu_mi.guidance.forecast import Forecast
 
-# The part of itself that a gain may grow by when another view is added. It usually falls: the most
-# that was seen on our own objects is .043, for a candidate that was not chosen.
+# Largest relative growth of an information gain when another view is added. Gains usually fall; the
+# largest growth on our test objects was 0.043, for a candidate that was not chosen.
 GROWTH = 0.05
-BATCH = 8  # candidates of one launch, each of which may make others needless
+BATCH = 8  # candidates per launch; a small batch raises the bound that skips later ones
 
 
 class GreedyScorer:
-    """Lowest expected entropy (Eq. 13), summed over texels; unseen ones have that of the prior.
+    """Lowest expected entropy (Eq. 13), mean over texels; unseen texels have the prior's entropy.
 
-    E[H] of a texel is recomputed when a view that sees it is added; always, if the forecast is not
-    separable. With ``lazy``, only candidates whose last gain, times ``GROWTH`` per view, reaches
-    the best are updated [Minoux 1978].
+    A choice invalidates E[H] of the texels that the new view sees, or of all texels if the forecast
+    is not separable. With ``lazy``, a candidate is updated only if its last gain, increased by
+    ``GROWTH`` per added view, reaches the best gain [Minoux 1978].
 
     Attributes:
-        photographs: number of views with a photograph; candidates are numbered after them.
-        entropy: (T,) float64, E[H] of photographs from all chosen views.
-        evaluated: number of computed (candidate, texel) pairs.
+        photographs: Number of photographs; candidate indices follow them.
+        entropy: (T,) float64, E[H] with photographs from all chosen views.
+        evaluated: Number of evaluated (candidate, texel) pairs.
     """
 
     def __init__(
@@ -40,9 +40,9 @@ class GreedyScorer:
         self._free = np.ones(len(self._sees), bool) if reachable is None else reachable.copy()
 
     def scores(self) -> np.ndarray:
-        """Return the mean information gain of each candidate; -infinity for those taken or out of
-        reach. Candidates that are not up to date, because they are hardly the best, have
-        their last gain, or one just below the best."""
+        """Return the mean information gain of each candidate, (C,); -infinity if chosen or
+        unreachable. With ``lazy``, candidates that cannot be best keep their last gain, limited
+        to just below the best."""
         while len(candidates := self._next()):
             self._evaluate(candidates)
         below = np.nextafter(self._best(), -np.inf)
@@ -50,32 +50,32 @@ class GreedyScorer:
         return np.where(self._free, known, -np.inf)
 
     def _next(self) -> np.ndarray:
-        """Return candidates to evaluate before the best is certain."""
+        """Return the candidates to evaluate before the best one is certain."""
         pending = np.flatnonzero(self._free & ~self._fresh)
         if not self._lazy:
             return pending
         bounds = self._bounds[pending]
         likely = np.argsort(-bounds, kind="stable")
         likely = likely[bounds[likely] >= self._best()]
-        return pending[likely[: max(BATCH, np.isinf(bounds).sum())]]  # at first all of them
+        return pending[likely[: max(BATCH, np.isinf(bounds).sum())]]  # all in the first pass
 
     def _best(self) -> float:
-        """Return the largest gain that is up to date."""
+        """Return the largest up-to-date gain."""
         return float(self._scores[self._free & self._fresh].max(initial=-np.inf))
 
     @property
     def _fresh(self) -> np.ndarray:
-        """(C,) bool, which candidates are up to date."""
+        """Flags of candidates with an up-to-date gain, (C,) bool."""
         return np.asarray(~self._stale.any(axis=1))
 
     def information_gain(self, candidate: int) -> np.ndarray:
-        """Return the expected fall of the entropy of every texel, (T,) float64."""
+        """Return the expected entropy decrease of every texel, (T,) float64."""
         if self._stale[candidate].any():
             self._evaluate(np.array([candidate]))
         return np.where(self._sees[candidate], self.entropy - self._expected[candidate], 0.0)
 
     def choose(self, candidate: int) -> None:
-        """Treat a candidate as photographed; recompute all if the forecast is not separable."""
+        """Treat a candidate as photographed; invalidate the gains that depend on it."""
         self.entropy = self.entropy - self.information_gain(candidate)
         touched = (self._sees & self._sees[candidate]).any(axis=1) & np.isfinite(self._bounds)
         self._bounds[touched] += GROWTH * np.abs(self._bounds[touched])
@@ -88,7 +88,7 @@ class GreedyScorer:
             self.entropy = self.forecast.current(self._views).astype(np.float64)
 
     def _evaluate(self, candidates: np.ndarray) -> None:
-        """Evaluate E[H] of candidates."""
+        """Compute E[H] of candidates for the texels that are out of date."""
         if not len(candidates):
             return
         texels = np.flatnonzero(self._stale[candidates].any(axis=0))

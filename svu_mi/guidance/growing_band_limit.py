@@ -1,14 +1,14 @@
-"""Expected entropy (Eq. 13) as printed: in the light of one more view.
+"""Expected entropy (Eq. 13) as printed: the light sharpens with every view.
 
     E[H] = sum_psi p(psi | B, L') H(B'_psi, L')
 
 L' is the light mirrored into v' views and the candidate, with alpha' = (v' + 1)^(-1/2). The
-truth's probability depends on it, too: with the spectrum S_B of the existing photographs,
+probability of a hypothesis depends on L', too. With the spectrum S_B of the photographs,
 
     p(psi | B, L') ~ exp(-sum_l (S_B(l) - Ks^2 e_l S_L'(l))^2 / (2 sigma^2)) p(psi).
 
-So E[H] changes in every step, and every candidate has its own truths. S_B is fitted to fewer
-samples than S_L', and more strongly regularised, which favours weaker reflections.
+E[H] therefore changes in every step, and every candidate has its own weights. S_B is fitted to
+fewer samples than S_L' and regularised more strongly, which favours weaker reflections.
 """
 
 from __future__ import annotations
@@ -30,18 +30,19 @@ from svu_mi.guidance.spectral_forecast import (
 from svu_mi.posterior.spectrum_kernel import SpectrumProducts, row_distances
 
 Relight = Callable[[int], tuple[Responses, float]]
-"""Number of views -> responses of all views in light band-limited for so many, and its alpha'."""
+"""Number of views -> responses of all views in light with that band limit, and its alpha'."""
 
 
 @dataclass(frozen=True)
 class GrowingForecast(SpectrumForecast):
-    """``SpectrumForecast`` in light that is sharper with every view.
+    """``SpectrumForecast`` with light that sharpens with every view.
 
-    Responses, ``prefilter`` and the weights of ``hypotheses`` are those of the start.
+    ``responses``, ``prefilter`` and the weights of ``hypotheses`` are the initial ones.
 
     Attributes:
-        photographs: (T (l* + 1) C,) Float, power spectra S_B, by texel, degree and channel.
-        observed: (T,) Bool; of others there is only the prior.
+        photographs: (T (l* + 1) C,) Float, power spectra S_B by texel, degree and channel.
+        observed: (T,) Bool; hypotheses of other texels are weighted by the prior alone.
+        relight: Function that recomputes the responses for a number of views.
     """
 
     photographs: Any
@@ -53,7 +54,7 @@ class GrowingForecast(SpectrumForecast):
 
     @property
     def is_separable(self) -> bool:
-        """Every view changes the light."""
+        """False: every view changes the light."""
         return False
 
     def _evaluate(
@@ -63,7 +64,7 @@ class GrowingForecast(SpectrumForecast):
         return evaluate(views, candidates, texels)
 
     def _lit_for(self, views: int) -> GrowingForecast:
-        """Return the forecast in the light for so many views; the last one is kept."""
+        """Return the forecast with the light for ``views`` views; caches the last one."""
         if views not in self._lights:
             self._lights.clear()  # responses are large
             responses, prefilter = self.relight(views)
@@ -71,7 +72,7 @@ class GrowingForecast(SpectrumForecast):
         return self._lights[views]
 
     def _kept(self, lane: Any) -> tuple[int, SpectrumReduction]:
-        """Keep S_L'^2 by degree, S_L' S_B by degree, and the sum of S_B^2; all over 2 sigma^2."""
+        """Keep S_L'^2 and S_L' S_B by degree, and the sum of S_B^2; all over 2 sigma^2."""
         count, of_light = super()._kept(lane)
         scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
         channels = self.switches.colors
@@ -99,7 +100,7 @@ class GrowingForecast(SpectrumForecast):
 
 
 class _WeightedHypotheses(SpectrumHypotheses):
-    """``SpectrumHypotheses`` weighted by the photographs' likelihood in the light of each lane."""
+    """``SpectrumHypotheses`` weighted by their likelihood in the light of each lane."""
 
     def __init__(self, forecast: GrowingForecast, texel: Any, kept: list[Any]) -> None:
         degree = forecast.switches.degree
@@ -114,19 +115,19 @@ class _WeightedHypotheses(SpectrumHypotheses):
         self._least, self._total = self._sums()
 
     def truth(self, number: Any) -> tuple[Any, list[Any], Any]:
-        """As ``SpectrumHypotheses`` has it, but for the probability."""
+        """Return probability (normalised likelihood), Ks_0^2 e_l and -log prior."""
         _, fall, prior = super().truth(number)
         away = mi.Float(dr.minimum(self._energy(number) - self._least, 1e3))
         return dr.exp(-away) / self._total, fall, prior
 
     def _energy(self, number: Any) -> Any:
-        """-log p(psi | B, L') of a hypothesis, up to a constant: Float64."""
+        """Return -log p(psi | B, L') of a hypothesis up to a constant: Float64."""
         cell, _ = self._truths.at(number, self._texel)
         square, fall = self._cell(cell)
         return row_distances([square], self._known, fall)[0] + self._prior_of(cell)
 
     def _sums(self) -> tuple[Any, Any]:
-        """The smallest energy of all hypotheses, and the sum of exp(smallest - energy)."""
+        """Return the smallest energy of all hypotheses, and sum exp(smallest - energy)."""
 
         def add(number: Any, least: Any, total: Any) -> tuple[Any, Any, Any]:
             x = self._energy(number)

@@ -1,4 +1,4 @@
-"""Settings of capture guidance."""
+"""Options of ``next_best_view``."""
 
 from __future__ import annotations
 
@@ -15,39 +15,45 @@ BandLimit = Literal["preset", "photographs", "growing"]
 
 @dataclass(frozen=True, kw_only=True)
 class GuidanceOptions:
-    """How candidates are judged."""
+    """Options of ``next_best_view``: criterion, sample sizes, seed.
+
+    Example:
+        >>> options = svu.GuidanceOptions(strategy="coverage", texels=1024)
+        >>> options.strategy, options.hypotheses
+        ('coverage', 8)
+    """
 
     strategy: StrategyName = "entropy"
-    """entropy: lowest expected entropy (Eq. 13); error: lowest expected squared error of
-    the parameters, relative to the present one, which determines the PSNR of textures. Baselines:
-    coverage: most texels that few views see; farthest: the direction farthest from all so far;
-    random."""
+    """Criterion of the ranking. entropy: lowest expected entropy (Eq. 13). error: lowest expected
+    squared error of the parameters, relative to the present one; choose it to raise the PSNR of
+    textures. Baselines: coverage (most texels that few views see), farthest (largest angle to the
+    views so far) and random."""
 
     texels: int = 4096
-    """Most texels to judge candidates by, evenly spread over the surface; gains then have a
-    standard error, which is stated. More texels cost more time, in proportion."""
+    """Maximal number of texels to evaluate, at least 1, evenly spread over the surface. Gains are
+    means over these, with a standard error. Time is proportional; lower it for large captures."""
 
     hypotheses: int = 8
-    """Most psi of Eq. 13 per texel, drawn from its posterior: cells of roughness and metallic, of
-    the colour that the photographs then give; if there are no more cells, the sum is over all."""
+    """Maximal number of hypotheses psi of Eq. 13 per texel, 1 to 4096, drawn from its posterior
+    over roughness and metallic (base colour: the best fit). If the grid has no more cells, all
+    are used. Raise it if proposals change with the seed."""
 
     band_limit: BandLimit = "preset"
-    """Band limit of the light in which candidates of a method="spectrum" estimate are judged; by
-    default that of its preset, growing for paper. photographs: that of the estimate,
-    alpha' = v^(-1/2) for v photographs, whatever is added, and truths as likely as the estimate
-    has them. growing: Eq. 13 as printed; the light of v' views and a candidate has
-    alpha' = (v' + 1)^(-1/2), sharper with every view chosen, and truths are as likely as
-    the photographs make them in that light: a sum over all cells, whatever hypotheses is. A
-    gain then compares both numbers of views in the same light. All candidates are evaluated
-    again at every step, which takes about four times as long."""
+    """Band limit of the light for estimates with method="spectrum". preset: as in the
+    estimate's preset (growing for paper). photographs: alpha' = v^(-1/2) for v photographs,
+    constant, with the probabilities of the estimate. growing: Eq. 13 as printed,
+    alpha' = (v' + 1)^(-1/2) for v' views and a candidate, sharper with every chosen view; sums
+    over all cells with their likelihood in that light and ignores hypotheses. It evaluates all
+    candidates at every step and takes about four times as long."""
 
     lazy: bool = True
-    """By entropy, evaluate again only candidates that may be best: those whose last gain reaches
-    the best, if it grows by a twentieth with every view. Right if no gain grows by more, which is
-    usual but not guaranteed. Where the light changes at every step (growing), all are evaluated."""
+    """With strategy="entropy", skip candidates that are unlikely to be best: the last gain,
+    increased by 5 % per chosen view, is below the best. The result is exact if no gain grows
+    faster, which is usual but not guaranteed; disable it to be certain. Ignored for growing."""
 
     seed: int = 0
-    """Seed of texels, hypotheses and random views."""
+    """Seed of the drawn texels, hypotheses and random views, 0 to 2^32 - 1. Change it to measure
+    how much the proposals depend on the draws."""
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -56,7 +62,7 @@ class GuidanceOptions:
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
 
     def resolved(self, preset: AnyPreset) -> GuidanceOptions:
-        """Return the options with the band limit of an estimate's preset, if they have none."""
+        """Return the options with the band limit "preset" replaced by the preset's value."""
         if self.band_limit != "preset":
             return self
         own = preset.band_limit if isinstance(preset, Preset) else "photographs"
@@ -64,7 +70,7 @@ class GuidanceOptions:
 
 
 def with_switches(options: GuidanceOptions | None, switches: dict[str, Any]) -> GuidanceOptions:
-    """Return options, the defaults if there are none, with some of them replaced by name."""
+    """Return ``options`` (None: the defaults) with fields replaced by ``switches``."""
     options = GuidanceOptions() if options is None else options
     if not isinstance(options, GuidanceOptions):
         raise OptionError(f"next_best_view(): options must be GuidanceOptions, got {options!r}.")

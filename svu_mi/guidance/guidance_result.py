@@ -1,4 +1,4 @@
-"""Result of capture guidance: proposals, scores of all candidates, maps of information gain."""
+"""Result of ``next_best_view``: proposals, scores of all candidates, maps of gain."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.guidance_options import GuidanceOptions
 from svu_mi.guidance.strategy_inputs import StrategyInputs
 
-CHUNK = 8192  # texels whose maps are computed at a time
-MAP_SIZE = 128  # values of a map along its longer side; finer ones would show their noise
-SHOWN_NAMES = 3  # proposals that a line names
+CHUNK = 8192  # texels per launch of a gain map
+MAP_SIZE = 128  # values along the longer side of a gain map; finer maps show sampling noise
+SHOWN_NAMES = 3  # proposals named by __repr__
 
 
 @dataclass(frozen=True)
@@ -25,18 +25,18 @@ class Proposal:
     """A view to photograph.
 
     Attributes:
-        candidate: its number among the candidates.
-        name: its label.
-        sensor: where to take it from.
-        gain: expected information gain: mean fall of E[H] over texels, with the proposals before
-            it taken as photographed. NaN by a strategy without a forecast.
-        error: standard error of that mean, as not all texels were looked at; 0 if they were, NaN
-            if it was a single one, or without a forecast. That of the hypotheses, which all
-            candidates share, is not part of it.
-        entropy: mean over texels to be expected with this view: that of the photographs so far,
-            less all gains up to here. NaN without a forecast.
-        sees: part of the texels that it sees.
-        new: part of the texels that it would be the first to see.
+        candidate: Index among the candidates.
+        name: Label.
+        sensor: Mitsuba sensor with the pose.
+        gain: Expected information gain: mean decrease of E[H] over texels, with the earlier
+            proposals treated as photographed. NaN for strategies without a forecast.
+        error: Standard error of ``gain`` from evaluating only some texels: 0 if all were
+            evaluated; NaN for a single texel or without a forecast. The error of drawing
+            hypotheses, which all candidates share, is not included.
+        entropy: Expected mean entropy with this view: present entropy minus all gains up to
+            here. NaN without a forecast.
+        sees: Fraction of the texels that the view sees, in [0, 1].
+        new: Fraction of the texels that only this view sees, in [0, 1].
     """
 
     candidate: int
@@ -51,20 +51,27 @@ class Proposal:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Guidance:
-    """Which photographs to take next.
+    """Proposals for the next photographs, and the scores of all candidates.
 
     Attributes:
-        candidates: all candidates.
-        proposals: the best view, then the best one once that is taken, ...
+        candidates: All candidates.
+        proposals: Proposed views in order; each treats the earlier ones as photographed.
         scores: (C,) float64, score of every candidate as the next photograph, in the unit of the
-            strategy (mean change of E[H], if by entropy); NaN where not reachable.
-        entropy: of the photographs so far, as ``estimate`` has it: mean over all texels, of which
-            unseen ones count as H of the prior (``Posterior.prior_entropy``).
-        texels: the T texels.
-        options: how candidates were compared.
-        method: of the estimate.
-        skipped: what was not computed, by reason, as counts.
-        timings: seconds per stage, synchronised.
+            strategy (entropy: mean decrease of E[H]); NaN if unreachable.
+        entropy: Mean entropy of the photographs so far over all texels; unseen texels have the
+            entropy of the prior (``Posterior.prior_entropy``).
+        texels: The T texels.
+        options: Options of the comparison.
+        method: Method of the estimate.
+        skipped: Counts of skipped and evaluated work, by name.
+        timings: Seconds per stage, synchronised.
+
+    Example:
+        >>> guidance = svu.next_best_view(estimate, strategy="coverage")
+        >>> guidance.scores.shape, guidance.image(0).shape
+        ((100,), (64, 64))
+        >>> bool(guidance.ranking[0] == guidance.proposals[0].candidate)
+        True
     """
 
     candidates: Candidates
@@ -88,20 +95,19 @@ class Guidance:
 
     @property
     def ranking(self) -> np.ndarray:
-        """Numbers of the reachable candidates as the next photograph, the best first."""
+        """Indices of the reachable candidates by score, best first."""
         order = np.argsort(-self.scores, kind="stable")
         return order[np.isfinite(self.scores[order])]
 
     def gain_maps(self) -> np.ndarray:
-        """Return the gain of every texel by each proposal: (proposals, T) float32.
+        """Return the gain of every texel by each proposal, (proposals, T) float32.
 
-        That of all texels, not only of those that the candidates were judged by; 0 where the
-        proposal does not see the texel. In textures of more than 128 texels, a block of
-        neighbours (2 x 2 of 256) has the gain of one of them. Computed once, when first asked for,
-        by a forecast, also if the strategy did without.
+        Includes texels that were not evaluated for the ranking; 0 if the proposal does not see
+        the texel. In textures of more than 128 texels, a block of neighbours (2 x 2 for 256)
+        shares one value. Computed by a forecast on first use, whatever the strategy.
 
         Raises:
-            OptionError: an estimate that does not say what photographs would show.
+            OptionError: the estimate cannot predict photographs.
         """
         return self._maps.copy()
 
@@ -111,7 +117,7 @@ class Guidance:
         maps = np.zeros((len(self.proposals), self.texels.count), np.float32)
         proposed = Candidates.of([proposal.sensor for proposal in self.proposals])
         everywhere = replace(self._inputs, candidates=proposed, texels=np.arange(self.texels.count))
-        # Where none of them sees anything, there is nothing to gain.
+        # Texels that no proposal sees gain nothing.
         seen = everywhere.seen_by_candidates()
         shown = np.flatnonzero(seen.any(axis=0))
         first, block = self._blocks(shown)
@@ -124,13 +130,13 @@ class Guidance:
         return maps
 
     def _blocks(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return one texel of each block of (t,) texels, and the block number of each, (t,)."""
+        """Return one texel of each block of (t,) texels, and the block index of each, (t,)."""
         width, height = self.texels.resolution
         side = -(-max(width, height) // MAP_SIZE)
         row, column = texel_squares(self.texels)[chosen].T
         of_block = row // side * width + column // side
         _, first, block = np.unique(of_block, return_index=True, return_inverse=True)
-        order = np.argsort(first)  # neighbours in order are near each other
+        order = np.argsort(first)  # texel order: neighbours are close
         place = np.empty(len(order), np.int64)
         place[order] = np.arange(len(order))
         return chosen[first[order]], place[block]
@@ -139,7 +145,7 @@ class Guidance:
         """Return the gain of a proposal as an (H, W) float32 texture, 0 outside the charts.
 
         Raises:
-            OptionError: there is no such proposal.
+            OptionError: ``proposal`` is out of range.
         """
         if not 0 <= proposal < len(self.proposals):
             raise OptionError(
@@ -150,7 +156,7 @@ class Guidance:
 
 
 def _texel_information_gain(inputs: StrategyInputs) -> np.ndarray:
-    """Return the information gain of every texel by each candidate in turn, (C, t)."""
+    """Return the information gain of every texel by each candidate in order, (C, t)."""
     known, count = inputs.photographs, inputs.candidates.count
     forecast = inputs.forecast
     if forecast.is_separable:

@@ -1,4 +1,4 @@
-"""Forecasts of an estimate's entropy, with hypotheses drawn from its posterior."""
+"""Construction of forecasts from an estimate, with hypotheses drawn from its posterior."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ from svu_mi.presets import AngularPreset, AnyPreset, Preset
 
 CollectFunction = Callable[[TexelLanes, ResponseFunction, int], Responses]
 DrawFunction = Callable[[np.ndarray, np.ndarray], Hypotheses]
-"""Probabilities (t, N) of texels and prior (N,) -> truths."""
+"""Probabilities (t, N) of texels and prior (N,) -> drawn hypotheses."""
 
 
 def forecast_of(
     estimate: Estimate, texels: np.ndarray, candidates: Views, options: GuidanceOptions
 ) -> Forecast:
-    """Make the forecast of texels for candidate views."""
+    """Return the forecast of ``texels`` for candidate views."""
     options = options.resolved(estimate.preset)
     require_band_limit(estimate.method, options)
     observed = observations_of(estimate, None)
-    # A texel draws the same, whichever others are looked at.
+    # One random number per texel of the capture: draws do not depend on the chosen texels.
     starts = np.random.default_rng(options.seed).random(observed.texels.count)[texels]
 
     def collect(surface: TexelLanes, respond: ResponseFunction, columns: int) -> Responses:
@@ -69,33 +69,32 @@ def _angular_forecast(
     posterior: Posterior[CalibratedKernel | AngularKernel], switches: AnyPreset, observed: Observed,
     texels: np.ndarray, collect: CollectFunction, draw: DrawFunction,
 ) -> AngularForecast:  # fmt: skip
-    """Make a forecast with the energies of the estimate."""
+    """Return a forecast with the energies of the angular estimate."""
     grid, by_nodes = posterior.grid, isinstance(posterior.kernel, AngularKernel)
     if not isinstance(grid, PrincipledGrid):
         raise OptionError(
-            "next_best_view(): an angular estimate of (roughness, Ks) does not predict "
-            "photographs; use parameters='principled', as the default preset does.",
-            shell="An estimate of roughness and Ks does not predict photographs; leave --preset "
-            "out.",
+            "next_best_view(): an angular estimate of (roughness, Ks) cannot predict "
+            "photographs; use parameters='principled', as in the default preset.",
+            shell="An estimate of roughness and Ks cannot predict photographs; omit --preset.",
         )
     assert isinstance(switches, AngularPreset)
     if switches.fit is not None:
         raise OptionError(
-            f"next_best_view(): the SH model (preset {switches.name!r}) knows light only where "
-            "photographs were taken; use method='spectrum', preset='paper' for Eq. 13, or another "
+            f"next_best_view(): the SH model (preset {switches.name!r}) contains the light only at "
+            "photographed directions; use method='spectrum', preset='paper' for Eq. 13, or another "
             "preset.",
-            shell=f"The SH model (preset {switches.name}) knows light only where photographs were "
-            "taken; give --method spectrum with --preset paper for Eq. 13, or another preset.",
+            shell=f"The SH model (preset {switches.name}) contains the light only at photographed "
+            "directions; give --method spectrum with --preset paper for Eq. 13, or another preset.",
         )
     if by_nodes and switches.channels == "joint":
         raise OptionError(
-            "next_best_view(): an estimate with channels='joint' does not predict what photographs "
-            "would add; use channels='grey'.",
-            shell=f"An estimate with the preset {switches.name} does not predict what "
-            "photographs would add; use another.",
+            "next_best_view(): an estimate with channels='joint' cannot predict photographs; use "
+            "channels='grey'.",
+            shell=f"An estimate with the preset {switches.name} cannot predict photographs; use "
+            "another preset.",
         )
     channels = posterior.kernel.problem.factors.channels
-    # Grey light has one lobe for all channels.
+    # Grey light: one lobe serves all channels.
     lobes = 1 if observed.lighting.environment.grey else channels
     model = observed.model(grid.roughness_nodes, switches, lobes, texels)
     responses = collect(
@@ -104,7 +103,7 @@ def _angular_forecast(
     )  # fmt: skip
     edges = bin_edges(grid.base_color_nodes)
     usual = bin_widths(edges)
-    if by_nodes:  # a prior of nodes, of which none is more likely
+    if by_nodes:  # discrete colours: uniform over nodes
         usual = np.full(len(usual), 1 / len(usual))
     prior, given = prior_tables(posterior.prior, usual)
     nodes = grid.base_color_nodes if by_nodes else None
@@ -121,12 +120,12 @@ def _angular_forecast(
 
 
 def _row_truths(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return row masses (t, rows), and each row's base colour if true, (t, rows, C)."""
+    """Return row masses (t, rows), and the base colour of each row if it is true, (t, rows, C)."""
     kernel, nodes = posterior.kernel, posterior.grid.axes["base_color"]
     if not isinstance(kernel, CalibratedKernel):
         p = np.array(posterior.probabilities_of(texels))
         p = p.reshape(len(p), -1, len(nodes), posterior.channels)[..., :: kernel.problem.copies]
-        # Between nodes, no colour might explain what a row shows.
+        # Use a node: a colour between nodes may fit no cell of the grid.
         return p[..., 0].sum(axis=2, dtype=np.float64), nodes[p.argmax(axis=2)]
     prior = posterior.prior.astype(np.float32).reshape(1, -1, len(nodes), 1)
     masses = np.repeat(prior[..., 0].sum(axis=2, dtype=np.float64), len(texels), axis=0)
@@ -141,7 +140,7 @@ def _row_truths(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarr
 def _noise_variance(
     posterior: Posterior[CalibratedKernel | AngularKernel], switches: AngularPreset, unit: float
 ) -> np.ndarray:
-    """s^2 tau of all texels, (T,); of those nobody saw, the median of the others."""
+    """Return s^2 tau of all texels, (T,); unseen texels have the median of the seen ones."""
     if isinstance(posterior.kernel, AngularKernel):
         sigma = switches.sigma * (1.0 if switches.noise == "fixed" else unit)
         return np.full(posterior.count, sigma**2)
@@ -155,13 +154,14 @@ def _spectrum_forecast(
     posterior: Posterior[SpectrumKernel], switches: AnyPreset, observed: Observed,
     texels: np.ndarray, collect: CollectFunction, draw: DrawFunction,
 ) -> SpectrumForecast:  # fmt: skip
+    """Return a forecast with the light's power spectra of the estimate."""
     grid = posterior.grid
     if not isinstance(grid, ParameterGrid):
         raise OptionError(
-            "next_best_view(): spectra of new photographs can be predicted over (roughness, Ks) "
-            "only; use preset='paper' or parameters='specular', or method='angular'.",
-            shell="Spectra of new photographs can be predicted over roughness and Ks only; give "
-            "--preset paper with --method spectrum, or leave both out.",
+            "next_best_view(): power spectra of new photographs need parameters (roughness, Ks); "
+            "use preset='paper', parameters='specular' or method='angular'.",
+            shell="Power spectra of new photographs need an estimate of roughness and Ks; give "
+            "--preset paper with --method spectrum, or omit both.",
         )
     assert isinstance(switches, Preset)
     surface = TexelLanes.of(observed.texels, numbers(texels))
@@ -180,7 +180,7 @@ def _growing_forecast(
     known: SpectrumForecast, posterior: Posterior[SpectrumKernel], observed: Observed,
     texels: np.ndarray, collect: CollectFunction,
 ) -> GrowingForecast:  # fmt: skip
-    """Make a forecast in the light of one more view, with truths weighted by the photographs."""
+    """Return a forecast whose light sharpens with every view, weighted by the likelihood."""
     switches, environment = known.switches, observed.lighting.environment
     surface = TexelLanes.of(observed.texels, numbers(texels))
 
@@ -202,23 +202,23 @@ def _growing_forecast(
 
 
 def require_band_limit(method: str, options: GuidanceOptions) -> None:
-    """Refuse a growing band limit for estimates other than by power spectra."""
+    """Raise an error if the band limit is growing and the method is not "spectrum"."""
     if options.band_limit == "growing" and method != "spectrum":
         raise OptionError(
-            "next_best_view(): band_limit='growing' is about power spectra (Eq. 13); use "
+            "next_best_view(): band_limit='growing' needs power spectra (Eq. 13); use "
             "method='spectrum' over (roughness, Ks), such as preset='paper', or omit it.",
-            shell="--band-limit growing is about power spectra (Eq. 13); give --method spectrum "
+            shell="--band-limit growing needs power spectra (Eq. 13); give --method spectrum "
             "with --preset paper, or omit it.",
         )
 
 
 def _entropy_measure(posterior: Posterior) -> EntropyMeasure:
-    """Return the measure in units of the posterior's entropy; known parameters have one node."""
+    """Return the entropy measure in the posterior's unit."""
     return EntropyMeasure(max(posterior.max_entropy, 1e-6), posterior.prior_entropy)
 
 
 def _prior_energies(prior: tuple[Any, Any] | None) -> Any | None:
-    """-log prior of every cell, (N,) Float, from those of rows, and of cells given their row."""
+    """Return -log prior of cells, (N,) Float: sum of row and cell-given-row energies."""
     if prior is None:
         return None
     row, cell = (np.array(part, np.float64) for part in prior)

@@ -1,13 +1,13 @@
-"""Capture guidance (Sec. 5.1): which photograph to take next. The file to read first.
+"""Capture guidance (Sec. 5.1): proposals for the next photograph. The file to read first.
 
     E[H] = sum_psi p(psi | B, L') H(B'_psi, L')                                  (Eq. 13)
 
 1. Draw hypotheses psi of every texel from its posterior given the photographs B.
-2. Predict what each candidate view would show of psi, from geometry and the known light alone.
-   The posterior of existing and predicted pixels B'_psi has the entropy H; average it over psi.
+2. Predict the pixels of each candidate view for psi from geometry and light. Compute the entropy H
+   of the posterior given existing and predicted pixels B'_psi, and average it over psi.
 3. Propose the candidate with the lowest E[H], treat it as photographed, and repeat.
 
-``make_forecast`` has the first two steps, ``greedy`` the order of evaluation in the third.
+``make_forecast`` implements steps 1 and 2; ``greedy`` evaluates the candidates of step 3.
 """
 
 from __future__ import annotations
@@ -41,25 +41,30 @@ def next_best_view(
     progress: Progress | None = None,
     **switches: Any,
 ) -> Guidance:
-    """Propose photographs to take next: those with the lowest expected entropy (Eq. 13).
+    """Propose the next photographs by lowest expected entropy (Eq. 13).
 
-    Every psi may be the truth, with the probability that the photographs B give it. Nothing of a
-    candidate is used but its geometry and the known light.
+    Only the geometry of a candidate and the known light are used, no pixels.
 
     Args:
-        estimate: posterior of the photographs so far (``svu.estimate``).
-        candidates: where photographs can be taken from, or live Mitsuba sensors; by default the
-            sensors of the capture whose photograph is missing, or 100 views on a sphere around
-            the object.
-        count: number of proposals; each treats those before it as photographed.
-        options: how candidates are compared.
-        progress: shows the stages and collects timings.
-        **switches: single options instead, such as ``strategy="coverage"`` or ``texels=10_000``.
+        estimate: Posterior of the photographs so far (``svu.estimate``).
+        candidates: Views to choose from, or Mitsuba sensors. Default: the capture's sensors
+            without a photograph; if every sensor has one, 100 views on a sphere around the object.
+        count: Number of proposals; each treats the earlier ones as photographed.
+        options: Criterion and sample sizes (default: ``GuidanceOptions()``).
+        progress: Receiver of stages and timings.
+        **switches: Fields of ``options`` to replace: ``strategy="coverage"``, ``texels=10_000``.
 
     Raises:
         OptionError: a count below 1, an unknown strategy, an option out of range, or an estimate
-            that cannot predict photographs, with a strategy that needs a forecast.
+            that cannot predict photographs although the strategy needs a forecast.
         SceneError: a candidate is not a pinhole camera.
+
+    Example:
+        >>> guidance = svu.next_best_view(estimate, count=2, texels=256)
+        >>> guidance.candidates.count, len(guidance.proposals)
+        (100, 2)
+        >>> bool(guidance.proposals[1].entropy < guidance.entropy)
+        True
     """
     _require(estimate, count)
     options = with_switches(options, switches).resolved(estimate.preset)
@@ -90,7 +95,7 @@ def next_best_view(
         method=estimate.method,
         skipped=_skipped(greedy, inputs),
         timings=progress.timings,
-        _inputs=replace(inputs),  # without its forecast, which takes most of the memory
+        _inputs=replace(inputs),  # drops the cached forecast, which takes most of the memory
     )
 
 
@@ -98,14 +103,14 @@ def _choose_views(
     scorer: ViewScorer, greedy: GreedyScorer | None, inputs: StrategyInputs, count: int,
     entropy: float,
 ) -> Iterator[tuple[Proposal, np.ndarray]]:  # fmt: skip
-    """Yield the best candidate and the scores (C,) of all; treat it as photographed; repeat."""
+    """Yield the best candidate and all scores (C,), treating each choice as photographed."""
     free = inputs.candidates.reachable.copy()
     covered = np.asarray(inputs.seen[: inputs.photographs].any(axis=0))
     for _ in range(min(count, int(free.sum()))):
         scores = np.where(free, scorer.scores(), np.nan)
         best = int(np.nanargmax(scores))
         if greedy is not None and not greedy.forecast.is_separable:
-            entropy = float(greedy.entropy.mean())  # in the light of this step
+            entropy = float(greedy.entropy.mean())  # with the light of this step
         proposal = _proposal(best, greedy, inputs, covered, entropy)
         yield proposal, scores
         entropy = proposal.entropy
@@ -120,7 +125,7 @@ def _proposal(
     best: int, greedy: GreedyScorer | None, inputs: StrategyInputs, covered: np.ndarray,
     entropy: float,
 ) -> Proposal:  # fmt: skip
-    """Return a candidate as a proposal: E[H] falls from ``entropy`` by its information gain."""
+    """Return the proposal of candidate ``best``; its gain is subtracted from ``entropy``."""
     gain = np.full(1, np.nan) if greedy is None else greedy.information_gain(best)
     sees = inputs.seen[inputs.photographs + best]
     return Proposal(
@@ -136,7 +141,7 @@ def _proposal(
 
 
 def _standard_error(gain: np.ndarray, left_out: float) -> float:
-    """Return the standard error of the mean over all texels, of a part of them; NaN of one."""
+    """Return the standard error of the mean gain; 0 if no texels were omitted, NaN for one."""
     if np.isnan(gain).all():
         return float("nan")
     if left_out == 0:
@@ -147,7 +152,7 @@ def _standard_error(gain: np.ndarray, left_out: float) -> float:
 
 
 def _evenly_spaced(count: int, options: GuidanceOptions) -> np.ndarray:
-    """Return texels at equal steps of their order, in which neighbours are near each other."""
+    """Return texels at equal steps of the texel order, in which neighbours are close."""
     if count <= options.texels:
         return np.arange(count)
     start = np.random.default_rng(options.seed).random()
@@ -155,7 +160,7 @@ def _evenly_spaced(count: int, options: GuidanceOptions) -> np.ndarray:
 
 
 def _skipped(greedy: GreedyScorer | None, inputs: StrategyInputs) -> dict[str, int]:
-    """Return counts of what was not computed, by reason."""
+    """Return counts of skipped and evaluated work, by name."""
     reachable = inputs.candidates.reachable
     sees = inputs.seen[inputs.photographs :][reachable]
     return {

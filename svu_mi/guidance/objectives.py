@@ -1,12 +1,13 @@
 """Objectives of a forecast: entropy of a texel, or variance of its parameters.
 
-Both are means over truths psi_0 of a sum over rows (roughness and metallic), relative to the row of
-psi_0. Base colours are integrated in closed form by channel: given a row and a truth of colour c_0,
+Each is a mean over truths psi_0 of a sum over rows (roughness and metallic). Energies are relative
+to the row of psi_0. Base colours are integrated in closed form per channel. Given a row and a truth
+of colour c_0,
 
     E(c) = A x^2 - 2 B x + C,    x = c - c_0,
 
-with sums A of w slope^2, B of w slope rest, C of w rest^2 over the views, in units of 2 s^2 tau;
-``rest`` is the difference of radiance at c_0. Entropies are those of a grid's cell masses.
+where A, B, C sum w slope^2, w slope rest, w rest^2 over the views, in units of 2 s^2 tau, and
+``rest`` is the difference of radiance at c_0. Entropies are computed from the grid's cell masses.
 """
 
 from __future__ import annotations
@@ -22,16 +23,18 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior.row_entropy import nats
 from svu_mi.posterior.truncated_normal import ChannelLikelihood, ColorIntegrals
 
-UNLIKELY = 1e4  # -log of what a prior excludes: a number that float32 still adds to
-FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is about exp(0)
+UNLIKELY = 1e4  # -log prior of excluded cells; finite, so that float32 sums stay finite
+FAR = 60.0  # exp(-FAR) is negligible in a sum over cells whose largest term is about 1
 
 
 class ColorMarginal(NamedTuple):
-    """Sums over the base colours of a row, for C channels.
+    """Integrals over the base colours of a row, for C channels.
 
     Attributes:
         weight: Float, sum of exp(-energy).
-        entropy: Float, nats, of a channel's cells given the row; mean over channels.
+        entropy: Float, entropy of the colour cells given the row in nats, mean over channels.
+        mean: C Floats, mean colour.
+        variance: C Floats, variance of the colour.
     """
 
     weight: Any
@@ -41,7 +44,7 @@ class ColorMarginal(NamedTuple):
 
 
 def color_marginal(energies: list[Any]) -> ColorMarginal:
-    """Sum over cells of a row, which have energies above 0, the smallest near it."""
+    """Sum over the cells of a row; energies are positive, the smallest close to 0."""
     p = [dr.exp(-x) for x in energies]
     z = sum(p)
     zx = sum(a * x for a, x in zip(p, energies, strict=True))
@@ -49,58 +52,58 @@ def color_marginal(energies: list[Any]) -> ColorMarginal:
 
 
 class Measure(Protocol):
-    """Uncertainty of a texel, from sums over the rows of its grid."""
+    """Uncertainty of a texel, accumulated over the rows of its grid."""
 
     @property
     def unseen(self) -> float:
-        """Value of a texel that no view sees."""
+        """Measure of a texel that no view sees."""
 
     def start(self) -> list[Any]:
-        """Sums of no row."""
+        """Return the sums of zero rows."""
 
     def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
-        """Add a row; ``shared`` are its roughness and the parameters that mix, Floats."""
+        """Add a row; ``shared`` contains roughness and the mixing parameters, as Floats."""
 
     def value(self, sums: list[Any]) -> Any:
-        """The number."""
+        """Return the measure for complete sums."""
 
 
 @dataclass(frozen=True)
 class EntropyMeasure:
-    """Normalised entropy of Eq. 5, by the chain rule: of rows, and of colours given these.
+    """Normalised entropy (Eq. 5) by the chain rule: entropy of rows plus colours given rows.
 
     Attributes:
-        max_entropy: nats of entropy 1: log n of n cells, or the prior's.
-        unseen: entropy of the prior, in these units.
+        max_entropy: Nats that count as entropy 1: log n for n cells, or the prior's.
+        unseen: Entropy of the prior, in this unit.
     """
 
     max_entropy: float
     unseen: float = 1.0
 
     def start(self) -> list[Any]:
-        """Z, and the sum of w (H - log w) over rows of weight w."""
+        """Return 0 for Z and for the sum of w (H - log w) over rows of weight w."""
         return [mi.Float(0), mi.Float(0)]
 
     def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
-        """Add a row, whatever its parameters."""
+        """Add a row; its parameters are ignored."""
         del shared
         z, zx = sums
         w = row.weight
         return [z + w, dr.fma(w, row.entropy - dr.log(dr.maximum(w, 1e-37)), zx)]
 
     def value(self, sums: list[Any]) -> Any:
-        """H."""
+        """Return H."""
         z, zx = sums
         return (dr.log(z) + zx / z) * dr.opaque(mi.Float, 1 / self.max_entropy)
 
 
 @dataclass(frozen=True)
 class VarianceMeasure:
-    """Sum of the parameters' variances, each relative to its present one: expected squared error.
+    """Sum of the parameters' variances, each relative to its present mean variance.
 
     Attributes:
-        present: present variance of each axis, mean over texels, base colour last.
-        prior: their variance under the prior.
+        present: Present variance of each axis, mean over texels, base colour last.
+        prior: Variance of each axis under the prior.
     """
 
     present: tuple[float, ...]
@@ -109,15 +112,15 @@ class VarianceMeasure:
 
     @property
     def unseen(self) -> float:
-        """The variance of the prior."""
+        """Relative variance of the prior, summed over parameters."""
         return sum(p / v for p, v in zip(self.prior, self.present, strict=True))
 
     def start(self) -> list[Any]:
-        """Z, and the sums of w x and w x^2 for all shared parameters and the colour of channels."""
+        """Return 0 for Z and the sums of w x and w x^2 of shared parameters and channels."""
         return [mi.Float(0) for _ in range(1 + 2 * (len(self.present) - 1 + self.channels))]
 
     def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
-        """Add a row."""
+        """Add weighted first and second moments of a row."""
         zero = mi.Float(0)
         values = [*((x, zero) for x in shared), *zip(row.mean, row.variance, strict=True)]
         added = [x for mean, spread in values for x in (mean, dr.fma(mean, mean, spread))]
@@ -126,7 +129,7 @@ class VarianceMeasure:
         return [z + row.weight, *moments]
 
     def value(self, sums: list[Any]) -> Any:
-        """Sum of the variances over ``present``."""
+        """Return the sum of variances relative to ``present``."""
         _, *moments = (x / sums[0] for x in sums)
         *units, color = self.present
         total = mi.Float(0)
@@ -137,7 +140,7 @@ class VarianceMeasure:
 
 
 ChannelFields = tuple[Any, Any, Any, Any]
-"""A ``ChannelLikelihood``, as what Dr.Jit can carry through a branch."""
+"""Fields of a ``ChannelLikelihood`` as a tuple, which Dr.Jit accepts in branches."""
 
 
 def _channel(A: Any, B: Any, C: Any, truth: Any) -> ChannelLikelihood:
@@ -150,12 +153,13 @@ def _channel(A: Any, B: Any, C: Any, truth: Any) -> ChannelLikelihood:
 
 @dataclass(frozen=True)
 class Colors:
-    """Grid of the base colours of a row.
+    """Grid of the base colour within a row.
 
     Attributes:
-        edges: (K + 1,) of the cells; two equal ones if the colour is known.
-        given: (rows * K,) Float, density of a colour in a cell given its row, or None.
-        nodes: (K,), if colours are discrete.
+        edges: (K + 1,) cell edges; two equal edges if the colour is known.
+        copies: Number of equal colour channels that each computed channel represents.
+        given: (rows * K,) Float, relative density of a colour cell given its row; None: uniform.
+        nodes: (K,) colours if they are discrete, else None.
     """
 
     edges: np.ndarray
@@ -164,8 +168,8 @@ class Colors:
     nodes: np.ndarray | None = None
 
     def channels(self, sums: list[Any], truth: list[Any]) -> tuple[Any, list[ChannelFields]]:
-        """Return the energy of the best colours, Float, and each channel's likelihood."""
-        if self.edges[0] == self.edges[-1]:  # known: the truth has that colour, too
+        """Return the energy of the best colours, Float, and the fields of each channel."""
+        if self.edges[0] == self.edges[-1]:  # known colour, equal to the truth's
             return self.copies * sum(sums[2::3]), []
         thirds = zip(sums[::3], sums[1::3], sums[2::3], truth, strict=True)
         likelihoods = [_channel(*one) for one in thirds]
@@ -173,7 +177,7 @@ class Colors:
         return self.copies * sum(one.min_energy for one in likelihoods), parts
 
     def row(self, energy: Any, channels: list[ChannelFields], place: Any) -> ColorMarginal:
-        """Integrate over all colours of row ``place``, whose best ones have an energy."""
+        """Integrate over all colours of row ``place``; the best colours have ``energy``."""
         weight = dr.exp(-energy)
         if not channels:
             c = dr.opaque(mi.Float, float(self.edges[0]))
@@ -186,7 +190,7 @@ class Colors:
         return ColorMarginal(weight, sum(entropies) / len(integrals), list(means), list(variances))
 
     def _integrate(self, channel: ChannelLikelihood, place: Any) -> tuple[Any, Any, Any, Any]:
-        """Mass, entropy of cells, mean and variance of a channel's colour."""
+        """Return mass, entropy of cells, mean and variance of a channel's colour."""
         edges, K = self.edges.tolist(), len(self.edges) - 1
         density = None
         if self.given is not None:
@@ -195,7 +199,7 @@ class Colors:
             integrals = _sum_over_nodes(channel, self.nodes.tolist(), density or [1.0] * K)
             mass = integrals.mass
         elif density is None:
-            # Mean and variance in double precision, which is left out where nobody asks for them.
+            # Mean and variance in double precision; Dr.Jit omits them where they are unused.
             integrals = channel.integrate(edges)
             mass, bins = channel.integrate_masses(edges)
             integrals = replace(integrals, mass=mass, bins=bins)
@@ -209,7 +213,7 @@ class Colors:
 def _sum_over_nodes(
     channel: ChannelLikelihood, nodes: list[float], density: list[Any]
 ) -> ColorIntegrals:
-    """Sum over some colours alone, where ``ChannelLikelihood.integrate`` takes all."""
+    """Sum over discrete colours, in place of ``ChannelLikelihood.integrate``."""
     best = dr.maximum(channel.mu, 0)
     p = []
     for node, prior in zip(nodes, density, strict=True):
@@ -226,7 +230,7 @@ def _sum_over_nodes(
 def prior_tables(prior: np.ndarray, usual: np.ndarray) -> tuple[Any, Any | None]:
     """Return -log prior of rows, (R * M,) Float, and colour densities relative to ``usual``.
 
-    ``prior`` is (R, M, K), of sum 1; densities are (R * M * K,) Float, None if all are 1.
+    ``prior`` is (R, M, K) and sums to 1. Densities are (R * M * K,) Float, or None if all are 1.
     """
     table = prior.reshape(-1, prior.shape[-1]).astype(np.float64)
     rows = table.sum(axis=1, keepdims=True)

@@ -1,8 +1,8 @@
-"""Predicted responses: what each view observes of each texel, up to its reflectance.
+"""Predicted responses: reflectance columns of every texel in every view.
 
-A photograph of a candidate does not exist. What it would show follows from the geometry and the
-known light alone, but for the reflectance, and that part is kept here: a few numbers per view and
-texel (``angular.py``, ``spectral.py`` say which), 0 where the view does not see the texel.
+The radiance of a candidate photograph is unknown. Its reflectance columns follow from the geometry
+and the light; only the material parameters, which mix them, are missing. ``angular_forecast.py``
+and ``spectral_forecast.py`` define the columns. A texel that a view does not see has zeros.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from svu_mi.geometry.sample_view import TexelLanes, ViewSample, fold, over_views
 from svu_mi.geometry.visibility import Visibility
 
 ResponseFunction = Callable[[ViewSample], list[Any]]
-"""One sample per lane -> its columns, Floats, but for the first, which is the cosine."""
+"""Sample per lane -> columns (Floats) after the first. The first is the cosine of the view."""
 
 
 @dataclass(frozen=True)
 class Responses:
-    """K numbers of V views per texel; 8 bytes per view and texel, and 4 K per visible pair.
+    """K columns of V views per texel: 8 bytes per view and texel, 4 K per visible pair.
 
     Attributes:
-        first: (V T,) Float: first column of every view and texel, 0 where not seen.
-        slot: (V T,) UInt32, number among the visible pairs.
-        rest: (pairs Q 4,) Float: their other columns, in Q groups of four.
+        first: (V T,) Float, first column of every view and texel; 0 if not seen.
+        slot: (V T,) UInt32, index among the visible pairs.
+        rest: (pairs Q 4,) Float, the other columns of visible pairs in Q groups of four.
     """
 
     first: Any
@@ -44,26 +44,26 @@ class Responses:
 
     @staticmethod
     def of(first: Any, columns: int, count: int) -> Responses:
-        """Make room for the other columns of all pairs that see each other."""
+        """Allocate the other columns of all visible pairs."""
         seen = dr.select(first > 0, mi.UInt32(1), 0)
-        slot, pairs = dr.prefix_sum(seen), int(dr.sum(seen)[0])  # of those before
-        rest = dr.empty(mi.Float, max(pairs, 1) * padded_to_quads(columns - 1))  # never empty
+        slot, pairs = dr.prefix_sum(seen), int(dr.sum(seen)[0])  # exclusive sum
+        rest = dr.empty(mi.Float, max(pairs, 1) * padded_to_quads(columns - 1))  # never size 0
         dr.eval(slot)
         lane = dr.arange(mi.UInt32, count)
         return Responses(first, slot, rest, columns, dr.opaque(mi.UInt32, count), lane)
 
     @property
     def seen(self) -> np.ndarray:
-        """(V, T) bool, which view sees which texel."""
+        """Visibility of texels in views, (V, T) bool."""
         return np.asarray(self.first.numpy() > 0).reshape(-1, int(self.count[0]))
 
     @property
     def groups(self) -> int:
-        """Q."""
+        """Number of column groups, Q."""
         return quad_count(self.columns - 1)
 
     def table(self) -> np.ndarray:
-        """Return (V, T, K) float32."""
+        """Return all columns as (V, T, K) float32."""
         seen = self.seen
         table = np.zeros((*seen.shape, self.columns), np.float32)
         table[..., 0] = self.first.numpy().reshape(seen.shape)
@@ -72,20 +72,20 @@ class Responses:
         return table
 
     def at(self, lane: Any) -> Responses:
-        """Return the same, for launches about some of the texels."""
+        """Return the responses for a kernel whose lanes are the texels ``lane``."""
         return replace(self, lane=lane)
 
     def sees(self, view: Any) -> Any:
-        """Read the first column of a view, for the lanes of a launch: Float."""
+        """Return the first column of a view for each lane: Float, 0 if not seen."""
         return dr.gather(mi.Float, self.first, view * self.count + self.lane)
 
     def read(self, view: Any, group: Any) -> Any:
-        """Return columns 1 + 4 ``group`` and on of a view: Vector4f, 0 where not seen."""
+        """Return columns 1 + 4 ``group`` ... 4 + 4 ``group`` of a view: Vector4f, 0 if not seen."""
         place = self._slot(view) * self.groups + group
         return dr.gather(mi.Vector4f, self.rest, place, self.sees(view) > 0)
 
     def write(self, view: Any, columns: list[Any], active: Any) -> None:
-        """Write the columns of a view, all but the first, in the kernel that computes them."""
+        """Write all columns of a view but the first, inside the kernel that computes them."""
         slot, mode = self._slot(view) * self.groups, dr.ReduceMode.NoConflicts
         rest = columns + [mi.Float(0)] * (QUAD * self.groups - len(columns))
         for group in range(self.groups):
@@ -100,7 +100,7 @@ def collect_responses(
     surface: TexelLanes, photographed: tuple[Views, Visibility], candidates: Views,
     respond: ResponseFunction, columns: int,
 ) -> Responses:  # fmt: skip
-    """Evaluate all views of texels: those photographed first, then the candidates."""
+    """Evaluate the columns of all views: the photographs first, then the candidates."""
     _require_room(surface.count, photographed[0].number + candidates.number, columns)
     first = cosines(surface, photographed, candidates)
     responses = Responses.of(first, columns, surface.count)
@@ -132,7 +132,7 @@ def collect_responses(
 def cosines(
     surface: TexelLanes, photographed: tuple[Views, Visibility] | None, candidates: Views
 ) -> Any:
-    """Return (V T,) Float cosines of every view and texel, 0 where not seen, evaluated."""
+    """Return cosines of all views and texels, (V T,) Float, evaluated; 0 if not seen."""
     photographs = photographed[0].number if photographed else 0
     _require_room(surface.count, photographs + candidates.number, 1)
     count, before = dr.opaque(mi.UInt32, surface.count), dr.opaque(mi.UInt32, photographs)
@@ -157,13 +157,12 @@ def cosines(
 
 
 def _require_room(count: int, number: int, columns: int) -> None:
-    """Refuse more numbers than 32-bit indices reach."""
+    """Raise an error if the columns exceed 32-bit indices."""
     room = count * number * max(padded_to_quads(columns - 1), 1)
     if room >= 2**32:
         most = count * 2**32 // room
         raise OptionError(
-            f"next_best_view(): {count} texels are too many for {number} views; use at most "
-            f"{most} (texels=...).",
-            shell=f"{count} texels are too many for {number} views; give --texels {most}, or "
-            "fewer.",
+            f"next_best_view(): {count} texels are too many for {number} views; set texels to "
+            f"{most} or less.",
+            shell=f"{count} texels are too many for {number} views; give --texels {most} or less.",
         )

@@ -1,10 +1,10 @@
-"""Expected entropy (Eq. 13) by power spectra.
+"""Expected entropy (Eq. 13) with the power spectra of the paper.
 
-If psi_0 is true, the photographs' spectrum is S_L' Ks_0^2 e_l, and Eq. 11 becomes
+If psi_0 is true, the photographs have the spectrum S_L' Ks_0^2 e_l, and Eq. 11 becomes
 
     d(psi_0, psi) = sum_{l=1}^{l*} (Ks_0^2 e_l(alpha_0) - Ks^2 e_l(alpha))^2 S_L'(l)^2.
 
-A candidate is a rank-1 change of the fit of the mirrored light S_L'
+A candidate adds a rank-1 update to the fit of the mirrored light S_L'
 (``frequency/solve_primal.py``).
 """
 
@@ -33,22 +33,22 @@ from svu_mi.posterior.spectrum import decay
 from svu_mi.posterior.spectrum_kernel import SpectrumProducts, falloff, row_distances
 from svu_mi.presets import Preset
 
-NEGLIGIBLE = 1e-9  # probability of a truth that nothing depends on
+NEGLIGIBLE = 1e-9  # probability below which a hypothesis is skipped
 
 SpectrumReduction = Callable[[list[list[Any]]], list[Any]]
-"""A spectrum by degree and channel -> what is kept of it."""
+"""Spectrum by degree and channel -> values that ``SpectrumHypotheses`` needs."""
 
 
 def columns(switches: Preset) -> int:
-    """Numbers per view and texel: w, the direction to the camera, mirrored light."""
+    """Return the number of columns: weight, direction to the camera (3), mirrored light."""
     return 4 + switches.colors
 
 
 def respond(
     scene: Any, surface: TexelLanes, lighting: Lighting, switches: Preset
 ) -> ResponseFunction:
-    """Return a function that evaluates a view: a row of Eq. 12 for the light."""
-    dr.eval(lighting.filtered)  # no texture may be made while a loop is recorded
+    """Return a function that evaluates the mirrored light of a view: a row of Eq. 12."""
+    dr.eval(lighting.filtered)  # textures cannot be created inside a recorded loop
 
     def evaluate(seen: ViewSample) -> list[Any]:
         free = seen.seen
@@ -63,7 +63,13 @@ def respond(
 
 @dataclass(frozen=True)
 class SpectrumForecast(Forecast):
-    """``Forecast`` on a grid of (roughness, Ks)."""
+    """``Forecast`` on a grid of (roughness, Ks).
+
+    Attributes:
+        switches: Preset of the estimate.
+        sigma: Standard deviation of spectra in Eq. 11.
+        prefilter: Roughness alpha' of the light's band limit.
+    """
 
     grid: ParameterGrid
     switches: Preset
@@ -83,7 +89,7 @@ class SpectrumForecast(Forecast):
         return result.reshape(sees.shape)
 
     def _powers(self, views: np.ndarray, candidates: np.ndarray | None, lane: Any) -> Any:
-        """Return what ``_kept`` keeps of candidates, (A, K, L); of the views alone, (1, K, L)."""
+        """Return the values of ``_kept``: (A, K, L) for candidates, (1, K, L) for views alone."""
         asked = np.empty(0, np.int64) if candidates is None else candidates
         rows = self.responses.at(lane)
         size = dr.width(lane)
@@ -113,7 +119,7 @@ class SpectrumForecast(Forecast):
         return to_drjit(mi.Float64, np.concatenate([value.numpy() for value in values]))
 
     def _kept(self, lane: Any) -> tuple[int, SpectrumReduction]:
-        """Return K, and a function that returns K Float64: sum_C S_L'(l)^2 / (2 sigma^2), l > 0."""
+        """Return K and a function: spectrum -> K Float64, sum_C S_L'(l)^2 / (2 sigma^2), l > 0."""
         del lane
         scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
 
@@ -123,11 +129,11 @@ class SpectrumForecast(Forecast):
         return self.switches.degree, keep
 
     def _hypotheses(self, texel: Any, kept: list[Any]) -> SpectrumHypotheses:
-        """Return the bins of the lanes of a launch, from what was kept of their light."""
+        """Return the hypotheses for the lanes of a launch, given the kept values."""
         return SpectrumHypotheses(self, texel, kept)
 
     def _entropies(self, powers: Any, lane: Any, pairs: Any) -> np.ndarray:
-        """E[H] of pairs, numbered candidate * L + texel."""
+        """Return E[H] of pairs, numbered candidate * L + texel."""
         size = dr.opaque(mi.UInt32, dr.width(lane))
         candidate = pairs // size
         place = pairs - candidate * size
@@ -145,7 +151,7 @@ class SpectrumForecast(Forecast):
 
 
 def _samples(rows: Responses, views: np.ndarray) -> Any:
-    """Samples of Eq. 12, as ``fit_lanes`` takes them, out of the responses."""
+    """Return a function that reads samples of Eq. 12 from responses, for ``fit_candidates``."""
     order = numbers(views if len(views) else [0])
 
     def sample(index: Any) -> tuple[Any, Any, list[Any]]:
@@ -158,7 +164,7 @@ def _samples(rows: Responses, views: np.ndarray) -> Any:
 
 
 class SpectrumHypotheses:
-    """Distances of Eq. 11 between bins, for the light of each lane."""
+    """Distances of Eq. 11 between grid cells, for the light of each lane."""
 
     def __init__(self, forecast: SpectrumForecast, texel: Any, light: list[Any]) -> None:
         grid, switches = forecast.grid, forecast.switches
@@ -171,13 +177,13 @@ class SpectrumHypotheses:
         self._squares = [mi.Float64(float(Ks) ** 2) for Ks in grid.specular_nodes]
 
     def truth(self, number: Any) -> tuple[Any, list[Any], Any]:
-        """Probability of a hypothesis, its Ks_0^2 e_l, and its -log prior."""
+        """Return probability, Ks_0^2 e_l and -log prior of a hypothesis."""
         cell, weight = self._truths.at(number, self._texel)
         square, fall = self._cell(cell)
         return weight, [square * e for e in fall], self._prior_of(cell)
 
     def energies(self, level: Any, truth: list[Any], prior: Any) -> list[Any]:
-        """d / (2 sigma^2) - log prior of the bins of a roughness, less the truth's: Float."""
+        """Return d / (2 sigma^2) - log prior of the cells of a roughness, minus the truth's."""
         both = [t * S for t, S in zip(truth, self._light, strict=True)]
         observed = sum(t * x for t, x in zip(truth, both, strict=True))
         products = SpectrumProducts(self._light, both, observed)
@@ -190,12 +196,12 @@ class SpectrumHypotheses:
         return energies
 
     def _cell(self, cell: Any) -> tuple[Any, list[Any]]:
-        """Ks^2 and e_l of a cell."""
+        """Return Ks^2 and e_l of a cell."""
         count = len(self._squares)
         return dr.gather(mi.Float64, self._nodes, cell % count), self._falloff(cell // count)
 
     def _prior_of(self, cell: Any) -> Any:
-        """-log prior of a cell, Float64."""
+        """Return -log prior of a cell, Float64."""
         if self._prior is None:
             return mi.Float64(0)
         return mi.Float64(dr.gather(mi.Float, self._prior, cell))
@@ -207,7 +213,7 @@ class SpectrumHypotheses:
 
 @dr.syntax
 def _expected_entropy(lanes: SpectrumHypotheses, levels: Any) -> Any:
-    """sum over psi_0 of p(psi_0) H."""
+    """Return the sum over psi_0 of p(psi_0) H."""
     total = mi.Float(0)
     h = mi.UInt32(0)
     while h < lanes.hypotheses:

@@ -1,6 +1,6 @@
-"""Strategies of guidance, and simple baselines that expected entropy has to beat.
+"""Strategies of guidance: expected entropy or error, and simple baselines.
 
-``TABLE`` is the one place to add another. The command line reads it before Mitsuba is loaded.
+``TABLE`` lists all of them. The command line imports this file before Mitsuba is loaded.
 """
 
 from __future__ import annotations
@@ -23,15 +23,22 @@ class ViewScorer(Protocol):
     """Scores of candidates under a strategy, updated as candidates are chosen."""
 
     def scores(self) -> np.ndarray:
-        """Return the score of each candidate, (C,) float64; the best is the highest, and exact."""
+        """Return the score of each candidate, (C,) float64; the highest is best and exact."""
 
     def choose(self, candidate: int) -> None:
-        """Treat a candidate as photographed from now on."""
+        """Treat a candidate as photographed in later calls."""
 
 
 @dataclass(frozen=True)
 class GuidanceStrategy:
-    """A criterion of candidates and its unit; ``method`` None: for estimates by any method."""
+    """Criterion for candidates.
+
+    Attributes:
+        unit: Description of the score, for output.
+        make_scorer: Constructor of the scorer.
+        needs_forecast: Whether scores need predicted photographs.
+        method: Required method of the estimate; None accepts all.
+    """
 
     unit: str
     make_scorer: Callable[[StrategyInputs], ViewScorer]
@@ -40,25 +47,25 @@ class GuidanceStrategy:
 
 
 class FarthestScorer:
-    """Farthest-point sampling: the direction farthest from all views so far."""
+    """Farthest-point sampling: largest angle to the views so far."""
 
     def __init__(self, directions: np.ndarray, views: int) -> None:
-        """Take unit directions (V, 3) from the object; the first ``views`` have photographs."""
+        """Initialise from unit directions (V, 3); the first ``views`` have photographs."""
         self._candidates, taken = directions[views:], directions[:views]
         self._angles = _angles(self._candidates, taken).min(axis=1, initial=np.pi)
 
     def scores(self) -> np.ndarray:
-        """Return angles to the nearest view so far, in radians."""
+        """Return the angle to the nearest view so far in radians, (C,)."""
         return self._angles
 
     def choose(self, candidate: int) -> None:
-        """Add a candidate."""
+        """Add the direction of a candidate."""
         own = _angles(self._candidates, self._candidates[[candidate]])[:, 0]
         self._angles = np.minimum(self._angles, own)
 
 
 def farthest(directions: np.ndarray, taken: Sequence[int], count: int) -> list[int]:
-    """Return ``taken`` and up to ``count`` more directions by farthest-point sampling."""
+    """Return ``taken`` and up to ``count`` more indices by farthest-point sampling."""
     chosen = list(taken)
     strategy = FarthestScorer(np.concatenate([directions[chosen], directions]), len(chosen))
     free = np.ones(len(directions), bool)
@@ -76,46 +83,46 @@ def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class RandomScorer:
-    """Random order, uniformly distributed."""
+    """Uniformly random order."""
 
     def __init__(self, candidates: int, seed: int) -> None:
         self._scores = np.random.default_rng(seed).permutation(candidates).astype(np.float64)
 
     def scores(self) -> np.ndarray:
-        """Return ranks."""
+        """Return random ranks, (C,)."""
         return self._scores
 
     def choose(self, candidate: int) -> None:
-        """Do nothing: others keep their rank."""
+        """Do nothing: the other ranks stay."""
 
 
 class CoverageScorer:
-    """Most texels that few views see: n views so far give a texel the weight 2^-n."""
+    """Most texels seen by few views: a texel with n views so far has the weight 2^-n."""
 
     def __init__(self, seen: np.ndarray, views: int) -> None:
-        """Take visibility (V, T) bool; the first ``views`` have photographs."""
+        """Initialise from visibility (V, T) bool; the first ``views`` have photographs."""
         self._sees = seen[views:]
         self._weight = 0.5 ** seen[:views].sum(axis=0)
 
     def scores(self) -> np.ndarray:
-        """Return the mean weight of the texels seen."""
+        """Return the sum of the weights of seen texels over T, (C,)."""
         return np.where(self._sees, self._weight, 0).mean(axis=1)
 
     def choose(self, candidate: int) -> None:
-        """Add a candidate."""
+        """Halve the weight of the texels that a candidate sees."""
         self._weight = self._weight * np.where(self._sees[candidate], 0.5, 1)
 
 
 TABLE: dict[str, GuidanceStrategy] = {
     "entropy": GuidanceStrategy(
-        "expected fall of the mean entropy", lambda inputs: inputs.greedy, needs_forecast=True
+        "expected decrease of the mean entropy", lambda inputs: inputs.greedy, needs_forecast=True
     ),
     "error": GuidanceStrategy(
-        "expected fall of the mean squared error, relative to the present one",
+        "expected decrease of the mean squared error, relative to the present one",
         lambda inputs: inputs.by_error(), needs_forecast=True, method="angular",
     ),
     "coverage": GuidanceStrategy(
-        "mean worth of the texels seen",
+        "mean weight of the texels seen",
         lambda inputs: CoverageScorer(inputs.seen, inputs.photographs),
     ),
     "farthest": GuidanceStrategy(
@@ -123,7 +130,7 @@ TABLE: dict[str, GuidanceStrategy] = {
         lambda inputs: FarthestScorer(inputs.directions, inputs.photographs),
     ),
     "random": GuidanceStrategy(
-        "a drawn rank", lambda inputs: RandomScorer(inputs.candidates.count, inputs.options.seed)
+        "random rank", lambda inputs: RandomScorer(inputs.candidates.count, inputs.options.seed)
     ),
 }  # fmt: skip
 STRATEGIES = tuple(TABLE)
@@ -133,7 +140,7 @@ if not TYPE_CHECKING:
 
 
 def strategy_for(name: str, method: str) -> GuidanceStrategy:
-    """Return a strategy; refuse one that needs an estimate by another method."""
+    """Return a strategy by name; raise an error if it needs another method."""
     strategy = TABLE[name]
     if strategy.method not in (None, method):
         raise OptionError(

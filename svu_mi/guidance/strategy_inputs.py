@@ -1,4 +1,4 @@
-"""Inputs of guidance strategies, each computed on first use."""
+"""Inputs of guidance strategies, computed on first use."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.tables import marginals
 
-LEAST_VARIANCE = 1e-4  # of a parameter's variance that others are compared with
+LEAST_VARIANCE = 1e-4  # lower bound of the mean variance that others are divided by
 
 
 @dataclass(frozen=True)
 class StrategyInputs:
-    """C candidates, and the t texels of an estimate that scores are means over, (t,) int64."""
+    """An estimate, C candidates, and the (t,) int64 texels over which scores are averaged."""
 
     estimate: Estimate
     observed: Observed
@@ -40,60 +40,60 @@ class StrategyInputs:
 
     @property
     def photographs(self) -> int:
-        """Number of photographs; candidates are numbered after them."""
+        """Number of photographs; candidate indices follow them."""
         return self.observed.views.number
 
     @cached_property
     def directions(self) -> np.ndarray:
-        """(V, 3) unit vectors from the object to the photographs, then to the candidates."""
+        """Unit vectors (V, 3) from the object to the photographs, then to the candidates."""
         capture = self.observed.capture
         center, _ = bounding_sphere(capture.shape)
         return directions_of((*capture.used_sensors, *self.candidates.sensors), center)
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """(V, t) bool, which view sees which texel."""
+        """Visibility of texels in views, (V, t) bool."""
         if TABLE[self.options.strategy].needs_forecast:
             return self.forecast.seen
         return self._sees((self.observed.views, self.observed.visibility))
 
     def seen_by_candidates(self) -> np.ndarray:
-        """Return which candidate sees which texel, (C, t) bool, by rays alone."""
+        """Return the visibility of texels in candidates, (C, t) bool, without a forecast."""
         return self._sees(None)
 
     def _sees(self, photographed: tuple[Views, Visibility] | None) -> np.ndarray:
-        """Return which of these views and the candidates sees which texel."""
+        """Trace visibility in ``photographed`` views (if any), then in the candidates."""
         surface = TexelLanes.of(self.observed.texels, numbers(self.texels))
         visible = cosines(surface, photographed, self._packed)
         return np.asarray(visible.numpy() > 0).reshape(-1, len(self.texels))
 
     @cached_property
     def forecast(self) -> Forecast:
-        """Forecast of the entropy with a photograph from each candidate."""
+        """Forecast of the entropy with a photograph from any candidate."""
         return forecast_of(self.estimate, self.texels, self._packed, self.options)
 
     @cached_property
     def greedy(self) -> GreedyScorer:
-        """Candidates by expected entropy."""
+        """Scorer by expected entropy."""
         return self._greedy(self.forecast, self.options.lazy)
 
     def by_error(self) -> GreedyScorer:
-        """Return candidates by the squared error to expect, relative to that of seen texels."""
+        """Return the scorer by expected squared error, relative to the present mean error."""
         posterior, seen = self.estimate.posterior, self.observed.coverage > 0
         if isinstance(posterior.kernel, CalibratedKernel):
-            # No candidate determines the brightness of the light.
+            # Exclude the common scale: no candidate determines the brightness of the light.
             posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
         present, prior = [], []
         for name, p in marginals(posterior.prior, list(posterior.axes)).items():
             nodes = posterior.axes[name]
             spread = np.array(posterior.sd(name), np.float64)[seen] ** 2
-            # A parameter that is known has no error to lower.
+            # The bound excludes parameters that are already known.
             present.append(max(float(spread.mean()), LEAST_VARIANCE))
             prior.append(float(p @ (nodes - p @ nodes) ** 2))
         forecast = self.forecast
         assert isinstance(forecast, AngularForecast)
         measure = VarianceMeasure(tuple(present), tuple(prior), forecast.channels)
-        # Errors to expect may well grow with a view, that of a truth with two explanations, say.
+        # Not lazy: the expected error may grow with a view, e.g. if two explanations remain.
         return self._greedy(replace(forecast, measure=measure), lazy=False)
 
     @cached_property
