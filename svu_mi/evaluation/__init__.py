@@ -1,5 +1,5 @@
-"""Ground truth and figures of merit: a path-traced posterior, metrics, predicted photographs.
+"""Evaluation: path-traced reference posterior, metrics, predicted photographs.
 
-Metrics are NumPy and SciPy. Nothing here returns NaN: where a figure is not defined, such as the
-correlation with a constant, the docstring says what comes instead.
+Metrics use NumPy and SciPy and never return NaN. The docstring gives the value of undefined cases,
+such as the correlation with a constant.
 """

@@ -1,4 +1,4 @@
-"""Correlation of two maps, its mean over benchmark cases, and sparsification curves."""
+"""Correlation of two maps, means over benchmark cases, and sparsification curves."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from svu_mi.errors import OptionError
 from svu_mi.evaluation.metric_inputs import finite_vector, two_vectors
 
 MIN_OBJECTS = 3
-CONFIDENCE = 0.95  # part of the resampled means inside an interval
+CONFIDENCE = 0.95  # level of the bootstrap interval
 ROUNDING = 1e-12  # relative spread below which a map counts as constant
 
 
 def pearson(x: Any, y: Any) -> float:
-    """Return Pearson's rho of two (n,) arrays, in [-1, 1].
+    """Return Pearson's correlation of two (n,) arrays, in [-1, 1].
 
-    A constant says nothing about the other map: 0.0 if either is constant, or n is 1.
+    0.0 if either array is constant, or n is 1.
     """
     return _correlation(scipy.stats.pearsonr, x, y)
 
 
 def spearman(x: Any, y: Any) -> float:
-    """Return Spearman's rank correlation, ties sharing their mean rank (as ``pearson``)."""
+    """Return Spearman's rank correlation; ties get their mean rank (else as ``pearson``)."""
     return _correlation(scipy.stats.spearmanr, x, y)
 
 
@@ -38,13 +38,13 @@ def _correlation(of: Callable[..., Any], x: Any, y: Any) -> float:
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and its confidence interval.
+    """Mean and its confidence interval.
 
     Attributes:
-        mean: of all cases.
-        low, high: ends of the interval; None where there are fewer than three objects, of which
-            drawing with replacement tells next to nothing.
-        objects: number of objects.
+        mean: Mean over all cases.
+        low, high: Ends of the interval; None for fewer than three objects, too few to
+            resample.
+        objects: Number of objects.
     """
 
     mean: float
@@ -56,15 +56,15 @@ class Interval:
 def mean_over_objects(values: Any, objects: Sequence[str], *, seed: int = 0) -> Interval:
     """Return the mean over benchmark cases, with a bootstrap interval over objects.
 
-    Cases of one object under several lights are not independent, so whole objects are drawn
-    with replacement, 2000 times, and the interval is the central part of the means, wider by
-    sqrt(n / (n - 1)) t / z for n objects: percentile intervals of few are too short (Hesterberg,
-    What Teachers Should Know about the Bootstrap, 2015, Sec. 3.3, 4.1.2). It may leave [-1, 1].
+    Cases of one object under several lights are not independent, so whole objects are drawn with
+    replacement, 2000 times. The central 95 % of the means is widened by sqrt(n / (n - 1)) t / z for
+    n objects, because percentile intervals of small samples are too short (Hesterberg, The American
+    Statistician 2015, Sec. 3.3, 4.1.2). It may exceed [-1, 1].
 
     Args:
-        values: (n,) one figure per case.
-        objects: n names; cases of one name are drawn together.
-        seed: of the resampling.
+        values: (n,) one value per case.
+        objects: n object names; cases with the same name are drawn together.
+        seed: Seed of the resampling.
     """
     cases = finite_vector(values, "values", len(objects))
     names, owner = np.unique(np.array(objects, str), return_inverse=True)
@@ -90,20 +90,19 @@ def mean_over_objects(values: Any, objects: Sequence[str], *, seed: int = 0) -> 
 
 @dataclass(frozen=True)
 class Sparsification:
-    """Curves over the part of the texels that was removed (Ilg et al., ECCV 2018, Sec. 5.2).
+    """Sparsification curves: error of the remaining texels (Ilg et al., ECCV 2018, Sec. 5.2).
 
-    Every curve is the mean error of what remains over the mean error of all, so it starts
-    at 1. Without any error at all, the curves are 1 and the areas 0.
+    Curves are relative to the mean error of all texels, so they start at 1. If all errors are 0,
+    the curves are 1 and the areas 0.
 
     Attributes:
-        removed: (n,) removed part, 0, 1/n, ... (n - 1)/n.
-        by_uncertainty: (n,) the most uncertain go first; among equally uncertain ones in
-            random order, on average.
-        oracle: (n,) the largest errors go first.
-        ause: area between the two curves (trapezoids over ``removed``); 0 is perfect.
-        relative: ``ause`` over the area between removal in random order (a curve of 1) and
-            the oracle: 0 is perfect, 1 as good as chance, more is worse than chance. It is 0
-            where all errors are equal.
+        removed: (n,) removed fraction of the texels, 0, 1/n, ... (n - 1)/n.
+        by_uncertainty: (n,) remaining error if the most uncertain texels are removed first;
+            average over random order of ties.
+        oracle: (n,) remaining error if the largest errors are removed first.
+        ause: Area between the two curves (trapezoidal rule over ``removed``); 0 is perfect.
+        relative: ``ause`` divided by the area between a random order (constant 1) and the oracle:
+            0 is perfect, 1 equals chance, more is worse than chance; 0 if all errors are equal.
     """
 
     removed: np.ndarray
@@ -113,7 +112,7 @@ class Sparsification:
     relative: float
 
     def sampled(self, count: int = 21) -> dict[str, list[float]]:
-        """Return ``count`` points of each curve for a plot, from 0 to the last removed part."""
+        """Return ``count`` points of each curve, for a plot."""
         at = np.linspace(0, self.removed[-1], count)
         curves = {"by_uncertainty": self.by_uncertainty, "oracle": self.oracle}
         values = {name: np.interp(at, self.removed, curve) for name, curve in curves.items()}
@@ -125,25 +124,25 @@ def sparsification(error: Any, uncertainty: Any) -> Sparsification:
 
     Args:
         error: (n,) non-negative errors of an estimate.
-        uncertainty: (n,) what was said of them, in any unit; only its order matters.
+        uncertainty: (n,) estimated uncertainties in any unit; only their order matters.
     """
     errors, uncertainties = two_vectors(error=error, uncertainty=uncertainty)
     if (errors < 0).any():
         raise OptionError("sparsification(): an error is negative; give absolute errors.")
     count = len(errors)
     removed = np.arange(count) / count
-    # Equally uncertain texels share their mean error.
+    # Ties in uncertainty get their mean error: the average over all orders.
     _, group, counts = np.unique(uncertainties, return_inverse=True, return_counts=True)
     curve = _remaining(np.repeat(np.bincount(group, errors) / counts, counts))
     oracle = _remaining(np.sort(errors))
     area = float(scipy.integrate.trapezoid(curve - oracle, removed))
-    # Rounding of two equal orders, summed differently.
+    # Remove rounding: equal orders may be summed differently.
     area = area if abs(area) > 1e-12 else 0.0
     chance = float(scipy.integrate.trapezoid(1 - oracle, removed))
     return Sparsification(removed, curve, oracle, area, area / chance if chance > 1e-12 else 0.0)
 
 
 def _remaining(ascending: np.ndarray) -> np.ndarray:
-    """Return the mean of the first n, n - 1, ... 1 values over the mean of all."""
+    """Return the means of the first n, n - 1, ... 1 values, divided by the mean of all."""
     means = np.cumsum(ascending) / np.arange(1, len(ascending) + 1)
     return means[::-1] / means[-1] if means[-1] > 0 else np.ones(len(ascending))

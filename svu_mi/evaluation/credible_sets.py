@@ -16,16 +16,16 @@ TIE = 1e-6  # relative difference below which two float32 probabilities are equa
 
 @dataclass(frozen=True)
 class CredibleCoverage:
-    """Coverage of the truth by credible sets of one mass.
+    """Frequency with which credible sets of one mass contain the truth.
 
     Attributes:
-        level: mass the set must hold.
-        plain: part of the texels whose set holds the truth. A set of whole cells holds at
-            least the level, often much more; so does the coverage of a calibrated posterior.
-        fractional: the same with the last cells taken in with the probability that makes the
-            set's mass the level exactly; the level itself for a calibrated posterior.
-        size: mean part of the grid's cells that a set takes.
-        count: number of texels.
+        level: Mass of the sets, in (0, 1).
+        plain: Fraction of texels whose set contains the truth. Sets of whole cells have at least
+            the mass ``level``, often much more, so a calibrated posterior exceeds the level.
+        fractional: Fraction if the last cells are included with a probability that makes the
+            mass exact; equals the level for a calibrated posterior.
+        size: Mean fraction of the grid's cells in a set.
+        count: Number of texels.
     """
 
     level: float
@@ -36,12 +36,12 @@ class CredibleCoverage:
 
 
 def nearest_bins(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarray:
-    """Return the flat index (T,) of the grid's bin that each true value falls into.
+    """Return the flat index of the cell that contains the true values, (T,).
 
     Args:
-        axes: nodes of each axis by name, in the order of the grid's axes.
-        truth: (T,) true value by name, for every axis; the nearest node is its bin, the
-            lower one of two equally near.
+        axes: Nodes of each axis by name, in the order of the grid's axes.
+        truth: (T,) true values by name, for every axis. The nearest node wins, ties go to the
+            lower one.
     """
     bins: list[np.ndarray] = []
     for name, nodes in axes.items():
@@ -51,15 +51,15 @@ def nearest_bins(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarra
 
 
 def credible_coverage(probabilities: Any, bins: Any, mass: float) -> CredibleCoverage:
-    """Return how often the highest-density credible set of a mass holds the truth.
+    """Return how often the highest-density credible set contains the truth.
 
-    The set is the smallest set of cells with a mass of at least ``mass``; cells as probable
-    as the last one all belong to it.
+    The set is the smallest set of cells with at least the mass ``mass``, plus all cells that tie
+    with the last one.
 
     Args:
-        probabilities: (T, *grid) non-negative, each texel's sum 1.
-        bins: (T,) flat index of the true bin (``nearest_bins``).
-        mass: in (0, 1).
+        probabilities: (T, *grid) non-negative; the sum of each texel is 1.
+        bins: (T,) flat index of the true cell (``nearest_bins``).
+        mass: Mass of the set, in (0, 1).
     """
     if not 0 < mass < 1:
         raise OptionError(f"The level of a credible set must be in (0, 1), got {mass}.")
@@ -95,7 +95,7 @@ def _distributions(probabilities: Any) -> np.ndarray:
 
 
 def _sizes(p: np.ndarray, mass: float) -> np.ndarray:
-    """Return the (T,) part of the cells in each set."""
+    """Return the fraction of cells in each set, (T,)."""
     ordered = -np.sort(-p, axis=1)
     reached = np.cumsum(ordered, axis=1) >= mass - TIE
     last = np.where(reached.any(axis=1), reached.argmax(axis=1), p.shape[1] - 1)

@@ -1,4 +1,4 @@
-"""Ground truth of a synthetic capture, the textures of its scene, and errors against it."""
+"""Ground truth of a synthetic capture (textures of its scene), and errors against it."""
 
 from __future__ import annotations
 
@@ -21,26 +21,24 @@ class GroundTruth(ByParameter):
 
     @property
     def specular(self) -> np.ndarray:
-        """Ks = R0, (T, 3): what a ``ParameterGrid`` calls so."""
+        """Specular reflectance Ks = R0 of a ``ParameterGrid``, (T, 3)."""
         mixed = (self[name][:, None] for name in MIXED)
         return np.asarray(specular_from_principled(self.base_color, *mixed))
 
     def grey(self, name: str) -> np.ndarray:
-        """Return a parameter, or the ``specular`` of a ``ParameterGrid``, as (T,): the mean over
-        channels for a colour.
-        """
+        """Return a parameter, or ``specular``, as (T,): colours are averaged over channels."""
         require_known([name], (*NAMES, "specular"), "parameter")
         values: np.ndarray = self.specular if name == "specular" else self[name]
         return values.mean(axis=1) if values.ndim == 2 else values
 
 
 def ground_truth(capture: Capture, texels: Texels) -> GroundTruth:
-    """Evaluate the target's BSDF parameters at every texel's centre.
+    """Evaluate the BSDF parameters of the capture's object at the texel centres.
 
-    Only the scene of a synthetic capture knows them; that of real photographs holds a guess.
+    Only synthetic captures contain the truth; the scene of real photographs contains a guess.
 
     Args:
-        capture: its ``shape`` must have a ``principled`` BSDF, and its own UVs.
+        capture: Capture whose ``shape`` has a ``principled`` BSDF and UVs.
         texels: T texels of ``capture.mesh``.
     """
     return GroundTruth(**parameters_at(capture, texels))
@@ -48,12 +46,12 @@ def ground_truth(capture: Capture, texels: Texels) -> GroundTruth:
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """Estimate minus truth, in the parameter's own unit.
+    """Errors, estimate minus truth, in the unit of the parameter.
 
     Attributes:
-        bias: mean signed error; positive when the estimate is too large.
-        mae: mean absolute error.
-        rmse: root mean square error.
+        bias: Mean signed error; positive if the estimate is too large.
+        mae: Mean absolute error.
+        rmse: Root mean square error.
     """
 
     bias: float

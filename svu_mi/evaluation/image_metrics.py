@@ -1,8 +1,7 @@
 """PSNR and SSIM of textures and relit pictures.
 
-Much as Stanford-ORB does it (Kuang et al., NeurIPS 2023, Sec. 4.2), but no scale per channel is
-fitted, since the light is known and the scale is part of the error; and means are over the
-object's pixels, not the whole picture.
+Similar to Stanford-ORB (Kuang et al., NeurIPS 2023, Sec. 4.2), with two differences: no scale per
+channel is fitted, because the light is known; and means are over the object's pixels only.
 """
 
 from __future__ import annotations
@@ -18,15 +17,15 @@ from svu_mi.capture.image_io import srgb
 from svu_mi.errors import ShapeError
 from svu_mi.evaluation.metric_inputs import require_finite, two_pictures
 
-CEILING_DB = 100.0  # of a PSNR: that of an RMS error of 1e-5, and of none at all
+CEILING_DB = 100.0  # largest PSNR, reached at an RMS error of 1e-5
 
 
 def psnr(estimate: Any, truth: Any) -> float:
     """Return the peak signal-to-noise ratio 10 log10(1 / MSE), in dB, at most 100.
 
     Args:
-        estimate: estimate, any shape.
-        truth: of the same shape.
+        estimate: Estimated values in [0, 1], any shape.
+        truth: True values, same shape.
     """
     a, b = np.array(estimate, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.size == 0:
@@ -40,14 +39,14 @@ def psnr(estimate: Any, truth: Any) -> float:
 
 
 def texture_psnr(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, float]:
-    """Return the PSNR of every parameter, and their mean as ``average``.
+    """Return the PSNR in dB of every parameter, and their mean as ``average``.
 
-    The average of Table 2 of the paper: a mean of decibels over parameters, each of which
-    counts the same whatever its number of channels.
+    The average is that in Table 2 of the paper: the mean of decibels over parameters, regardless
+    of their number of channels.
 
     Args:
-        estimate: (T, C) or (T,) by parameter, in [0, 1].
-        truth: the same.
+        estimate: (T, C) or (T,) values by parameter, in [0, 1].
+        truth: True values of the same parameters and shapes.
     """
     _require_same(estimate, truth)
     by_name = {name: psnr(estimate[name], truth[name]) for name in truth}
@@ -55,11 +54,11 @@ def texture_psnr(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[
 
 
 def texel_error(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarray:
-    """Return (T,) mean absolute errors: over channels, then over parameters.
+    """Return mean absolute errors of texels, (T,): over channels, then over parameters.
 
     Args:
-        estimate: (T, C) or (T,) by parameter.
-        truth: the same.
+        estimate: (T, C) or (T,) values by parameter.
+        truth: True values of the same parameters and shapes.
     """
     _require_same(estimate, truth)
     off = (np.abs(np.subtract(estimate[name], true, dtype=float)) for name, true in truth.items())
@@ -68,11 +67,11 @@ def texel_error(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> np.nda
 
 def _require_same(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
     if not truth or set(estimate) != set(truth):
-        raise ShapeError(f"Parameters differ: found {sorted(estimate)}, true {sorted(truth)}.")
+        raise ShapeError(f"Parameters differ: estimate {sorted(estimate)}, truth {sorted(truth)}.")
 
 
-HDR_LIMIT = 4.0  # brighter pixels, such as a sun's highlight, would be all that counts
-WHITE = 0.95  # part of the object's pixels that are not clipped in the tone-mapped picture
+HDR_LIMIT = 4.0  # clipping level; brighter pixels, such as a sun's highlight, would dominate
+WHITE = 0.95  # quantile of the object's pixels that tone mapping maps to white
 # Wang et al., Image Quality Assessment (IEEE TIP 2004), Sec. III-B.
 WINDOW_SIGMA, WINDOW_RADIUS = 1.5, 5
 K1, K2 = 0.01, 0.03
@@ -80,13 +79,13 @@ K1, K2 = 0.01, 0.03
 
 @dataclass(frozen=True)
 class ImageError:
-    """One picture against the true one.
+    """Errors of a picture compared with the true one.
 
     Attributes:
-        psnr_hdr: dB, of linear radiance in units of the true picture's white, clipped at 4;
-            the peak is 1.
-        psnr_ldr: dB, of the tone-mapped pictures.
-        ssim: structural similarity of the tone-mapped pictures, at most 1.
+        psnr_hdr: PSNR in dB of linear radiance, relative to the true picture's white and clipped
+            at 4; the peak is 1.
+        psnr_ldr: PSNR in dB of the tone-mapped pictures.
+        ssim: Structural similarity of the tone-mapped pictures, at most 1.
     """
 
     psnr_hdr: float
@@ -99,8 +98,8 @@ def image_error(picture: Any, truth: Any, mask: Any) -> ImageError:
 
     Args:
         picture: (H, W, 3) linear radiance.
-        truth: the same.
-        mask: (H, W) bool, the object's pixels.
+        truth: (H, W, 3) true linear radiance.
+        mask: (H, W) bool, pixels of the object.
     """
     inside = np.array(mask, bool)
     a, b = two_pictures(picture, truth, inside)
@@ -121,9 +120,9 @@ def ssim_map(
 
     Args:
         picture: (H, W, C) in [0, 1].
-        truth: the same.
-        radius: pixels of the window on each side of its centre.
-        border: what lies beyond the picture, as ``scipy.ndimage`` calls it.
+        truth: (H, W, C) in [0, 1].
+        radius: Window radius in pixels.
+        border: Border mode of ``scipy.ndimage``.
     """
 
     def local(values: np.ndarray) -> np.ndarray:

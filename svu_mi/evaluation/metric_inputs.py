@@ -1,4 +1,4 @@
-"""Checks of the arguments of metrics."""
+"""Validation of the arguments of metrics."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from svu_mi.errors import OptionError, ShapeError
 
 
 def finite_vector(values: Any, name: str, count: int | None = None) -> np.ndarray:
-    """Return (n,) float64; refuse other shapes, NaN and infinity.
+    """Return ``values`` as (n,) float64; raise an error for other shapes, NaN and infinity.
 
     Args:
         values: n finite numbers.
-        name: of the argument, for the message.
-        count: the n it must have, if that is known.
+        name: Name of the argument in the message.
+        count: Required n; None accepts any.
     """
     flat = np.array(values, np.float64)
     if flat.ndim != 1 or not flat.size or count not in (None, len(flat)):
@@ -25,14 +25,14 @@ def finite_vector(values: Any, name: str, count: int | None = None) -> np.ndarra
 
 
 def two_vectors(**given: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return two (n,) float64 arrays of one length (errors as ``finite_vector``)."""
+    """Return two (n,) float64 arrays of equal length (errors as in ``finite_vector``)."""
     (first, x), (second, y) = given.items()
     values = finite_vector(x, first)
     return values, finite_vector(y, second, len(values))
 
 
 def two_pictures(picture: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two (H, W, 3) float64 pictures that are finite in a mask."""
+    """Return two (H, W, 3) float64 pictures that are finite inside the mask."""
     a, b = np.array(picture, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.shape != (*mask.shape, 3):
         raise ShapeError(
@@ -40,16 +40,14 @@ def two_pictures(picture: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray
             f"{mask.shape}."
         )
     if not mask.any():
-        raise ShapeError("The mask is empty; use a picture in which the object is larger.")
+        raise ShapeError("The mask is empty; use a picture in which the object is visible.")
     require_finite(a[mask], "the picture")
     require_finite(b[mask], "the true picture")
     return a, b
 
 
 def require_finite(values: np.ndarray, name: str) -> None:
-    """Refuse NaN and infinity."""
+    """Raise an error if values contain NaN or infinity."""
     bad = np.count_nonzero(~np.isfinite(values))
     if bad:
-        raise OptionError(
-            f"{name} has {bad} values that are NaN or infinite; leave those texels out."
-        )
+        raise OptionError(f"{name} has {bad} values that are NaN or infinite; remove those texels.")

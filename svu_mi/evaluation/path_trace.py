@@ -1,4 +1,4 @@
-"""Path-traced radiance along camera rays, of scenes with one material all over."""
+"""Path-traced radiance along camera rays, in scenes whose object has one uniform material."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.replace_material import replace_material
 from svu_mi.parameters import PARAMETERS
 
-LANES = 1 << 20  # paths in memory at a time
+LANES = 1 << 20  # paths per launch
 
 
 def trace(
     scene: Any, integrator: Any, rays: Any, samples: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Average two independent halves of ``samples`` paths per ray: (P, 3) radiance each.
+    """Return means of two independent halves of ``samples`` paths per ray: (P, 3) radiance each.
 
-    Every lane has random numbers of its own, the same for every material: part of the noise
-    cancels in the differences between materials, which are all that a posterior depends on.
+    Lanes have different random numbers, but all materials share them: part of the noise cancels
+    in the differences between materials, which determine the posterior.
     """
     count, half = dr.width(rays.o), samples // 2
     result = np.zeros((count, 2, 3))
@@ -38,7 +38,7 @@ def trace(
         index = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, lanes) // number
         ray = mi.RayDifferential3f(dr.gather(mi.Ray3f, rays, index))
         radiance, _, _ = integrator.sample(scene, sampler, ray)
-        # Read now: a lazy result would be computed with the material of a later call.
+        # Evaluate now: a lazy result would use the material of a later call.
         sums = [dr.block_sum(radiance[channel], half) for channel in range(3)]
         dr.eval(sums)
         result[span] = np.stack([x.numpy().reshape(-1, 2) for x in sums], axis=-1) / half
@@ -47,12 +47,12 @@ def trace(
 
 @dataclass(frozen=True)
 class UniformScene:
-    """A scene of its own; it shares the emitters and the other shapes with the capture's.
+    """Copy of a capture's scene whose object has one material; other shapes are shared.
 
     Attributes:
-        scene: the ``mi.Scene``.
-        shape: the object in it.
-        params: the ``mi.SceneParameters`` of its material.
+        scene: ``mi.Scene``.
+        shape: Object in ``scene``.
+        params: ``mi.SceneParameters`` of the object's material.
     """
 
     scene: Any
@@ -61,8 +61,8 @@ class UniformScene:
 
     @staticmethod
     def of(capture: Capture) -> UniformScene:
-        """Copy the object and give it a material; nothing of the capture is modified."""
-        # Mitsuba leaves lobes out for good whose parameter is 0 when the material is made.
+        """Return a scene with a copy of the object; the capture is not modified."""
+        # Mitsuba permanently omits lobes whose parameter is 0 when the material is created.
         middle = {
             p.name: 0.5 if p.channels == 1 else {"type": "rgb", "value": 0.5}
             for p in PARAMETERS.values()
@@ -72,10 +72,10 @@ class UniformScene:
         return UniformScene(scene=made.scene, shape=made.shape, params=mi.traverse(material))
 
     def paint(self, psi: Mapping[str, float]) -> None:
-        """Change the material."""
+        """Set the material of the object; missing parameters get their defaults."""
         for p in PARAMETERS.values():
             key = p.name if p.name in self.params else f"{p.name}.value"
-            # Opaque: as literals, every psi would compile kernels of its own.
+            # Opaque: with literals, every psi would compile new kernels.
             kind = mi.Float if p.channels == 1 else mi.Color3f
             self.params[key] = dr.opaque(kind, psi.get(p.name, p.default))
         self.params.update()

@@ -1,7 +1,7 @@
 """Posterior predictive radiance of texels in other views.
 
-The reflection model evaluates every draw of a texel's parameters for a camera anywhere around the
-object. ``svu bench real`` compares the distribution with photographs that were held out.
+The reflection model evaluates draws of a texel's parameters for any camera position.
+``svu bench real`` compares the distribution with held-out photographs.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ CHANNELS = 3
 
 @dataclass(frozen=True)
 class Prediction:
-    """Radiance of n texels towards cameras.
+    """Predicted radiance of n texels towards cameras.
 
     Attributes:
-        scene: that occludes.
-        model: of the texels, at even levels of roughness on [0, 1].
-        draws: of the posterior, D dictionaries of their parameters: a Float per channel.
-        shares: of each draw, how much every level counts at its roughness: R Floats.
+        scene: Scene with the occluders.
+        model: Reflection model of the texels at even roughness levels on [0, 1].
+        draws: D draws from the posterior: a Float per channel by parameter.
+        shares: Spline weights of the R levels for the roughness of each draw: R Floats.
     """
 
     scene: Any
@@ -47,22 +47,22 @@ class Prediction:
 
     @staticmethod
     def of(estimate: Estimate, texels: np.ndarray, draws: int = 32, seed: int = 0) -> Prediction:
-        """Draw the parameters of some texels.
+        """Draw the parameters of texels from their posterior.
 
         Args:
-            estimate: angular, with noise that was estimated and a base colour for each channel:
-                ``default``.
-            texels: (n,) their numbers.
-            draws: D; more are smoother.
-            seed: of the draws.
+            estimate: Estimate with the angular preset ``default``: estimated noise, a base colour
+                per channel.
+            texels: (n,) texel indices.
+            draws: Number of draws D; more give a smoother distribution.
+            seed: Seed of the draws.
 
         Raises:
-            OptionError: an estimate of another kind.
+            OptionError: an estimate with another noise model, or without colour.
         """
         switches, observed = estimate.switches, estimate.observed
         is_calibrated = isinstance(switches, AngularPreset) and switches.noise == "estimated"
         if not is_calibrated or estimate.posterior.channels != CHANNELS:
-            raise OptionError("Photographs are predicted from preset default (angular), in colour.")
+            raise OptionError("Predicting photographs needs an angular estimate, preset default.")
         assert observed is not None and isinstance(switches, AngularPreset)
         levels = np.linspace(0, 1, switches.levels)
         model = observed.model(levels, switches, CHANNELS, texels)
@@ -75,9 +75,9 @@ class Prediction:
         )  # fmt: skip
 
     def seen_from(self, eye: np.ndarray) -> np.ndarray:
-        """Return the radiance that a camera at a point (3,) gets: (D, n, 3) float32.
+        """Return the radiance towards a camera at ``eye`` (3,): (D, n, 3) float32.
 
-        Texels that do not face it count as grazing; occluders are ignored.
+        Texels that face away are treated as grazing; occluders of the camera ray are ignored.
         """
         lobes = columns_seen_from(self.scene, self.model, eye)
         radiance = np.empty((len(self.draws), self.model.surface.count, CHANNELS), np.float32)
@@ -90,7 +90,7 @@ class Prediction:
 
 
 def shares_of(roughness: np.ndarray, levels: np.ndarray) -> list[Any]:
-    """Return the spline weight of each level at roughnesses (n,): R Floats."""
+    """Return the spline weight of each level at (n,) roughness values: R Floats."""
     near, weights = spline_weights(roughness.astype(np.float64), levels)
     shares = np.zeros((len(roughness), len(levels)))
     np.add.at(shares, (np.arange(len(roughness))[:, None], near), weights)
@@ -100,7 +100,7 @@ def shares_of(roughness: np.ndarray, levels: np.ndarray) -> list[Any]:
 def diffuse_seen_from(
     observed: Observed, switches: AngularPreset, texels: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of a point (3,): radiance (n, 3) of white diffuse texels from there."""
+    """Return a function: camera position (3,) -> radiance of white diffuse texels, (n, 3)."""
     model = observed.model(np.ones(1), switches, CHANNELS, texels)
 
     def seen_from(eye: np.ndarray) -> np.ndarray:
@@ -111,7 +111,7 @@ def diffuse_seen_from(
 
 
 def columns_seen_from(scene: Any, model: ReflectionModel, eye: np.ndarray) -> list[list[Parts]]:
-    """Return what ``ReflectionModel.columns`` does, evaluated, for a camera at a point (3,)."""
+    """Return the columns of ``ReflectionModel.columns`` for a camera at ``eye`` (3,), evaluated."""
     surface: TexelLanes = model.surface
     point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in eye))
     direction = mi.Vector3f(dr.normalize(point - surface.position))
@@ -126,6 +126,6 @@ def columns_seen_from(scene: Any, model: ReflectionModel, eye: np.ndarray) -> li
 
 
 def _floats(values: np.ndarray) -> list[Any]:
-    """A Float for every channel of (n,) or (n, C)."""
+    """Return the C columns of (n,) or (n, C) as Floats."""
     columns = np.asarray(values, np.float32).reshape(len(values), -1).T
     return [to_drjit(mi.Float, column) for column in columns]

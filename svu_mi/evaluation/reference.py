@@ -17,13 +17,13 @@ from svu_mi.statistics.statistics import Statistics
 
 @dataclass(frozen=True, kw_only=True)
 class TracedTables:
-    """Energies or sums of n texels, from the mean of both halves of the samples and from each.
+    """Path-traced energies or statistics of n texels, for all samples and for two halves.
 
     Attributes:
         tables: (3, n, R, M ..., K) float64 energies, means over views; or (3, R, 3, P, n) sums
-            (``Statistics``).
-        weight: (n,) float64 of those sums; None with energies.
-        subset, coverage, brightness, scale, unit, seconds, rays, dropped: see ``Reference``.
+            of ``Statistics``. The first axis is mean of both halves, first half, second half.
+        weight: (n,) float64, sum of weights (``Statistics``); None with energies.
+        subset, coverage, brightness, scale, unit, seconds, rays, dropped: See ``Reference``.
     """
 
     subset: np.ndarray = field(repr=False)
@@ -38,7 +38,7 @@ class TracedTables:
     dropped: int
 
     def posteriors(self, options: ReferenceOptions) -> list[Posterior]:
-        """Return the posterior of the mean and of each half."""
+        """Return the posteriors of all samples, of the first half and of the second half."""
         grid, seen = options.grid, self.coverage > 0
         if self.weight is None:
             over = self.coverage.reshape(-1, *(1 for _ in grid.shape))
@@ -57,11 +57,11 @@ class TracedTables:
 
 @dataclass(frozen=True)
 class SplitHalf:
-    """How well a reference agrees with itself.
+    """Agreement of a reference's two halves, as a measure of its Monte Carlo noise.
 
     Attributes:
-        correlation: Pearson correlation of the two entropies over the observed texels; NaN
-            when there are fewer than two, or all have one entropy.
+        correlation: Pearson correlation of the entropies over observed texels; NaN for fewer
+            than two texels or constant entropy.
         first, second: (n,) float64 entropy of each half of the samples.
     """
 
@@ -75,23 +75,27 @@ class Reference(TracedTables):
     """Path-traced posterior of n texels.
 
     Attributes:
-        subset: (n,) int64, which of the T texels.
-        posterior: p(psi | B, L) on the axes of a ``PrincipledGrid``. Not observed, with
-            entropy 1, is a texel that no view sees or that no ray met.
-        halves: the same from the first and from the second half of the samples.
-        tables, weight: what they were made from (``TracedTables``).
-        brightness: (n,) float64, mean observed grey radiance over the views used; 0 without any.
-        coverage: (n,) int64, number of views used.
-        scale: mean grey radiance over all visible (texel, view) samples of the capture.
-        unit: that, or where it is 0 some of the light's: what noise is a part of.
-        seconds: time the tracing took, device synchronised; that of the original run when
-            the result came from a cache.
-        cached: whether it came from a cache.
-        rays: number of camera paths traced, those for all psi together.
-        dropped: number of visible (texel, view) pairs left out since their ray missed the texel.
-        spp: paths per psi and pair, both halves together.
-        max_depth: longest path, in edges seen from the camera; 2 is direct light.
+        subset: (n,) int64, indices of the texels.
+        posterior: p(psi | B, L) on the axes of a ``PrincipledGrid``. Texels without a usable
+            (texel, view) pair are unobserved and have entropy 1.
+        halves: Posteriors of the first and second half of the samples.
+        tables, weight: Energies or sums of the posteriors (``TracedTables``).
+        brightness: (n,) float64, mean observed grey radiance over the used views; 0 without any.
+        coverage: (n,) int64, number of used views.
+        scale: Mean grey radiance over all visible (texel, view) samples of the capture.
+        unit: Radiance that noise is relative to: ``scale``, or if 0, a fraction of the light's.
+        seconds: Time of tracing, device synchronised; cached with the result.
+        cached: True if the result comes from the cache.
+        rays: Number of traced camera paths, for all psi together.
+        dropped: Number of visible (texel, view) pairs whose camera ray misses the texel.
+        spp: Paths per psi and pair, both halves together.
+        max_depth: Largest number of path edges, counted from the camera; 2 is direct light.
         method: ``linear`` or ``brute``.
+
+    Example:
+        >>> reference = svu.reference_posterior(capture, texels, subset=20, spp=4)
+        >>> reference.count, reference.split_half().first.shape
+        (20, (20,))
     """
 
     posterior: Posterior = field(repr=False)
@@ -103,7 +107,7 @@ class Reference(TracedTables):
 
     @staticmethod
     def of(traced: TracedTables, options: ReferenceOptions, *, cached: bool) -> Reference:
-        """Compute the posteriors of traced tables."""
+        """Return the reference of traced tables."""
         whole, first, second = traced.posteriors(options)
         return Reference(
             **{field.name: getattr(traced, field.name) for field in fields(traced)},
@@ -118,14 +122,14 @@ class Reference(TracedTables):
 
     @cached_property
     def entropy(self) -> np.ndarray:
-        """Normalised entropy (n,) float64 in [0, 1]; 1 where not observed (Eq. 5)."""
+        """Normalised entropy (Eq. 5), (n,) float64 in [0, 1]; 1 for unobserved texels."""
         return np.array(self.posterior.entropy(), np.float64)
 
     def split_half(self) -> SplitHalf:
         """Compare the entropies of the two independent halves of the samples.
 
-        The correlation bounds what any estimator can reach against one half; the full
-        reference has twice the samples and is better than that.
+        The correlation is an upper bound for any estimator compared with one half. The full
+        reference has twice the samples and therefore less noise.
         """
         both: np.ndarray = np.array([half.entropy() for half in self.halves], np.float64)
         kept = both[:, self.posterior.observed]

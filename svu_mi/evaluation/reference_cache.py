@@ -1,4 +1,4 @@
-"""Cache of references on disk: one file per key of scene, photographs and options."""
+"""Disk cache of references: one file per hash of scene, photographs and options."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from svu_mi.statistics.cholesky_factors import PAIRS
 
 log = logging.getLogger(__name__)
 
-FORMAT = 5  # raised whenever the same input would give another result, or another file
+FORMAT = 5  # increase whenever the same input gives another result or another file layout
 
 
 def locate(
@@ -35,10 +35,10 @@ def locate(
     subset: int | np.ndarray,
     options: ReferenceOptions,
 ) -> Path:
-    """Return the file of one reference; its folder exists afterwards."""
+    """Return the cache file of a reference; creates the folder."""
     key = Key(FORMAT, svu_mi.__version__, mi.__version__, mi.variant(), options, subset)
     key.add(capture_parts(capture))
-    for values in (texels.position, texels.geometric_normal):  # others are in the capture
+    for values in (texels.position, texels.geometric_normal):  # the capture determines the rest
         key.add(values.numpy())
     folder = prepare_folder(folder)
     clear_temporaries(folder)
@@ -46,7 +46,7 @@ def locate(
 
 
 def load(path: Path, options: ReferenceOptions) -> Reference | None:
-    """Read a reference back; None, with a warning, when the file is damaged or another one's."""
+    """Read a reference; warn and return None if the file is damaged or has another key."""
     if not path.exists():
         return None
     try:
@@ -66,7 +66,7 @@ def load(path: Path, options: ReferenceOptions) -> Reference | None:
 
 
 def store(path: Path, traced: TracedTables) -> None:
-    """Write the tables of a reference."""
+    """Write the tables of a reference to its cache file."""
     values = {each.name: getattr(traced, each.name) for each in fields(traced)}
     stored = {name: value for name, value in values.items() if value is not None}
     write_arrays(path, {"name": path.stem, **stored})
@@ -74,7 +74,7 @@ def store(path: Path, traced: TracedTables) -> None:
 
 
 def _require_shapes(stored: dict[str, np.ndarray], options: ReferenceOptions) -> None:
-    """Refuse arrays that no reference with these options has, by a ValueError."""
+    """Raise a ValueError if the shapes do not match the options."""
     schema = {
         "subset": Field("i", ("n",)), "brightness": Field("f", ("n",)), "unit": Field("f"),
         "coverage": Field("i", ("n",)), "scale": Field("f"), "seconds": Field("f"),

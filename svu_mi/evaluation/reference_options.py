@@ -1,4 +1,4 @@
-"""Options of a reference, checked before anything is traced."""
+"""Options of a reference, checked before tracing starts."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Noise = Literal["relative", "heteroscedastic", "estimated"]
 
 @dataclass(frozen=True)
 class ReferenceOptions:
-    """The numbers of ``reference_posterior``, checked.
+    """Checked options of ``reference_posterior``, where they are described.
 
     Raises:
-        OptionError: one is out of range.
+        OptionError: an option is out of range.
     """
 
     spp: int
@@ -38,21 +38,21 @@ class ReferenceOptions:
     def __post_init__(self) -> None:
         require_types(self)
         require_ranges(self, spp=(2, inf), max_depth=(2, inf), seed=(0, inf))
-        require(self, self.spp % 2 == 0, "spp", "even: its noise is measured from two halves")
+        require(self, self.spp % 2 == 0, "spp", "even, for two halves that measure the noise")
         require(self, 0 < self.sigma < inf, "sigma", "positive")
         estimated, linear = self.noise == "estimated", self.method == "linear"
         fits = not estimated or self.errors == "mean"
-        require(self, fits, "errors", "mean with estimated noise, which counts every view already")
+        require(self, fits, "errors", "mean with estimated noise, which sums over views already")
         fits = not estimated or linear
-        require(self, fits, "method", "linear with estimated noise, which is that of its sums")
+        require(self, fits, "method", "linear with estimated noise, which needs its sums")
         require(
             self, not linear or self.max_depth == 2, "max_depth",
-            "2, for which radiance is linear in the material, or the method brute",
+            "2, for which radiance is linear in the material, unless method is brute",
         )  # fmt: skip
 
     @property
     def levels(self) -> np.ndarray:
-        """(R,) roughness that is traced: what the angular estimator gathers at."""
+        """Traced roughness levels, (R,); the angular estimator's levels if noise is estimated."""
         nodes = self.grid.roughness_nodes
         if self.noise == "estimated" and len(nodes) > 1:
             return np.linspace(0, 1, AngularPreset().levels)
@@ -60,27 +60,27 @@ class ReferenceOptions:
 
     @property
     def renders(self) -> int:
-        """Number of psi that are traced."""
+        """Number of traced psi."""
         _, *others = self.grid.shape
         rows = len(self.levels)
         return rows * (len(CORNERS) if self.method == "linear" else int(np.prod(others)))
 
 
 def check_subset(subset: Any, count: int) -> int | np.ndarray:
-    """Return a number of texels, or (n,) int64 indices of texels that exist."""
+    """Return a number of texels, or valid texel indices, (n,) int64."""
     given = np.asarray(subset)
     whole = given.size > 0 and np.issubdtype(given.dtype, np.integer)
     if not whole or given.ndim > 1 or (given.ndim == 0 and given < 1):
         raise OptionError(
-            "reference_posterior(): subset must be a number of texels >= 1, or a list of texel "
-            f"indices, got {excerpt(repr(subset))}."
+            "reference_posterior(): subset must be a number of texels (at least 1) or a list of "
+            f"texel indices, got {excerpt(repr(subset))}."
         )
     if given.ndim == 0:
         return int(given)
     wrong = given[(given < 0) | (given >= count)]
     if wrong.size:
         raise OptionError(
-            f"reference_posterior(): subset must hold texel indices 0 to {count - 1}, got "
+            f"reference_posterior(): subset must contain texel indices from 0 to {count - 1}, got "
             f"{wrong[0]}."
         )
     return given.astype(np.int64)

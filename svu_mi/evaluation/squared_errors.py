@@ -1,10 +1,10 @@
-"""Squared error of every psi against the observation, averaged over a texel's views.
+"""Squared errors of every psi against the observation, averaged over a texel's views.
 
-With two independent renders A and B of one psi the reference takes their mean as r, and each of
-them to state its own noise. The square (b - r)^2 has the variance of r on top of its exact value;
-(b - A)(b - B) has not, but noise of mean zero takes it below zero, and whichever psi that pushes
-down most is a false minimum. Products give a worse entropy at every number of samples from 8 to
-128: at 32, its RMSE against 1024 samples is .065, and .042 from the squares.
+The reference uses the mean of two independent renders A and B as r; each of them alone measures the
+noise. The square (b - r)^2 is biased by the variance of r. The product (b - A)(b - B) is unbiased
+but can be negative, and the psi with the most negative noise becomes a false minimum. Products give
+a worse entropy at 8 to 128 samples: at 32, the RMSE against 1024 samples is 0.065, and 0.042 with
+squares.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import Statistics
 
 Render = Callable[[Mapping[str, float]], tuple[np.ndarray, np.ndarray]]
-"""Grey parameters, by name, to the radiances (P, 3) of halves A and B, float64."""
+"""Grey parameters by name -> radiances (P, 3) of halves A and B, float64."""
 
 KINDS = 3  # mean of both halves, A, B
-# Materials that show what the reflection model is made of: d, e + d, q and p + q.
+# Materials whose renders are d, e + d, q and p + q of the reflection model.
 CORNERS = tuple({"metallic": m, "base_color": c} for m in (0.0, 1.0) for c in (0.0, 1.0))
 
 
 @dataclass(frozen=True)
 class TexelMeans:
-    """Means over the P pairs of each of n texels; a texel without pairs has 0.
+    """Means over the P pairs of n texels; 0 for texels without pairs.
 
     Attributes:
-        texel: (P,) int64, place of each pair's texel.
-        count: n.
-        weight: (P,) float64 that values are multiplied by, the mean still being over all
-            pairs; or None.
+        texel: (P,) int64, index of each pair's texel.
+        count: Number of texels n.
+        weight: (P,) float64 factor of the values, or None. Means still divide by the number of
+            pairs.
     """
 
     texel: np.ndarray
@@ -44,23 +44,26 @@ class TexelMeans:
 
     @property
     def pairs(self) -> np.ndarray:
-        """(n,) int64, number of pairs."""
+        """Number of pairs of each texel, (n,) int64."""
         return np.bincount(self.texel, minlength=self.count)
 
     def total(self, values: np.ndarray) -> np.ndarray:
-        """Sum (P,) values, times their weights, to (n,) float64."""
+        """Return weighted sums of (P,) values over the pairs of texels, (n,) float64."""
         weighted = values if self.weight is None else self.weight * values
         return np.bincount(self.texel, weights=weighted, minlength=self.count)
 
     def mean(self, values: np.ndarray) -> np.ndarray:
-        """Average (P,) values to (n,) float64."""
+        """Return weighted means of (P,) values over the pairs of texels, (n,) float64."""
         return self.total(values) / np.maximum(self.pairs, 1)
 
 
 def render_all(
     observed: np.ndarray, mean: TexelMeans, grid: PrincipledGrid, render: Render
 ) -> np.ndarray:
-    """Render every psi: (3, n, R, M ..., K) means of (b - (A + B) / 2)^2, (b - A)^2, (b - B)^2."""
+    """Render every psi; return means of squared errors, (3, n, R, M ..., K).
+
+    The first axis is (b - (A + B) / 2)^2, (b - A)^2, (b - B)^2.
+    """
     result = np.empty((KINDS, mean.count, *grid.shape))
     for index in np.ndindex(*grid.shape):
         psi = {name: float(x[k]) for (name, x), k in zip(grid.axes.items(), index, strict=True)}
@@ -73,10 +76,10 @@ def render_all(
 def render_sums(
     observed: np.ndarray, mean: TexelMeans, levels: np.ndarray, render: Render
 ) -> np.ndarray:
-    """Render four psi per roughness: (3, R, C, P, n) sums with both halves, with A and with B.
+    """Render four psi per roughness; return sums (3, R, C, P, n) for both halves, A and B.
 
-    At fixed roughness, four renders with a grey base colour give e, p, q and d of every channel
-    (``reflection/principled.py``) under direct light, and the sums (``Statistics``) all cells.
+    Under direct light, four renders with a grey base colour give e, p, q and d of every channel
+    (``reflection/principled.py``). Their sums determine the errors of all cells (``Statistics``).
     """
     channels = observed.shape[1]
     result = np.empty((KINDS, len(levels), channels, len(PAIRS), mean.count))
@@ -96,7 +99,7 @@ def render_sums(
 def derive_all(
     observed: np.ndarray, mean: TexelMeans, grid: PrincipledGrid, render: Render
 ) -> np.ndarray:
-    """Derive what ``render_all`` returns from four psi per roughness (``render_sums``)."""
+    """Return the result of ``render_all``, derived from four psi per roughness."""
     errors = [
         Statistics.of(table, mean.pairs, mean.pairs, grid.roughness_nodes).errors(
             *grid.mixed_nodes, grid.base_color_nodes

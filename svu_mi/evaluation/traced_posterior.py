@@ -1,4 +1,4 @@
-"""Reference p(psi | B, L) by path tracing every psi, without the estimators' approximations."""
+"""Reference posterior p(psi | B, L): path tracing of every psi, without approximations."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset, Errors
 from svu_mi.statistics.statistics import noise_weight
 
-LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not
+LANES = 1 << 20  # (texel, view) pairs per batch, visible or not
 
 
 def reference_posterior(
@@ -42,40 +42,44 @@ def reference_posterior(
 ) -> Reference:  # fmt: skip
     """Path trace the posterior of roughness, metallic and a grey base colour (Eq. 1-5).
 
-    The object gets one uniform ``principled`` material psi after the other (specular 0.5), and
-    every visible (texel, view) pair is traced as a ray from the camera to the texel. With b and r
-    the observed and traced radiance, means of the three channels, p ~ exp(-energy) and
-    energy(psi) = mean over the texel's views of w (b - r(psi))^2 / (2 s^2), where s is ``sigma``
-    times the mean observed radiance of the whole capture, and w is 1 unless ``noise`` has it fall
-    off. The Monte Carlo variance of r stays in the square: what is free of it gives a worse
-    entropy (RMSE against 1024 spp at 32 spp: .065 in place of .042).
+    The object gets one uniform ``principled`` material psi after the other (specular 0.5). Every
+    visible (texel, view) pair is traced as a ray from the camera to the texel. With observed and
+    traced radiance b and r (means of the channels), p ~ exp(-energy) and energy(psi) = mean over
+    the texel's views of w (b - r(psi))^2 / (2 s^2). Here s is ``sigma`` times the mean observed
+    radiance of the capture, and w is 1 or depends on ``noise``. The Monte Carlo variance of r is
+    not subtracted: that makes the entropy worse (``squared_errors.py``).
 
     Args:
-        source: a capture (scene, photographs and light; nothing of it is modified); or an
-            estimate of one, which knows the visibility of texels.
-        texels: texels of ``capture.mesh``; those of the estimate if there is one.
-        subset: that many texels, drawn at random from those that some view sees (all if there
-            are fewer), or an array of indices into the T texels.
-        spp: paths per psi and pair; even.
-        grid: nodes of psi; 8 x 8 x 8 by default.
-        sigma: standard deviation of the likelihood, as a part of the mean radiance.
-        noise: ``relative``: that, for all samples, as the preset ``fixed`` has it;
-            ``heteroscedastic``: it grows with a sample's own radiance b,
-            w = 1 / (1 + (b / mean)^2); ``estimated``: the likelihood of the angular preset
-            ``default``, of all views and in colour, and ``sigma`` is not used.
-        errors: of views: their ``mean``; or their ``sum``, as the paper prints Eq. 3, for which
-            ``sigma`` should be larger: .4 is that of the preset ``paper``.
-        max_depth: longest path; 2 is direct light.
-        method: ``linear`` renders 4 psi per roughness and derives the others, exactly, for
-            direct light; ``brute`` renders all.
-        seed: of the subset and of the paths; all psi share their random numbers.
-        cache: folder where results are kept, and looked for.
-        progress: shows what is going on and collects timings.
+        source: Capture (scene, photographs and light; not modified), or an estimate of one, whose
+            visibility is reused.
+        texels: Texels of ``capture.mesh``; default: the estimate's texels.
+        subset: Number of texels to draw from all visible ones (all if fewer), or an array of
+            texel indices.
+        spp: Paths per psi and pair; even, at least 2.
+        grid: Nodes of psi; default 8 x 8 x 8.
+        sigma: Standard deviation of the likelihood relative to the mean radiance.
+        noise: Noise model. ``relative``: equal for all samples, as in the preset ``fixed``.
+            ``heteroscedastic``: grows with the sample's radiance, w = 1 / (1 + (b / mean)^2).
+            ``estimated``: the likelihood of the angular preset ``default``, in colour and summed
+            over views; ignores ``sigma``.
+        errors: Aggregation over views: ``mean``, or ``sum`` as printed in Eq. 3. For ``sum``, use
+            a larger ``sigma``, such as 0.4 of the preset ``paper``.
+        max_depth: Largest number of path edges; 2 is direct light.
+        method: ``linear`` renders four psi per roughness and derives the others, which is exact
+            for direct light; ``brute`` renders all.
+        seed: Seed of the subset and the paths; all psi share their random numbers.
+        cache: Folder to read results from and write them to; None disables the cache.
+        progress: Receiver of stages and timings.
 
     Raises:
-        OptionError: an option is out of range, or ``subset`` names texels that do not exist.
-        CaptureError: no texel is seen in any photograph, or all that is seen is black.
+        OptionError: an option is out of range, or ``subset`` contains an invalid index.
+        CaptureError: no texel is visible in any photograph, or all visible texels are black.
         OutputError: the cache cannot be written.
+
+    Example:
+        >>> reference = svu.reference_posterior(capture, texels, subset=20, spp=4)
+        >>> reference.entropy.shape, reference.method
+        ((20,), 'linear')
     """
     grid = grid or PrincipledGrid()
     options = ReferenceOptions(spp, grid, sigma, max_depth, method, seed, noise, errors)
@@ -100,7 +104,7 @@ def _trace(
     options: ReferenceOptions,
     update: Callable[[int, int], None],
 ) -> TracedTables:
-    """Work through the texels in batches of bounded memory."""
+    """Trace the texels in batches of bounded memory."""
     dr.sync_thread()
     start = time.perf_counter()
     target, estimated = UniformScene.of(observed.capture), options.noise == "estimated"
@@ -135,7 +139,7 @@ def _trace(
 
 
 def _weights(pairs: VisiblePairs, observed: Observed, noise: Noise) -> np.ndarray | None:
-    """(P,) weights of the squared deviations; None is 1 for all."""
+    """Return weights of squared errors, (P,); None if all are 1."""
     if noise == "relative":
         return None
     if noise == "heteroscedastic":
@@ -150,7 +154,7 @@ def _renderer(
 ) -> Render:  # fmt: skip
     """Return a function that renders a psi for a batch of pairs."""
     integrator = mi.load_dict({"type": "path", "max_depth": options.max_depth})
-    # Own random numbers for each batch, the same for all psi.
+    # A seed per batch, shared by all psi.
     seed = int(np.random.default_rng((options.seed, batch)).integers(2**63))
     done = itertools.count(batch * options.renders + 1)
 
@@ -168,17 +172,17 @@ def _renderer(
 def _choose_texels(
     wanted: int | np.ndarray, seen: Visibility, capture: Capture, seed: int
 ) -> np.ndarray:
-    """Return (n,) int64 indices; random ones are seen, and sorted, so neighbours stay together."""
+    """Return texel indices, (n,) int64; drawn ones are seen, and sorted for coherent rays."""
     visible = np.flatnonzero(seen.coverage.numpy())
     if len(visible) == 0:
         raise CaptureError(
-            f"No texel of '{capture.shape.id()}' is seen in any photograph, so there is nothing "
-            "to trace; check the poses and masks."
+            f"No texel of '{capture.shape.id()}' is visible in any photograph; check the poses "
+            "and masks."
         )
     if not seen.scale > 0:
         raise CaptureError(
-            f"'{capture.shape.id()}' is black in all photographs, so sigma, a fraction of the "
-            "mean radiance, would be 0; check the photographs."
+            f"'{capture.shape.id()}' is black in all photographs, so sigma, relative to the mean "
+            "radiance, would be 0; check the photographs."
         )
     if isinstance(wanted, np.ndarray):
         return wanted

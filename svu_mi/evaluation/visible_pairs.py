@@ -1,4 +1,4 @@
-"""Visible (texel, view) pairs: observed radiance, and the camera ray."""
+"""Visible (texel, view) pairs with observed radiance and camera rays."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views
 from svu_mi.geometry.sample_view import RAY_OFFSET, TexelLanes, sample_visible
 from svu_mi.posterior.observations import Observed
 
-TOLERANCE = 4e-5  # of the object's extent: how far from a texel's tangent plane a ray may land
+TOLERANCE = 4e-5  # largest distance of a hit from the texel's plane, relative to the extent
 
 
 @dataclass(frozen=True)
 class VisiblePairs:
-    """P visible pairs of a batch of texels, texel by texel.
+    """P visible pairs of a batch of texels, ordered by texel.
 
     Attributes:
-        texel: (P,) int64, place of the texel in the batch.
-        radiance: (P, 3) float64, observed.
-        contrast: (P,) float64, variance of the pixels it is the mean of.
+        texel: (P,) int64, index of the texel in the batch.
+        radiance: (P, 3) float64, observed radiance, a mean over nearby pixels.
+        contrast: (P,) float64, variance of the nearby pixels.
         rays: (P,) Ray3f from the camera to the texel, world space; None without pairs.
-        dropped: number of visible pairs left out: their ray meets something else first.
+        dropped: Number of visible pairs whose camera ray hits another surface first.
     """
 
     texel: np.ndarray
@@ -42,12 +42,12 @@ class VisiblePairs:
 
     @property
     def observed(self) -> np.ndarray:
-        """(P,) float64, observed grey radiance."""
+        """Observed grey radiance, (P,) float64."""
         return np.asarray(self.radiance.mean(axis=1))
 
 
 def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> VisiblePairs:
-    """Find the pairs of texels that a camera ray confirms; 100 bytes per texel and view."""
+    """Return the visible pairs whose camera ray hits the texel; 100 bytes per texel and view."""
     views, texels = observed.views, observed.texels
     lane = dr.arange(mi.UInt32, dr.width(batch) * views.number)
     place = lane // views.count
@@ -65,7 +65,7 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Visib
     dr.eval(place, radiance, contrast, rays)
     return VisiblePairs(
         texel=place.numpy().astype(np.int64),
-        # Channel by channel: together, every number of pairs would compile a kernel of its own.
+        # Per channel: a joint copy would compile a kernel for every number of pairs.
         radiance=np.stack([x.numpy() for x in radiance], axis=-1).astype(np.float64),
         contrast=contrast.numpy().astype(np.float64),
         rays=rays,
@@ -76,9 +76,9 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Visib
 def _aim(
     views: Views, surface: TexelLanes, view: Any, target: UniformScene, active: Any
 ) -> tuple[Any, Any]:
-    """Return rays from the cameras to the texels, and whether they are active and land there.
+    """Return rays from the cameras to the texels, and flags of active rays that hit the texel.
 
-    Landing is within a distance of the texel's tangent plane: rays leak, and sheets are thin.
+    A hit may be off the texel's tangent plane by ``TOLERANCE``: rays leak, and sheets are thin.
     """
     camera = mi.Point3f(
         *(dr.gather(mi.Float, views.cameras, view * CAMERA_FLOATS + 12 + k) for k in range(3))
@@ -86,7 +86,7 @@ def _aim(
     ray = mi.Ray3f(camera, dr.normalize(surface.position - camera))
     hit = target.scene.ray_intersect(ray, mi.RayFlags.Minimal, True, active=active)
     miss = dr.abs(dr.dot(ray(hit.t) - surface.position, surface.geometric_normal))
-    # Opaque: as a literal, every scene of a process would get a kernel of its own.
+    # Opaque: a literal shape would compile a new kernel for every scene.
     on_object = active & hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target.shape))
     # surface.offset is a fraction of the extent, and already opaque.
     return ray, on_object & (miss < (TOLERANCE / RAY_OFFSET) * surface.offset)

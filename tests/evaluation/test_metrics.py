@@ -89,7 +89,7 @@ def test_objects_are_resampled_not_cells():
 
 
 @pytest.mark.parametrize("count", [3, 4, 6, 10, 30])
-def test_the_interval_covers_the_mean_as_often_as_it_says(rng, count):
+def test_interval_covers_the_mean_with_its_probability(rng, count):
     """Objects of 3 cells: 95 %."""
     names = np.repeat(np.arange(count).astype(str), 3)
     held = 0
@@ -169,7 +169,7 @@ def test_ties_are_taken_in_whole():
 
 
 @pytest.mark.parametrize("level", [0.5, 0.9])
-def test_a_calibrated_posterior_is_covered_as_it_says(rng, level):
+def test_coverage_of_a_calibrated_posterior_is_its_level(rng, level):
     """Truth drawn from each posterior: the level within four binomial deviations."""
     count = 4000
     p = rng.dirichlet(np.full(64, 0.1), count)
@@ -323,7 +323,7 @@ def test_ssim_is_that_of_wang_et_al():
     )  # fmt: skip
 
 
-def test_pictures_are_compared_on_the_object_only_and_at_any_exposure():
+def test_pictures_are_compared_on_the_object_at_any_exposure():
     rng = np.random.default_rng(5582210)
     truth, mask = rng.uniform(0.2, 2, size=(16, 16, 3)), np.zeros((16, 16), bool)
     mask[4:12, 4:12] = True

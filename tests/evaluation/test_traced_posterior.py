@@ -97,7 +97,7 @@ def valley_capture(tmp_path, max_depth: int):
 
 
 @pytest.mark.slow
-def test_four_corners_give_all_of_a_row_exactly_where_paths_are_shared(capture, layout):
+def test_four_corners_reproduce_a_row_if_paths_are_shared(capture, layout):
     """At metallic 0 and 1 sampling does not depend on the base colour: equal path by path."""
     a, b = (
         traced(capture, layout, 30, 8, method=m).posterior.kernel.energies
@@ -243,7 +243,7 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, ask
 
 
 @pytest.mark.slow
-def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(capture, layout, asked):
+def test_estimated_noise_equals_that_of_weighted_samples(capture, layout, asked):
     """Sums of one texel again, from the pairs and the traced halves, in NumPy; and their uses."""
     result, rendered = asked
     reference = traced(capture, layout, 20, 4, noise="estimated")
@@ -267,7 +267,7 @@ def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(capture, 
 
 
 @pytest.mark.slow
-def test_a_noise_that_is_estimated_gives_the_estimator_s_own_posterior(capture, layout):
+def test_estimated_noise_gives_the_posterior_of_the_estimator(capture, layout):
     """From one side of the ball, so that some texels are seen by few views; 256 paths leave a
     correlation of 0.95, and 1024 no more."""
     half = replace(capture, used=tuple(k < 12 for k in range(24)))
@@ -319,7 +319,7 @@ def test_batches_change_nothing_but_the_random_numbers(capture, layout, monkeypa
 
 
 @pytest.mark.parametrize("noise", ["relative", "estimated"])
-def test_rays_that_miss_are_left_out(capture, layout, monkeypatch, noise):
+def test_rays_that_miss_are_dropped(capture, layout, monkeypatch, noise):
     monkeypatch.setattr(visible_pairs, "TOLERANCE", 0.0)
     reference = reference_posterior(capture, layout, 20, 2, grid=GRID, noise=noise)
     assert reference.dropped > 20
@@ -330,7 +330,7 @@ def test_rays_that_miss_are_left_out(capture, layout, monkeypatch, noise):
 
 
 @pytest.mark.parametrize("noise", ["relative", "estimated"])
-def test_a_texel_nobody_sees_has_entropy_one(capture, layout, noise):
+def test_unseen_texel_has_entropy_one(capture, layout, noise):
     masks = tuple(np.arange(48 * 48).reshape(48, 48) % 48 < 24 for _ in capture.images)
     half, everyone = replace(capture, masks=masks), np.arange(layout.count)
     reference = reference_posterior(half, layout, everyone, 2, grid=GRID, noise=noise)
@@ -372,7 +372,7 @@ def test_split_half_tells_noise(capture, layout):
 
 
 @pytest.mark.slow
-def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch):
+def test_kernels_do_not_depend_on_psi_or_batch(capture, layout, monkeypatch):
     """After two renders of the first batch, everything is found in the cache."""
     monkeypatch.setattr(traced_posterior, "LANES", 600)
     monkeypatch.setattr(path_trace, "LANES", 500)
@@ -450,7 +450,7 @@ def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, calls
 
 
 @pytest.mark.slow
-def test_whatever_matters_misses_the_cache(capture, layout, tmp_path):
+def test_relevant_inputs_change_the_cache_key(capture, layout, tmp_path):
     def run(capture=capture, subset=20, spp=2, **changes: Any) -> bool:
         return not traced(capture, layout, subset, spp, cache=tmp_path, **changes).cached
 
@@ -494,26 +494,26 @@ def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path):
     ("changes", "sentence"),
     [
         ({"spp": 1}, "spp must be in [2, inf], got 1"),
-        ({"spp": 33}, "spp must be even: its noise is measured from two halves, got 33"),
+        ({"spp": 33}, "spp must be even, for two halves that measure the noise, got 33"),
         ({"spp": 4.0}, "spp must be a whole number, got 4.0"),
-        ({"subset": 0}, "number of texels >= 1, or a list of texel indices, got 0"),
-        ({"subset": [0, 10**6]}, "must hold texel indices 0 to"),
+        ({"subset": 0}, "number of texels (at least 1) or a list of texel indices, got 0"),
+        ({"subset": [0, 10**6]}, "must contain texel indices from 0 to"),
         ({"subset": [-1]}, "got -1"),
         ({"subset": [0.5]}, "list of texel indices"),
         ({"subset": []}, "list of texel indices"),
         ({"sigma": 0}, "sigma must be positive"),
         ({"sigma": np.nan}, "sigma must be positive"),
         ({"max_depth": 1}, "max_depth must be in [2, inf]"),
-        ({"max_depth": 3}, "or the method brute, got 3"),
+        ({"max_depth": 3}, "unless method is brute, got 3"),
         ({"method": "magic"}, "method must be one of linear, brute, got 'magic'"),
         (
             {"noise": "fixed"},
             "noise must be one of relative, heteroscedastic, estimated, got 'fixed'",
         ),
         ({"noise": "estimated", "method": "brute"}, "method must be linear with estimated noise"),
-        ({"noise": "estimated", "max_depth": 3}, "or the method brute, got 3"),
+        ({"noise": "estimated", "max_depth": 3}, "unless method is brute, got 3"),
         ({"errors": "median"}, "errors must be one of mean, sum, got 'median'"),
-        ({"noise": "estimated", "errors": "sum"}, "counts every view already"),
+        ({"noise": "estimated", "errors": "sum"}, "sums over views already"),
         ({"seed": -1}, "seed must be in [0, inf]"),
     ],
 )
@@ -526,7 +526,7 @@ def test_bad_options_are_refused_in_a_sentence(capture, layout, changes, sentenc
 
 def test_nothing_seen_and_nothing_bright_are_refused(capture, layout):
     nothing = tuple(np.zeros((48, 48), bool) for _ in capture.images)
-    with pytest.raises(CaptureError, match="No texel of 'ball' is seen"):
+    with pytest.raises(CaptureError, match="No texel of 'ball' is visible"):
         reference_posterior(replace(capture, masks=nothing), layout, 5, 2)
     black = tuple(np.zeros_like(image) for image in capture.images)
     with pytest.raises(CaptureError, match="is black"):

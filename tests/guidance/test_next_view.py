@@ -350,7 +350,7 @@ class TestGrowing:
             greedy.choose(best)
             taken.append(self.PHOTOGRAPHS + best)
 
-    def test_truths_are_the_posterior_in_the_light_of_the_photographs(self, sunny):
+    def test_truths_equal_the_posterior_in_the_light_of_photographs(self, sunny):
         """What they are weighed by is what the estimate has, if the light is the same."""
         capture, texels = sunny
         used = (0, 3, 5, 9)
@@ -423,7 +423,7 @@ class TestGreedy:
         rng = np.random.default_rng(seed)
         return angular_forecast(rng, views, count, GRIDS["cube"], hypotheses=6)[0]
 
-    def test_only_what_changes_is_evaluated_again_and_nothing_is_lost(self):
+    def test_only_changed_pairs_are_evaluated_again(self):
         forecast, taken = self.forecast(), [0, 1, 2]
         greedy = GreedyScorer(forecast, 3)
         for _ in range(5):
@@ -546,7 +546,7 @@ def inputs_of(estimate, candidates, **options):
 class TestNextBestView:
     @pytest.mark.few(1)
     @pytest.mark.parametrize("switches", [{}, {"method": "spectrum", "preset": "paper"}])
-    def test_photographs_of_candidates_are_never_looked_at(self, sunny, switches):
+    def test_photographs_of_candidates_are_not_used(self, sunny, switches):
         capture, texels = sunny
         used = (0, 1, 2, 3)
         clean = some(capture, used)
@@ -566,7 +566,7 @@ class TestNextBestView:
         assert [p.name for p in both[0].proposals] == [p.name for p in both[1].proposals]
 
     @pytest.mark.slow
-    def test_candidates_see_what_their_photographs_show(self, sunny, estimated):
+    def test_visibility_of_candidates_equals_that_of_photographs(self, sunny, estimated):
         capture, texels = sunny
         whole = svu.estimate(capture, texels)
         around = svu.Candidates.at(capture, range(1, 20))
@@ -595,7 +595,7 @@ class TestNextBestView:
             assert max(sides) < 0 if method == "angular" else min(sides) < 0
 
     @pytest.mark.slow
-    def test_expected_gain_of_a_sample_is_that_of_all_within_its_error(self, sunny, estimated):
+    def test_gain_of_a_sample_equals_that_of_all_within_its_error(self, sunny, estimated):
         capture, texels = sunny
         estimate = estimated(0, 5, 9)
         around = svu.Candidates.without_photograph(some(capture, (0, 5, 9)))
@@ -612,7 +612,7 @@ class TestNextBestView:
         assert all(0 < g.proposals[0].error < 0.02 for g in few)
 
     @pytest.mark.slow
-    def test_a_block_of_a_large_gain_map_has_the_gain_of_one_of_its_texels(
+    def test_blocks_of_a_large_gain_map_have_the_gain_of_one_texel(
         self, sunny, estimated, monkeypatch
     ):
         _, texels = sunny
@@ -645,7 +645,7 @@ class TestNextBestView:
         assert sorted(guidance.ranking) == [c for c in range(18) if c != best]
 
     @pytest.mark.slow
-    def test_every_strategy_and_what_it_reports(self, sunny, estimated):
+    def test_every_strategy_reports_its_results(self, sunny, estimated):
         capture, _ = sunny
         estimate = estimated(0, 1, 2)
         around = svu.Candidates.around(capture)
@@ -690,7 +690,7 @@ class TestNextBestView:
         assert all(k["hash"] in known or k["operation_count"] < 100 for k in kernels)
 
     @pytest.mark.slow
-    def test_other_views_or_texels_are_no_other_kernels(self, sunny, estimated):
+    def test_kernels_do_not_depend_on_views_or_texels(self, sunny, estimated):
         capture, _ = sunny
         estimate = estimated(0, 1, 2)
         svu.next_best_view(estimate, svu.Candidates.around(capture, 11), 3, texels=200)
@@ -700,7 +700,7 @@ class TestNextBestView:
         assert not [k for k in kernels if not k["cache_hit"] and not k["cache_disk"]]
 
     @pytest.mark.slow
-    def test_expected_change_is_what_photographs_then_change(self, sunny, estimated):
+    def test_expected_change_equals_the_change_by_photographs(self, sunny, estimated):
         """With the photograph taken, entropy falls as was expected, over all candidates.
 
         From one side of the ball, where candidates differ by more than the noise of all texels
@@ -718,7 +718,7 @@ class TestNextBestView:
         assert np.corrcoef(guidance.scores, real)[0, 1] > 0.8
         assert 0.5 < guidance.scores.mean() / real.mean() < 1.5
 
-    def test_entropy_so_far_is_the_estimate_s_where_it_is_right(self, sunny, estimated):
+    def test_current_entropy_equals_the_estimate_s(self, sunny, estimated):
         """Photographs as the model has them: what they are expected to say is what they say."""
         capture, _ = sunny
         estimate = estimated(0, 5, 9, 14, preset="fixed")
@@ -762,7 +762,7 @@ class TestNextBestView:
         pytest.param("spectrum", SHARP, {"specular": 5 / 7}, 1, marks=pytest.mark.slow),
         pytest.param("spectrum", SHARP, {"roughness": 3 / 7}, 0, marks=pytest.mark.slow),
     ])  # fmt: skip
-    def test_what_is_known_is_a_prior_that_says_so(self, sunny, method, name, known, axis):
+    def test_known_parameters_equal_a_prior_on_their_value(self, sunny, method, name, known, axis):
         """E[H] log n is the same on the whole grid with all of the prior on that node, and so are
         the proposals; also where nobody looked."""
         capture, texels = sunny
@@ -791,7 +791,7 @@ class TestNextBestView:
         np.testing.assert_allclose(nats[1], nats[0], atol=1e-5)
 
     @pytest.mark.parametrize("method, name", [("angular", "fixed"), ("spectrum", SHARP)])
-    def test_truths_of_texels_nobody_saw_are_the_priors(self, sunny, method, name):
+    def test_truths_of_unseen_texels_are_drawn_from_the_prior(self, sunny, method, name):
         capture, texels = sunny
         estimate = svu.estimate(
             some(capture, (0, 5)), texels, method, name, prior=np.eye(8)[3] + 0.5 * np.eye(8)[6]

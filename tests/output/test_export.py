@@ -107,9 +107,7 @@ EVERY_HERE = [
     (("materialx",), ["material.mtlx", "mesh.obj", "textures/orm.png"]),
     (("xml",), ["mesh.ply", "object.xml", "preview.xml", "textures/base_color.exr"]),
 ])  # fmt: skip
-def test_a_format_brings_what_it_refers_to_and_replaces_an_older_export(
-    asset, tmp_path, formats, names
-):
+def test_a_format_writes_its_files_and_replaces_an_older_export(asset, tmp_path, formats, names):
     older = ("entropy.glb", "textures/roughness.png", "textures/coverage.exr", "mesh.obj")
     write_older(tmp_path, "export", "asset.json", older)
     svu.export_asset(asset, tmp_path, svu.ExportOptions(formats=formats))
@@ -281,7 +279,7 @@ def test_a_world_with_z_up_is_turned_in_the_glb(asset, tmp_path):
     assert np.array(camera.world_transform().matrix).reshape(4, 4)[2, 1] > 0.9  # its top is +Z
 
 
-def test_up_is_where_the_cameras_of_a_recovery_have_it(result, tmp_path):
+def test_up_follows_the_cameras_of_the_recovery(result, tmp_path):
     assert svu.load_asset(result.folder).up == "y"
     folder = shutil.copytree(result.folder, tmp_path / "result")
     path = folder / "recovered.xml"
@@ -305,7 +303,7 @@ def test_up_is_where_the_cameras_of_a_recovery_have_it(result, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["lamp", "camera", "room", "roughness"])
-def test_an_object_may_be_called_what_the_preview_calls_its_own(asset, tmp_path, name):
+def test_object_may_have_a_name_that_the_preview_uses(asset, tmp_path, name):
     options = svu.ExportOptions(formats=("xml",))
     svu.export_asset(replace(asset, name=name), tmp_path, options)
     scene = mi.load_file(str(tmp_path / "preview.xml"), optimize=False)
@@ -404,7 +402,7 @@ def test_entropy_of_another_layout_is_refused(result, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_of_entropy_alone_says_what_is_missing(tmp_path):
+def test_a_folder_with_entropy_alone_lists_missing_files(tmp_path):
     write_known(tmp_path, 20, 30)
     with pytest.raises(CaptureError, match=r"no base_color\.exr, .* of svu entropy; run svu rec"):
         svu.load_asset(tmp_path)

@@ -75,7 +75,7 @@ def test_percent_does_not_round_to_nothing_or_all():
     assert {p: html.percent(p) for p in words} == {p: f"{w}\u202f%" for p, w in words.items()}
 
 
-def test_a_browser_asks_nobody_and_runs_no_script_of_others(browser, written, server):
+def test_pages_load_nothing_and_run_only_their_scripts(browser, written, server):
     shown = browser.open(written)
     assert len(shown.requests) == 2  # tried, and blocked
     with pytest.raises(BlockingIOError):

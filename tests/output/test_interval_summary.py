@@ -77,7 +77,7 @@ def test_all_that_was_found_is_one_line(posterior):
 
 
 @pytest.mark.parametrize("most", [4096, 3000, 7])
-def test_as_many_texels_are_taken_as_asked_for_at_equal_steps(most):
+def test_the_given_number_of_texels_is_taken_at_equal_steps(most):
     for count in (0, 5, most, most + 1, 3003, 16693):
         taken = subsample(np.arange(count), most)
         assert len(taken) == len(set(taken.tolist())) == min(count, most)

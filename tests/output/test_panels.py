@@ -55,7 +55,7 @@ def test_a_photograph_is_cropped_to_its_mask():
     np.testing.assert_allclose(shown(part)[0] - [1, 0, 0], 0, atol=1e-6)
 
 
-def test_a_map_has_values_and_greys_where_there_are_none(estimate):
+def test_maps_are_grey_where_they_have_no_value(estimate):
     place = axes()
     drawn = draw_map(place, estimate)
     image, cover = shown(place)

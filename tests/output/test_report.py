@@ -105,7 +105,7 @@ def section(text, name):
 
 
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (400, True)])
-def test_the_page_fits_and_asks_for_nothing(browser, written, width, dark):
+def test_the_page_fits_and_loads_nothing(browser, written, width, dark):
     shown = browser.open(written, width, dark=dark)
     shown.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
     assert shown.overflow == 0
@@ -176,7 +176,7 @@ def test_all_of_the_surface_is_exactly_all(estimate):
             assert (parts.settled, parts.roughly, parts.wide) == where
 
 
-def test_what_is_settled_is_said_from_intervals(estimate, page, monkeypatch):
+def test_known_parameters_are_listed_by_intervals(estimate, page, monkeypatch):
     banded, seen = Banded(estimate), np.array(estimate.coverage) > 0
     monkeypatch.setattr(report, "picture_intervals", lambda *_: banded)
     text = page()
@@ -361,7 +361,7 @@ def test_many_photographs_are_thinned_out(capture, estimate):
     assert report_pictures.subsample(range(200), 5) == [0, 50, 100, 149, 199]
 
 
-def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
+def test_errors_separate_good_textures_from_bad(capture, estimate, monkeypatch):
     monkeypatch.setattr(report_pictures, "COMPARED", 2)
     best = report_pictures.most_probable_textures(estimate)
     good = report_pictures.render_errors(capture, best, grey=True)

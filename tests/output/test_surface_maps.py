@@ -49,7 +49,7 @@ def test_half_a_width_is_that_of_the_least_known_channel(vase):
     assert half.shape[1] == 3 and np.ptp(half[seen]) > 0.05
 
 
-def test_pixels_that_are_asked_for_are_those_of_the_picture(vase):
+def test_chosen_pixels_equal_those_of_the_picture(vase):
     """Of 4 views in one launch and one by one: both noisy, without a bias."""
     capture, textures = vase.capture, uniform_textures(vase.texels, 0.5)
     sensors = [scaled_sensor(sensor, 32) for sensor in capture.sensors]

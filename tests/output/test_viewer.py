@@ -88,7 +88,7 @@ def test_rays_meet_the_texel_that_they_are_aimed_at(known, picker):
         assert picker.pick(origin, normals[texel]) is None
 
 
-def test_a_pick_says_what_the_estimate_says(capture, known, picker):
+def test_a_pick_equals_the_estimate(capture, known, picker):
     entropy, coverage = np.array(known.entropy), np.array(known.coverage)
     best, position = known.posterior.map(), np.array(known.texels.position)
     means = {name: known.posterior.mean(name).numpy() for name in best}
@@ -107,7 +107,7 @@ def test_a_pick_says_what_the_estimate_says(capture, known, picker):
         picker.describe(-1)
 
 
-def test_the_panel_says_mean_and_interval_of_every_channel(capture, known):
+def test_the_panel_shows_mean_and_interval_of_every_channel(capture, known):
     colored = estimate(capture, known.texels)
     texel = int(np.array(known.coverage).argmax())
     text = texel_markdown(capture, Picker(capture, colored).describe(texel))
@@ -137,7 +137,7 @@ def test_seen_by_numbers_the_views_of_the_capture(capture, known, picker):
     assert compared > 60
 
 
-def test_an_unseen_texel_is_grey_and_nothing_is_known_of_it(capture, known, picker):
+def test_an_unseen_texel_is_grey_and_has_the_prior(capture, known, picker):
     unseen = int(np.flatnonzero(np.array(known.coverage) == 0)[0])
     pick = picker.describe(unseen)
     assert not pick.summaries
@@ -229,7 +229,7 @@ def test_a_page_is_served_here_alone_until_interrupted(capture, known, quarters,
     assert capfd.readouterr().out == ""
 
 
-def test_a_world_with_z_up_of_which_nothing_is_seen(capture, known):
+def test_a_world_with_z_up_and_no_visible_texel(capture, known):
     turned = posed(capture, *(TO_Z_UP @ to_world(sensor) for sensor in capture.sensors))
     viewer = Viewer(turned, blind(known), port=0)
     try:

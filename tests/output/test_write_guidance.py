@@ -67,7 +67,7 @@ def rays(sensor):
     return np.hstack([np.broadcast_to(to_world(sensor)[:3, 3], directions.shape), directions])
 
 
-def test_all_files_are_there_and_those_of_an_older_run_are_not(written):
+def test_all_files_are_new_and_an_older_run_is_replaced(written):
     names = sorted(path.name for path in written.iterdir())
     assert names == sorted(FILES)
     assert sorted(p.name for p in (written / "thumbnails").iterdir()) == [

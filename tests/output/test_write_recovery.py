@@ -102,7 +102,7 @@ def test_a_grey_texture_of_another_program_is_read(tmp_path, channel):
         ("base_color", None, r"has no base_color\.exr, so it is not a result of svu recover"),
     ],
 )
-def test_what_are_no_textures_is_said(tmp_path, name, channels, sentence):
+def test_files_that_are_not_textures_are_refused(tmp_path, name, channels, sentence):
     write_textures(any_textures(), tmp_path)
     if channels is None:
         (tmp_path / f"{name}.exr").unlink()
@@ -278,7 +278,7 @@ def test_a_material_that_cannot_be_written_is_said(tmp_path):
     ({"type": "checkerboard"}, "left at its default"),
     ({"type": "bitmap", "bitmap": None, "to_uv": 8.0}, "loses its to_uv"),
 ])  # fmt: skip
-def test_a_texture_that_is_written_otherwise_is_said(tmp_path, texture, sentence):
+def test_textures_that_change_in_writing_are_reported(tmp_path, texture, sentence):
     texture = dict(texture)
     if "bitmap" in texture:
         texture["bitmap"] = mi.Bitmap(np.ones((4, 4, 3), np.float32))
