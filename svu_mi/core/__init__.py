@@ -1,1 +1,1 @@
-"""What every room needs: arrays in Dr.Jit, memory, progress, checks of arguments, files."""
+"""Arrays in Dr.Jit, memory, progress, checks of arguments, and files."""

@@ -1,4 +1,4 @@
-"""NumPy arrays as Dr.Jit arrays and tensors; evenly spaced indices and directions."""
+"""Conversion of NumPy arrays to Dr.Jit; evenly spaced indices and directions."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import numpy as np
 
 from svu_mi.errors import ShapeError
 
-LARGE = 2**20  # bytes, from which a second copy costs more than waiting for Dr.Jit
+LARGE = 2**20  # bytes; copying a larger array costs more than waiting for Dr.Jit
 
 
 def to_drjit(kind: Any, values: np.ndarray) -> Any:
     """Copy a NumPy array, (N,) or (dimension, N), into a Dr.Jit array of type ``kind``.
 
-    ``mi.Float(array)`` shares NumPy's memory: later writes show through, and Dr.Jit compiles
-    another kernel for every alignment of its inputs.
+    ``mi.Float(array)`` would alias NumPy's memory: later writes would change the Dr.Jit array, and
+    Dr.Jit would compile another kernel for every alignment of its inputs.
     """
     if not values.size:
         return kind()
     if dr.depth_v(kind) > 1:
         return kind(*(to_drjit(dr.value_t(kind), component) for component in values))
     plain = np.ascontiguousarray(values)
-    # Dr.Jit makes its copy when its queue gets there, which may be after we have returned: give
-    # it an array that nobody else writes to, or wait.
+    # Dr.Jit copies asynchronously, possibly after this function has returned. Until then, the
+    # source must not change: pass a private copy, or synchronise.
     if plain.nbytes < LARGE:
         return dr.opaque(kind(plain.copy()))
     copied = dr.opaque(kind(plain))
@@ -37,10 +37,14 @@ def to_drjit(kind: Any, values: np.ndarray) -> Any:
 def tensor(
     values: Any, caller: str, name: str, axes: Sequence[str | int], *, copy: bool = False
 ) -> Any:
-    """Return ``values`` as a detached single precision TensorXf; errors name caller and argument.
+    """Return ``values`` as a detached single-precision TensorXf of a given shape.
 
-    ``axes`` has a length, or a name for any, per axis. Unless ``copy``, contiguous float32 input is
-    aliased: the caller must evaluate before it returns.
+    ``axes`` contains the length of each axis, or a name for an axis of any length. Errors name
+    ``caller`` and ``name``. Unless ``copy``, contiguous float32 input is aliased: the caller must
+    evaluate before it returns.
+
+    Raises:
+        ShapeError: ``values`` are not numbers, or have another shape.
     """
     if dr.is_tensor_v(values):
         out = dr.detach(mi.TensorXf(values))
@@ -49,7 +53,7 @@ def tensor(
             plain = np.array(values, dtype=np.float32, order="C", copy=copy or None)
         except (TypeError, ValueError) as error:
             raise ShapeError(f"{caller}: {name} is not an array of numbers ({error}).") from error
-        # Dr.Jit tensors do not take NumPy arrays without elements.
+        # Dr.Jit tensors reject empty NumPy arrays.
         out = mi.TensorXf(plain) if plain.size else dr.zeros(mi.TensorXf, plain.shape)
     wanted = ", ".join(str(axis) for axis in axes)
     fits = len(out.shape) == len(axes) and all(
@@ -62,12 +66,15 @@ def tensor(
 
 
 def evenly_spaced(count: int, most: int) -> np.ndarray:
-    """Return at most ``most`` of the indices below ``count``, evenly spaced, both ends included."""
+    """Return at most ``most`` evenly spaced indices from 0 to ``count`` - 1."""
     return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
 
 
 def fibonacci(count: int, lowest: float = -1.0, start: float = 0.0) -> np.ndarray:
-    """Return (count, 3) even unit directions above y = ``lowest``; ``start`` in golden angles."""
+    """Return a Fibonacci lattice of unit directions (count, 3) with y > ``lowest``.
+
+    ``start`` turns the lattice about the y axis by a number of golden angles.
+    """
     index = np.arange(count)
     y = 1 - (1 - lowest) * (index + 0.5) / count
     azimuth = (index + start) * np.pi * (3 - np.sqrt(5))

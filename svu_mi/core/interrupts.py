@@ -1,8 +1,7 @@
-"""Defer Ctrl-C to the end of a step.
+"""Deferral of Ctrl-C to the end of a step.
 
-Within a custom operation or a recorded loop, Dr.Jit turns a ``KeyboardInterrupt`` into an error
-of its own, and one that is raised while C++ calls Python is lost: nobody could tell that the user
-has had enough.
+Within custom operations and recorded loops, Dr.Jit replaces a ``KeyboardInterrupt`` by another
+exception. An interrupt that is raised while C++ calls Python is lost.
 """
 
 from __future__ import annotations
@@ -15,11 +14,11 @@ from contextlib import contextmanager
 
 @contextmanager
 def between_steps() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back until it is asked for; a second one comes through at once.
+    """Defer Ctrl-C until the yielded function is called; a second Ctrl-C acts at once.
 
     Yields:
-        A function that raises the ``KeyboardInterrupt`` if there was one. In threads other
-        than the main one, or where Ctrl-C has another meaning, nothing is held back.
+        Function that raises the deferred ``KeyboardInterrupt``, if any. Nothing is deferred
+        outside of the main thread, or if SIGINT has a handler other than Python's default.
     """
     pressed = False
 

@@ -1,8 +1,8 @@
-"""Local memory: values of a lane for look-ups in loops, in blocks, and their output.
+"""Local memory of Dr.Jit: arrays per lane that loops index, and scatters of their results.
 
-A block has one local array per position: all are read with one index, so that uniformity (load or
-gather) is tested once per block. Groups of four are read and written as Vector4f, three times as
-fast where lanes diverge.
+A block of k numbers is stored in k local arrays that share one index. Dr.Jit then tests once per
+block whether the index is uniform (a load) or not (a gather). Groups of four numbers are stored
+as Vector4f, which is three times as fast in divergent lanes.
 """
 
 from __future__ import annotations
@@ -13,38 +13,38 @@ import drjit as dr
 import mitsuba as mi
 
 Block = list[Any]
-"""The numbers of one block: Dr.Jit arrays."""
+"""Numbers of one block, as Dr.Jit arrays."""
 
 
 def allocate(Float: type, entries: int, count: int) -> list[Any]:
-    """Return local memory for ``count`` blocks of ``entries`` numbers, not initialised."""
-    # No `value=`: a literal initial value becomes an inline memset, slow to compile and,
-    # above some size, a crash (Dr.Jit 1.5.0).
+    """Return uninitialised local memory for ``count`` blocks of ``entries`` numbers."""
+    # No `value=`: Dr.Jit 1.5.0 turns a literal initial value into an inline memset, which
+    # compiles slowly and crashes above some size.
     return [dr.alloc_local(Float, max(count, 1)) for _ in range(entries)]
 
 
 def load(memory: list[Any], index: Any) -> Block:
-    """Read one block."""
+    """Read the block at ``index``."""
     return [slot[index] for slot in memory]
 
 
 def store(memory: list[Any], index: Any, block: Block) -> None:
-    """Write one block."""
+    """Write a block at ``index``."""
     for slot, value in zip(memory, block, strict=True):
         slot[index] = value
 
 
 def scatter_rows(target: Any, rows: list[list[Any]], texel: Any) -> Any:
-    """Write rows of channels to (texel, row, channel) memory, in the kernel that computes them."""
+    """Scatter rows of channels to (texel, row, channel) memory, in the kernel of the rows."""
     values = [value for channels in rows for value in channels]
     return scatter_strided(target, values, texel * len(values), 1)
 
 
 @dr.syntax
 def scatter_strided(target: Any, values: list[Any], start: Any, stride: Any) -> Any:
-    """Write value k of every lane to ``start + k * stride``, within the kernel that computes it."""
-    # Scatters outside a symbolic loop would each become a kernel that computes all over
-    # again, and dr.concat one per number of lanes.
+    """Scatter value k of each lane to ``start + k * stride``, in the kernel of the values."""
+    # Outside of a symbolic loop, each scatter becomes a kernel that repeats the computation;
+    # dr.concat compiles a kernel for each number of lanes.
     count, kind = len(values), type(target)
     memory = dr.alloc_local(kind, count)
     for k, value in enumerate(values):
@@ -60,7 +60,7 @@ QUAD = 4
 
 
 def quad_count(count: int) -> int:
-    """Return ceil(count / 4), the number of Vector4f that hold ``count`` values."""
+    """Return ceil(count / 4), the number of Vector4f for ``count`` values."""
     return -(-count // QUAD)
 
 

@@ -1,9 +1,9 @@
-"""Memory that is free, and that commands take at their peak.
+"""Free memory, and estimates of the peak memory of commands.
 
-``COSTS`` and ``MODELS`` are peaks of whole processes, measured on vases of 24 to 60 photographs of
-64^2 to 512^2 pixels and grids of 64^2 to 1024^2 texels that charts nearly fill; for importing and
-rendering up to 3000 x 2000 pixels, for exporting up to 2048^2 texels. The sum is a bound: in the
-tests no command takes more than 10 % above it.
+``COSTS`` and ``MODELS`` are fitted to measured peaks of whole processes: vases with 24 to 60
+photographs of 64^2 to 512^2 pixels, and grids of 64^2 to 1024^2 texels, nearly all on charts.
+Imports and renderings had up to 3000 x 2000 pixels, exports up to 2048^2 texels. In the tests, no
+command exceeds its estimate by more than 10 %.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ except ImportError:  # Windows
 PROCESS = Path("/proc/self")
 MEMINFO = Path("/proc/meminfo")
 GROUPS = Path("/sys/fs/cgroup")
-# Of control groups, version 2 and 1, by folder: limit, usage, and prefix of ``DROPPED``.
+# Files of control groups, by folder (version 2, 1): limit, usage; and the prefix of ``DROPPED``.
 GROUP_FILES = {
     "": ("memory.max", "memory.current", ""),
     "memory": ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_"),
 }
-DROPPED = ("inactive_file", "active_file")  # statistics of pages that can be dropped
-_allowed: list[int] = []  # bytes that this process may take (``allow``)
+DROPPED = ("inactive_file", "active_file")  # entries of memory.stat: pages that the kernel can drop
+_allowed: list[int] = []  # limit of this process in bytes, set by ``allow``
 
 Size = tuple[int, int]  # width and height
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Memory of a command at its peak, as a sum.
+    """Coefficients of the peak memory of a command, which is a sum.
 
     Attributes:
-        start: bytes of a process that works on next to nothing.
-        pixel: bytes per pixel of a photograph.
-        texel: bytes per texel of the grid, beyond what the model takes.
-        candidate: bytes per candidate of guidance.
-        film: bytes per pixel of the largest photograph, while it is rendered.
-        light: bytes per pixel of the environment map; None where it is filtered (``light_bytes``).
-        look: bytes per texel, photograph and cell of the light that is looked for.
+        start: bytes of a process with negligible input.
+        pixel: bytes per pixel of all photographs.
+        texel: bytes per texel on charts, in addition to ``MODELS``.
+        candidate: bytes per candidate view of guidance.
+        film: bytes per pixel of the largest photograph, during rendering.
+        light: bytes per pixel of the environment map; None if it is prefiltered (``light_bytes``).
+        look: bytes per texel, photograph and light cell of a light estimate.
     """
 
     start: float
@@ -74,31 +74,31 @@ COSTS = {
     "export": Cost(260e6, 0, texel=540),
     "light": Cost(350e6, 20, look=17),
 }
-# Bytes per texel, by preset, and by the method that has none of its own.
+# Bytes per texel, by preset, and for power spectra, which have no preset.
 MODELS = {"default": 2900, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum": 560}
-GRID = 100  # bytes per texel of the grid that no chart covers
-# These commands process more than TILE texels in tiles, except with power spectra: two parts of
-# AT_WORK texels take what the model does, and every texel on charts this many bytes.
+GRID = 100  # bytes per texel outside of all charts
+# These commands process more than TILE texels in tiles, except with power spectra. They then take
+# LAID_OUT bytes per texel on charts, and MODELS bytes per texel of two batches of AT_WORK texels.
 TILE = 2**18
-ABOUT = 1.1  # times TILE: the part that charts cover is an upper bound
+ABOUT = 1.1  # factor of TILE, because the chart coverage is an upper bound
 LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "guide": 1500, "recover": 2800}
-AT_WORK = 2**15  # whose statistics take 65 MB, several times at their peak
-STORED = 14  # bytes of a photograph's pixel that can lie in a file
-FLAGS = 4  # bytes of those that have to be in memory all the same
-READING = 25  # bytes per pixel of a photograph, while it is decoded and made smaller
-AT_A_TIME = 0.25  # part of the free memory that those take which are decoded together
-KEPT_NODE = 180  # bytes per pixel of an environment map
-NODE = 80  # bytes per pixel of a larger one, which is averaged
+AT_WORK = 2**15  # texels per batch; their statistics take 65 MB, and a multiple at the peak
+STORED = 14  # bytes per pixel of photographs that can be moved to a file
+FLAGS = 4  # bytes per pixel of photographs in a file that stay in memory
+READING = 25  # bytes per pixel of a photograph that is decoded and downsampled
+AT_A_TIME = 0.25  # share of the free memory for photographs that are decoded in parallel
+KEPT_NODE = 180  # bytes per pixel of an environment map, up to KEPT_NODES
+NODE = 80  # bytes per further pixel of a larger map, which is averaged
 KEPT_NODES = 2048 * 1025
-# What to do with fewer pixels, or texels, where not ``svu import --shrink``, or ``--resolution``.
+# Advice by command; for the others it is ``svu import --shrink``, and ``--resolution``.
 FEWER_PIXELS = {
     "render": "rendering at most {} pixels per film",
     "import": "reading photographs of at most {} pixels",
 }
 FEWER_TEXELS = {"export": "svu recover --resolution {}"}
-SPARE = 0.45  # more address space that is reserved, per byte of texels
-ARENAS = 0.15e9, 0.13e9  # and by allocators: in all, and per thread beyond two
-START, START_ADDRESS = 0.25e9, 1.2e9  # memory and address space with all libraries loaded
+SPARE = 0.45  # bytes of address space that are reserved in addition, per byte of texels
+ARENAS = 0.15e9, 0.13e9  # address space of allocators: constant, and per thread beyond two
+START, START_ADDRESS = 0.25e9, 1.2e9  # memory and address space of a process with all libraries
 STACK = 9e6  # address space of every thread beyond two
 MOST_SHRUNK = 64
 GIGA = 1e9
@@ -109,13 +109,13 @@ class Sizes:
     """Sizes of a capture, known before its photographs are read.
 
     Attributes:
-        photographs: (width, height) of each, as it is kept.
+        photographs: (width, height) in memory of each photograph.
         light: (width, height) of the environment map; (0, 0) for other lights.
-        charts: part of the texture that the mesh's UV charts cover, in [0, 1], at most.
-        lit: whether there is a light.
-        stored: (width, height) of each, as it is stored.
-        memory: bytes that photographs may take, before they go to a file.
-        asked: whether ``memory`` was given by the user.
+        charts: upper bound of the share of the texture that UV charts cover, in [0, 1].
+        lit: True if the scene has a light.
+        stored: (width, height) in its file of each photograph.
+        memory: limit of bytes for photographs in memory; beyond it, they are kept in a file.
+        asked: True if the user has set ``memory``.
     """
 
     photographs: Sequence[Size]
@@ -129,15 +129,15 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Need:
-    """Memory that a command takes at its peak, known from sizes alone.
+    """Peak memory of a command, computed from sizes alone.
 
     Attributes:
-        command: ``entropy``, ``recover``, ...: one of ``COSTS``.
-        sizes: of the capture.
-        resolution: texels, (width, height); (0, 0) without any.
-        model: of the estimate, one of ``MODELS``; empty without an estimate.
-        candidates: views that guidance compares.
-        looks: texels times cells that the light is looked for with.
+        command: name of the command, a key of ``COSTS``.
+        sizes: sizes of the capture.
+        resolution: (width, height) of the texel grid; (0, 0) without one.
+        model: key of ``MODELS``; empty without an estimate.
+        candidates: number of candidate views of guidance.
+        looks: number of texels times number of light cells of a light estimate.
     """
 
     command: str
@@ -149,7 +149,7 @@ class Need:
 
     @property
     def bytes(self) -> float:
-        """Memory of the whole process."""
+        """Peak memory of the process in bytes."""
         cost, light = COSTS[self.command], light_bytes(self.sizes.light)
         if cost.light is not None:
             light = cost.light * _pixels(self.sizes.light)
@@ -159,13 +159,13 @@ class Need:
         return cost.start + light + photographs + max(work, self._reading())
 
     def _reading(self) -> float:
-        """Return memory for decoding photographs that are made smaller."""
+        """Return the bytes for decoding photographs that are downsampled."""
         kept = max(map(_pixels, self.sizes.photographs), default=0)
         largest = max(map(_pixels, self.sizes.stored), default=0)
         return READING * largest * decoders(largest) if largest > kept else 0.0
 
     def _parts(self) -> tuple[float, float]:
-        """Return memory of photographs, and of texels."""
+        """Return the bytes of photographs, and of texels."""
         cost, pixels = COSTS[self.command], list(map(_pixels, self.sizes.photographs))
         photographs = cost.pixel * sum(pixels) + cost.film * max(pixels, default=0)
         if STORED * sum(pixels) > self.sizes.memory:
@@ -179,23 +179,23 @@ class Need:
 
     @property
     def fits(self) -> bool:
-        """Whether that much memory is free, or it is not known."""
+        """True if the estimate fits into the free memory, or if that is unknown."""
         return self.bytes <= _room()
 
     def sentence(self) -> str:
-        """Return the announcement: "Needs up to 1.4 GB of memory, 23 are there"."""
+        """Return "Needs up to 1.4 GB of memory; 23 GB available"."""
         room = _room()
-        there = f", {_giga(room)} are there" if room < inf else ""
+        there = f"; {_giga(room)} GB available" if room < inf else ""
         return f"Needs up to {_giga(self.bytes)} GB of memory{there}"
 
     def require(self, label: str = "") -> None:
-        """Refuse what takes more memory, or address space, than there is."""
+        """Raise CaptureError if memory or address space is insufficient."""
         label = f"{label}: " if label else ""
         room = _room()
         if self.bytes > room:
             raise CaptureError(
-                f"{label}needs {_giga(self.bytes)} GB of memory, {_giga(room)} are there; "
-                f"{self._less(room) or 'work on a machine with more'}."
+                f"{label}needs {_giga(self.bytes)} GB of memory, {_giga(room)} GB available; "
+                f"{self._less(room) or 'use a machine with more memory'}."
             )
         most, used = address_space() or (inf, 0)
         begun = used - resident() + ARENAS[0] + ARENAS[1] * max(_threads() - 2, 0)
@@ -203,16 +203,16 @@ class Need:
         if needed > most:
             less = self._less(most - begun, reserved=True)
             raise CaptureError(
-                f"{label}needs {_giga(needed)} GB of address space, ulimit -v allows "
-                f"{_giga(most)}; raise it{less and f'; {less} of memory'}."
+                f"{label}needs {_giga(needed)} GB of address space, but ulimit -v allows "
+                f"{_giga(most)} GB; raise the limit{less and f'; {less} of memory'}."
             )
 
     def _reserved(self) -> float:
-        """Return bytes of address space for what is in ``bytes``."""
+        """Return the bytes of address space for ``bytes`` of memory."""
         return self.bytes + SPARE * self._parts()[1]
 
     def _less(self, room: float, reserved: bool = False) -> str:
-        """Return the words for fewer pixels or texels that fit; empty if none do."""
+        """Return advice: fewer pixels or texels that fit into ``room``; empty if none do."""
         shrink, small = 1, self
         while (small._reserved() if reserved else small.bytes) > room:
             photographs, texels = small._parts()
@@ -233,7 +233,7 @@ class Need:
         if small.resolution != self.resolution:
             size = " ".join(map(str, dict.fromkeys(small.resolution)))
             words.append(FEWER_TEXELS.get(self.command, "--resolution {}").format(size))
-        return f"{' and '.join(words)} needs {_giga(small.bytes)}"
+        return f"{' and '.join(words)} needs {_giga(small.bytes)} GB"
 
 
 def _pixels(size: Size) -> int:
@@ -241,31 +241,34 @@ def _pixels(size: Size) -> int:
 
 
 def decoders(pixels: int) -> int:
-    """Return the number of photographs of a size in pixels that are decoded at a time."""
+    """Return the number of photographs of ``pixels`` pixels to decode in parallel."""
     free = free_memory()
     fit = _threads() if free is None else int(AT_A_TIME * free / (READING * max(pixels, 1)))
     return max(min(_threads(), fit), 1)
 
 
 def light_bytes(size: Size) -> float:
-    """Return bytes of an environment map of (width, height)."""
+    """Return the bytes of an environment map of (width, height) pixels."""
     nodes = _pixels(size)
     return KEPT_NODE * min(nodes, KEPT_NODES) + NODE * max(nodes - KEPT_NODES, 0)
 
 
 def require_start() -> None:
-    """Refuse to begin where libraries cannot even be loaded: they end the process."""
+    """Raise SvuEnvironmentError if memory is too small to load all libraries.
+
+    A library that cannot allocate memory while it is loaded ends the process without an error.
+    """
     room = _room()
     if room < START:
         raise SvuEnvironmentError(
-            f"needs {_giga(START)} GB of memory to start, {_giga(room)} are there; end something "
-            "else."
+            f"needs {_giga(START)} GB of memory to start, {_giga(room)} GB available; close other "
+            "programs."
         )
     least, most = START_ADDRESS + STACK * max(_threads() - 2, 0), (address_space() or (inf,))[0]
     if most < least:
         raise SvuEnvironmentError(
-            f"needs {_giga(least)} GB of address space to start, ulimit -v allows {_giga(most)}; "
-            "raise it."
+            f"needs {_giga(least)} GB of address space to start, but ulimit -v allows "
+            f"{_giga(most)} GB; raise the limit."
         )
 
 
@@ -275,45 +278,42 @@ def cores() -> int:
 
 
 def _threads() -> int:
-    """Return the number of threads that this process has, or will have."""
+    """Return the number of threads that this process has or will start."""
     drjit = sys.modules.get("drjit")
     return cores() if drjit is None else int(drjit.thread_count())
 
 
 def _room() -> float:
-    """Return bytes that this process may come to hold; infinite if unknown."""
+    """Return the bytes that this process can hold in total; infinite if unknown."""
     free = free_memory()
     return inf if free is None else free + resident()
 
 
 def _giga(size: float) -> str:
-    """Write gigabytes with two digits: 0.43, 1.4, 23, 118."""
+    """Format bytes as gigabytes with two digits: 0.43, 1.4, 23, 118."""
     giga = size / GIGA
     return f"{giga:.0f}" if giga >= 10 else f"{giga:.2g}"
 
 
 def free_memory() -> int | None:
-    """Return bytes of free memory, at most what this process may take; None if unknown."""
+    """Return the free memory in bytes, within the limits of this process; None if unknown."""
     own = [max(size - _own(), 0) for size in _allowed]
     known = [size for size in (_available(), *_group_rooms(), *own) if size is not None]
     return min(known, default=None)
 
 
 def allow(size: int) -> None:
-    """Limit this process to ``size`` bytes, as one of several that share a machine."""
+    """Limit this process to ``size`` bytes, its share of a machine."""
     _allowed[:] = [size]
 
 
 def resident() -> int:
-    """Return bytes of memory that this process holds; 0 if unknown."""
+    """Return the resident memory of this process in bytes; 0 if unknown."""
     return held("VmRSS") or 0
 
 
 def address_space() -> tuple[int, int] | None:
-    """Return the limit of this process's address space (``ulimit -v``) and its use, in bytes.
-
-    None without a limit.
-    """
+    """Return (limit, use) of the address space in bytes; None without ``ulimit -v``."""
     if resource is None:
         return None
     most = resource.getrlimit(resource.RLIMIT_AS)[0]
@@ -321,15 +321,15 @@ def address_space() -> tuple[int, int] | None:
 
 
 def held(name: str) -> int | None:
-    """Return bytes of memory of this process, such as ``VmHWM`` (its peak); None if unknown.
+    """Return a memory field of this process, such as ``VmHWM`` (peak), in bytes; or None.
 
-    Unlike ``getrusage``, it does not include the peak of the parent.
+    Unlike ``getrusage``, it excludes the peak of the parent process.
     """
     return _field(PROCESS / "status", name, 1024)
 
 
 def _own() -> int:
-    """Return bytes of memory that this process holds, other than of files."""
+    """Return the resident memory of this process in bytes, excluding file pages."""
     anonymous = held("RssAnon")
     return resident() if anonymous is None else anonymous
 
@@ -344,7 +344,7 @@ def _available() -> int | None:
 
 
 def _field(path: Path, name: str, unit: int = 1) -> int | None:
-    """Return a number of a file of names and numbers, such as ``/proc/meminfo``."""
+    """Return a number from a file of names and values, such as ``/proc/meminfo``."""
     with suppress(OSError, ValueError, IndexError):
         for line in path.read_text().splitlines():
             words = line.replace(":", " ").split()
@@ -354,12 +354,12 @@ def _field(path: Path, name: str, unit: int = 1) -> int | None:
 
 
 def _group_rooms() -> list[int | None]:
-    """Return bytes that each control group around this process still allows."""
+    """Return the free bytes of each control group that contains this process."""
     lines = []
     with suppress(OSError):
         lines = (PROCESS / "cgroup").read_text().splitlines()
     rooms = []
-    # In a container the path may be that of the machine outside; its root is always there.
+    # In a container, the path may be the host's; the root group always exists.
     for line in ["0::/", "0:memory:/", *lines]:
         _, controllers, path = [*line.split(":", 2), "", ""][:3]
         kind = "memory" if "memory" in controllers.split(",") else controllers

@@ -1,15 +1,15 @@
-"""Stages of a run: their times, compiled kernels, and progress bars.
+"""Stages of a run: times, compiled kernels, progress bars.
 
-A stage measures its time with the device synchronised at both ends, counts the kernels that were
-compiled in it, and is shown on a console, if one is given:
+A stage measures its time with the device synchronised at both ends, counts the compiled kernels,
+and shows its progress if there is a console:
 
-    progress = Progress(Console())        # or Progress(): measures, shows nothing
+    progress = Progress(Console())        # Progress() measures silently
     with progress.stage("Gathering radiance") as stage:
         stage.update(3, 10)                          # optional: turns the spinner into a bar
     progress.timings                                 # {"Gathering radiance": 0.41}, seconds
 
-On a terminal (or in a notebook) a stage is a live line, replaced by one plain line when it
-ends; in a log file there is only that plain line, and one every ``PERIOD`` of a long stage.
+On a terminal or in a notebook, a stage is a live line, which is replaced by a plain line at the
+end. A log file contains only the plain line, and another one every ``PERIOD`` of a long stage.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from rich.text import Text
 from svu_mi.errors import printable
 
 COMPILING = "compiling kernels (first run only)"
-PATIENCE = 2.0  # seconds of silence after which a stage says that it may be compiling
-PERIOD = 30.0  # seconds between lines about a stage in a log
+PATIENCE = 2.0  # seconds without an update after which ``COMPILING`` is shown
+PERIOD = 30.0  # seconds between two lines of one stage in a log
 
 
 class Stage:
-    """One running stage: a task of rich's bar on a terminal, or lines of a log (``say``)."""
+    """Running stage: a task of a progress bar on a terminal, or lines of a log (``say``)."""
 
     def __init__(
         self, bar: Any = None, task: Any = None, say: Callable[[str], None] | None = None
@@ -41,7 +41,7 @@ class Stage:
         self._last = time.monotonic()
 
     def update(self, done: int, total: int) -> None:
-        """Show ``done`` of ``total`` steps; fits as a ``(done, total)`` callback."""
+        """Show ``done`` of ``total`` steps; usable as a ``(done, total)`` callback."""
         if self._bar is not None:
             self._bar.update(self._task, completed=done, total=total, state="")
         elif self._say is not None and time.monotonic() - self._last >= PERIOD and done < total:
@@ -49,21 +49,21 @@ class Stage:
             self._last = time.monotonic()
 
     def state(self, text: str) -> None:
-        """Show what the stage is waiting for, until the next ``update``."""
+        """Show a status text until the next ``update``."""
         if self._bar is not None:
             self._bar.update(self._task, state=text)
 
 
 class Progress:
-    """Times the stages of a run; shows them if it was given a console.
+    """Recorder of the stages of a run, which shows them if there is a console.
 
-    A stage that runs twice adds up; one that fails is shown but not recorded. Stages may be
-    nested: only the outermost is live, and the inner one's time is part of both.
+    Times of stages with the same name are added. A stage that fails is shown but not recorded.
+    Stages may be nested: only the outermost is live, and an inner time is included in both.
 
     Attributes:
-        timings: seconds per stage, in the order they first ended.
-        kernels: number of kernels compiled per stage, as opposed to found in the cache; a
-            run in which all are 0 was warm.
+        timings: seconds per stage, ordered by the first end of each stage.
+        kernels: number of kernels compiled per stage, excluding those found in the cache; all
+            are 0 in a warm run.
     """
 
     def __init__(self, console: Console | None = None) -> None:
@@ -77,10 +77,10 @@ class Progress:
         """Run a stage: ``with progress.stage("Fitting spectra"): ...``.
 
         Args:
-            name: what is being done; the key in ``timings`` and ``kernels``.
-            total: number of steps, if it is known before the first ``update``.
+            name: label of the stage, also its key in ``timings`` and ``kernels``.
+            total: number of steps, if known before the first ``update``.
         """
-        # Dr.Jit runs ahead: without this, a stage would pay for its predecessor.
+        # Dr.Jit is asynchronous: finish the work of earlier stages before the clock starts.
         _synchronize()
         compiled, start = compiled_kernels(), time.perf_counter()
         try:
@@ -97,12 +97,12 @@ class Progress:
         self.say(f"{name}: {seconds:.2f} s{note}")
 
     def say(self, line: str) -> None:
-        """Print a line of its own, if there is a console."""
+        """Print a line if there is a console."""
         if self._console is None:
             return
-        # Nobody may read any more, which rich ends the process for.
+        # If the reader has closed the pipe, rich raises SystemExit.
         with suppress(OSError, ValueError, SystemExit):
-            # Soft wrap: a log has no width, and a name may hold [brackets].
+            # Soft wrap: a log has no width. No markup: names may contain [brackets].
             self._console.print(printable(line), markup=False, highlight=False, soft_wrap=True)
 
     @contextmanager
@@ -128,7 +128,7 @@ def _can_redraw(console: Console) -> bool:
 def _bar(console: Console) -> Any:
 
     class Steps(rich.ProgressColumn):
-        """Steps, and the stage's own word; after a silence, the likely reason."""
+        """Steps and status text; ``COMPILING`` if the first step takes long."""
 
         def render(self, task: rich.Task) -> Text:
             steps = "" if task.total is None else f"{task.completed:.0f}/{task.total:.0f} "
@@ -150,7 +150,7 @@ def _synchronize() -> None:
 
 
 def compiled_kernels() -> int:
-    """Return the number of kernels this process has compiled: launches found in no cache."""
+    """Return the number of kernels that this process has compiled, not found in a cache."""
     drjit = sys.modules.get("drjit")
     if drjit is None:
         return 0

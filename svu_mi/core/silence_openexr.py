@@ -1,4 +1,4 @@
-"""Hide what OpenEXR prints before it raises: to stderr, and to ``sys.stdout`` by its binding."""
+"""Suppression of the error messages that OpenEXR prints on stderr and ``sys.stdout``."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ import tempfile
 import threading
 from typing import Any
 
-OPENEXR = b"(EXR_ERR_"  # in each of its lines
+OPENEXR = b"(EXR_ERR_"  # in each line that OpenEXR prints
 
 
 class Quiet:
-    """Hide OpenEXR's lines while it reads or writes.
+    """Context that suppresses OpenEXR's messages while a thread reads or writes.
 
-    Both streams belong to the whole process. On stdout the lines of other threads pass. On stderr
-    all lines wait for the last thread to leave; those of OpenEXR are then left out. They are lost
-    if the process crashes meanwhile.
+    On stdout, threads outside of the context print as usual. On stderr, all output is buffered
+    until the last thread leaves; then OpenEXR's lines are dropped. A crash loses the buffer.
     """
 
     def __init__(self) -> None:
@@ -43,7 +42,7 @@ class Quiet:
         sys.stderr.flush()
         screen = os.dup(2)
         self._undo.callback(os.close, screen)
-        held = tempfile.TemporaryFile()  # noqa: SIM115 - closed with all that is undone
+        held = tempfile.TemporaryFile()  # noqa: SIM115 - closed by ``_undo``
         self._undo.callback(held.close)
         os.dup2(held.fileno(), 2)
 
@@ -60,13 +59,13 @@ class Quiet:
 
 
 class _Others:
-    """The stdout of a process without some of its threads."""
+    """Proxy of stdout that discards the output of some threads."""
 
     def __init__(self, silent: set[int]) -> None:
         self._silent, self._stream = silent, sys.stdout
 
     def write(self, text: str) -> int:
-        """Write, if it is another thread that does."""
+        """Write ``text``, unless the current thread is silent."""
         if threading.get_ident() in self._silent:
             return len(text)
         return self._stream.write(text)

@@ -1,14 +1,14 @@
-"""Threads of Dr.Jit."""
+"""Number of Dr.Jit's threads."""
 
 from __future__ import annotations
 
 import drjit as dr
 
-# Mitsuba waits for Dr.Jit's workers to decode EXR files: for ever with one thread, which is the
-# default on one core.
+# Mitsuba waits for Dr.Jit's workers to decode EXR files. With one thread, which is the default on
+# one core, it waits forever.
 FEWEST_THREADS = 2
 
 
 def ensure_threads(count: int = 0) -> None:
-    """Have Dr.Jit use ``count`` threads (0: as many as now), but at least ``FEWEST_THREADS``."""
+    """Set Dr.Jit's thread count (0: no change), but to at least ``FEWEST_THREADS``."""
     dr.set_thread_count(max(count or dr.thread_count(), FEWEST_THREADS))

@@ -1,4 +1,4 @@
-"""Checks of arguments before any work: types and ranges of settings, sizes, memory."""
+"""Checks of arguments before any work: types, ranges, sizes, memory."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from svu_mi.core.memory import Size, address_space, free_memory
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
 
-MAX_LANES = 2**32 - 1  # of one kernel
-MAX_VIEWS = 10_000  # photographs are called view_0000 to view_9999
+MAX_LANES = 2**32 - 1  # per kernel launch
+MAX_VIEWS = 10_000  # photographs are named view_0000 to view_9999
 MAX_TEXELS = 2**14  # per side
 MIN_TEXELS = 2  # per side; Mitsuba has no texture below
-TEXEL_BYTES = 2**8  # of the grid, laid out
-PIXEL_BYTES = 16  # of a photograph in memory: three floats, a mask, and what can be used
-RENDER_BYTES = 100  # per pixel of a film while it is rendered; measured: 90
-MASK_LANES = 9  # rays per pixel that find the object
+TEXEL_BYTES = 2**8  # per texel of the grid, including those outside of all charts
+PIXEL_BYTES = 16  # per pixel of a photograph in memory: three floats and two masks
+RENDER_BYTES = 100  # per pixel of a film during rendering; measured: 90
+MASK_LANES = 9  # rays per pixel that render the object's mask
 GIGA = 1e9
 WORDS: dict[Any, tuple[type, str]] = {
     int: (Integral, "a whole number"), float: (Real, "a number"), bool: (bool, "True or False"),
@@ -25,11 +25,7 @@ WORDS: dict[Any, tuple[type, str]] = {
 
 
 def require(options: Any, condition: bool, name: str, expected: str) -> None:
-    """Refuse a setting; NaN meets no condition.
-
-    Raises:
-        OptionError: the condition is not met.
-    """
+    """Raise OptionError unless a condition on the option ``name`` holds."""
     if not condition:
         raise OptionError(
             f"{type(options).__name__}: {name} must be {expected}, got {getattr(options, name)!r}."
@@ -37,27 +33,27 @@ def require(options: Any, condition: bool, name: str, expected: str) -> None:
 
 
 def require_known(names: Iterable[str], known: Iterable[str], what: str) -> None:
-    """Refuse names that nothing has.
+    """Check names of options.
 
     Args:
-        names: as they were given.
-        known: all that there are.
-        what: they name, such as ``fix``.
+        names: names to check.
+        known: valid names.
+        what: kind of name for the message, such as ``fix``.
 
     Raises:
-        OptionError: there is nothing of a name.
+        OptionError: a name is not valid.
     """
     there = tuple(known)
     for name in names:
         if name not in there:
-            raise OptionError(f"There is no {what} {name!r}; use one of {', '.join(there)}.")
+            raise OptionError(f"Unknown {what} {name!r}; use one of {', '.join(there)}.")
 
 
 def require_types(options: Any) -> None:
-    """Refuse fields that are not of their type: numbers, truth values, words of a ``Literal``.
+    """Check the types of numeric, boolean and ``Literal`` fields of an option object.
 
     Raises:
-        OptionError: a field of another type.
+        OptionError: a field has another type.
     """
     hints = get_type_hints(type(options))
     for name in (each.name for each in fields(options) if each.init):
@@ -72,17 +68,20 @@ def require_types(options: Any) -> None:
 
 
 def require_ranges(options: Any, **ranges: tuple[float, float]) -> None:
-    """Refuse settings, by name, that are not in [low, high].
+    """Check that options, given by name, are in [low, high].
 
     Raises:
-        OptionError: one is not.
+        OptionError: an option is out of range or NaN.
     """
     for name, (low, high) in ranges.items():
         require(options, low <= getattr(options, name) <= high, name, f"in [{low:g}, {high:g}]")
 
 
 def require_memory(size: float, what: str, fix: str, error: type[SvuError] = OptionError) -> None:
-    """Refuse what takes more than the free memory: "WHAT take at least 3 GB ...; FIX."."""
+    """Raise ``error`` if ``size`` bytes exceed the free memory or address space.
+
+    ``what`` (a plural) is the subject of the message, and ``fix`` its remedy.
+    """
     known = [free_memory(), _unreserved()]
     free = min((room for room in known if room is not None), default=None)
     if free is not None and size > free:
@@ -93,13 +92,13 @@ def require_memory(size: float, what: str, fix: str, error: type[SvuError] = Opt
 
 
 def _unreserved() -> int | None:
-    """Return bytes of address space that are left; None without a limit."""
+    """Return the bytes of unused address space; None without a limit."""
     space = address_space()
     return None if space is None else max(space[0] - space[1], 0)
 
 
 def require_texels(resolution: Size, option: str) -> None:
-    """Refuse a grid of texels that cannot be laid out."""
+    """Raise OptionError if a texel grid has invalid sides or needs too much memory."""
     width, height = resolution
     if min(resolution) < MIN_TEXELS or max(resolution) > MAX_TEXELS:
         raise OptionError(
@@ -112,19 +111,19 @@ def require_texels(resolution: Size, option: str) -> None:
 
 
 def require_views(count: int, what: str, error: type[SvuError] = OptionError) -> None:
-    """Refuse more sensors than can be worked with."""
+    """Raise ``error`` if there are more than ``MAX_VIEWS`` views."""
     if count > MAX_VIEWS:
-        raise error(f"{what}: at most {MAX_VIEWS} are supported, got {count}; leave some out.")
+        raise error(f"{what}: at most {MAX_VIEWS} are supported, got {count}; use fewer.")
 
 
 def require_spp(spp: int, option: str = "spp") -> None:
-    """Refuse a number of samples per pixel that no film can take."""
+    """Raise OptionError unless 1 <= spp < 2^32 (samples per pixel)."""
     if not 1 <= spp <= MAX_LANES:
         raise OptionError(f"{option} must be at least 1 and below 2^32, got {spp}.")
 
 
 def require_render(sizes: Sequence[Size], spp: int, label: str) -> None:
-    """Refuse films that cannot be rendered, or not be kept."""
+    """Raise an SvuError if films are too large to render or to keep in memory."""
     width, height = max(sizes, key=lambda size: size[0] * size[1], default=(1, 1))
     pixels = width * height
     if pixels * MASK_LANES > MAX_LANES:
@@ -141,7 +140,7 @@ def require_render(sizes: Sequence[Size], spp: int, label: str) -> None:
 
 
 def require_photographs(sizes: Sequence[Size], label: str, rendering: int = 0) -> None:
-    """Refuse photographs that do not fit into memory."""
+    """Raise CaptureError if photographs, and ``rendering`` bytes, do not fit into memory."""
     width, height = max(sizes, default=(0, 0))
     fix = "make the films smaller" if rendering else "shrink them (svu import --shrink)"
     require_memory(

@@ -208,7 +208,7 @@ def test_memory_is_announced_before_any_pixel_is_read(shot, tmp_path, capsys, mo
     with pytest.raises(TypeError):  # nothing reads the photographs
         run(*words, "-v")
     told = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(r"Needs up to [.\d]+ GB of memory, \d+ are there", told[0])
+    assert re.fullmatch(r"Needs up to [.\d]+ GB of memory; \d+ GB available", told[0])
 
 
 @pytest.mark.parametrize("name", ["scalar_rgb", "llvm_ad_spectral", "nonsense_rgb"])

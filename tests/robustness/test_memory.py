@@ -52,22 +52,22 @@ def refused(need: Need) -> str:
 def test_photographs_that_do_not_fit_are_to_be_shrunk(monkeypatch):
     machine(monkeypatch, 23e9)
     need = needed("entropy", SIXTY, (512, 512))
-    assert need.sentence() == "Needs up to 34 GB of memory, 23 are there"
+    assert need.sentence() == "Needs up to 34 GB of memory; 23 GB available"
     assert refused(need) == (
-        "capture: needs 34 GB of memory, 23 are there; svu import --shrink 2 needs 9.5."
+        "capture: needs 34 GB of memory, 23 GB available; svu import --shrink 2 needs 9.5 GB."
     )
 
 
 def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
     machine(monkeypatch, 2e9)
     assert refused(needed("recover", [(512, 512)] * 10, (2048, 2048))) == (
-        "capture: needs 12 GB of memory, 2 are there; --resolution 512 needs 1.6."
+        "capture: needs 12 GB of memory, 2 GB available; --resolution 512 needs 1.6 GB."
     )
     assert refused(needed("entropy", [(512, 512)] * 10, (4096, 4096))) == (
-        "capture: needs 4.5 GB of memory, 2 are there; --resolution 2048 needs 1.6."
+        "capture: needs 4.5 GB of memory, 2 GB available; --resolution 2048 needs 1.6 GB."
     )
     need = needed("recover", SIXTY, (2048, 1024))
-    assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8.")
+    assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8 GB.")
 
 
 def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(monkeypatch, shot):
@@ -77,7 +77,7 @@ def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(m
     plan_memory = partial(photograph_memory, Progress(), "capture", need)
     many = Sizes([(1000, 1000)] * 90, memory=2e9, asked=False)
     assert plan_memory(many) == 0
-    with pytest.raises(CaptureError, match=r"^capture: needs [\d.]+ GB of memory, 4 are there"):
+    with pytest.raises(CaptureError, match=r"^capture: needs [\d.]+ GB of memory, 4 GB available"):
         plan_memory(replace(many, asked=True))
     few = replace(many, photographs=many.photographs[:10])
     assert plan_memory(few) == few.memory
@@ -88,7 +88,7 @@ def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(m
 def test_what_cannot_be_made_small_enough_says_so(monkeypatch):
     machine(monkeypatch, 0.3e9)
     assert refused(needed("check", SIXTY)) == (
-        "capture: needs 33 GB of memory, 0.3 are there; work on a machine with more."
+        "capture: needs 33 GB of memory, 0.3 GB available; use a machine with more memory."
     )
 
 
@@ -96,8 +96,8 @@ def test_address_space_is_asked_for_too(monkeypatch):
     machine(monkeypatch, 23e9, 2e9)
     said = refused(needed("entropy", [(512, 512)] * 60, (512, 512)))
     assert re.fullmatch(
-        r"capture: needs [\d.]+ GB of address space, ulimit -v allows 2; raise it; --resolution "
-        r"256 needs 0.98 of memory\.",
+        r"capture: needs [\d.]+ GB of address space, but ulimit -v allows 2 GB; raise the limit; "
+        r"--resolution 256 needs 0.98 GB of memory\.",
         said,
     ), said
 
@@ -112,7 +112,7 @@ def test_nothing_is_refused_where_nobody_says_what_there_is(monkeypatch):
 
 def test_a_process_that_cannot_even_start_is_told(monkeypatch):
     machine(monkeypatch, 0.1e9)
-    with pytest.raises(SvuEnvironmentError, match=r"^needs 0.25 GB of memory to start, 0.1 are th"):
+    with pytest.raises(SvuEnvironmentError, match=r"^needs 0.25 GB of memory to start, 0.1 GB av"):
         memory.require_start()
 
 
@@ -206,7 +206,8 @@ def test_half_of_the_address_space_is_refused_in_a_sentence(command, tmp_path):
     done = python("-c", RUN, 0.6e9, command, *place)
     assert done.returncode == 2
     assert re.fullmatch(
-        r"svu: needs [\d.]+ GB of address space to start, ulimit -v allows 0.6; raise it.\n",
+        r"svu: needs [\d.]+ GB of address space to start, but ulimit -v allows 0.6 GB; raise the "
+        r"limit.\n",
         done.stderr,
     ), done.stderr
 
@@ -226,7 +227,7 @@ def test_less_address_space_than_texels_need_is_refused_before_they_are_laid_out
     if line.startswith("svu: --resolution: 1024 x 1024 texels take at least "):
         return  # not even a grid of them fits
     assert line.startswith(f"svu: {shot}: needs "), line
-    assert f"GB of address space, ulimit -v allows {space / 1e9:.2g}; raise it" in line
+    assert f"GB of address space, but ulimit -v allows {space / 1e9:.2g} GB; raise" in line
 
 
 @linux
@@ -245,7 +246,7 @@ def test_half_of_the_memory_is_refused_in_a_sentence(command, shot, tmp_path, ca
     monkeypatch.setattr(memory, "resident", lambda: int(0.26e9))
     line = fails(capsys, *words(command, shot, tmp_path, 256))
     assert re.fullmatch(
-        rf"svu: {re.escape(str(shot))}: needs [\d.]+ GB of memory, 0.26 are there; [^;]+\.", line
+        rf"svu: {re.escape(str(shot))}: needs [\d.]+ GB of memory, 0.26 GB available; [^;]+\.", line
     ), line
     assert not (tmp_path / "out.html").exists() and not (tmp_path / "out" / "run.json").exists()
 
@@ -278,7 +279,7 @@ def test_what_has_no_photographs_to_read_refuses_too(command, tmp_path, capsys, 
     monkeypatch.setattr(memory, "free_memory", lambda: 0)
     monkeypatch.setattr(memory, "resident", lambda: int(0.252e9))
     line = fails(capsys, *words)
-    refusal = rf"svu: \S*{OTHERS[command]}: needs [\d.]+ GB of memory, 0.25 are there; [^;]+\."
+    refusal = rf"svu: \S*{OTHERS[command]}: needs [\d.]+ GB of memory, 0.25 GB available; [^;]+\."
     assert re.fullmatch(refusal, line), line
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
@@ -287,13 +288,13 @@ def test_each_command_says_what_would_need_less_of_it(monkeypatch):
     machine(monkeypatch, 1e9)
     films = [(2000, 1000)] * 20
     assert refused(needed("render", films, model="")).endswith(
-        "; rendering at most 1000 x 500 pixels per film needs 0.76."
+        "; rendering at most 1000 x 500 pixels per film needs 0.76 GB."
     )
     assert refused(needed("import", films, model="")).endswith(
-        "; reading photographs of at most 1000 x 500 pixels needs 0.9."
+        "; reading photographs of at most 1000 x 500 pixels needs 0.9 GB."
     )
     assert refused(needed("export", (), (2048, 2048), model="")).endswith(
-        "; svu recover --resolution 1024 needs 0.83."
+        "; svu recover --resolution 1024 needs 0.83 GB."
     )
 
 
