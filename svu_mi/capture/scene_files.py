@@ -21,6 +21,10 @@ from svu_mi.core.validation import require_views
 from svu_mi.errors import SceneError, excerpt
 
 DEEPEST = 500  # elements in one another; the parser calls itself for each, and 10 000 are too many
+LARGEST_XML = 1 << 26  # bytes of a file
+LONGEST_VALUE = 1 << 16  # letters of an attribute with its $parameters filled in
+FILLED_PER_FILE = 1 << 24  # letters of all these attributes of a file
+MOST_PARAMETERS = 1000
 LONGEST = 300  # letters of a path, in messages
 READERS = ("ply", "serialized", "obj")  # shapes with indices that come from a file
 KEYS = ("filename", "shape_index")  # their properties that choose what is read
@@ -72,12 +76,16 @@ class _Reader:
         self.includes: list[str] = []
         self.others: list[str] = []
         self.sensors = 0
-        self._path, self._parameters, self._depth = path, parameters, 0
+        self._path, self._parameters, self._depth, self._letters = path, parameters, 0, 0
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler, self._parser.EndElementHandler = self._start, self._end
         try:
-            with path.open("rb") as stream:
-                self._parser.ParseFile(stream)
+            if path.stat().st_size > LARGEST_XML:
+                raise self._error(
+                    f"it has more than {LARGEST_XML >> 20} MiB", "split it by <include>"
+                )
+            # In one piece: in pieces, expat would scan a long attribute once for each of them.
+            self._parser.Parse(path.read_bytes(), True)
         except expat.ExpatError as error:
             raise SceneError(
                 f"{excerpt(path, LONGEST)}: not well-formed XML ({error}); correct it there."
@@ -90,27 +98,43 @@ class _Reader:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._depth += 1
         if self._depth > DEEPEST:
-            raise SceneError(
-                f"{excerpt(self._path, LONGEST)}: elements are nested more than {DEEPEST} "
-                f"deep at line {self._parser.CurrentLineNumber}; check for unclosed ones."
-            )
+            problem = f"elements are nested more than {DEEPEST} deep"
+            raise self._error(problem, "check for unclosed ones")
         self.sensors += tag == "sensor"
+        values = {key: self._filled(value) for key, value in attributes.items()}
         if tag == "default":
-            name, value = attributes.get("name", ""), attributes.get("value", "")
-            self._parameters.setdefault(name, self._filled(value))
-        elif "filename" in attributes:
+            self._parameters.setdefault(values.get("name", ""), values.get("value", ""))
+            if len(self._parameters) > MOST_PARAMETERS:
+                problem = f"there are more than {MOST_PARAMETERS} parameters"
+                raise self._error(problem, "remove some")
+        elif "filename" in values:
             names = self.includes if tag == "include" else self.others
-            names.append(self._filled(attributes["filename"]))
+            names.append(values["filename"])
 
     def _end(self, tag: str) -> None:
         del tag
         self._depth -= 1
 
     def _filled(self, text: str) -> str:
-        """Put in the values of ``$parameters``, long names first, as Mitsuba does."""
+        """Fill in the values of ``$parameters``, long names first, as Mitsuba does."""
+        if "$" not in text:
+            return text
         for name in sorted(filter(None, self._parameters), key=len, reverse=True):
-            text = text.replace(f"${name}", self._parameters[name])
+            value = self._parameters[name]
+            if len(text) + text.count(f"${name}") * len(value) > LONGEST_VALUE:
+                problem = f"a value has more than {LONGEST_VALUE} letters with its $parameters"
+                raise self._error(problem, "shorten it")
+            text = text.replace(f"${name}", value)
+        self._letters += len(text)
+        if self._letters > FILLED_PER_FILE:
+            problem = f"values have more than {FILLED_PER_FILE} letters with their $parameters"
+            raise self._error(problem, "shorten them")
         return text
+
+    def _error(self, problem: str, remedy: str) -> SceneError:
+        """Return an error with the file and the line."""
+        line = self._parser.CurrentLineNumber
+        return SceneError(f"{excerpt(self._path, LONGEST)}: {problem} at line {line}; {remedy}.")
 
 
 def check_files(state: Any, label: str) -> None:

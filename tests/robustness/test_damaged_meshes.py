@@ -8,6 +8,7 @@ import os
 import re
 import resource
 import struct
+import time
 import zlib
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from support.helpers import ball, python, sensor_xml, write_ball, write_scene
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh, read_ply, write_ply
 from svu_mi.capture.scene import load_scene
+from svu_mi.capture.scene_files import check_xml
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.cli.main import main
 from svu_mi.errors import OutputError, SceneError
@@ -32,6 +34,7 @@ import svu_mi, mitsuba as mi
 mi.set_variant("llvm_ad_rgb")
 mi.set_log_level(mi.LogLevel.Error)
 from svu_mi.capture.scene import load_scene
+from svu_mi.capture.scene_files import check_xml
 from svu_mi.errors import SvuError
 for name in sys.argv[1:]:
     try:
@@ -133,6 +136,42 @@ def test_elements_nested_without_end_are_refused(tmp_path, depth):
         load_scene(write_scene(tmp_path, extra='<include filename="more.xml"/>'))
 
 
+def test_parameters_that_multiply_are_refused(tmp_path):
+    """Ten times nine values of ten others each: 1.6 kB of XML would be 10^9 letters."""
+    nested = '<default name="a0" value="aaaaaaaaaa"/>'
+    for level in range(9):
+        nested += f'<default name="a{level + 1}" value="{f"$a{level}" * 10}"/>'
+    path = write_scene(tmp_path, extra=nested)
+    with pytest.raises(SceneError, match=r"scene\.xml: a value has more than 65536 letters.*line"):
+        load_scene(path)
+    spread = '<default name="a" value="' + "a" * 60_000 + '"/>'
+    spread += '<bsdf type="diffuse"><string name="x" value="$a"/></bsdf>' * 300
+    with pytest.raises(SceneError, match=r"values have more than 16777216 letters"):
+        load_scene(write_scene(tmp_path, extra=spread))
+    many = "".join(f'<default name="p{k}" value="$p{k - 1}"/>' for k in range(2000))
+    with pytest.raises(SceneError, match="more than 1000 parameters"):
+        load_scene(write_scene(tmp_path, extra=many))
+
+
+def test_time_grows_with_the_length_of_an_attribute(tmp_path):
+    """Eight times the length took 60 times as long."""
+
+    def seconds(letters):
+        path = write_scene(tmp_path, extra=f'<string name="x" value="{"a" * letters}"/>')
+        start = time.perf_counter()
+        check_xml(path, {})
+        return time.perf_counter() - start
+
+    assert seconds(1 << 24) < 24 * max(seconds(1 << 21), 0.01)
+
+
+def test_large_xml_is_refused_unread(tmp_path):
+    path = write_scene(tmp_path)
+    os.truncate(path, 1 << 40)  # a hole
+    with pytest.raises(SceneError, match=r"scene\.xml: it has more than 64 MiB"):
+        load_scene(path)
+
+
 @pytest.mark.parametrize("words", [
     '<string name="x" value="&foo;"/>', '<bsdf type="diffuse" type="plastic"/>',
     '<bsdf type="diffuse" id="\xe9"/>',
@@ -205,11 +244,13 @@ def test_uvs_that_were_kept_are_taken_again(tmp_path, caplog):
     header = (tmp_path / UNWRAPPED).read_bytes().partition(b"end_header")[0]
     assert b"\ncomment svu_mi unwrapped " in header and b" xatlas " in header
     spoilt(tmp_path, normals=np.full_like(first.positions, np.nan))
-    written = (tmp_path / UNWRAPPED).stat()
+    written = (tmp_path / UNWRAPPED).stat()  # its time of access may change
     again = arrays(unwrap_cached(bare(), tmp_path))
     for name in ("positions", "faces", "normals", "uvs"):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
-    assert (tmp_path / UNWRAPPED).stat() == written and not caplog.records
+    now = (tmp_path / UNWRAPPED).stat()
+    assert (now.st_ino, now.st_mtime_ns) == (written.st_ino, written.st_mtime_ns)
+    assert not caplog.records
 
 
 def test_normals_of_a_scene_that_are_no_numbers_are_refused(tmp_path):
