@@ -1,1 +1,1 @@
-"""SVBRDF recovery: textures from photographs, their uncertainty, and what nobody saw."""
+"""SVBRDF recovery: textures from photographs, their uncertainty, and filling of unseen texels."""

@@ -4,7 +4,7 @@
     descend(objective, start, options, checkpoint=checkpoint)
 
 A checkpoint stores the settings of its run and digests of its inputs. Loading raises an error if
-they differ from those of the present run.
+these differ in the present run.
 """
 
 from __future__ import annotations

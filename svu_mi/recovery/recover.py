@@ -59,8 +59,8 @@ def recover(
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
 
     Args:
-        source: Capture, or an estimate of it. ``sh`` starts from the estimate's posterior, which
-            is recomputed unless it is RGB. Known parameters of an estimate stay fixed.
+        source: Capture, or its estimate. ``sh`` starts from the posterior of the estimate, which is
+            recomputed unless it is RGB. Known parameters of the estimate stay fixed.
         texels: Texels of ``capture.mesh``, one per texture pixel; optional with an estimate.
         method: ``sh`` compares photographs with a reflection model, ``path`` with renderings by
             Mitsuba's ``prb``; ``sh+path`` runs ``sh``, then one epoch of ``path``.

@@ -40,7 +40,7 @@ class RecoveryRun:
         options: Options by part of the method (``method_options``).
         observed: Capture with texels, visibility and light.
         given: Estimate passed to ``recover``, or None.
-        names: Parameters to recover, without those that are known in ``given``.
+        names: Parameters to recover, except for known parameters of ``given``.
         estimate_used: True once ``estimate`` was computed.
         surface_neighbors: Neighbours of the texels; None until ``around`` is computed.
     """

@@ -59,7 +59,7 @@ def relight(
         sensors: Sensors to render; default: the capture's. Films of one size share a kernel.
         spp: Samples per pixel.
         seed: Seed of the first image, incremented for each further one.
-        max_depth: Maximum path length, 2 for direct light; default: that of the scene's integrator.
+        max_depth: Maximum path length, 2 for direct light; default: the scene integrator's.
         pixels: (H, W) bool mask per sensor of the pixels to render in one launch; default: all.
 
     Returns:
@@ -97,7 +97,7 @@ def path_length(scene: Any) -> int:
 def novel_light(capture: Capture) -> Any:
     """Create an environment map for relighting: four coloured lamps in a dark room.
 
-    Orientation and mean radiance are those of the capture's environment map.
+    Orientation and mean radiance match the capture's environment map.
     """
     emitter = find_environment(capture.scene, "The capture")
     brightness = read_environment(emitter).coefficients(0).mean() / np.sqrt(4 * np.pi)
@@ -171,7 +171,7 @@ def relight_draws(
         sensors: Sensors to render; default: the capture's.
         spp: Samples per pixel, rounded to a square number.
         seed: Seed of the samples.
-        max_depth: Maximum path length; default: that of the scene's integrator.
+        max_depth: Maximum path length; default: the scene integrator's.
         progress: Function that is called with the number of rendered draws.
 
     Raises:

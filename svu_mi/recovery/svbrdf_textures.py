@@ -24,7 +24,7 @@ class Textures(ByParameter):
     (H, W, 1). Row 0 is v = 0.
 
     Raises:
-        ShapeError: The shape of a tensor is not one of these.
+        ShapeError: A tensor has another shape.
     """
 
     def __init__(self, **tensors: Any) -> None:

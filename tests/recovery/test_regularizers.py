@@ -222,9 +222,9 @@ def test_wrong_arguments_are_refused():
     with pytest.raises(TypeError, match="positional arguments"):
         TotalVariation(where, mesh, np.ones(where.count, bool))  # once which texels count
     other = texels(mesh, 8)
-    with pytest.raises(ShapeError, match="got those of"):
+    with pytest.raises(ShapeError, match="got neighbours of"):
         TotalVariation(where, neighbors(other, mesh))
-    with pytest.raises(ShapeError, match="got those of"):
+    with pytest.raises(ShapeError, match="got neighbours of"):
         GlobalSharing(materials(0), neighbors(other, mesh))
     for wrong in ({"seeds": 0}, {"tau": 0}, {"tau": float("inf")}, {"divergence": "both"},
                   {"seeding": "most"}):  # fmt: skip

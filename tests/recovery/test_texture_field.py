@@ -320,7 +320,7 @@ def test_what_makes_no_sense_is_refused(vase: SimpleNamespace, recovered: Simple
     with pytest.raises(OptionError, match="no parameter|Unknown parameter"):
         field.sd("shine")
     paper = svu.estimate(vase.capture, vase.texels, preset="paper")
-    with pytest.raises(OptionError, match="knows its noise"):
+    with pytest.raises(OptionError, match="needs an RGB estimate with noise levels"):
         texture_field(recovered.recovery, paper)
     with pytest.raises(OptionError, match="at least 2 draws, got 1"):
         relight_draws(vase.capture, field.textures, field.draw(1), spp=1)

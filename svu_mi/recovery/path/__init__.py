@@ -1,1 +1,1 @@
-"""Recovery by Mitsuba's own loop: render batches of pixels, compare, differentiate."""
+"""Recovery by differentiable path tracing with Mitsuba."""

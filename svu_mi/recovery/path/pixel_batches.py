@@ -1,4 +1,4 @@
-"""Batches of pixels from all views, in random order, of those that show the object alone."""
+"""Random batches of usable pixels from all views."""
 
 from __future__ import annotations
 
@@ -15,52 +15,54 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.packed_views import Views, pack_views
 
-TILE = 4  # pixels per side that stay together when the order is shuffled: paths are coherent
+TILE = 4  # pixels per side of tiles, which are shuffled as a whole for coherent paths
 
 
 @dataclass(frozen=True)
 class PixelBatch:
-    """N pixels.
+    """Batch of N pixels.
 
     Attributes:
-        index: (N,) UInt32, numbers of the pixels among those of all photographs (``Views``).
-        places: (N,) UInt32 each: number of the view, row and column.
+        index: (N,) UInt32, indices into the packed pixels of all photographs (``Views``).
+        places: View number, row and column, (N,) UInt32 each.
     """
 
     index: Any
     places: tuple[Any, Any, Any]
 
     def rays(self, views: Views, sampler: Any, spp: int) -> Any:
-        """Return ``spp`` random rays through each pixel, those of a pixel one after the other."""
+        """Return ``spp`` random rays per pixel; rays of one pixel are adjacent."""
         ray = pixel_rays(views.rays, self.places, spp, lambda _: sampler.next_2d())
         return mi.RayDifferential3f(ray)
 
 
 class PixelBatches:
-    """The pixels of each step.
+    """Batches of usable pixels, each a function of its step.
 
-    A batch is a function of its step: every ``epoch`` steps all usable pixels come once, in squares
-    of pixels that are shuffled again for each epoch. (The last batch is filled up with the first
-    pixels.)
+    An epoch contains every usable pixel once, in tiles that are shuffled anew per epoch. The last
+    batch of an epoch is completed with its first pixels.
 
     Attributes:
-        views: the photographs.
-        size: pixels per batch.
-        pixels: number of usable pixels.
-        epoch: steps per epoch.
-        mean: mean radiance of the usable pixels, over all channels.
+        views: Packed photographs.
+        size: Pixels per batch.
+        pixels: Number of usable pixels.
+        epoch: Steps per epoch.
+        mean: Mean radiance of the usable pixels, over all channels.
     """
 
     def __init__(
         self, capture: Capture, size: int | None, seed: int = 0, views: Views | None = None
     ) -> None:
-        """Find the usable pixels of all used views.
+        """Collect the usable pixels of all used views.
 
         Args:
-            capture: the photographs.
-            size: pixels per batch, at most all; None for the mean number per used photograph.
-            seed: of the order.
-            views: those of ``pack_views``, if they were packed already.
+            capture: Capture with the photographs.
+            size: Pixels per batch, at most all; None for the mean number per used photograph.
+            seed: Seed of the order.
+            views: Packed photographs of the capture; packed here if None.
+
+        Raises:
+            CaptureError: No pixel is usable.
         """
         self.views = views = pack_views(capture) if views is None else views
         self._seed = seed
@@ -88,7 +90,7 @@ class PixelBatches:
         self.size = min(size or -(-self.pixels // views.number), self.pixels)
         self.epoch = -(-self.pixels // self.size)
         self.mean = total / (3 * self.pixels)
-        self._order = lru_cache(1)(self._shuffled)  # of the last epoch
+        self._order = lru_cache(1)(self._shuffled)  # keeps one epoch
 
     def at(self, step: int) -> PixelBatch:
         """Return the batch of a step."""
@@ -103,7 +105,7 @@ class PixelBatches:
         return PixelBatch(lanes[0], (lanes[1], lanes[2], lanes[3]))
 
     def _shuffled(self, epoch: int) -> np.ndarray:
-        """Return the usable pixels in the order of an epoch."""
+        """Return the indices of usable pixels in the order of an epoch."""
         tile = np.random.default_rng((self._seed, epoch)).permutation(len(self._counts))
         counts, begins = self._counts[tile], (np.cumsum(self._counts) - self._counts)[tile]
         within = np.arange(self.pixels) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -111,7 +113,7 @@ class PixelBatches:
 
 
 def _tiled(plane: np.ndarray) -> np.ndarray:
-    """Return the squares of a plane (H, W) as (n, TILE^2), padded by 0."""
+    """Split an (H, W) plane into tiles, (n, TILE^2), padded with 0."""
     height, width = plane.shape
     plane = np.pad(plane, ((0, -height % TILE), (0, -width % TILE)))
     rows, columns = plane.shape[0] // TILE, plane.shape[1] // TILE

@@ -1,26 +1,24 @@
-"""The loss of recovery by path tracing: rendered pixels against photographed ones.
+"""Loss of recovery by path tracing: rendered pixels compared with photographs.
 
-Losses divide radiances by a ``scale``, such as the mean radiance of the photographs, so that
-learning rates and weights of regularisers mean the same at any exposure.
+Losses divide radiance by a ``scale``, such as the mean radiance of the photographs. Learning rates
+and weights of regularisers are thus independent of the exposure.
 
-Renders are noisy, and the expectation of a loss is not the loss of the expectation. With a
-render r = R + e of an unbiased estimate R and a photograph y:
+Monte Carlo noise can bias a loss. For a render r with expectation R and a photograph y:
 
-* ``l2``: E (r - y)^2 = (R - y)^2 + var(r). With gradients from paths of their own, the gradient's
-  expectation is that of (R - y)^2: no bias.
-* ``l1``: E |r - y| has its minimum where y is the *median* of r; rendered light is skewed, so
-  radiance comes out too bright the fewer paths there are. Outliers weigh less, though.
+* ``l2``: E (r - y)^2 = (R - y)^2 + var(r). With independent paths for the gradient, its
+  expectation is the gradient of (R - y)^2: no bias.
+* ``l1``: E |r - y| is minimal if y is the *median* of r. The distribution of r is skewed, so
+  recovered radiance is too bright, in particular with few paths. It is robust to outliers.
 * ``relative``: (r - y)^2 / (y^2 + floor): as ``l2``, with weights that depend on the photograph
-  alone. Dividing by the render instead would bring the bias back; noise of the photograph
-  brings one of its own, since pixels that came out too dark weigh more (5 % too dark at 16
-  samples per pixel).
+  only, because the render in the denominator would cause a bias. Noise of the photograph causes
+  another: pixels that are too dark get larger weights (5 % too dark at 16 samples per pixel).
 
-Paths of the gradient are independent of those of the loss. Where the paths of a pixel are parted in
-two halves A and B, each is the other's, which saves a pass:
+Gradient and loss need independent paths. Two halves A and B of the paths of a pixel can serve as
+each other's, which saves a pass:
 
     gradient = l'(A) dB + l'(B) dA,
 
-where A and B are mean radiances, and l' the derivative of a pixel's loss.
+where A and B are mean radiances, and l' is the derivative of a pixel's loss.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ from svu_mi.recovery.recovery_options import PathOptions
 from svu_mi.recovery.regularizers.known_gradient import with_known_gradient
 from svu_mi.recovery.svbrdf_textures import Textures, uniform_textures
 
-FLOOR = 0.1  # of the relative loss: radiance, in units of the scale, that counts as dark
+FLOOR = 0.1  # radiance in units of the scale below which weights of ``relative`` are constant
 
 
 def l1(render: Any, target: Any, scale: Any = 1.0) -> Any:
@@ -57,7 +55,7 @@ def l2(render: Any, target: Any, scale: Any = 1.0) -> Any:
 
 
 def relative(render: Any, target: Any, scale: Any = 1.0) -> Any:
-    """Return mean (r - y)^2 / (y^2 + (s FLOOR)^2): dark pixels count as much as bright ones."""
+    """Return mean (r - y)^2 / (y^2 + (s FLOOR)^2), the relative squared error."""
     weight = dr.rcp(dr.square(target) + dr.square(scale * FLOOR))
     return dr.mean(dr.square(render - target) * weight, axis=None)
 
@@ -67,13 +65,13 @@ LOSSES: dict[str, Callable[..., Any]] = {"l1": l1, "l2": l2, "relative": relativ
 
 @dataclass(frozen=True)
 class PathObjective:
-    """An objective for ``descend``: renders the batch of a step and compares it.
+    """Objective for ``descend`` that renders a batch of pixels and compares it.
 
     Attributes:
-        target: the scene that is rendered.
-        batches: the pixels of each step.
-        integrator: ``prb``, or another integrator of Mitsuba's that replays paths.
-        options: how it was made.
+        target: Scene to render, with exchangeable textures.
+        batches: Pixels of each step.
+        integrator: Mitsuba integrator that replays paths, such as ``prb``.
+        options: Loss, paths per pixel, epochs and seed.
     """
 
     target: PathScene
@@ -88,11 +86,11 @@ class PathObjective:
 
     @property
     def halves(self) -> int:
-        """Number of parts of a pixel's paths: 2 where they serve each other, else 1."""
+        """Number of parts of a pixel's paths: 2 with ``options.halves`` and even ``spp``."""
         return 2 if self.options.halves and self.options.spp % 2 == 0 else 1
 
     def __call__(self, textures: dict[str, Any], step: int) -> Any:
-        """Return the loss of a step's batch, in units of the photographs' mean radiance."""
+        """Return the loss of a step, relative to the mean radiance of the photographs."""
         self.target.paint({name: dr.detach(texture) for name, texture in textures.items()})
         params = self.target.params
         live = {name: params[key_of(name)] for name in textures}
@@ -103,7 +101,7 @@ class PathObjective:
             loss, slope = self._loss_and_gradient(radiance, photograph)
             lane = dr.arange(mi.UInt32, len(batch.index) * self.options.spp)
             part = self.options.spp // self.halves
-            if self.halves == 1:  # other paths than those of the loss
+            if self.halves == 1:  # new paths, independent of the loss
                 place, (_, _, replay) = lane // part, self._trace(batch, seed ^ 0x9E3779B9)
             else:
                 place = (lane // part) ^ 1
@@ -120,15 +118,19 @@ class PathObjective:
         )
 
     def render(self, textures: Mapping[str, Any], step: int) -> tuple[Any, Any]:
-        """Return radiance of a step, rendered and photographed: (3 N ``halves``,) Floats, RGB by
-        RGB, of a pixel all halves."""
+        """Return rendered and photographed radiance of a step.
+
+        Both are interleaved RGB Floats (3 N ``halves``,); the halves of a pixel are adjacent.
+        """
         self.target.paint(textures)
         radiance, photograph, _ = self._trace(self.batches.at(step), self._seed(step))
         return radiance, photograph
 
     def _trace(self, batch: PixelBatch, seed: Any) -> tuple[Any, Any, Callable[[Any], None]]:
-        """Trace the paths of a batch: return what ``render`` does, and a function that takes the
-        derivative of a loss by the radiance of every path, and passes it on to the textures."""
+        """Trace a batch; return the results of ``render``, and a function that backpropagates.
+
+        The function takes the derivative of a loss in the radiance of every path.
+        """
         count, views = len(batch.index), self.batches.views
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed, count * self.options.spp)
@@ -156,8 +158,8 @@ class PathObjective:
         return dr.ravel(mi.Color3f(means)), dr.ravel(seen), replay
 
     def _loss_and_gradient(self, radiance: Any, photograph: Any) -> tuple[Any, Any]:
-        """Return the loss, and its derivatives by the radiance."""
-        # Opaque: as a literal, every capture would compile kernels of its own.
+        """Return the loss, and its derivatives in the radiance."""
+        # Opaque, because a literal would compile new kernels for every capture.
         scale = dr.opaque(mi.Float, self.batches.mean or 1.0)
         with dr.resume_grad():
             dr.enable_grad(radiance)
@@ -173,7 +175,7 @@ class PathObjective:
         self.target.params.update()
 
     def _seed(self, step: int) -> Any:
-        """Return the seed of a step's paths; opaque, or every step would compile a kernel."""
+        """Return the seed of a step's paths, opaque to reuse kernels between steps."""
         return dr.opaque(mi.UInt32, (self.options.seed * 0x9E3779B1 + step + 1) % 2**32)
 
 
@@ -185,7 +187,15 @@ def path_objective(
     fixed: Textures | None = None,
     views: Views | None = None,
 ) -> PathObjective:
-    """Make the objective of a capture."""
+    """Return the objective of a capture.
+
+    Args:
+        capture: Capture with scene and photographs.
+        texels: Texels that define the resolution of the textures.
+        options: Options with a ``max_depth``.
+        fixed: Textures that the descent does not change; default: constant.
+        views: Packed photographs; packed here if None.
+    """
     return PathObjective(
         target=PathScene.of(capture, uniform_textures(texels) if fixed is None else fixed),
         batches=PixelBatches(capture, options.pixels_per_batch, options.seed, views),

@@ -1,4 +1,4 @@
-"""A copy of the scene whose object has texture tensors as its material."""
+"""Copy of a scene in which the object's material is made of texture tensors."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from svu_mi.recovery.svbrdf_textures import Textures
 
 @dataclass(frozen=True)
 class PathScene:
-    """The capture's scene with a ``principled`` object; the capture itself is not modified.
+    """Copy of a capture's scene with an exchangeable ``principled`` material.
 
     Attributes:
-        scene: the ``mi.Scene``.
-        shape: the object in it.
-        params: the ``mi.SceneParameters`` of its ``principled`` BSDF.
-        resolution: (W, H) of its textures, in texels.
+        scene: ``mi.Scene``.
+        shape: Object in the scene.
+        params: ``mi.SceneParameters`` of the object's BSDF.
+        resolution: Width and height of the textures, in texels.
     """
 
     scene: Any
@@ -34,21 +34,21 @@ class PathScene:
 
     @staticmethod
     def of(capture: Capture, start: Textures) -> PathScene:
-        """Copy the scene; parameters keep the values of ``start`` until they are painted."""
+        """Copy the scene of a capture and set all textures to ``start``."""
         material = mi.load_dict(
             {"type": "principled", "specular": 0.5}
             | {name: _bitmap(tensor) for name, tensor in start.items()}
         )
         made = replace_material(capture, material)
         params = mi.traverse(material)
-        # update() evaluates whatever it holds.
+        # Keep only textures: update() evaluates all entries.
         params.keep([key_of(name) for name in NAMES])
         painted = PathScene(made.scene, made.shape, params, start.resolution)
         painted.paint(dict(start.items()))
         return painted
 
     def paint(self, textures: Mapping[str, Any]) -> None:
-        """Replace textures, differentiably: gradients of a render reach these tensors."""
+        """Replace textures; renders are differentiable in the given tensors."""
         width, height = self.resolution
         for name, tensor in textures.items():
             wanted = (height, width, CHANNELS[name])
@@ -61,13 +61,13 @@ class PathScene:
 
 
 def key_of(name: str) -> str:
-    """Return what ``mi.traverse`` calls a texture of the material."""
+    """Return the ``mi.traverse`` key of a texture of the material."""
     return f"{name}.data"
 
 
 def _bitmap(tensor: Any) -> dict[str, Any]:
-    # Made of 0.5: Mitsuba leaves lobes out for good whose parameter is 0 when a material is made.
+    # Initial value 0.5: Mitsuba permanently disables lobes whose parameter is 0 at creation.
     half = dr.full(mi.TensorXf, 0.5, shape=tuple(tensor.shape))
-    # format: 8- and 16-bit textures would not be differentiable.
+    # "variant" stores float32; 8- and 16-bit textures are not differentiable.
     return {"type": "bitmap", "data": half, "raw": True, "format": "variant",
             "filter_type": "bilinear", "wrap_mode": "repeat"}  # fmt: skip

@@ -1,1 +1,1 @@
-"""Regularisers: plain differentiable functions of texture tensors."""
+"""Regularisers: differentiable functions of a texture tensor."""

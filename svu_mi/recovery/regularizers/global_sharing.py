@@ -1,4 +1,4 @@
-"""Global sharing: uncertain texels are pulled towards certain ones (Sec. 5.2, Eq. 14, 15)."""
+"""Global sharing: a regulariser between uncertain and certain texels (Sec. 5.2, Eq. 14, 15)."""
 
 from __future__ import annotations
 
@@ -27,39 +27,48 @@ PAPER_SETTINGS: dict[str, Any] = {
 }  # fmt: skip
 
 CHUNK = 1 << 22  # probabilities in memory at a time
-LEAST = 1e-30  # probability that stands for 0 in a logarithm
+LEAST = 1e-30  # lower limit of probabilities in logarithms
 
 
 @dataclass(frozen=True, eq=False)
 class GlobalSharing(Regularizer):
-    """Squared distance to seeds: certain texels of the surface.
+    """Weighted squared distance to seeds, which are texels of low entropy.
 
         L_S(psi) = 1/T sum over texels p, sum over seeds q of w_pq |psi_p - psi_q|^2   (Eq. 14)
         w_pq = exp(-KL_pq^2 / (2 tau'^2)),  tau' = tau times the mean of all KL_pq     (Eq. 15)
 
-    A plain function of a texture, to be added to any loss. The weights come from posteriors
-    and do not change; the seeds' values are those of the texture itself. Weights are not
-    normalised: a texel that is like no seed is left alone. A texel that nobody saw has the
-    prior for its posterior, which says next to nothing of how far it is from a seed.
+    The object is a function of a texture that can be added to any loss. Weights are constants that
+    follow from the posteriors P; values psi_q are read from the texture. Weights are not
+    normalised: texels similar to no seed are not changed. The weight of an unseen texel hardly
+    depends on the seed, because its posterior is the prior.
 
-    As the paper prints it: ``GlobalSharing.printed``. The defaults are ours.
+    ``GlobalSharing.printed`` has the settings of the paper; the defaults differ.
 
     Attributes:
-        estimate: what the photographs say about T texels.
-        mesh: the mesh they lie on; or their ``Neighbors``, if these are at hand; or None, to
-            look for seeds without crossing seams.
-        seeds: how many at most; or the numbers of texels to use, in [0, T). Afterwards those
-            numbers, (S,) int64; none if no texel was ever seen.
-        tau: width of the weights, as a part of the mean KL divergence; 0.4 in the paper.
-        seeding: how a number of seeds is chosen: ``spread`` over the materials, among smoothed
-            minima of the entropy (``find_seeds``); or the paper's ``least`` of all local minima
-            (``least_minima``), which may all be of one material.
-        divergence: ``reverse`` is KL(P_q || P_p), which asks whether what p saw allows for the
-            seed; ``forward`` is the paper's KL(P_p || P_q), which asks whether the seed allows
-            for all that p does, and is far for every uncertain p.
-        anchored: seeds pull and are not pulled: the gradient reaches p only. If not, it is that
-            of Eq. 14 by both psi_p and psi_q.
-        weights: (S T,) Float, that of seed s and texel p at s T + p.
+        estimate: Estimate of T texels, with their posteriors.
+        mesh: Mesh of the texels, or their ``Neighbors``; None for neighbours in the map, which
+            do not cross seams.
+        seeds: Maximum number of seeds, >= 1 (default 20, as in the paper), or texel numbers in
+            [0, T). After construction: texel numbers, (S,) int64; empty if no texel is observed.
+        tau: Width of the weights relative to the mean KL divergence, > 0 (default 0.4, as in the
+            paper). Lower it to share among more similar texels only.
+        seeding: Selection of seeds. ``spread`` (default): minima of the smoothed entropy, spread
+            over materials (``find_seeds``). ``least``: the paper's least local minima
+            (``least_minima``), which may all belong to one material.
+        divergence: ``reverse`` (default): KL(P_q || P_p), small if the seed is plausible for
+            texel p. ``forward``: the paper's KL(P_p || P_q), large for all uncertain texels.
+        anchored: True (default) for gradients in psi_p only; False for the gradient of Eq. 14,
+            which also moves seeds.
+        weights: (S T,) Float, weight of seed s and texel p at index s T + p.
+
+    Raises:
+        OptionError: A setting is invalid, such as less than one seed.
+
+    Example:
+        >>> sharing = svu.GlobalSharing(estimate, capture.mesh, seeds=4)
+        >>> recovered = svu.recover(estimate, sharing=sharing)
+        >>> sharing.image().shape
+        (64, 64)
     """
 
     estimate: Estimate
@@ -87,25 +96,16 @@ class GlobalSharing(Regularizer):
     def printed(
         cls, estimate: Estimate, mesh: Any | None = None, *, seeds: Any = SEEDS
     ) -> GlobalSharing:
-        """Return the sharing that the paper prints (Sec. 5.2, Eq. 14 and 15).
+        """Return the sharing with the settings of the paper (Sec. 5.2, Eq. 14 and 15).
 
-        Seeds are the 20 least local minima of the entropy on the surface, KL(P_p || P_q) is the
-        forward one, tau' is 0.4 times its mean over seeds and all texels, and both texels of a
-        pair are pulled. P is that of the estimate: in the paper that of Eq. 11, over 8 x 8 cells
-        of (roughness, Ks), ``estimate(..., method="spectrum", preset="paper")``.
-
-        Args:
-            estimate: what the photographs say about T texels.
-            mesh: as for the class.
-            seeds: as for the class.
-
-        Raises:
-            OptionError: fewer than one seed.
+        Seeds are the 20 least local minima of the entropy on the surface. The divergence is
+        KL(P_p || P_q), and gradients reach both texels of a pair. For the posterior of the paper
+        (Eq. 11), ``estimate`` needs ``method="spectrum", preset="paper"``.
         """
         return cls(estimate, mesh, seeds=seeds, **PAPER_SETTINGS)
 
     def record(self) -> dict[str, Any]:
-        """Return how texels share, for a run's settings: all but posteriors and seeds' places."""
+        """Return number of seeds and settings, for the record of a run."""
         names = ("tau", "seeding", "divergence", "anchored")
         return {"seeds": len(self.seeds)} | {name: getattr(self, name) for name in names}
 
@@ -113,22 +113,22 @@ class GlobalSharing(Regularizer):
         return self.estimate.texels
 
     def pull(self) -> np.ndarray:
-        """Return W_p = sum over seeds of w_pq, (T,) float32: how much each texel is pulled."""
+        """Return the total weight of each texel, W_p = sum over seeds of w_pq, (T,) float32."""
         count = self.estimate.texels.count
         weights = np.array(self.weights, np.float64).reshape(len(self.seeds), count)
         return weights.sum(axis=0).astype(np.float32)
 
     def image(self) -> np.ndarray:
-        """Lay ``pull`` out as an (H, W) float32 texture, 0 outside the charts."""
+        """Return ``pull`` as an (H, W) float32 image, 0 outside the charts."""
         return self.estimate.texels.to_image(self.pull())
 
     def _chosen_seeds(self) -> np.ndarray:
-        """Return the numbers of the seeds, (S,) int64."""
+        """Return the texel numbers of the seeds, (S,) int64."""
         if not isinstance(self.seeds, (int, np.integer)):
             chosen = np.array(self.seeds, np.int64).reshape(-1)
             return chosen[np.sort(np.unique(chosen, return_index=True)[1])]
         if self.seeds < 1:
-            raise OptionError(f"GlobalSharing: it takes at least one seed, got {self.seeds}.")
+            raise OptionError(f"GlobalSharing: seeds must be at least 1, got {self.seeds}.")
         around, count = self._neighbors(self.mesh), int(self.seeds)
         if self.seeding == "spread":
             return find_seeds(self.estimate, around, count)
@@ -136,7 +136,7 @@ class GlobalSharing(Regularizer):
         return least_minima(entropy, np.array(self.estimate.coverage) > 0, around, count)
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
-        """Value and gradient: every lane is a texel that reads from all seeds."""
+        """Return value and gradient; each lane is a texel and loops over all seeds."""
         if len(self.seeds) == 0:
             return mi.Float(0), dr.zeros(mi.Float, dr.width(values))
         index = self.estimate.texels.index
@@ -192,9 +192,10 @@ class GlobalSharing(Regularizer):
 
 
 def divergences(posterior: Posterior, chosen: np.ndarray, kind: Divergence) -> np.ndarray:
-    """Return KL(P_p || P_q), or KL(P_q || P_p) if reverse, of all texels p to some texels q.
+    """Return KL divergences between all texels p and chosen texels q, (S, T).
 
-    Where each channel has a distribution of its own, the mean over channels.
+    ``forward`` is KL(P_p || P_q), ``reverse`` KL(P_q || P_p). Separate distributions per channel
+    are averaged.
     """
     q = _probabilities(posterior, chosen)
     log_q = np.log(np.maximum(q, LEAST))
@@ -211,14 +212,14 @@ def divergences(posterior: Posterior, chosen: np.ndarray, kind: Divergence) -> n
 
 
 def _probabilities(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
-    """Return (t, cells) float32 probabilities of some texels, all channels in a row."""
+    """Return probabilities of chosen texels, (t, cells) float32 with channels concatenated."""
     cells = int(np.prod(posterior.grid.shape)) * posterior.channels
     return np.array(posterior.probabilities_of(chosen), np.float32).reshape(len(chosen), cells)
 
 
 def _weights(divergence: np.ndarray, tau: float) -> np.ndarray:
-    """Return w = exp(-KL^2 / (2 tau'^2)), (S, T) float32 (Eq. 15)."""
+    """Return the weights of Eq. 15, w = exp(-KL^2 / (2 tau'^2)), (S, T) float32."""
     width = tau * divergence.mean() if divergence.size else 0.0
-    if width == 0:  # all posteriors are the same
+    if width == 0:  # all posteriors are equal
         return np.ones(divergence.shape, np.float32)
     return np.exp(-0.5 * (divergence / width) ** 2).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Differentiable scalars with a known gradient, and regularisers made of them."""
+"""Differentiable scalars with an explicit gradient, and the base class of regularisers."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from svu_mi.geometry.texels import Texels
 
 
 def with_known_gradient(value: Any, slopes: Sequence[Any], values: Sequence[Any]) -> Any:
-    """Return a detached scalar with derivatives ``slopes`` for ``values``, Floats of equal widths.
+    """Attach derivatives ``slopes`` in ``values`` (Floats of equal widths) to a scalar.
 
-    The backward pass is one multiplication per value and adds nothing up, so it is the same
-    bit by bit in every run, with any number of threads.
+    The backward pass is one multiplication per value, without sums. Its result is bitwise
+    reproducible with any number of threads.
     """
     inner = [slope * dr.replace_grad(dr.zeros(mi.Float, dr.width(x)), x)
              for slope, x in zip(slopes, values, strict=True)]  # fmt: skip
@@ -25,21 +25,22 @@ def with_known_gradient(value: Any, slopes: Sequence[Any], values: Sequence[Any]
 
 
 def sign(value: Any) -> Any:
-    """Return the derivative of an absolute value: -1, 1, or 0 at 0, where ``dr.sign`` is 1."""
+    """Return -1, 0 or 1, the derivative of abs; ``dr.sign`` returns 1 at 0."""
     return dr.select(value == 0, 0, dr.sign(value))
 
 
 class Regularizer:
-    """A loss of one texture, whose value and gradient are computed together by ``_of``."""
+    """Loss of one texture. Subclasses compute value and gradient together in ``_of``."""
 
     def __call__(self, texture: Any) -> Any:
-        """Return the loss of a texture.
+        """Return the loss of a texture, a differentiable Float of width 1.
 
         Args:
             texture: (H, W) or (H, W, C) TensorXf, at the resolution of the texels.
 
-        Returns:
-            A Float of one value, differentiable in the texture.
+        Raises:
+            OptionError: The texture is not a TensorXf.
+            ShapeError: The texture has another resolution.
         """
         name, (width, height) = type(self).__name__, self._texels().resolution
         if not isinstance(texture, mi.TensorXf):
@@ -51,7 +52,7 @@ class Regularizer:
         if len(shape) not in (2, 3) or shape[:2] != (height, width) or 0 in shape:
             raise ShapeError(
                 f"{name}: expected a texture of shape ({height}, {width}) or ({height}, {width}, "
-                f"C), got {shape}; lay out svu.texels at the resolution of the textures."
+                f"C), got {shape}; create svu.texels at the resolution of the textures."
             )
         channels = int(shape[2]) if len(shape) == 3 else 1
         value, gradient = self._of(dr.detach(texture.array), channels)
@@ -62,16 +63,16 @@ class Regularizer:
         raise NotImplementedError
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
-        """Return the value, and the gradient by all values."""
+        """Return the loss, and its derivatives in all values."""
         raise NotImplementedError
 
     def _neighbors(self, mesh: Any) -> Neighbors:
-        """Return the neighbours of the texels on a mesh, which may be given instead of it."""
+        """Return the neighbours of the texels; ``mesh`` may be a ``Neighbors`` already."""
         texels = self._texels()
         around = mesh if isinstance(mesh, Neighbors) else neighbors(texels, mesh)
         if around.count != texels.count:
             raise ShapeError(
-                f"{type(self).__name__}: expected the neighbours of {texels.count} texels, got "
-                f"those of {around.count}."
+                f"{type(self).__name__}: expected neighbours of {texels.count} texels, got "
+                f"neighbours of {around.count}."
             )
         return around

@@ -8,18 +8,17 @@ from svu_mi.geometry.neighbors import Neighbors, connected_components
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.posterior import Posterior
 
-RINGS = 3  # no texel within so many steps is more certain than a seed
-RESOLUTION = 1e-3  # entropies closer than this are the same
+RINGS = 3  # radius of the local minima of entropy, in texels
+RESOLUTION = 1e-3  # step to which entropies are rounded
 
 
 def find_seeds(estimate: Estimate, around: Neighbors, count: int) -> np.ndarray:
-    """Return the numbers of at most ``count`` seeds, (S,) int64.
+    """Return the texel numbers of at most ``count`` seeds of all materials, (S,) int64.
 
-    Candidates are local minima of the entropy on the surface, averaged with their neighbours,
-    that belong to the more certain half of what was seen. The first seed is the most certain
-    candidate; each further one is that whose mean parameters are furthest from those of all
-    seeds so far, a distance that counts 1 - H times. The most certain ones
-    alone may all be of one material, and leave the others without a seed.
+    Candidates are local minima of the smoothed entropy on the surface, at most at its median. The
+    first seed is the candidate of least entropy. Each further one maximises 1 - H times the
+    distance of its posterior mean from the nearest seed. Least entropies alone could select
+    seeds of one material only.
     """
     observed = np.array(estimate.coverage) > 0
     if not observed.any():
@@ -46,9 +45,8 @@ def least_minima(
 ) -> np.ndarray:
     """Return the seeds of the paper: the least local minima of the entropy, (S,) int64.
 
-    A texel is a local minimum if no neighbour has a lower entropy. Neighbours of exactly equal
-    entropy are one plateau; it is a minimum if no neighbour of any of its texels is lower, and
-    the texel of the lowest number stands for it.
+    A local minimum has no neighbour of lower entropy. Connected texels of equal entropy form a
+    plateau, which counts as one minimum and is represented by its texel of lowest number.
     """
     candidates = local_minima(entropy, observed, around, 1, 0.0)
     return candidates[np.argsort(entropy[candidates], kind="stable")][:count]
@@ -57,9 +55,10 @@ def least_minima(
 def local_minima(
     values: np.ndarray, allowed: np.ndarray, around: Neighbors, rings: int, resolution: float
 ) -> np.ndarray:
-    """Return one texel of every local minimum, in order of their numbers.
+    """Return one texel per local minimum among ``allowed`` texels, in ascending order.
 
-    A minimum is the lowest within some rings of texels; a plateau of equal values is one minimum.
+    A minimum is the lowest value within ``rings`` texels. Values are rounded to ``resolution`` (0:
+    not rounded); a plateau of equal values is one minimum.
     """
     level = np.where(allowed, np.round(values / resolution) if resolution else values, np.inf)
     table = around.table()
@@ -77,7 +76,7 @@ def local_minima(
 
 
 def mean_parameters(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
-    """Return the posterior mean of every parameter, (t, D); per channel where it has its own."""
+    """Return the posterior means of all parameters and channels, (t, D)."""
     columns = []
     for name, nodes in posterior.axes.items():
         marginal = np.array(posterior.marginal(name, chosen), np.float64)

@@ -15,7 +15,7 @@ from svu_mi.geometry.neighbors import Neighbors, lanes_of, over_neighbors
 from svu_mi.geometry.texels import Texels
 from svu_mi.recovery.regularizers.known_gradient import Regularizer, sign
 
-EPSILON = 1e-2  # in units of the parameters, all in [0, 1]
+EPSILON = 1e-2  # in parameter units, [0, 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,27 +25,27 @@ class TotalVariation(Regularizer):
         TV(psi) = 1/P sum over pairs (i, j), sum over channels of
                   sqrt((psi_i - psi_j)^2 + epsilon^2) - epsilon
 
-    A plain function of a texture, to be added to any loss; the paper gives it a weight of
-    1e-2. Texels that no photograph shows take part, so that values spread into them.
+    The object is a function of a texture that can be added to any loss (weight 1e-2 in the paper).
+    Unseen texels are included, so that values of neighbours spread into them.
 
-    With a mesh, differences are taken on the surface: over the seams of the UV charts, and not
-    between charts that touch in the map. Without one they are the paper's, in texture space:
-    between every texel and its right and its lower neighbour in the map, wherever they are on
-    the object. Texels outside the charts have no influence and no gradient in either case.
-
-    With ``epsilon`` 0, a term is ``|psi_i - psi_j|`` as printed, its derivative the sign of the
-    difference, 0 for equal values.
+    With a mesh, neighbours are adjacent on the surface: across seams of UV charts, but not between
+    charts that only touch in the map. Without a mesh, as in the paper, they are the texels to the
+    right and below in the map. Pixels outside the charts have no influence and no gradient.
 
     Attributes:
         texels: T texels.
-        mesh: the mesh they lie on; or their ``Neighbors``, if these are at hand; or None, for
-            texture space, blind to seams.
-        epsilon: differences far below it count as squares, those far above as they are; 0 for
-            absolute values.
+        mesh: Mesh of the texels, or their ``Neighbors``; None for neighbours in the map.
+        epsilon: Difference, >= 0, below which terms are quadratic; above, they are linear. With
+            0, as in the paper, a term is ``|psi_i - psi_j|``, with derivative 0 for equal values.
 
     Raises:
-        OptionError: an epsilon that is negative, infinite or NaN.
-        ShapeError: the neighbours are not those of T texels.
+        OptionError: ``epsilon`` is negative, infinite or NaN.
+        ShapeError: The neighbours belong to another number of texels.
+
+    Example:
+        >>> total_variation = svu.TotalVariation(texels, capture.mesh)
+        >>> total_variation(mi.TensorXf(np.full((64, 64), 0.5)))
+        [0]
     """
 
     texels: Texels
@@ -65,25 +65,25 @@ class TotalVariation(Regularizer):
         return self.texels
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
-        """Value and gradient; every lane, a texel's channel, only reads from its neighbours."""
+        """Return value and gradient; each lane is a channel of a texel and gathers neighbours."""
         epsilon = dr.opaque(mi.Float, self.epsilon) if self.epsilon else None
 
         def add(other: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
             size, slope = absolute(values - dr.gather(mi.Float, values, other), epsilon)
             return state[0] + size, state[1] + slope
 
-        # A texel without a neighbour may hold anything, NaN included.
-        if channels not in self._around:  # kept, as every step needs it; but only if one does
+        # Pixels outside charts link to themselves only, so NaN there has no effect.
+        if channels not in self._around:  # cached for the next steps
             self._around[channels] = lanes_of(self._around[1], channels)
         around = self._around[channels]
         total, gradient = over_neighbors(around, add, (mi.Float(0), mi.Float(0)))
         gradient *= self._scale
         dr.eval(total, gradient)
-        return dr.sum(total) * (0.5 * self._scale), gradient  # every pair was seen from both ends
+        return dr.sum(total) * (0.5 * self._scale), gradient  # each pair is visited twice
 
 
 def absolute(difference: Any, epsilon: Any | None) -> tuple[Any, Any]:
-    """Return the size of differences, and its derivative."""
+    """Return the absolute value, smoothed by epsilon if given, and its derivative."""
     if epsilon is None:
         return dr.abs(difference), sign(difference)
     smooth = dr.sqrt(dr.fma(difference, difference, dr.square(epsilon)))
@@ -92,9 +92,9 @@ def absolute(difference: Any, epsilon: Any | None) -> tuple[Any, Any]:
 
 
 def _table(texels: Texels, around: Neighbors) -> tuple[np.ndarray, int]:
-    """Return the flat index of the neighbours of all H W texels, (K, H W), and P.
+    """Return flat indices of the neighbours of all pixels, (K, H W), and the number of pairs P.
 
-    One that has none is its own neighbour: the difference is 0.
+    Missing neighbours are replaced by the pixel itself: the difference is 0.
     """
     table = around.table()
     own = np.arange(texels.count)

@@ -1,9 +1,8 @@
-"""Mean absolute error between photographs and the SH model (Eq. 6), over all samples.
+"""Mean absolute error between photographs and the SH model (Eq. 6): the paper's angular loss.
 
-The loss of the paper's recovery in the angular domain (Sec. 5.1): every step convolves the light
-of every texel with its lobe and goes through all views. Loss and derivatives are summed in the
-same pass; derivatives then reach the textures by one gather per texel, so that no addition is
-atomic.
+Each step convolves the light of every texel with its lobe and loops over all views (Sec. 5.1).
+Loss and derivatives are summed in one pass. One gather per texel then propagates the derivatives
+to the textures, without atomic additions.
 """
 
 from __future__ import annotations
@@ -38,17 +37,17 @@ from svu_mi.statistics.gather_statistics import GRAZING, Values, flatten_values,
 
 @dataclass(frozen=True, kw_only=True)
 class AngularObjective:
-    """sum |b - r| / (n C unit), over the n visible (texel, view) samples and C channels.
+    """Mean absolute error sum |b - r| / (n C unit) of n visible samples (texel, view).
 
     Attributes:
-        views: the packed capture, in C = 3 channels.
-        surface: the S texels that some view sees.
-        visibility: which views see which texels.
-        switches: of the model.
-        light: that the texels mirror.
-        moments: of the diffuse light that arrives, 8 Floats (S,) per channel.
-        place: (S,) UInt32, where in a texture each of them is.
-        factor: opaque Float, 1 / (n C unit).
+        views: Packed photographs with C = 3 channels.
+        surface: The S texels visible in at least one view.
+        visibility: Texel-view visibility.
+        switches: Options of the reflection model.
+        light: Environment map around the mirror direction of each texel.
+        moments: Moments of the diffuse irradiance, 8 Floats (S,) per channel.
+        place: (S,) UInt32, flat index of each texel in a texture.
+        factor: Opaque Float, 1 / (n C unit).
     """
 
     views: Views
@@ -61,7 +60,7 @@ class AngularObjective:
     factor: Any
 
     def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
-        """Return the loss as a Float that derivatives reach the textures through."""
+        """Return the loss, a Float that is differentiable in the textures."""
         values = look_up(textures, self.place)
         with dr.suspend_grad():
             loss, slopes = self._sums(dr.detach(values))
@@ -72,7 +71,7 @@ class AngularObjective:
         )
 
     def _sums(self, values: Values) -> tuple[Any, Values]:
-        """Loss and its derivatives for all parameters, summed per texel."""
+        """Return the loss and its derivatives in all parameters, summed per texel."""
         lobes = ConvolvedLight.of(self.light, values["roughness"][0])
 
         def consume(seen: ViewSample, _: Any, *sums: Any) -> tuple[Any, ...]:
@@ -99,7 +98,7 @@ class AngularObjective:
     def _sample(
         self, seen: ViewSample, lobes: ConvolvedLight, values: Values
     ) -> tuple[Any, Values]:
-        """What one sample of every texel adds to the loss and its derivatives."""
+        """Return loss and derivatives of one sample per texel."""
         base_color, mixed = values["base_color"], mixing_values(values)
         with dr.resume_grad():
             roughness = mi.Float(values["roughness"][0])
@@ -125,9 +124,9 @@ class AngularObjective:
         return loss, added
 
     def _shade(self, seen: ViewSample, lobes: ConvolvedLight, roughness: Any) -> list[Parts]:
-        """Evaluate Eq. 6 towards the camera of every sample, with derivatives for roughness."""
+        """Evaluate the columns of Eq. 6 towards the camera, differentiable in roughness."""
         cosine = dr.maximum(seen.cosine, GRAZING)
-        moved = roughness - dr.detach(roughness)  # 0, with a derivative
+        moved = roughness - dr.detach(roughness)  # value 0, derivative 1
         mirrored = lobes.evaluate(seen.direction)
         light = [dr.fma(slope, moved, value) for value, slope in mirrored]
         alpha = alpha_from_roughness(roughness)
@@ -140,15 +139,19 @@ class AngularObjective:
 
 
 def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObjective:
-    """Prepare the loss: fit the light of every texel that some view sees."""
+    """Return the loss of a capture; fits the light of every visible texel.
+
+    Raises:
+        OptionError: The preset has no fit of light.
+    """
     visibility, texels = observed.visibility, observed.texels
     channels = 1 if observed.lighting.environment.grey else 3
     seen = np.flatnonzero(observed.coverage)
     light = observed.mirrored(switches.fit, channels, seen)
     if light is None:
         raise OptionError(
-            f"The angular loss needs the SH model, which fits light to every texel, but "
-            f"preset {switches.name!r} has no fit; use preset('paper', method='angular')."
+            "The angular loss needs light that is fitted to every texel, but preset "
+            f"{switches.name!r} has no fit; use preset('paper', method='angular')."
         )
     selection = to_drjit(mi.UInt32, seen.astype(np.uint32))
     surface = TexelLanes.of(texels, selection)

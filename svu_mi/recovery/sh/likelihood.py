@@ -1,7 +1,7 @@
-"""Losses of SH recovery: the likelihood of every texel, and priors around posterior means.
+"""Losses of SH recovery: per-texel likelihood, and quadratic priors around posterior means.
 
-Both are of the calibrated posterior (``posterior/calibrated.py``), with its noise per texel, and
-cost the same for any number of photographs.
+Both use the statistics and noise levels of the calibrated posterior (``posterior/calibrated.py``).
+Their cost is independent of the number of photographs.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.gather_statistics import Values, flatten_values
 
-SD_FLOOR = 1e-2  # standard deviation below which a texel pulls no more: nothing is known better
+SD_FLOOR = 1e-2  # added to standard deviations in quadrature: limits the weight of a texel
 
 
 @dataclass(frozen=True)
 class Likelihood:
-    """-log p(B | psi), in nats, the mean over the texels that photographs show.
+    """Negative log-likelihood -log p(B | psi) in nats, mean over the S observed texels.
 
     Attributes:
-        factors: of S texels.
-        place: (S,) UInt32, where in a texture each of them is.
-        weight: (S,) Float, nats per mean squared error of a channel, in squared radiance.
+        factors: Statistics of the texels, as triangular factors.
+        place: (S,) UInt32, flat index of each texel in a texture.
+        weight: (S,) Float, nats per mean squared error (squared radiance).
     """
 
     factors: Factors
@@ -47,7 +47,7 @@ class Likelihood:
 
     @staticmethod
     def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> Likelihood:
-        """Take the statistics and the noise of a posterior in colour."""
+        """Create the likelihood from the statistics and noise of an RGB posterior."""
         factors = posterior.kernel.problem.factors
         place = dr.gather(mi.UInt32, texels.index, factors.texel)
         weight = nats_per_squared_error(posterior)
@@ -55,25 +55,25 @@ class Likelihood:
         return Likelihood(factors, place, weight)
 
     def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
-        """Return the loss, a Float of one value."""
+        """Return the loss, a Float of width 1."""
         values = look_up(textures, self.place)
         with dr.suspend_grad():
             error, slopes = energy(self.factors, dr.detach(values))
             error = self.weight * error
             slopes = _map_values(lambda slope: self.weight * slope, slopes)
-            dr.eval(error, slopes)  # once: they are needed for the value and for the gradient
+            dr.eval(error, slopes)  # once, for both value and gradient
         loss = with_known_gradient(dr.sum(error), flatten_values(slopes), flatten_values(values))
         return loss * dr.opaque(mi.Float, 1 / self.factors.count)
 
 
 @dataclass(frozen=True)
 class QuadraticPrior:
-    """Weighted squared distance to posterior means, the mean over texels.
+    """Weighted squared distance to posterior means, averaged over texels.
 
     Attributes:
-        place: (S,) UInt32, where in a texture each texel is.
-        target: posterior means.
-        weight: of the square of each.
+        place: (S,) UInt32, flat index of each texel in a texture.
+        target: Posterior means.
+        weight: Weights of the squared distances.
     """
 
     place: Any
@@ -82,9 +82,10 @@ class QuadraticPrior:
 
     @staticmethod
     def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> QuadraticPrior:
-        """-log of a normal distribution with each parameter's posterior mean and variance.
+        """Return -log N(psi; mean, variance) with the moments of each texel's posterior.
 
-        A mean hedges where a likelihood has several valleys, and its neighbours decide.
+        If the likelihood has several minima, the mean lies between them, and total variation
+        selects one by the neighbours.
         """
         means, sds = texel_moments(posterior)
         return QuadraticPrior._to(posterior, texels, means, nats_of_squares(sds))
@@ -93,11 +94,11 @@ class QuadraticPrior:
     def weighted_by_information(
         posterior: Posterior[CalibratedKernel], texels: Texels
     ) -> QuadraticPrior:
-        """Squared distances to posterior means, weighted by 1 - variance / the prior's variance."""
+        """Return a prior with weights 1 - posterior variance / prior variance, in [0, 1]."""
         means, sds = texel_moments(posterior)
         trust = {}
         for name, sd in sds.items():
-            usual = np.reshape(posterior.prior_moments(name)[1], (-1, 1))  # of each channel, or all
+            usual = np.reshape(posterior.prior_moments(name)[1], (-1, 1))  # (C, 1) or (1, 1)
             trust[name] = np.clip(1 - (sd / np.maximum(usual, SD_FLOOR)) ** 2, 0, 1)
         return QuadraticPrior._to(posterior, texels, means, trust)
 
@@ -110,7 +111,7 @@ class QuadraticPrior:
         return QuadraticPrior(place, values_of(means, chosen), values_of(weights, chosen))
 
     def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
-        """Return the loss, a Float of one value; arguments as for ``Likelihood``."""
+        """Return the loss, a Float of width 1; arguments as for ``Likelihood``."""
         values = look_up(textures, self.place)
         with dr.suspend_grad():
             offsets = _map_values(lambda x, target: x - target, dr.detach(values), self.target)
@@ -124,7 +125,7 @@ class QuadraticPrior:
 
 
 def nats_per_squared_error(posterior: Posterior[CalibratedKernel]) -> Any:
-    """Return nats per mean squared error of a channel of S texels: Float (S,)."""
+    """Return nats per mean squared error of S texels, a Float (S,)."""
     problem = posterior.kernel.problem
     weight = 0.5 * problem.factors.channels * problem.copies * dr.square(problem.scale)
     dr.eval(weight)
@@ -136,12 +137,12 @@ Table = dict[str, np.ndarray]
 
 
 def nats_of_squares(sds: Table) -> Table:
-    """Return nats per squared distance to the mean of a normal distribution."""
+    """Return 1 / (2 (sd^2 + SD_FLOOR^2)): nats per squared distance to the mean."""
     return {name: 0.5 / (sd**2 + SD_FLOOR**2) for name, sd in sds.items()}
 
 
 def texel_moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]:
-    """Return means and standard deviations of all T texels, without the common scale, float64."""
+    """Return posterior means and standard deviations (float64), without the common scale."""
     posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
     means, sds = (
         {name: np.array(of(name), np.float64).reshape(posterior.count, -1).T for name in NAMES}
@@ -151,7 +152,7 @@ def texel_moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]
 
 
 def values_of(table: Table, chosen: np.ndarray | None = None) -> Values:
-    """Return the values of texels, all by default, as Floats."""
+    """Return the values of chosen texels (default: all) as Floats, by parameter."""
     texels = slice(None) if chosen is None else chosen
     return {
         name: [to_drjit(mi.Float, row.astype(np.float32)) for row in rows[:, texels]]
@@ -160,7 +161,7 @@ def values_of(table: Table, chosen: np.ndarray | None = None) -> Values:
 
 
 def _map_values(do: Callable[..., Any], *values: Values) -> Values:
-    """Apply a function to every Float."""
+    """Apply a function to corresponding Floats of all arguments."""
     return {
         name: [do(*x) for x in zip(*(v[name] for v in values), strict=True)] for name in values[0]
     }
@@ -168,15 +169,18 @@ def _map_values(do: Callable[..., Any], *values: Values) -> Values:
 
 @dataclass(frozen=True)
 class SmoothedStart:
-    """Loss whose minimum are smoothed means, a function of every channel of T texels (``start``).
+    """Loss whose minimum are the smoothed posterior means of T texels.
+
+        sum over texels, channels of w / S (x - m)^2  +  lambda TV(x)
 
     Attributes:
-        texels: the T texels.
-        keys: name and number of every channel, in order.
-        target, weight: Floats (T,) of all channels: m, and w / S, which is 0 where nothing is seen.
-        around: columns (T,) UInt32, of ``Neighbors``.
-        strength: opaque Float, lambda over the number of pairs.
-        epsilon: of total variation.
+        texels: The T texels.
+        keys: Parameter name and channel number of each channel.
+        target: Posterior means m, a Float (T,) per channel.
+        weight: Weights w / S, a Float (T,) per channel; 0 for unobserved texels.
+        around: Columns of ``Neighbors``, UInt32 (T,) each.
+        strength: Opaque Float, lambda / number of pairs.
+        epsilon: Difference below which total variation is quadratic.
     """
 
     texels: Texels
@@ -192,7 +196,7 @@ class SmoothedStart:
         posterior: Posterior[CalibratedKernel], texels: Texels, names: Sequence[str],
         around: Neighbors, variation: tuple[float, float],
     ) -> SmoothedStart:  # fmt: skip
-        """Take means and variances of a posterior in colour."""
+        """Create the loss from the means and variances of an RGB posterior."""
         keys = tuple((name, k) for name in names for k in range(CHANNELS[name]))
         means, sds = texel_moments(posterior)
         seen = posterior.kernel.problem.factors.texel.numpy()
@@ -207,7 +211,7 @@ class SmoothedStart:
         return SmoothedStart(texels, keys, target, weight, around.around, strength, variation[1])
 
     def start(self, textures: Textures) -> dict[str, Any]:
-        """Return what a descent starts from: a TensorXf (T,) of every channel, by its own key."""
+        """Return the initial values of a descent: a TensorXf (T,) per channel, by key."""
         tensors = {}
         for name, k in self.keys:
             values = textures.at(self.texels, name).reshape(self.texels.count, -1)[:, k]
@@ -215,12 +219,12 @@ class SmoothedStart:
         return tensors
 
     def options(self, options: DescentOptions) -> DescentOptions:
-        """Return how to descend, with the rates of parameters as those of their channels."""
+        """Return descent options with the rate factors of parameters applied to their channels."""
         scales = {_key(name, k): options.scales.get(name, 1.0) for name, k in self.keys}
         return replace(options, scales=scales)
 
     def __call__(self, channels: Mapping[str, Any], _: int = 0) -> Any:
-        """Return the loss, a Float of one value."""
+        """Return the loss, a Float of width 1."""
         values = [channels[_key(name, k)].array for name, k in self.keys]
         with dr.suspend_grad():
             loss, slopes = self._of([dr.detach(x) for x in values])
@@ -228,7 +232,7 @@ class SmoothedStart:
         return with_known_gradient(dr.sum(loss), slopes, values)
 
     def laid_out(self, start: Textures, channels: Mapping[str, Any]) -> Textures:
-        """Return the textures of a start with other values of the texels."""
+        """Return a copy of ``start`` with the given channels at the texels."""
         images = {name: np.array(tensor, np.float32) for name, tensor in start.items()}
         index, (width, _) = self.texels.index.numpy(), self.texels.resolution
         for name, k in self.keys:
@@ -236,7 +240,7 @@ class SmoothedStart:
         return Textures.of(images)
 
     def _of(self, values: list[Any]) -> tuple[Any, list[Any]]:
-        """Return the loss of every texel, and its derivatives by the values of all channels."""
+        """Return the loss per texel, and its derivatives in all channels."""
         epsilon = dr.opaque(mi.Float, self.epsilon) if self.epsilon else None
 
         def add(other: Any, state: tuple[Any, list[Any]]) -> tuple[Any, list[Any]]:
@@ -249,7 +253,7 @@ class SmoothedStart:
 
         begin = mi.Float(0), [mi.Float(0) for _ in values]
         size, turned = over_neighbors(self.around, add, begin)
-        loss, slopes = 0.5 * self.strength * size, []  # every pair is seen from both ends
+        loss, slopes = 0.5 * self.strength * size, []  # each pair is visited from both texels
         for x, m, w, slope in zip(values, self.target, self.weight, turned, strict=True):
             loss += w * dr.square(x - m)
             slopes.append(dr.fma(2 * w, x - m, self.strength * slope))

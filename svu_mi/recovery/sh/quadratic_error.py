@@ -1,8 +1,8 @@
-"""Mean squared error of parameters, and its derivatives, from sufficient statistics.
+"""Mean squared error as a function of the parameters, from sufficient statistics.
 
-The factors of a texel are smooth functions of roughness; between levels they are interpolated
-by Catmull-Rom splines [Catmull and Rom 1974], so that the error has a derivative there, too.
-Derivatives are known per texel, and reach textures without atomic operations (``known_gradient``).
+Factors of a texel are interpolated between roughness levels by Catmull-Rom splines [Catmull and
+Rom 1974], which have continuous derivatives. The gradient is computed per texel and propagated to
+textures without atomic operations (``known_gradient``).
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from svu_mi.statistics.gather_statistics import Values, mixing_values
 
 
 def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
-    """Return the squared error of S texels, the mean over their views and channels.
+    """Return the squared error of S texels, averaged over views and channels.
 
     Args:
-        factors: of S texels.
-        values: their parameters in [0, 1].
+        factors: Statistics of the texels, as triangular factors.
+        values: Parameters of the texels, in [0, 1].
 
     Returns:
-        Float (S,), squared radiance, and its derivatives by every parameter.
+        Float (S,) in squared radiance, and its derivatives in all parameters.
     """
     near = _interpolate(factors, values["roughness"][0])
     mixed, colors, error = mixing_values(values), values["base_color"], mi.Float(0)
     mix, turns = mixture(*mixed), [mixture_derivative(mixed, k) for k in range(len(mixed))]
     by = {name: [mi.Float(0) for _ in of_name] for name, of_name in values.items()}
     for channel, c in enumerate(colors):
-        # One channel stands for all where photographs and light are grey.
+        # If photographs and light are grey, one channel of statistics serves all.
         U, change = near[channel % factors.channels]
         x = mix.at(c)
         rest = apply_factor(U, x)
@@ -49,12 +49,13 @@ def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
 
 
 def information(factors: Factors, values: Values) -> list[list[Any]]:
-    """Return J^T J of S texels, J the derivatives of the residuals whose squares ``energy`` adds
-    up: half of its second derivatives, but for what the residuals themselves bend.
+    """Return the Gauss-Newton matrix J^T J of S texels, J the Jacobian of the residuals.
+
+    It approximates half the Hessian of ``energy``.
 
     Returns:
-        A symmetric matrix of Floats (S,), squared radiance; rows and columns are all values of
-        all parameters, in the order of ``values``.
+        Symmetric matrix of Floats (S,) in squared radiance; rows and columns in the order of
+        ``values``.
     """
     near = _interpolate(factors, values["roughness"][0])
     mixed, colors = mixing_values(values), values["base_color"]
@@ -80,10 +81,10 @@ def information(factors: Factors, values: Values) -> list[list[Any]]:
 
 
 def _interpolate(factors: Factors, roughness: Any) -> list[tuple[list[Any], list[Any]]]:
-    """Return U at a roughness, and its derivative, of every channel: splines of four levels."""
+    """Return U and dU / d roughness of every channel, interpolated from four levels."""
     last = dr.opaque(mi.Float, factors.levels - 1)
     place = dr.clip(roughness, 0, 1) * last
-    first = dr.maximum(dr.minimum(dr.floor(place), last - 1), 0)  # one level is all there is
+    first = dr.maximum(dr.minimum(dr.floor(place), last - 1), 0)  # last may be 0
     t = place - first
     slopes = [
         0.5 * last * (-1 + t * (4 - 3 * t)),
@@ -109,12 +110,12 @@ def _summed(weights: list[Any], factors: Sequence[list[Any]]) -> list[Any]:
 
 
 def look_up(textures: Mapping[str, Any], place: Any) -> Values:
-    """Take the parameters of texels out of their textures.
+    """Gather the parameters of texels from textures, differentiably.
 
     Args:
         textures: (H, W, C) TensorXf by name.
-        place: (S,) UInt32, flat row-major, every texel once: derivatives are added without
-            atomic operations.
+        place: (S,) UInt32, flat row-major indices without duplicates, so that derivatives are
+            added without atomic operations.
     """
 
     def take(name: str, index: Any) -> Any:

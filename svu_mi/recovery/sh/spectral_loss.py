@@ -1,13 +1,13 @@
-"""Losses on spherical harmonics: coefficients of the fit (Eq. 12) against Eq. 7 to 11.
+"""Losses in the SH domain: fitted coefficients (Eq. 12) compared with the model (Eq. 7 to 11).
 
-Photographs are looked at once, by the fit; after that a step costs the same for any number of
-views. With R the directional albedo of a lobe, 1 unless the preset says otherwise,
+Photographs are read once, by the fit. The cost of a step is independent of the number of views.
+With R the directional albedo of a lobe (1 unless enabled by the preset),
 
     c_model(l, m) = Ks R exp(-(alpha l)^2) c_L(l, m)        for l > 0       (Eq. 7)
     c_model(0, 0) = 2 Kd E / sqrt(pi) + Ks R c_L(0, 0)
     S_model(l)    = the same, squared, with S_L(l) for c_L(l, m)^2          (Eq. 11)
 
-and the loss is the mean absolute difference over n coefficients (l, m) or degrees l, S texels and C
+The loss is the mean absolute difference over n coefficients (l, m) or degrees l, S texels and C
 channels, in units of the capture's mean radiance or power.
 """
 
@@ -37,25 +37,24 @@ from svu_mi.statistics.gather_statistics import Values, mixing_values
 
 Domain = Literal["coefficients", "spectrum"]
 
-ALBEDO_LEVELS = 33  # of roughness, between which the albedo is interpolated
+ALBEDO_LEVELS = 33  # roughness nodes of the albedo, interpolated linearly
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpectralObjective:
-    """The mean absolute error of coefficients, or of power spectra.
+    """Mean absolute error of SH coefficients or power spectra, over the S observed texels.
 
     Attributes:
-        domain: which.
-        coefficients: of photographs and light, for all T texels; without values if the domain
-            is the spectrum.
-        power: (2 (l* + 1) C S,) Float: S_B and S_L for degree and channel, one value per seen
-            texel.
-        irradiance: C Floats (S,), E of each.
-        texel: (S,) UInt32, which of all texels each is.
-        place: (S,) UInt32, where in a texture it is.
-        prefilter: opaque Float, alpha'^2 to be undone, or 0.
+        domain: ``coefficients`` or ``spectrum``.
+        coefficients: SH coefficients of photographs and light of all T texels; empty if the
+            domain is the spectrum.
+        power: (2 (l* + 1) C S,) Float: rows S_B and S_L by degree and channel.
+        irradiance: Irradiance E, a Float (S,) per channel.
+        texel: (S,) UInt32, number of each observed texel.
+        place: (S,) UInt32, flat index of each in a texture.
+        prefilter: Opaque Float, alpha'^2 of the light's prefilter to undo, or 0.
         albedo: (ALBEDO_LEVELS,) Float, R by roughness.
-        factor: opaque Float, 1 / (S C n unit).
+        factor: Opaque Float, 1 / (S C n unit).
     """
 
     domain: Domain
@@ -69,11 +68,11 @@ class SpectralObjective:
     factor: Any
 
     def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
-        """Return the loss as a Float that derivatives reach the textures through."""
+        """Return the loss, a Float that is differentiable in the textures."""
         return dr.sum(self.errors(look_up(textures, self.place))) * self.factor
 
     def errors(self, values: Values) -> Any:
-        """Return the sum of absolute differences of every texel, (S,) Float."""
+        """Return the sum of absolute differences per texel, (S,) Float."""
         (roughness,), mixed = values["roughness"], mixing_values(values)
         alpha = alpha_from_roughness(roughness)
         width = dr.maximum(dr.square(alpha) - self.prefilter, 0)
@@ -89,7 +88,7 @@ class SpectralObjective:
         return total
 
     def _differences(self, l: int, channel: int, scale: Any, offset: Any) -> Any:
-        """Absolute differences of one degree, of the model ``scale`` c_L + ``offset``."""
+        """Return absolute differences of degree l from the model ``scale`` c_L + ``offset``."""
         if self.domain == "spectrum":
             count = dr.width(self.texel)
             lane, row = dr.arange(mi.UInt32, count), 2 * (3 * l + channel)
@@ -97,7 +96,7 @@ class SpectralObjective:
                 dr.gather(mi.Float, self.power, lane + dr.opaque(mi.UInt32, (row + k) * count))
                 for k in (0, 1)
             )
-            # The square of a sum, as the diffuse term and the lobe's mean add up.
+            # At degree 0 the diffuse term and the lobe add up before squaring.
             model = dr.square(offset + scale * dr.sqrt(S_L)) if l == 0 else scale * scale * S_L
             return dr.abs(S_B - model)
         read, total = self.coefficients, mi.Float(0)
@@ -115,7 +114,7 @@ class SpectralObjective:
 
 
 def spectral_objective(observed: Observed, switches: Preset, domain: Domain) -> SpectralObjective:
-    """Fit the photographs, and prepare the loss."""
+    """Return the loss of a capture; fits SH to photographs and light."""
     visibility, lighting, texels = observed.visibility, observed.lighting, observed.texels
     light = 1 if lighting.environment.grey else 3
     seen = observed.coverage > 0
@@ -145,7 +144,7 @@ def spectral_objective(observed: Observed, switches: Preset, domain: Domain) -> 
 
 
 def _powers(fitted: Coefficients, texel: Any) -> tuple[Any, float]:
-    """Power spectra of seen texels (Eq. 8), and the photographs' mean power."""
+    """Return power spectra of observed texels (Eq. 8), and the mean power of photographs."""
     rows = []
     for l in range(fitted.degree + 1):
         orders = range(l * l, (l + 1) ** 2)

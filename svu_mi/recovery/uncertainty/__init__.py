@@ -1,1 +1,1 @@
-"""Uncertainty of recovered textures: a Gaussian Markov random field around them."""
+"""Uncertainty of recovered textures, as a Gaussian Markov random field."""

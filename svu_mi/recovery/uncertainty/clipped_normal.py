@@ -1,20 +1,20 @@
-"""Normal distributions clipped to [0, 1]: values beyond an end stand at that end."""
+"""Clipped normal distributions: min(max(x, 0), 1) of normal x."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy
 
-SMALLEST_WIDTH = 1e-9  # width below which a distribution is one value
-WIDEST = 2.0  # of x: most of it is beyond the ends
-FAR = 3.0  # standard deviations from an end: clipping takes at most 2.5e-3 of one there
-STEPS = 4  # of Newton's method: to 2e-5 on average, to 1e-3 where sd is close to the most there is
-CHUNK = 2**18  # values that are worked on at a time
+SMALLEST_WIDTH = 1e-9  # standard deviation of x below which the distribution is constant
+WIDEST = 2.0  # upper limit of the standard deviation of x; most of its mass is clipped there
+FAR = 3.0  # distance to 0 and 1 in standard deviations, beyond which clipping is ignored (2.5e-3)
+STEPS = 4  # Newton steps; error 2e-5 on average, 1e-3 near the largest possible sd
+CHUNK = 2**18  # values per chunk, to limit temporary memory
 ROOT = np.sqrt(2 * np.pi)
 
 
 def moments(place: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation of min(max(x, 0), 1), where x is normal."""
+    """Return mean and standard deviation of clipped x, normal with mean ``place``, sd ``width``."""
     mean, sd = np.empty(place.size), np.zeros(place.size)
     places, widths = place.ravel(), width.ravel()
     for part in _chunks(place.size):
@@ -24,8 +24,10 @@ def moments(place: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of x of which that of min(max(x, 0), 1) is ``sd``, by Newton's
-    method; at most ``WIDEST``, for standard deviations of more than .46."""
+    """Return the standard deviation of x for which clipped x has standard deviation ``sd``.
+
+    Newton's method; the result is at most ``WIDEST``, which is reached at ``sd`` = 0.46.
+    """
     width, places = np.array(sd, np.float64).ravel(), place.ravel()
     for part in _chunks(place.size):
         mean, wanted = places[part], width[part]
@@ -37,8 +39,8 @@ def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
 def _newton(mean: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     width = wanted.copy()
     for _ in range(STEPS):
-        # The standard deviation is a concave function of the width and never above it: steps from
-        # below stay below.
+        # The clipped standard deviation is a concave function of the width and never exceeds it,
+        # so steps from below never overshoot.
         _, variance, slope = _moments(mean, width)
         now = np.sqrt(np.maximum(variance, SMALLEST_WIDTH**2))
         step = (wanted - now) * 2 * now / np.maximum(slope, SMALLEST_WIDTH)
@@ -47,25 +49,25 @@ def _newton(mean: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def _chunks(count: int) -> list[slice]:
-    """Return parts of so many values: what is in between takes little memory."""
+    """Return slices of at most CHUNK values."""
     return [slice(first, first + CHUNK) for first in range(0, count, CHUNK)]
 
 
 def _moments(place: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return mean and variance, and the derivative of that by the standard deviation s of x."""
+    """Return mean and variance of clipped x, and the derivative of the variance in s."""
     low, high = -place / s, (1 - place) / s
     below, above = scipy.special.ndtr(low), scipy.special.ndtr(-high)
     inside = np.clip(1 - below - above, 0, 1)
     first, last = (np.exp(-0.5 * z * z) / ROOT for z in (low, high))
     shift = first - last  # d mean / d s
     mean = inside * place + s * shift + above
-    # About the mean of x, where nothing cancels but what lies at the ends.
+    # Second moment about ``place``, to avoid cancellation inside (0, 1).
     spread = s * (inside + low * first - high * last)
     square = s * spread + 2 * place * (mean - above) + above - place**2 * inside
     return mean, square - mean**2, 2 * (place * shift + spread) - 2 * mean * shift
 
 
 def interval(place: np.ndarray, width: np.ndarray, mass: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of the central interval of this probability mass."""
+    """Return the bounds of the central interval with a probability mass."""
     half = scipy.special.ndtri((1 + mass) / 2) * width
     return np.clip(place - half, 0, 1), np.clip(place + half, 0, 1)

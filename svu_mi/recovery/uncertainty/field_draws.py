@@ -1,7 +1,7 @@
-"""Random fields: smooth variation over the object, and correlated parameters.
+"""Ingredients of draws: smooth random fields, and correlations between parameters.
 
-Smooth fields are sums of waves of random direction and length, which are Gaussian in the limit of
-many [Rahimi and Recht 2007]. Their correlation is exp(-d^2 / (2 l^2)) at a distance d in space.
+Smooth fields are sums of cosine waves with random wave vectors (random Fourier features [Rahimi and
+Recht 2007]). Their correlation at a distance d in space is exp(-d^2 / (2 l^2)).
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.sh.likelihood import nats_per_squared_error, values_of
 from svu_mi.recovery.sh.quadratic_error import information
 
-WAVES = 96
-SMALLEST_SD = 1e-3  # standard deviation that no texel is surer than
-CHUNK = 2**16  # texels whose matrices are inverted at a time
+WAVES = 96  # per field
+SMALLEST_SD = 1e-3  # lower limit of standard deviations of texels
+CHUNK = 2**16  # texels per chunk of matrix inversion
 
 
 def smooth_fields(number: int, place: Any, random: np.random.Generator) -> list[Any]:
-    """Draw fields of mean 0 and variance 1: Floats (T,) at places in units of their length."""
+    """Draw random fields of mean 0 and variance 1, Floats (T,) at T positions in units of l."""
     frequencies = random.standard_normal((3, number * WAVES)).astype(np.float32)
     phases = random.uniform(0, 2 * np.pi, number * WAVES).astype(np.float32)
     w, shift, fields = to_drjit(mi.Vector3f, frequencies), to_drjit(mi.Float, phases), []
@@ -46,8 +46,13 @@ def smooth_fields(number: int, place: Any, random: np.random.Generator) -> list[
 def correlation_roots(
     posterior: Posterior[CalibratedKernel], values: dict[str, np.ndarray]
 ) -> np.ndarray:
-    """Return the correlations that photographs leave between the N values (C, T by parameter) of
-    each of T texels, to second order: (T, N, N) float32, triangular L with L L^T."""
+    """Return Cholesky factors of the posterior correlation of each texel's N values.
+
+    The posterior is approximated by a normal distribution around ``values`` (Laplace).
+
+    Returns:
+        (T, N, N) float32, lower triangular; the identity for unobserved texels.
+    """
     factors = posterior.kernel.problem.factors
     chosen = factors.texel.numpy()
     weight = 2 * np.array(nats_per_squared_error(posterior), np.float64)
@@ -67,7 +72,7 @@ def correlation_roots(
 
 
 def prior_sds(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
-    """Return the standard deviations of the prior of all values, (N,)."""
+    """Return the prior standard deviations of all values, (N,)."""
     return np.concatenate([
         np.broadcast_to(np.ravel(posterior.prior_moments(name)[1]), CHANNELS[name])
         for name in NAMES

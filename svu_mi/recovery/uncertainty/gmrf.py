@@ -1,14 +1,14 @@
-"""Linear smoothing on the surface: (D + K) x = y, D of every texel and K between neighbours.
+"""Solver of sparse linear systems (D + K) x = y on the surface: D diagonal, K between neighbours.
 
-K is total variation made quadratic around textures x0 [Vogel and Oman 1996]: a link of weight
+K is the Laplacian of total variation, made quadratic around textures x0 (lagged diffusivity [Vogel
+and Oman 1996]). Each pair of neighbours has a link of weight
 
-    w_ij = lambda / sqrt((x0_i - x0_j)^2 + epsilon^2)
+    w_ij = lambda / sqrt((x0_i - x0_j)^2 + epsilon^2),
 
-of every pair of neighbours, strong where they are alike, weak across an edge.
+strong between similar texels, weak across edges.
 
-Strong links carry values far, one texel per iteration of conjugate gradients. ``Nested`` starts
-from the solution on groups of 2 x 2 texels, where they go twice as far in a quarter of the work
-(nested iteration [Hackbusch 1985]).
+Conjugate gradients propagate values by one texel per iteration. ``Nested`` therefore starts at the
+solution on groups of 2 x 2 texels (nested iteration [Hackbusch 1985]).
 """
 
 from __future__ import annotations
@@ -32,32 +32,31 @@ from svu_mi.geometry.neighbors import (
     over_neighbors,
 )
 
-TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
-CHECK_EVERY = 8  # iterations between looks at it
+TOLERANCE = 1e-3  # of the residual, relative to the right-hand side
+CHECK_EVERY = 8  # iterations between convergence tests
 MOST_ITERATIONS = 400
-# The same of what is filled in, relative to the residual at first.
+# For ``solve_masked``: tolerance relative to the initial residual.
 MASKED_TOLERANCE, MASKED_ITERATIONS = 5e-3, 1000
-FEW_TEXELS = 2**14  # texels that are solved for at once
-GROUPING_LIMIT = 0.7  # part of the texels from which on groups are no help
+FEW_TEXELS = 2**14  # texels up to which no groups are formed
+GROUPING_LIMIT = 0.7  # largest useful ratio of groups to texels
 
 
 @dataclass(frozen=True)
 class Smoother:
-    """D + K of N independent fields over T texels.
+    """Matrix D + K of N independent fields over T texels.
 
-    Fields go side by side, in Q groups of four, of which the last is padded: vectors are Floats
-    (4 Q T,), of a texel all fields, then those of the next. A kernel then finds all that belongs to
-    a neighbour in one place.
+    A *vector* is a Float (4 Q T,): texel by texel, N fields padded to Q groups of four. All values
+    of a neighbour are thus adjacent in memory. A *lane* of a kernel is one group of four.
 
     Attributes:
-        fields: N.
-        around: K columns (T,) UInt32: numbers of the neighbours of every texel (``Neighbors``).
-        lanes: the same of lanes, which are groups of texels.
-        strength, epsilon: opaque Floats, of the links.
-        own: vector, the diagonal of D, positive.
-        start: vector, x0.
-        diagonal: vector, of D + K.
-        masked: (T,) Bool, texels whose values do not weaken their links; None for none.
+        fields: Number of fields, N.
+        around: Neighbours of the texels, columns (T,) UInt32 of ``Neighbors``.
+        lanes: Neighbours of the lanes, columns (Q T,) UInt32.
+        strength, epsilon: lambda and epsilon of the links, opaque Floats.
+        own: Diagonal of D, a vector of positive values.
+        start: x0, a vector.
+        diagonal: Diagonal of D + K, a vector.
+        masked: (T,) Bool, texels whose links have full strength whatever x0 is; or None.
     """
 
     fields: int
@@ -75,7 +74,7 @@ class Smoother:
         precision: np.ndarray, values: np.ndarray, around: Sequence[Any], strength: float,
         epsilon: float,
     ) -> Smoother:  # fmt: skip
-        """Link neighbours that are alike."""
+        """Create the matrix from D = ``precision`` and x0 = ``values``, (N, T) each."""
         own, start = _vector(precision, 1), _vector(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
         lanes = lanes_of(around, quad_count(len(values)))
@@ -85,14 +84,16 @@ class Smoother:
         self, precision: np.ndarray, values: np.ndarray | None = None,
         masked: np.ndarray | None = None,
     ) -> Smoother:  # fmt: skip
-        """Return links of the same strength with another D."""
+        """Return a copy with another D and, if given, another x0 and mask."""
         start = self.start if values is None else _vector(values)
         hidden = None if masked is None else to_drjit(mi.Bool, masked)
         return replace(self, own=_vector(precision, 1), start=start, masked=hidden)._completed()
 
     def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> Smoother:
-        """Return links between groups of 2 x 2 texels: two links of texels go from one group to
-        the next, over twice the way."""
+        """Return the matrix of groups of 2 x 2 texels, given the group (T,) of each texel.
+
+        Two links join adjacent groups, so the strength doubles; so does epsilon with the distance.
+        """
         around = group_neighbors([np.array(column, np.int64) for column in self.around], owner)
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
         dr.eval(strength, epsilon)
@@ -104,7 +105,7 @@ class Smoother:
 
     @property
     def precision(self) -> np.ndarray:
-        """The diagonal of D, (N, T) float64."""
+        """Diagonal of D, (N, T) float64."""
         return self._table(self.own)
 
     @property
@@ -114,15 +115,11 @@ class Smoother:
 
     @property
     def links(self) -> np.ndarray:
-        """The diagonal of K, the sum of every texel's links, (N, T) float64."""
+        """Diagonal of K, the sum of the link weights of each texel, (N, T) float64."""
         return self._table(self.diagonal - self.own)
 
     def solve(self, right: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-        """Return x with (D + K) x = right, by conjugate gradients [Hestenes and Stiefel 1952].
-
-        Returns:
-            (N, T) float64.
-        """
+        """Solve (D + K) x = right by conjugate gradients [Hestenes and Stiefel 1952]: (N, T)."""
         wanted = _vector(right)
         x = wanted / self.diagonal if start is None else _vector(start)
         goal = TOLERANCE**2 * dr.sum(dr.square(wanted) / self.diagonal)
@@ -130,15 +127,14 @@ class Smoother:
         return self._table(self._descend(x, wanted - self @ x, mi.Float(1), goal, MOST_ITERATIONS))
 
     def solve_masked(self, right: np.ndarray, start: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Return x with (D + K) x = right at free texels, and ``start`` elsewhere, (N, T)."""
+        """Solve (D + K) x = right at ``free`` texels; others keep ``start``: (N, T)."""
         x, wanted = _vector(start), _vector(np.tile(free, (len(start), 1)))
         rest = wanted * (_vector(right) - self @ x)
         goal = MASKED_TOLERANCE**2 * dr.sum(dr.square(rest) / self.diagonal)
         return self._table(self._descend(x, rest, wanted, goal, MASKED_ITERATIONS))
 
     def sample_links(self, random: np.random.Generator) -> np.ndarray:
-        """Draw from a normal distribution of covariance K, (N, T) float64: every link pulls at both
-        of its ends with a force of its own."""
+        """Draw from N(0, K), (N, T) float64, as the sum of one random force per link."""
         seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
         groups, count = quad_count(self.fields), dr.opaque(mi.UInt32, dr.width(self.around[0]))
         lane = dr.arange(mi.UInt32, dr.width(self.lanes[0]))
@@ -155,7 +151,7 @@ class Smoother:
         return self._table(_write_quads(total))
 
     def __matmul__(self, x: Any) -> Any:
-        """Return (D + K) x of a vector that is evaluated."""
+        """Return (D + K) x of an evaluated vector."""
 
         def pulled(other: Any, total: Any) -> Any:
             return dr.fma(-self._weight(other), dr.gather(mi.Vector4f, x, other), total)
@@ -164,7 +160,7 @@ class Smoother:
         return _write_quads(over_neighbors(self.lanes, pulled, total))
 
     def _completed(self) -> Smoother:
-        """Return the same with its diagonal."""
+        """Return a copy with ``diagonal`` computed."""
 
         def added(other: Any, total: Any) -> Any:
             return total + self._weight(other)
@@ -174,11 +170,11 @@ class Smoother:
         )
 
     def _read(self, vector: Any) -> Any:
-        """Return the values of all lanes, Vector4f."""
+        """Load a vector as one Vector4f per lane."""
         return dr.gather(mi.Vector4f, vector, dr.arange(mi.UInt32, dr.width(self.own) // QUAD))
 
     def _weight(self, other: Any) -> Any:
-        """Return the weights of the links from all lanes to others, UInt32: Vector4f."""
+        """Return the link weights between each lane and the lane ``other``, Vector4f."""
         apart = self._read(self.start) - dr.gather(mi.Vector4f, self.start, other)
         if self.masked is not None:
             groups, own = quad_count(self.fields), dr.arange(mi.UInt32, dr.width(other))
@@ -198,7 +194,7 @@ class Smoother:
 
     def _iterate(self, x: Any, rest: Any, step: Any, size: Any, free: Any) -> tuple[Any, ...]:
         turned = free * (self @ step)
-        dr.eval(turned)  # a sum evaluates what it adds up: all of it would be computed twice
+        dr.eval(turned)  # dr.sum would evaluate the product only, and compute this twice
         along = dr.sum(step * turned)
         length = dr.select(along > 0, size / along, 0)
         x, rest = dr.fma(length, step, x), dr.fma(-length, turned, rest)
@@ -216,14 +212,14 @@ class Smoother:
 
 
 def _vector(table: np.ndarray, beyond: float = 0) -> Any:
-    """Return values (N, T) as a vector, padded by others."""
+    """Convert (N, T) values to a vector, padded with ``beyond``."""
     padding = padded_to_quads(len(table)) - len(table)
     rows = np.pad(table.astype(np.float32), ((0, padding), (0, 0)), constant_values=beyond)
     return to_drjit(mi.Float, rows.T.ravel())
 
 
 def _write_quads(quads: Any) -> Any:
-    """Return groups of four as a vector, evaluated."""
+    """Store one Vector4f per lane as an evaluated vector."""
     vector = dr.empty(mi.Float, QUAD * dr.width(quads))
     lane = dr.arange(mi.UInt32, dr.width(quads))
     dr.scatter(vector, quads, lane, mode=dr.ReduceMode.NoConflicts)
@@ -232,7 +228,7 @@ def _write_quads(quads: Any) -> Any:
 
 
 def _normal(seed: Any, number: Any) -> Any:
-    """Return the standard normal number of each (seed, number)."""
+    """Return standard normal random numbers, a function of (seed, number)."""
     random = mi.PCG32(initstate=seed, initseq=number)
     u, v = random.next_float32(), random.next_float32()
     return dr.sqrt(-2 * dr.log(1 - u)) * dr.cos(dr.two_pi * v)
@@ -240,12 +236,12 @@ def _normal(seed: Any, number: Any) -> Any:
 
 @dataclass(frozen=True)
 class Nested:
-    """A smoother of T texels, and one of groups of these, if they are many.
+    """Multilevel solver: a smoother of T texels, and one of groups of texels.
 
     Attributes:
-        smoother: of the texels.
-        coarser: of the groups.
-        owner: (T,) int64, the group that each texel is of.
+        smoother: Matrix of the texels.
+        coarser: Solver of the groups; None on the coarsest level.
+        owner: (T,) int64, group of each texel.
     """
 
     smoother: Smoother
@@ -254,7 +250,7 @@ class Nested:
 
     @staticmethod
     def of(smoother: Smoother, squares: np.ndarray) -> Nested:
-        """Group texels in squares of 2 x 2, then groups, until few are left."""
+        """Group texels in squares of 2 x 2 recursively, down to FEW_TEXELS."""
         if len(squares) <= FEW_TEXELS:
             return Nested(smoother)
         wider, owner = occupied_squares(squares // 2)
@@ -264,7 +260,7 @@ class Nested:
         return Nested(smoother, Nested.of(smoother.halved(owner, precision, values), wider), owner)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Return x with (D + K) x = right, (N, T) float64 each (``Smoother.solve``)."""
+        """Solve (D + K) x = right, (N, T) float64 each."""
         if self.coarser is None or self.owner is None:
             return self.smoother.solve(right)
         start = self.coarser.solve(group_sums(right, self.owner))

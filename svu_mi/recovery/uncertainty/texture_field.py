@@ -1,20 +1,19 @@
-"""Gaussian Markov random field around recovered textures: their error bars and samples.
+"""Gaussian Markov random field around recovered textures: standard deviations and draws.
 
-Textures are the most probable ones under the photographs and total variation. Around them, with
-total variation made quadratic (``smoother``), a parameter is a Gaussian Markov random field
-[Rue and Held 2005] of precision D + K: D of every texel by its own posterior, K between
-neighbours. That would be all if texels erred by themselves. They do not: light, poses and the
-model are off in the same way for a whole neighbourhood, and smoothing takes nothing off that. So
-the deviation of a texel has two parts,
+Recovered textures x0 maximise the posterior under total variation. With total variation made
+quadratic around x0 (``gmrf``), a parameter is a Gaussian Markov random field [Rue and Held 2005]
+of precision D + K. D contains the precision of each texel's own posterior; K links neighbours.
+
+This assumes independent errors of texels. Errors of light, poses and reflection model, however, are
+correlated over a neighbourhood, and smoothing does not reduce them. Deviations thus have two parts,
 
     x = x0 + sqrt(rho) c g + sqrt(1 - rho) e,    e ~ N(0, (D + K)^-1),
-    c^2 = (A b)^2 + a (S |x0 - m|)^2,    A = (D + K)^-1 D,    S = (d + K)^-1 d,
+    c^2 = (A b)^2 + a (S |x0 - m|)^2,    A = (D + K)^-1 D,    S = (d + K)^-1 d.
 
-with m and b the mean and the standard deviation of a texel's own posterior, and g a field of
-variance 1 that varies slowly over the object: c is what is left of b where all texels err alike,
-and what texels do not agree about with their neighbours, the mean over a small neighbourhood
-(d: one precision for all). Values beyond [0, 1] are clipped: as all of these standard deviations
-are of values in [0, 1], what is clipped is as much wider as it takes to be left with them.
+m and b are mean and standard deviation of a texel's own posterior, and g is a smooth random field
+of variance 1. A b is b after smoothing of fully correlated errors. The other term averages |x0 - m|
+over a small neighbourhood (d is constant). Values x are clipped to [0, 1]; their standard
+deviations are enlarged such that the clipped ones have the values above.
 """
 
 from __future__ import annotations
@@ -55,12 +54,12 @@ from svu_mi.recovery.uncertainty.field_draws import (
 from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 
 # Chosen on our own scenes:
-# rho, part of a seen texel's variance that its neighbourhood has in common; and of parameters that
-# mix: what may be metal or paint is so for all of a neighbourhood, in the same light.
+# rho, correlated fraction of the variance of a seen texel. Metallic (MIXED) is fully correlated:
+# an ambiguity between metal and paint affects a whole neighbourhood.
 COMMON, COMMON_MIXED = 0.5, 1.0
 DISAGREEMENT = 2.4  # a
-NARROW = 0.1  # d, as a part of the median of K's diagonal
-LENGTH = 0.1  # over which that varies, as a part of the object's extent
+NARROW = 0.1  # d, relative to the median of K's diagonal
+LENGTH = 0.1  # correlation length of g, relative to the object's extent
 INTERVAL_MASS = 0.9
 TINY = 1e-9
 
@@ -71,18 +70,26 @@ class TextureField:
 
     Attributes:
         texels: T texels.
-        textures: the recovered ones.
-        names: parameters that were recovered; all others are what they are.
-        own_mean: (N, T), m of the N values of all parameters, base colour first.
-        deviation: (N, T), b.
-        common: (N, T), rho: 1 for texels that nobody saw, which are all as the prior has it.
-        roots: what returns (T, N, N), those of the correlations of every texel's values; only draws
-            ask for them.
-        scale: standard deviation of the logarithm of a factor of base colour that all texels have
-            in common, per channel.
+        textures: Recovered textures x0.
+        names: Recovered parameters; the others have standard deviation 0.
+        own_mean: m, (N, T): posterior means of the N values of all parameters, base colour first.
+        deviation: b, (N, T): posterior standard deviations.
+        common: rho, (N, T); 1 for unseen texels.
+        roots: Function that returns Cholesky factors of each texel's correlations, (T, N, N);
+            needed for draws only.
+        scale: Standard deviation of the logarithm of a base colour factor that is common to all
+            texels, per channel.
         smoother: D + K.
-        min_width: (N, T), standard deviations before values are clipped are at least that, such as
-            those of texels that were filled; None for none.
+        min_width: Lower limits (N, T) of standard deviations before clipping, used for filled
+            texels; or None.
+
+    Example:
+        >>> field = svu.texture_field(recovery, mesh=capture.mesh)
+        >>> low, high = field.interval("roughness")
+        >>> low.shape == (texels.count,), bool((low <= high).all())
+        (True, True)
+        >>> [draw.resolution for draw in field.draw(2)]
+        [(64, 64), (64, 64)]
     """
 
     texels: Texels
@@ -97,20 +104,26 @@ class TextureField:
     min_width: np.ndarray | None = None
 
     def mean(self, name: str) -> np.ndarray:
-        """Return the mean of the field, (T, C) or (T,): the texture, but where that is near 0 or 1
-        and the field goes on only to one side."""
+        """Return means of a parameter, (T, C) or (T,).
+
+        They differ from the texture near 0 and 1, because values are clipped on one side.
+        """
         rows = self.rows(name)
         return self._laid_out(name, clipped_normal.moments(self.values[rows], self.width[rows])[0])
 
     def sd(self, name: str) -> np.ndarray:
-        """Return standard deviations, (T, C) or (T,)."""
+        """Return standard deviations of a parameter, (T, C) or (T,)."""
         return self._laid_out(name, self.sds[self.rows(name)])
 
     def interval(self, name: str, level: float = INTERVAL_MASS) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ends of the interval that holds so much in its middle, (T, C) or (T,) each.
+        """Return the bounds of the central credible interval, (T, C) or (T,) each.
+
+        Args:
+            name: Parameter.
+            level: Probability of the interval, in (0, 1).
 
         Raises:
-            OptionError: an unknown parameter, or a level outside (0, 1).
+            OptionError: The parameter is unknown, or the level is invalid.
         """
         if not 0 < level < 1:
             raise OptionError(f"TextureField.interval(): level must be in (0, 1), got {level}.")
@@ -119,18 +132,18 @@ class TextureField:
         return self._laid_out(name, low), self._laid_out(name, high)
 
     def to_textures(self, values: np.ndarray) -> Textures:
-        """Lay (N, T) values of all parameters out as textures."""
+        """Return textures of (N, T) values of all parameters."""
         return lay_out(self.texels, {name: values[self.rows(name)].T for name in NAMES})
 
     def draw(self, count: int, seed: int = 0) -> Iterator[Textures]:
-        """Yield textures drawn from the field, clipped to [0, 1].
+        """Yield random textures from the distribution, clipped to [0, 1].
 
         Args:
-            count: how many.
-            seed: the same seed, the same textures; the first of many are those of few.
+            count: Number of draws.
+            seed: Seed; the first draws do not depend on ``count``.
 
         Raises:
-            OptionError: a negative number.
+            OptionError: ``count`` is negative.
         """
         if count < 0:
             raise OptionError(f"TextureField.draw(): count must be at least 0, got {count}.")
@@ -154,36 +167,36 @@ class TextureField:
 
     @cached_property
     def values(self) -> np.ndarray:
-        """(N, T) float64, the textures' values of all parameters, base colour first."""
+        """Texture values of all parameters, (N, T) float64, base colour first."""
         rows = [self.textures.at(self.texels, name).reshape(self.texels.count, -1).T
                 for name in NAMES]  # fmt: skip
         return np.concatenate(rows).astype(np.float64)
 
     @cached_property
     def _nested(self) -> Nested:
-        """The smoother, from coarse to fine."""
+        """Multilevel solver of D + K."""
         return Nested.of(self.smoother, texel_squares(self.texels))
 
     @cached_property
     def _coherent_sd(self) -> np.ndarray:
-        """c, (N, T)."""
+        """Correlated standard deviation c, (N, T)."""
         left = self._nested.solve(1 / self.deviation)
-        # Of a tenth of the links' strength: values do not go far, so it needs no coarse start.
+        # d is large, so values spread a few texels only, and no coarser levels are needed.
         links = np.median(self.smoother.links, axis=1, keepdims=True)
         d = np.broadcast_to(np.maximum(NARROW * links, TINY), self.deviation.shape)
         apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own_mean))
         if self.texels.count > TILE:
-            dr.flush_malloc_cache()  # what solving has taken, and nobody needs any more
+            dr.flush_malloc_cache()  # free the temporary memory of the solver
         return np.sqrt(left**2 + DISAGREEMENT * np.maximum(apart, 0) ** 2)
 
     @cached_property
     def sds(self) -> np.ndarray:
-        """(N, T) standard deviations, of all values as ``values`` has them."""
+        """Standard deviations of ``values``, (N, T), after clipping."""
         return clipped_normal.moments(self.values, self.width)[1]
 
     @cached_property
     def width(self) -> np.ndarray:
-        """(N, T) standard deviations of values before they are clipped."""
+        """Standard deviations of ``values``, (N, T), before clipping."""
         variance = self._unclipped_sd**2 + self._common_sd**2
         for name in NAMES:
             if name not in self.names:
@@ -192,7 +205,7 @@ class TextureField:
 
     @cached_property
     def _unclipped_sd(self) -> np.ndarray:
-        """The same without the common scale."""
+        """``width`` without the common scale of base colour."""
         width = clipped_normal.width_of(self.values, self._own_sd)
         if self.min_width is None:
             return width
@@ -201,20 +214,22 @@ class TextureField:
 
     @property
     def _common_sd(self) -> np.ndarray:
-        """(N, T) standard deviations of the common scale."""
+        """Standard deviations due to the common scale of base colour, (N, T)."""
         common = np.zeros_like(self.values)
         common[:3] = self.scale[:, None] * self.values[:3]
         return common
 
     @cached_property
     def _own_sd(self) -> np.ndarray:
-        """(N, T) standard deviations without the common scale, before clipping is compensated."""
+        """Clipped standard deviations without the common scale, (N, T)."""
         return np.sqrt(self.common * self._coherent_sd**2 + (1 - self.common) * self._variance)
 
     @property
     def _variance(self) -> np.ndarray:
-        """The diagonal of (D + K)^-1, (N, T), as it is where all neighbours are alike: that of
-        a random walk on the square lattice that is killed at the rate of D [Economou 2006]."""
+        """Approximate diagonal of (D + K)^-1, (N, T).
+
+        It is exact for constant D and links: the lattice Green's function [Economou 2006].
+        """
         links, whole = self.smoother.links, self.smoother.precision
         whole += links
         rows = zip(links, whole, strict=True)
@@ -225,7 +240,7 @@ class TextureField:
         """Return the rows of a parameter among the N values.
 
         Raises:
-            OptionError: an unknown parameter.
+            OptionError: The parameter is unknown.
         """
         require_known([name], NAMES, "parameter")
         first = sum(CHANNELS[other] for other in NAMES[: NAMES.index(name)])
@@ -245,26 +260,30 @@ def texture_field(
     """Return the distribution of textures around recovered ones.
 
     Args:
-        recovery: the textures.
-        estimate: what is known of every texel by itself; by default the one that the textures were
-            recovered from.
-        mesh: that the texels lie on (``capture.mesh``), where the recovery has not looked for their
-            neighbours; without it, these are those in the map.
-        progress: shows what is going on.
+        recovery: Recovered textures.
+        estimate: RGB estimate of the texels; default: the one used by the recovery.
+        mesh: Mesh of the texels (``capture.mesh``), ignored if the recovery contains neighbours.
+            Default: neighbours in the map.
+        progress: Display of the stage.
 
     Raises:
-        OptionError: there is no estimate in colour that knows its noise.
-        ShapeError: the estimate is of texels of another resolution.
+        OptionError: An RGB estimate with noise levels is missing.
+        ShapeError: The resolution of the estimate differs from the textures'.
+
+    Example:
+        >>> field = svu.texture_field(recovery, mesh=capture.mesh)
+        >>> field.sd("base_color").shape == (texels.count, 3)
+        True
     """
     estimated = recovery.estimate if estimate is None else estimate
     if estimated is None or not supports_texture_field(estimated):
         raise OptionError(
-            "texture_field(): needs an estimate in colour that knows its noise; give "
+            "texture_field(): needs an RGB estimate with noise levels; pass "
             "estimate=svu.estimate(capture, texels)."
         )
     recovery.textures.require_resolution(estimated.texels)
     options = tv_weights(recovery.settings)
-    with (progress or Progress()).stage("How sure the textures are"):
+    with (progress or Progress()).stage("Computing the uncertainty of textures"):
         around = recovery.around or neighbors(recovery.texels, mesh)
         return field_around(
             recovery.textures, estimated, around, recovery.settings["parameters"], options
@@ -272,8 +291,10 @@ def texture_field(
 
 
 def tv_weights(settings: Mapping[str, Any]) -> ShOptions:
-    """Return options with the weights of total variation that textures were recovered with
-    (``Recovery.settings``): in nats, so of other losses than ours they are our defaults."""
+    """Return options with the total variation of a recovery (``Recovery.settings``).
+
+    Defaults if its loss was not ``statistics``, whose weights alone are in nats.
+    """
     used = settings.get("sh", {})
     if used.get("loss") != "statistics":
         return ShOptions()
@@ -281,8 +302,7 @@ def tv_weights(settings: Mapping[str, Any]) -> ShOptions:
 
 
 def field_of_textures(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:
-    """Return the field around given textures; None if the estimate is not in colour, or of other
-    texels."""
+    """Return the field around textures; None if the estimate is not RGB, or of other texels."""
     if not supports_texture_field(estimate) or textures.resolution != estimate.texels.resolution:
         return None
     return field_around(textures, estimate, neighbors(estimate.texels, mesh))
@@ -292,7 +312,7 @@ def field_around(
     textures: Textures, estimate: Estimate, around: Neighbors, names: Sequence[str] = NAMES,
     options: ShOptions | None = None,
 ) -> TextureField:  # fmt: skip
-    """Return the field around textures."""
+    """Return the field around textures with precomputed neighbours."""
     posterior, texels = estimate.posterior, estimate.texels
     assert isinstance(posterior.kernel, CalibratedKernel)
     options = options or ShOptions()
@@ -300,7 +320,7 @@ def field_around(
               for name in NAMES}  # fmt: skip
     x0 = np.concatenate(list(values.values()))
     own_mean, deviation = _texel_moments(posterior, x0)
-    # Total variation is a mean over pairs, in nats of the mean texel that is seen.
+    # lambda per pair: total variation is a mean over pairs, in nats per seen texel.
     seen, pairs = int(posterior.observed.sum()), max(int(dr.width(around.pairs[0])), 1)
     strength = options.tv * np.sqrt(texels.count) * seen / pairs / (1 + PRIOR_WEIGHT)
     smoother = Smoother.of(
@@ -325,8 +345,7 @@ def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
 def _texel_moments(
     posterior: Posterior[CalibratedKernel], x0: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return means and standard deviations of texels by themselves, (N, T) each; of those unseen,
-    x0 and the prior's."""
+    """Return posterior means and standard deviations, (N, T) each; x0 and prior if unseen."""
     means, sds = (np.concatenate(list(table.values())) for table in texel_moments(posterior))
     seen = posterior.observed
     deviation = np.maximum(np.where(seen, sds, prior_sds(posterior)[:, None]), SMALLEST_SD)
