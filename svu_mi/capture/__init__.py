@@ -1,1 +1,1 @@
-"""A capture: scene, sensors, photographs with masks and exposures."""
+"""Captures: scene, sensors, and photographs with masks and exposures."""

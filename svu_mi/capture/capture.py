@@ -1,4 +1,4 @@
-"""The capture: scene, photographs, masks and exposures."""
+"""``Capture``: a scene, its target object, and photographs with masks and exposures."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class LightUncertainty:
     """Uncertainty of a light that was estimated from the photographs.
 
     Attributes:
-        widening: how many times less certain textures are: a factor of their overdispersion.
-        scale: standard deviation of the logarithm of one factor per channel, which base colour of
-            all texels has in common.
+        widening: Factor of the overdispersion tau, at least 1; multiplies posterior variances.
+        scale: Standard deviation of log(brightness) per channel. The error is shared by the base
+            colour of all texels.
     """
 
     widening: float = 1.0
@@ -31,29 +31,35 @@ class Capture:
     """A scene, its target object, and one photograph per sensor.
 
     Attributes:
-        scene: the ``mi.Scene``; geometry and light of everything that follows.
-        shape: the target in the scene, an ``mi.Mesh``.
-        mesh: the same surface with UVs that texels are laid out in. It is ``shape`` itself
-            unless that had to be unwrapped.
+        scene: The ``mi.Scene``, with the geometry and the light.
+        shape: Target object in the scene, an ``mi.Mesh``.
+        mesh: The same surface with the UVs that define the texels: ``shape``, or an unwrapped copy.
         sensors: V perspective sensors, in the order of the scene.
-        images: V arrays (H, W, 3) float32, linear radiance, exposure divided out. A pixel
-            that must not be used (NaN, infinite, negative, saturated) is NaN.
-        masks: V arrays (H, W) bool, True on the object, or None for a view without a mask.
-        exposures: V gains the photographs were divided by.
-        names: V names of the photographs as the user knows them, for messages: those that were
-            imported, or file names.
-        unusable: V counts of pixels that were set to NaN.
-        used: V booleans; False for a view left out, such as an entirely black photograph.
-        source: the folder or file the capture was read from, None when made in memory.
-        clipped: which channels of the photographs are clipped, V or none at all: they are NaN in
-            ``images``, but at least as bright as is said here.
-        rounding: the steps of photographs of integers, V or none at all; None for one of floats.
-        warnings: sentences about what was found, repaired and ignored while loading.
-        files: V names of their files in ``source``; empty when it was made in memory.
-        light_uncertainty: None if the light was given.
-        found_light: the ``LightEstimate`` that is its light (``with_light``); None if it was given.
-        buffer: that the pixels of ``images`` lie in, where kernels read them in place; None, or
-            other images than its own, if they were made in memory.
+        images: V arrays (H, W, 3) float32 of linear radiance, divided by the exposure. Unusable
+            values (NaN, infinite, negative, saturated) are NaN.
+        masks: V arrays (H, W) bool, True on the object; None for a view without a mask.
+        exposures: V exposure gains; the photographs were divided by them.
+        names: V names of the photographs for messages: the imported names, or file names.
+        unusable: V numbers of pixels set to NaN.
+        used: V booleans; False for unused views, such as an entirely black photograph.
+        source: Path of the folder or file that was loaded; None for captures made in memory.
+        clipped: V saturation records, None for a photograph without clipped channels. Empty if no
+            photograph has any.
+        rounding: V quantisation steps, None for a floating-point photograph. Empty if all are.
+        warnings: Warnings and notes of loading, one sentence each.
+        files: V file names in ``source``; empty for captures made in memory.
+        light_uncertainty: Uncertainty of an estimated light; None if the light was given.
+        found_light: The ``LightEstimate`` in use (see ``with_light``); None if the light was given.
+        buffer: Contiguous pixels of ``images`` for kernels; None for captures made in memory.
+            Ignored if ``images`` are not its views.
+
+    Example:
+        >>> capture.count
+        12
+        >>> capture.images[0].shape, capture.exposures[0]
+        ((96, 96, 3), 1.0)
+        >>> sum(capture.used), len(capture.warnings)
+        (12, 0)
     """
 
     scene: Any
@@ -78,10 +84,10 @@ class Capture:
     def __repr__(self) -> str:
         sizes = sorted({image.shape[1::-1] for image in self.images})
         size = " x ".join(map(str, sizes[-1])) if sizes else "0 x 0"
-        left_out = self.count - sum(self.used)
+        unused = self.count - sum(self.used)
         parts = [
             f"{self.count} photographs of {'up to ' if len(sizes) > 1 else ''}{size}",
-            *([f"{left_out} left out"] if left_out else []),
+            *([f"{unused} unused"] if unused else []),
             f"light {self.environment.class_name()}" if self.environment else "no light",
             *([] if self.source is None else [f"from {self.source}"]),
         ]
@@ -94,10 +100,10 @@ class Capture:
 
     @property
     def environment(self) -> Any:
-        """The light, an environment emitter; None if the capture was loaded without one."""
+        """The environment emitter; None if the scene has no light."""
         return self.scene.environment()
 
     @property
     def used_sensors(self) -> tuple[Any, ...]:
-        """Sensors of the views that are used, in their order."""
+        """Sensors of the used views, in order."""
         return tuple(s for s, used in zip(self.sensors, self.used, strict=True) if used)

@@ -1,4 +1,4 @@
-"""The capture folder: ``capture.json`` beside ``view_0000.exr``, ..."""
+"""Capture folders: ``capture.json`` and the photographs ``view_0000.exr``, ..."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from svu_mi.errors import CaptureError, excerpt
 FILE = "capture.json"
 FORMAT = "svu-capture"
 VERSION = 1
-MAX_BYTES = 2**26  # of capture.json; ten times what as many sensors as possible take
+MAX_BYTES = 2**26  # of capture.json; ten times the size with the maximal number of sensors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,14 +28,14 @@ class Description:
     """Content of ``capture.json``.
 
     Attributes:
-        scene: path of the Mitsuba scene, None when the capture was made from a live scene.
-        defines: the scene's ``-D`` parameters.
-        shape: id of the target, None = the only candidate.
-        exposures: one gain per view, empty = all 1.
-        sensors: descriptions of the sensors, empty = those of the scene.
-        imported: what it was imported from, and how; empty = it was not.
-        rendered: ``spp`` and ``seed`` that it was rendered with; empty = it was not.
-        run: id of the run that wrote it; empty = it is not known.
+        scene: Path of the Mitsuba scene; None for a capture of a live scene.
+        defines: Values of the scene's ``-D`` parameters.
+        shape: Id of the target; None selects the only candidate.
+        exposures: One gain per view; empty if all are 1.
+        sensors: Descriptions of the sensors; empty selects the scene's sensors.
+        imported: Source and options of the import; empty if not imported.
+        rendered: Render settings ``spp`` and ``seed``; empty if not rendered.
+        run: Id of the run that wrote the file; empty if unknown.
     """
 
     scene: Path | None = None
@@ -49,9 +49,9 @@ class Description:
 
     @property
     def photographs(self) -> list[str]:
-        """Names of the photographs that were imported, one per view; empty = not known.
+        """Names of the imported photographs, one per view; empty if unknown.
 
-        Without their folders, if that leaves no two alike.
+        File names only, or full paths if file names are not unique.
         """
         paths = self.imported.get("photographs", ())
         if not (isinstance(paths, list | tuple) and all(isinstance(path, str) for path in paths)):
@@ -60,7 +60,7 @@ class Description:
         return names if len(set(names)) == len(names) and all(names) else list(paths)
 
     def make_sensors(self, path: Path) -> tuple[Any, ...]:
-        """Make the sensors that the photographs of this folder were taken with."""
+        """Make the sensors that the file describes; ``path`` is its folder, for messages."""
         made = []
         for index, record in enumerate(self.sensors):
             label = f"{path / FILE}: sensor {index}"
@@ -70,13 +70,13 @@ class Description:
 
 
 def read(folder: Path) -> Description | None:
-    """Read ``capture.json``; None where the folder has none."""
+    """Read the ``capture.json`` of a folder; return None if it does not exist."""
     restore(folder)
     path = folder / FILE
     if not path.is_file():
         return None
     if path.stat().st_size > MAX_BYTES:
-        raise CaptureError(f"{path}: its {path.stat().st_size} bytes are too many for a capture.")
+        raise CaptureError(f"{path}: too large ({path.stat().st_size} bytes, limit {MAX_BYTES}).")
     record = read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
@@ -85,24 +85,24 @@ def read(folder: Path) -> Description | None:
             f"{path}: version {excerpt(record['version'])} is not supported, only {VERSION}; "
             "update svu_mi."
         )
-    for key, (kind, inner, what) in FIELDS.items():
+    for key, (kind, inner, expected) in FIELDS.items():
         value = record.get(key)
         parts = value.values() if isinstance(value, dict) else value or ()
         fits = isinstance(value, kind) and all(isinstance(part, inner) for part in parts)
         if key in record and not fits:
-            raise CaptureError(f"{path}: {key} must be {what}, got {excerpt(repr(value), 60)}.")
+            raise CaptureError(f"{path}: {key} must be {expected}, got {excerpt(repr(value), 60)}.")
     for name, value in record.get("define", {}).items():
         if not isinstance(value, str) and abs(value) > LARGEST:
             raise CaptureError(
-                f"{path}: {excerpt(name)} in define must be at most {LARGEST:g}; correct it."
+                f"{path}: the value of {excerpt(name)} in define must be at most {LARGEST:g}."
             )
     require_views(len(record.get("sensors", ())), f"{path}: sensors", CaptureError)
     scene, written = record.get("scene"), Entry.parse(record.get(RESULT))
     try:
         scene = None if scene is None else (folder / scene).resolve()
         _ = scene is None or scene.is_file()
-    except (OSError, ValueError, RuntimeError) as error:  # a link to itself, a name without end
-        raise CaptureError(f"{path}: the scene cannot be found ({excerpt(error)}).") from error
+    except (OSError, ValueError, RuntimeError) as error:  # a circular link, a name too long
+        raise CaptureError(f"{path}: the scene's path is invalid ({excerpt(error)}).") from error
     return Description(
         scene=scene,
         defines={key: str(value) for key, value in record.get("define", {}).items()},
@@ -115,8 +115,8 @@ def read(folder: Path) -> Description | None:
     )
 
 
-# Keys of capture.json that are read, their type, and that of what is in it; other keys are left to
-# whoever wrote them.
+# Keys of capture.json: their type, the type of their entries, and its description in messages.
+# Other keys are ignored.
 FIELDS: dict[str, tuple[Any, Any, str]] = {
     "scene": (str | None, object, "a path or null"),
     "define": (dict, str | int | float, "text or numbers by name"),
@@ -129,19 +129,22 @@ FIELDS: dict[str, tuple[Any, Any, str]] = {
 
 
 def require_one_run(folder: Path, runs: Mapping[Path, str], run: str) -> None:
-    """Refuse photographs of another run than the capture's, and a capture that was exchanged."""
+    """Raise if photographs come from another run, or the capture was replaced while being read.
+
+    Run ids are empty if unknown.
+    """
     if run and ((entry := entry_of(folder / FILE)) is None or entry.run != run):
         raise CaptureError(f"{folder}: changed while it was being read; load it again.")
     for path, other in runs.items():
         if run and other and other != run:
             raise CaptureError(
-                f"{path}: comes from another run than {FILE} beside it; restore the original "
-                "photograph, or render or import the capture again."
+                f"{path}: written by another run than the {FILE} in its folder; restore the "
+                "original photograph, or render or import the capture again."
             )
 
 
 def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> None:
-    """Write ``capture.json``, the last file of a draft."""
+    """Write ``capture.json``, which completes a draft folder."""
     scene, target = description.scene, draft.target.resolve()
     if scene is not None and scene.resolve().is_relative_to(draft.folder.resolve()):
         scene = draft.target / scene.resolve().relative_to(draft.folder.resolve())
@@ -161,7 +164,10 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
 
 
 def stamps(places: Iterable[Path], apart: Callable[[Path], bool]) -> list[tuple[str, int, int]]:
-    """Return paths, sizes and times of files, by which it is known whether inputs are the same."""
+    """Return path, size and modification time of each input file, to detect changes.
+
+    Folders are searched recursively, except those with ``apart(folder)``.
+    """
     stamped = []
     for place in places:
         files = [place]

@@ -1,11 +1,10 @@
-"""Digests of a capture and its parts, to recognise files of another one.
+"""Digests of a capture and its parts, to recognise results of another capture.
 
     capture_key(capture)            # "5d1f0c..."
-    photographs_key(capture)        # the same whatever its light and materials are
+    photographs_key(capture)        # independent of light and materials
     capture_parts(capture)          # {"shapes": "a81e...", "light": "07c3...", ...}
 
-Digests go by content alone: the same files give the same ones in every process, wherever they
-lie, and whatever the photographs are called.
+Digests depend on content only, not on folders, file names or the process.
 """
 
 from __future__ import annotations
@@ -26,24 +25,24 @@ from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.sensors import describe
 from svu_mi.core.io.hashes import Key
 
-ALIKE = 1e-4  # between normals of a file and of the faces around a vertex, beyond rounding
-# Words and single numbers of what Mitsuba prints; arrays are parameters, which are added whole.
+ALIKE = 1e-4  # tolerance between stored and computed vertex normals; above rounding errors
+# Lines "name = word" or "name = number" of Mitsuba's text form. Arrays are read as parameters.
 PRINTED = re.compile(r"^\s*([\w ]+) = ([A-Za-z]\w*\[?|[-+.\de]+),?$", re.MULTILINE)
-# Files have any name; the radius of a light is that of the scene it was last used in.
+# File names are not content; the radius of a light is set by the last scene that used it.
 NOT_ITS_OWN = ("name", "filename", "radius")
 UNWRAPPED = ("faces", "vertex_positions", "vertex_texcoords")
 ADDRESS = re.compile(r"0x[0-9a-f]+|object_\d+")
 
 
 def capture_key(capture: Capture) -> str:
-    """Return one digest of a whole capture: 32 hexadecimal letters (see ``capture_parts``)."""
+    """Return the digest of a capture: 32 hexadecimal digits (see ``capture_parts``)."""
     return Key(capture_parts(capture)).digest()
 
 
 def photographs_key(capture: Capture) -> str:
-    """Return a digest of what was photographed from where: 32 hexadecimal letters.
+    """Return a digest of geometry, sensors and photographs: 32 hexadecimal digits.
 
-    Light, materials and the integrator count for nothing, nor do views that are not used.
+    Light, materials, the integrator and unused views are ignored.
     """
     used = np.flatnonzero(capture.used).tolist()
     key = _shapes(capture.scene, capture.shape, materials=False)
@@ -56,26 +55,26 @@ def photographs_key(capture: Capture) -> str:
 
 
 def mesh_key(mesh: Any) -> str:
-    """Return a digest of what texels of a ``mi.Mesh`` are: its faces and their UVs."""
+    """Return a digest of the faces and UVs of a ``mi.Mesh``, which define its texels."""
     source = meshes.arrays(mesh)
     assert source.uvs is not None
     return Key(source.faces, source.uvs.astype(np.float32)).digest()
 
 
 def scene_key(scene: Any, target: Any) -> str:
-    """Return a digest of a scene's shapes and light, whatever its sensors."""
+    """Return a digest of a scene's shapes and light, without its sensors."""
     return Key(_shapes(scene, target).digest(), _light(scene).digest()).digest()
 
 
 def integrator_key(scene: Any) -> str:
-    """Return a digest of how a scene is rendered: 32 hexadecimal letters."""
+    """Return a digest of a scene's integrator: 32 hexadecimal digits."""
     integrator = scene.integrator()
-    hidden = getattr(integrator, "hide_emitters", None)  # which it does not print
+    hidden = getattr(integrator, "hide_emitters", None)  # missing in its text form
     return Key(ADDRESS.sub("", str(integrator)), hidden).digest()
 
 
 def capture_parts(capture: Capture) -> dict[str, str]:
-    """Return digests of the parts of a capture."""
+    """Return the digest of each part of a capture, by name."""
     used = np.flatnonzero(capture.used).tolist()
     pixels = _digests(capture.images[view] for view in used)
     masks = _digests(capture.masks[view] for view in used)
@@ -100,7 +99,7 @@ def capture_parts(capture: Capture) -> dict[str, str]:
 
 
 def _add_clipped(key: Key, capture: Capture, used: Sequence[int]) -> None:
-    """Add which channels are clipped, if any is."""
+    """Add the clipped channels of the used views."""
     if capture.clipped:
         for view in used:
             saturated = capture.clipped[view]
@@ -108,15 +107,15 @@ def _add_clipped(key: Key, capture: Capture, used: Sequence[int]) -> None:
 
 
 def _digests(arrays: Iterable[np.ndarray | None]) -> list[str]:
-    """Return a digest of each array, on as many threads as Dr.Jit has."""
+    """Return a digest of each array; one worker per Dr.Jit thread."""
     with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
         return list(threads.map(lambda array: Key(array).digest(), arrays))
 
 
 def _shapes(scene: Any, target: Any, materials: bool = True) -> Key:
-    """Add shapes; vertex normals only where they are not those of the faces around.
+    """Return the key of all shapes, with vertex normals only where a file defines them.
 
-    Mitsuba computes missing ones by a sum whose order, and so its last bits, are left to chance.
+    Mitsuba computes missing normals by parallel sums, whose rounding differs between runs.
     """
     key = Key()
     for shape in scene.shapes():
@@ -126,7 +125,7 @@ def _shapes(scene: Any, target: Any, materials: bool = True) -> Key:
             bsdf = shape.bsdf()
             key.add(_settings(shape), None if bsdf is None else bsdf.class_name())
         for name, array in _arrays(shape):
-            if not materials and "." in name:  # of its material, or of light that it emits
+            if not materials and "." in name:  # a parameter of its BSDF or emitter
                 continue
             normals = name.endswith("vertex_normals") and array.size
             computed = normals and _are_computed(shape, array)
@@ -135,7 +134,7 @@ def _shapes(scene: Any, target: Any, materials: bool = True) -> Key:
 
 
 def _arrays(node: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the parameters of a Mitsuba object; those without an id are named by an address."""
+    """Yield names and values of an object's parameters, without memory addresses in names."""
     for name, value in mi.traverse(node):
         yield ADDRESS.sub("", name), np.asarray(getattr(value, "matrix", value))
 
@@ -146,18 +145,18 @@ def _light(scene: Any, uncertainty: LightUncertainty | None = None) -> Key:
         key.add("node", emitter.class_name(), _settings(emitter))
         for name, array in _arrays(emitter):
             key.add(name, array)
-    if uncertainty is not None:  # posteriors are others
+    if uncertainty is not None:  # changes the posterior
         key.add(uncertainty)
     return key
 
 
 def _settings(node: Any) -> list[Any]:
-    """Return what a Mitsuba object prints beside its parameters, such as a distribution."""
+    """Return settings of a Mitsuba object that are not parameters, such as a distribution."""
     return [entry for entry in PRINTED.findall(str(node)) if entry[0] not in NOT_ITS_OWN]
 
 
 def _are_computed(mesh: Any, normals: np.ndarray) -> bool:
-    """Return whether normals are means over the faces around, weighted by angle, as Mitsuba's."""
+    """Return whether vertex normals are Mitsuba's default: face normals weighted by angle."""
     params = mi.traverse(mesh)
     positions = np.array(params["vertex_positions"], np.float64).reshape(-1, 3)
     faces = np.asarray(params["faces"]).reshape(-1, 3)
@@ -172,5 +171,5 @@ def _are_computed(mesh: Any, normals: np.ndarray) -> bool:
         weighted = np.arccos(np.clip(cosine, -1, 1))[:, None] * across
         for axis in range(3):
             total[:, axis] += np.bincount(faces[:, corner], weighted[:, axis], len(total))
-    sound = np.linalg.norm(total, axis=1) > ALIKE  # faces around cancel out: any direction will do
+    sound = np.linalg.norm(total, axis=1) > ALIKE  # otherwise the normal is undefined
     return bool(np.abs(unit_vectors(total) - normals.reshape(-1, 3))[sound].max(initial=0) < ALIKE)

@@ -1,7 +1,6 @@
-"""Crop photographs to the object and reduce them to what texels resolve.
+"""Crop photographs to the object and downsample them to about one pixel per texel.
 
-A photograph of 24 megapixels says no more of a texel than one of six, if that has a pixel of it,
-too; and most of its pixels show no object at all.
+More pixels per texel need memory but do not improve the estimates.
 """
 
 from __future__ import annotations
@@ -17,22 +16,22 @@ from svu_mi.capture.mesh import MeshArrays, arrays, chart_areas, crosses_of
 from svu_mi.capture.sensors import film_size, focal_length, projected, windowed_sensor
 from svu_mi.core.memory import Size
 
-LARGE = 2**22  # pixels of a photograph from which on it is worth it
-ENOUGH = 0.9  # pixels across a texel: about one (notebooks/design/photographs.md)
-MARGIN = 0.02  # of the object's size in a photograph, around it
-BORDER = 8  # pixels around it besides
-FACES = 20_000  # that say how large texels are
-SMALL = 0.1  # part of the surface whose texels may have fewer pixels than enough
+LARGE = 2**22  # pixels; smaller photographs are kept as they are
+ENOUGH = 0.9  # pixels across a texel (notebooks/design/photographs.md)
+MARGIN = 0.02  # margin around the object, as a fraction of its size in the photograph
+BORDER = 8  # additional margin, in pixels
+FACES = 20_000  # faces in the sample that measures texel sizes
+SMALL = 0.1  # fraction of the surface whose texels may have less than ENOUGH pixels
 
 
 @dataclass(frozen=True)
 class Window:
-    """The part of a photograph that is kept, and how many of its pixels become one.
+    """Crop window of a photograph, and its downsampling factor.
 
     Attributes:
-        left, top: its first pixel.
-        width, height: of what is kept, in pixels of the result.
-        shrink: pixels per side that become one.
+        left, top: First column and row of the crop, in pixels of the photograph.
+        width, height: Size of the result in its own pixels.
+        shrink: Side of the block of pixels that is averaged into one.
     """
 
     left: int
@@ -43,22 +42,21 @@ class Window:
 
     @staticmethod
     def whole(size: Size) -> Window:
-        """Return the window that keeps a photograph of (width, height) as it is."""
+        """Return the window that keeps a photograph of (width, height) unchanged."""
         return Window(0, 0, *size)
 
     @property
     def size(self) -> Size:
-        """(width, height) of the result."""
+        """Size of the result: (width, height)."""
         return self.width, self.height
 
     def cut(self, plane: np.ndarray) -> np.ndarray:
-        """Return the pixels (h shrink, w shrink, ...) that the result is made of, as a view."""
+        """Return a view of the cropped pixels, (h shrink, w shrink, ...)."""
         bottom = self.top + self.height * self.shrink
         return plane[self.top : bottom, self.left : self.left + self.width * self.shrink]
 
     def joined(self, plane: np.ndarray, join: np.ufunc) -> np.ndarray:
-        """Join all pixels of each block of what is cut out, (h shrink, w shrink), by a function
-        such as ``np.add``: (h, w)."""
+        """Reduce the blocks of a cropped plane (h shrink, w shrink) by a ufunc, to (h, w)."""
         k = self.shrink
         if k == 1:
             return plane
@@ -69,13 +67,13 @@ class Window:
         return np.asarray(result)
 
     def averaged(self, plane: np.ndarray) -> np.ndarray:
-        """Return the means (h, w) of the blocks of (h shrink, w shrink)."""
+        """Return the block means (h, w) of a cropped plane (h shrink, w shrink)."""
         if self.shrink == 1:
             return plane
         return self.joined(plane, np.add) / np.float32(self.shrink**2)
 
     def seen_by(self, sensor: Any) -> Any:
-        """Return the sensor whose whole film is the result; the same one if that is the film."""
+        """Return the sensor of the result; ``sensor`` itself if nothing changes."""
         if self == Window.whole(film_size(sensor)):
             return sensor
         return windowed_sensor(sensor, (self.left, self.top), self.size, 1 / self.shrink)
@@ -83,13 +81,12 @@ class Window:
 
 @dataclass(frozen=True, kw_only=True)
 class Detail:
-    """What is needed of photographs; all of it by default.
+    """Required resolution and area of photographs; by default they are kept unchanged.
 
     Attributes:
-        texels: (W, H) of the texture that is made of them; None if nothing is known of it, and
-            photographs are kept whole.
-        side: pixels per side that are needed at most; None for no limit.
-        surroundings: whether pixels beside the object are needed, too.
+        texels: Size (W, H) of the texture; None if unknown.
+        side: Largest useful width or height in pixels; None for no limit. Disables cropping.
+        surroundings: True keeps the background of the object.
     """
 
     texels: Size | None = None
@@ -97,7 +94,7 @@ class Detail:
     surroundings: bool = False
 
     def windows(self, target: Any, sensors: Sequence[Any]) -> list[Window]:
-        """Return what to keep of the photographs of sensors."""
+        """Return the window of each sensor's photograph."""
         films = [film_size(sensor) for sensor in sensors]
         large = [width * height >= LARGE for width, height in films]
         if (self.texels is None and self.side is None) or not any(large):
@@ -127,13 +124,13 @@ WHOLE = Detail()
 
 @dataclass(frozen=True)
 class _ObjectExtent:
-    """What of an object says where it is in a photograph, and how large its texels are.
+    """Geometry that determines the bounds of an object and its pixels per texel.
 
     Attributes:
         corners: (P, 3) float64, world positions of all vertices.
-        middles: (F, 3), of some faces.
-        sides: (F,) of their texels, in world units; empty where nothing is known of texels.
-        areas: (F,) of the faces.
+        middles: (F, 3), centres of F sampled faces.
+        sides: (F,), side of a texel on each face in world units; empty if unknown.
+        areas: (F,), area of each face.
     """
 
     corners: np.ndarray
@@ -143,7 +140,7 @@ class _ObjectExtent:
 
     @staticmethod
     def of(mesh: mi.Mesh, texels: Size | None) -> _ObjectExtent:
-        """Measure an ``mi.Mesh`` with a texture of (W, H)."""
+        """Measure an ``mi.Mesh`` that has a texture of (W, H) texels."""
         source = arrays(mesh)
         chosen = source.faces[:: max(len(source.faces) // FACES, 1)]
         areas = np.linalg.norm(crosses_of(source.positions, chosen), axis=1) / 2
@@ -153,8 +150,10 @@ class _ObjectExtent:
         return _ObjectExtent(source.positions, source.positions[chosen].mean(axis=1), sides, areas)
 
     def bounds_in(self, sensor: Any, film: Size) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first and the last but one pixel (2,) int64 of the object, with a margin; the
-        whole film if some of it is not in front of the camera."""
+        """Return the object's bounds with a margin: first and end (x, y), each (2,) int64 pixels.
+
+        Return the whole film if a part of the object is not in front of the camera.
+        """
         whole = np.zeros(2, np.int64), np.array(film)
         points, depth = projected(sensor, self.corners)
         if not len(depth) or depth.min() <= float(sensor.near_clip()):
@@ -166,8 +165,10 @@ class _ObjectExtent:
         return (low, high) if (high > low).all() else whole
 
     def pixels_across(self, sensor: Any) -> float | None:
-        """Return how many pixels all but the smallest texels have across, seen face on; None where
-        that is not known."""
+        """Return the width in pixels of a texel seen face on; None if unknown.
+
+        It is a low quantile: texels on ``SMALL`` of the surface are smaller.
+        """
         _, depth = projected(sensor, self.middles)
         seen = depth > float(sensor.near_clip())
         if not len(self.sides) or not seen.any():
@@ -181,6 +182,6 @@ class _ObjectExtent:
 def _sides(mesh: MeshArrays, faces: np.ndarray, areas: np.ndarray, texels: Size) -> np.ndarray:
     """Return the side (F,) of a texel of each face, in world units."""
     number = texels[0] * texels[1]
-    if mesh.uvs is None:  # unwrapping will make all alike
+    if mesh.uvs is None:  # unwrapping makes all texels equally large
         return np.full(len(areas), np.sqrt(np.linalg.norm(mesh.crosses, axis=1).sum() / 2 / number))
     return np.sqrt(areas / np.maximum(chart_areas(mesh.uvs, faces) * number, 1e-30))

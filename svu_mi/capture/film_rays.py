@@ -1,7 +1,6 @@
-"""Rays through the films of all views, and chosen pixels of many pictures, in few launches.
+"""Camera rays of all views in few kernel launches, and renders of selected pixels.
 
-Rays are Mitsuba's own (``PerspectiveCamera::sample_ray``), step by step: equal to the last bit on
-LLVM, so that it does not matter which of the two a pixel was judged by.
+Rays repeat the arithmetic of ``PerspectiveCamera::sample_ray`` and are bitwise equal on LLVM.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe, film_size
 from svu_mi.core.arrays import to_drjit
 
-RAY_FLOATS = 24  # per view, in groups of four: a kernel reads a group at once
-LAUNCH = 1 << 22  # rays at a time
-MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
+RAY_FLOATS = 24  # per view; gathered in vectors of four
+LAUNCH = 1 << 22  # rays per kernel launch
+MASK_GRID = 3  # mask rays per pixel side; a single miss excludes the pixel from the object
 
 
 def ray_floats(sensor: Any) -> np.ndarray:
-    """Return (24,) float32, what the rays of one view are made of.
+    """Return the camera parameters of one view, (24,) float32.
 
-    Film to camera space (scale and shift of x, the same of y); depth and divisor there, shift
-    of the principal point in crop windows; three rows of ``to_world``; near and far clip, width
-    and height of the crop window in pixels.
+    In order: scale and offset of x, scale and offset of y (film to camera space); depth and
+    divisor of that map; principal point offset (2) in crop windows; three rows of ``to_world``;
+    near clip, far clip, width and height of the crop window in pixels.
     """
     film, principal_point = sensor.film(), describe(sensor)["principal_point_offset"]
     size = np.array(film.crop_size(), np.float32)
@@ -48,7 +47,7 @@ def ray_floats(sensor: Any) -> np.ndarray:
 
 
 def ray_table(sensors: Sequence[Any]) -> Any:
-    """Return (V * 24,) Float, what the rays of V perspective sensors are made of."""
+    """Return the ``ray_floats`` of V perspective sensors as one Float of width V * 24."""
     return to_drjit(mi.Float, np.array([ray_floats(each) for each in sensors], np.float32).ravel())
 
 
@@ -56,10 +55,10 @@ def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:
     """Make the ``mi.Ray3f`` of a view through a point of its film, in pixels.
 
     Args:
-        floats: (V * 24,) Float, see ``ray_floats``.
+        floats: (V * 24,) Float, see ``ray_table``.
         view: UInt32, index of the view.
-        x: Float, 0 to the width of the crop window.
-        y: Float, 0 to its height.
+        x: Float in [0, width of the crop window].
+        y: Float in [0, height of the crop window].
     """
     scale, lens, right, up, forward, film = (
         dr.gather(mi.Vector4f, floats, view * (RAY_FLOATS // 4) + k) for k in range(6)
@@ -86,13 +85,14 @@ def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:
 def pixel_rays(
     floats: Any, pixels: tuple[Any, Any, Any], count: int, place: Callable[[Any], Any]
 ) -> Any:
-    """Make so many ``mi.Ray3f`` through each of N pixels, those of a pixel one after the other.
+    """Make ``count`` rays through each of N pixels: N * count ``mi.Ray3f``, pixel by pixel.
 
     Args:
         floats: (V * 24,) Float, see ``ray_table``.
-        pixels: (N,) UInt32 each: number of the view, row and column.
-        count: rays of a pixel.
-        place: where in its pixel ray k is, UInt32 -> two Floats in [0, 1]; such as ``stratified``.
+        pixels: View, row and column, (N,) UInt32 each.
+        count: Number of rays per pixel.
+        place: Map from ray number (UInt32) to x and y in the pixel, two Floats in [0, 1].
+            See ``stratified``.
     """
     index, number = dr.arange(mi.UInt32, dr.width(pixels[0]) * count), dr.opaque(mi.UInt32, count)
     of_pixel = index // number
@@ -102,37 +102,36 @@ def pixel_rays(
 
 
 def stratified(side: int) -> Callable[[Any], Any]:
-    """Return a ``place`` for ``side``^2 rays, on a grid in the pixel."""
+    """Return a ``place`` (see ``pixel_rays``) for a regular grid of ``side``^2 rays."""
     return lambda k: ((mi.Float(k % side) + 0.5) / side, (mi.Float(k // side) + 0.5) / side)
 
 
 @dataclass(frozen=True)
 class SensorPixels:
-    """Pictures of V perspective sensors, pixel by pixel; all are numbered, one row after another.
+    """All pixels of V perspective sensors, numbered view by view in row-major order.
 
     Attributes:
-        sensors: the sensors.
+        sensors: V perspective sensors.
     """
 
     sensors: Sequence[Any]
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """(V, 2) int64, widths and heights in pixels."""
+        """Widths and heights in pixels, (V, 2) int64."""
         return np.array([film_size(sensor) for sensor in self.sensors], np.int64).reshape(-1, 2)
 
     @cached_property
     def first(self) -> np.ndarray:
-        """(V + 1,) int64, number of the first pixel of each picture; and how many there are."""
+        """Number of the first pixel of each view, and of all pixels: (V + 1,) int64."""
         return np.concatenate([[0], np.cumsum(self.sizes.prod(axis=1))])
 
     def covered(self, scene: Any, target: Any) -> list[np.ndarray]:
-        """Return (h, w) float32 of each picture: the part of each pixel that the target covers,
-        unoccluded; 1 where it shows nothing else."""
+        """Return the fraction of each pixel that shows the target: V arrays (h, w) float32."""
         part = np.zeros(self.first[-1], np.float32)
         for span, rays in self._launches(np.arange(self.first[-1]), MASK_GRID**2):
             hit = scene.ray_intersect_preliminary(rays(stratified(MASK_GRID)), coherent=True)
-            # Opaque: as a literal, every scene would get a kernel of its own.
+            # Opaque: a literal would recompile the kernel for every scene.
             on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))
             hits = dr.block_sum(dr.select(on_target, mi.UInt32(1), 0), MASK_GRID**2)
             part[span] = np.array(hits) / np.float32(MASK_GRID**2)
@@ -141,17 +140,17 @@ class SensorPixels:
     def traced(
         self, scene: Any, integrator: Any, wanted: Sequence[np.ndarray], spp: int, seed: int = 0
     ) -> list[np.ndarray]:
-        """Render pixels; a box is their filter.
+        """Render selected pixels with a box filter.
 
         Args:
-            scene: the ``mi.Scene``.
-            integrator: a sampling integrator.
-            wanted: (h, w) bool of each picture, pixels to render.
-            spp: samples per pixel, rounded to a square: they are spread evenly, not at random.
-            seed: of the samples.
+            scene: ``mi.Scene`` to render.
+            integrator: A sampling integrator.
+            wanted: V arrays (h, w) bool, True for pixels to render.
+            spp: Samples per pixel, rounded to a square number for stratification.
+            seed: Seed of the random numbers.
 
         Returns:
-            (h, w, 3) float32 radiance of each picture, 0 in other pixels.
+            V arrays (h, w, 3) float32 of radiance, 0 in other pixels.
         """
         spp = max(round(spp**0.5), 1) ** 2
         sampler = mi.load_dict({"type": "multijitter", "sample_count": spp})
@@ -164,15 +163,17 @@ class SensorPixels:
             sampler.seed((seed + number) % 2**32, len(pixels) * spp)
             ray = rays(lambda _: sampler.next_2d())
             color = integrator.sample(scene, sampler, mi.RayDifferential3f(ray), None, True)[0]
-            dr.eval(color)  # sums of one channel at a time would trace the paths three times
+            dr.eval(color)  # otherwise each channel's sum traces the paths again
             mean = [dr.block_sum(channel, spp) / spp for channel in color]
             dr.eval(mean)
             image[pixels] = np.stack([channel.numpy() for channel in mean], axis=1)
         return self._apart(image)
 
     def _launches(self, pixels: np.ndarray, rays: int) -> Iterator[tuple[slice, Any]]:
-        """Yield parts of some pixels, and what makes rays through them, so many to a pixel, from
-        where in the pixel the rays of a number are."""
+        """Yield slices of ``pixels``, and a function that makes their rays.
+
+        The function takes a ``place`` (see ``pixel_rays``) and makes ``rays`` rays per pixel.
+        """
         view = np.searchsorted(self.first, pixels, "right") - 1
         row, column = np.divmod(pixels - self.first[view], self.sizes[view, 0])
         table = ray_table(self.sensors)
@@ -185,7 +186,7 @@ class SensorPixels:
             yield span, partial(pixel_rays, table, parts, rays)
 
     def _apart(self, values: np.ndarray) -> list[np.ndarray]:
-        """Values (N, ...) of all pixels, as pictures (h, w, ...)."""
+        """Split values (N, ...) of all pixels into V arrays (h, w, ...)."""
         return [
             values[begin:end].reshape(height, width, *values.shape[1:])
             for begin, end, (width, height) in zip(

@@ -1,6 +1,6 @@
-"""Radiance HDR and PFM pictures, read within the bounds of their files.
+"""Readers of Radiance HDR and PFM images that check all bounds.
 
-Written here, not left to Mitsuba: its reader of HDR writes beyond its memory on a damaged file.
+Mitsuba's HDR reader writes out of bounds on a damaged file.
 HDR: Ward, "Real Pixels", Graphics Gems II, and https://radsite.lbl.gov/radiance/refer/filefmts.pdf.
 PFM: https://www.pauldebevec.com/Research/HDR/PFM/.
 """
@@ -12,19 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
-HEADER = 4096  # bytes that the size must stand in
-RUN = 128  # a byte above it says how often the next one is repeated, another how many follow
-PACKED = range(8, 2**15)  # widths that HDR packs
+HEADER = 4096  # bytes; the header must be shorter
+RUN = 128  # count bytes above it mean count - 128 repetitions, others a count of literal bytes
+PACKED = range(8, 2**15)  # widths for which HDR uses run-length encoding
 
 
 def hdr_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) of an HDR picture."""
+    """Return (width, height) of an HDR image."""
     with path.open("rb") as stream:
         return _hdr_header(stream.read(HEADER))[:2]
 
 
 def pfm_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) of a PFM picture."""
+    """Return (width, height) of a PFM image."""
     with path.open("rb") as stream:
         width, height, channels, _, start = _pfm_header(stream.read(HEADER))
     if path.stat().st_size < start + 4 * width * height * channels:
@@ -33,7 +33,7 @@ def pfm_size(path: Path) -> tuple[int, int]:
 
 
 def read_hdr(path: Path) -> np.ndarray:
-    """Return radiance as (H, W, 3) float32; a correction by ``EXPOSURE`` is left to the user."""
+    """Return radiance as (H, W, 3) float32; the header's ``EXPOSURE`` is not applied."""
     data = path.read_bytes()
     width, height, at = _hdr_header(data[:HEADER])
     if width in PACKED and data[at : at + 2] == b"\2\2":
@@ -43,24 +43,24 @@ def read_hdr(path: Path) -> np.ndarray:
         raise ValueError("the file ends too early, or uses the old RLE encoding")
     else:
         rgbe = np.frombuffer(data, np.uint8, 4 * width * height, at).reshape(height, width, 4)
-    # The exponent of 0 is black, whatever the mantissa.
+    # Exponent 0 means black for any mantissa.
     unit = np.where(rgbe[..., 3] == 0, 0, np.ldexp(np.float32(1), rgbe[..., 3].astype(int) - 136))
     return rgbe[..., :3] * unit[..., None].astype(np.float32)
 
 
 def read_pfm(path: Path) -> np.ndarray:
-    """Return (H, W, 3) or (H, W, 1) float32, multiplied by the scale that the file has."""
+    """Return (H, W, 3) or (H, W, 1) float32, multiplied by the header's scale."""
     data = path.read_bytes()
     width, height, channels, scale, start = _pfm_header(data[:HEADER])
     order = "<f4" if scale < 0 else ">f4"
     values = np.frombuffer(data, order, width * height * channels, start).astype(np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):  # infinite pixels are passed on
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite pixels are allowed
         values *= np.float32(abs(scale))
     return values.reshape(height, width, channels)[::-1]
 
 
 def _hdr_header(start: bytes) -> tuple[int, int, int]:
-    """Return width, height, and where the pixels begin."""
+    """Return width, height, and the offset of the pixels in bytes."""
     head = re.search(rb"\n\n-Y (\d{1,6}) \+X (\d{1,6})\n", start)
     if not start.startswith(b"#?") or head is None or b"_xyze" in start[: head.start()]:
         raise ValueError("not the header of an RGBE (Radiance HDR) image")
@@ -68,7 +68,7 @@ def _hdr_header(start: bytes) -> tuple[int, int, int]:
 
 
 def _pfm_header(start: bytes) -> tuple[int, int, int, float, int]:
-    """Return width, height, number of channels, scale, and where the pixels begin."""
+    """Return width, height, number of channels, scale, and the offset of the pixels in bytes."""
     head = re.match(rb"P([Ff])\s+(\d{1,6})\s+(\d{1,6})\s+(-?[\d.]{1,20}(?:e[+-]?\d\d?)?)\s", start)
     if head is None:
         raise ValueError("not the header of a PFM image")
@@ -77,7 +77,7 @@ def _pfm_header(start: bytes) -> tuple[int, int, int, float, int]:
 
 
 def _unpacked(data: bytes, at: int, width: int, height: int) -> bytes:
-    """Return the rows of a packed HDR picture: all of red, green, blue, exponents, row by row."""
+    """Decode the rows of a run-length encoded HDR image: bytes of (height, 4, width)."""
     head = bytes((2, 2, width >> 8, width & 255))
     rows: list[bytes] = []
     for _ in range(height):
@@ -89,7 +89,7 @@ def _unpacked(data: bytes, at: int, width: int, height: int) -> bytes:
 
 
 def _row(data: bytes, at: int, size: int) -> tuple[bytes, int]:
-    """Unpack one row of ``size`` bytes; return it and where the next one begins."""
+    """Decode one row of ``size`` bytes; return it and the offset of the next row."""
     parts, room = [], size
     while room > 0:
         count = data[at] if at < len(data) else 0

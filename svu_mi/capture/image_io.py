@@ -1,4 +1,4 @@
-"""Picture files: their size without reading them, and their channels as linear values."""
+"""Image files: headers, stored channels, and the sRGB transfer function."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from svu_mi.core.io.exr import Header, read_header, read_pixels
 from svu_mi.core.io.files import may_hold
 from svu_mi.errors import CaptureError, SvuError, excerpt
 
-FLOATS = {".hdr": (hdr_size, read_hdr), ".pfm": (pfm_size, read_pfm)}  # besides EXR
+FLOATS = {".hdr": (hdr_size, read_hdr), ".pfm": (pfm_size, read_pfm)}  # in addition to EXR
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
-MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may promise any number
-LOST = 0.01  # part of a map's light that negative pixels may take away
-ORIENTATION = 0x0112  # tag of EXIF
-PNG = b"\x89PNG\r\n\x1a\n"  # how its files begin
-HAS_EXIF = (b"eXIf", b"Raw profile type")  # words without which a PNG file has no EXIF data
-PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # by the kind of colour that it says
+MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may contain any number
+LOST = 0.01  # largest tolerated sum of negative pixels, as a fraction of the image's sum
+ORIENTATION = 0x0112  # EXIF tag
+PNG = b"\x89PNG\r\n\x1a\n"  # signature
+HAS_EXIF = (b"eXIf", b"Raw profile type")  # PNG files without either have no EXIF data
+PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # by colour type
 
 OTHER_COLORS = {("X", "Y", "Z"): "CIE XYZ", ("Y", "RY", "BY"): "luminance and chroma"}
 
-_opening = threading.Lock()  # for what several threads must not do at a time
+_opening = threading.Lock()  # warnings.catch_warnings is not thread-safe
 
 Transfer = Literal["srgb", "gamma 2.2", "linear"]
 
 
 @dataclass(frozen=True)
 class ImageFile:
-    """A picture file of which the header was read.
+    """An image file with its header.
 
     Attributes:
-        path: the file.
-        header: what it says of itself; of most kinds no more than its size.
-        bits: 8 or 16 for a file of integers, which is no HDR; 0 for floats.
+        path: Path of the file.
+        header: Size and attributes; only the size for formats other than EXR.
+        bits: 8 or 16 for integer (low dynamic range) files, 0 for floating point.
     """
 
     path: Path
@@ -60,13 +60,13 @@ class ImageFile:
         """Read the pixels as stored.
 
         Returns:
-            Three or four float32 planes (H, W), red, green, blue and, if there is one, alpha;
-            integers are scaled to [0, 1] and still encoded.
+            Float32 planes (H, W): red, green, blue, and alpha if present. Integers are scaled
+            to [0, 1] but not decoded.
         """
         return [self.scaled(plane) if self.bits else plane for plane in self.stored()]
 
     def stored(self) -> list[np.ndarray]:
-        """Read the pixels as ``planes`` does, integers as integers."""
+        """Read the pixels like ``planes``, but without conversion of integers."""
         suffix = self.path.suffix.lower()
         with _readable(self.path):
             if suffix == ".exr":
@@ -81,36 +81,36 @@ class ImageFile:
         return codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
 
     def is_turned(self) -> bool:
-        """Return whether EXIF data say that it is to be shown turned or mirrored.
+        """Return whether EXIF data request a rotation or mirroring for display.
 
-        Nothing here does that: pixels are those that are stored.
+        The orientation is not applied: all functions return pixels as stored.
         """
         if not self.bits:
             return False
         with _readable(self.path):
             if _is_png(self.path) and not any(w in self.path.read_bytes() for w in HAS_EXIF):
-                return False  # Pillow would decode all pixels to find that out
+                return False  # avoids Pillow, which would decode all pixels
             with Image.open(self.path) as image:
                 return int(image.getexif().get(ORIENTATION, 1)) > 1
 
     def remarks(self) -> list[str]:
-        """Say what it states about itself that is not followed: clauses without its name."""
+        """Describe metadata that is ignored, as clauses without a subject."""
         clauses = []
         if self.header.foreign:
             clauses.append(
-                "its chromaticities are not those of Rec. 709; its values are used as they are: "
-                "convert it if colours matter."
+                "its chromaticities are not Rec. 709; values are used without conversion. Convert "
+                "the file if colours matter."
             )
         if self.is_turned():
             clauses.append(
-                "is stored rotated; its EXIF orientation is ignored, because poses must be of the "
-                "pixels as stored."
+                "is stored rotated; the EXIF orientation is ignored, because poses must refer to "
+                "the pixels as stored."
             )
         return clauses
 
 
 def open_image(path: Path) -> ImageFile:
-    """Read the header of a picture."""
+    """Read the header of an image file; raise ``CaptureError`` if it is not readable."""
     if not path.is_file():
         raise CaptureError(f"{path}: no such photograph.")
     suffix = path.suffix.lower()
@@ -134,13 +134,13 @@ def open_image(path: Path) -> ImageFile:
 
 
 def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
-    """Return what ``ImageFile.planes`` does, and whether the file holds integers."""
+    """Return the planes of a file (see ``ImageFile.planes``), and whether it stores integers."""
     picture = open_image(path)
     return picture.planes(), picture.bits > 0
 
 
 def decoded(encoded: np.ndarray, transfer: Transfer = "srgb") -> np.ndarray:
-    """Return linear values (float32) of encoded ones in [0, 1]."""
+    """Decode values in [0, 1] to linear float32."""
     if transfer == "srgb":
         low, high = encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
         return np.where(encoded <= 0.04045, low, high).astype(np.float32)
@@ -160,12 +160,13 @@ def quantized(image: np.ndarray, bits: int = 8) -> np.ndarray:
 
 
 def _exr_planes(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]:
-    """Return red, green, blue and, if there is one, alpha among the channels of an EXR."""
+    """Return red, green, blue, and alpha if present, from the channels of an EXR file."""
     channels = _layer_channels(channels)
-    for names, what in OTHER_COLORS.items():
+    for names, space in OTHER_COLORS.items():
         if channels.keys() >= set(names) and not channels.keys() >= set("RGB"):
             raise CaptureError(
-                f"{path}: holds {what} ({', '.join(names)}), not colours; export it as plain RGB."
+                f"{path}: contains {space} ({', '.join(names)}) instead of RGB; export it as "
+                "plain RGB."
             )
     grey = channels.get("Y")
     colors = [channels.get(name, grey) for name in "RGB"]
@@ -179,11 +180,11 @@ def _exr_planes(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]
 
 
 def _layer_channels(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return channels without a layer; else those of the only layer of colours, or Blender's."""
+    """Return the channels without layer, or of the only RGB layer, or of Blender's "Combined"."""
     if "R" in channels or "Y" in channels:
         return channels
     layers = [name.removesuffix("R") for name in channels if name.endswith(".R")]
-    whole = [layer for layer in layers if layer.endswith("Combined.")]  # of all its passes
+    whole = [layer for layer in layers if layer.endswith("Combined.")]  # Blender's final image
     for prefixes in (layers, whole):
         if len(prefixes) == 1:
             return {
@@ -195,17 +196,17 @@ def _layer_channels(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 @contextlib.contextmanager
 def _readable(path: Path) -> Iterator[None]:
-    """Say of which file a damage is."""
+    """Turn any decoder error into a ``CaptureError`` with the path."""
     try:
         yield
     except CaptureError:
         raise
-    except Exception as error:  # whatever the decoders meet
+    except Exception as error:  # decoders raise many types
         raise CaptureError(f"{path}: not a readable image; save it again as EXR.") from error
 
 
 def _integer_header(path: Path) -> tuple[Header, int]:
-    """Return header and bits of a PNG or JPEG file, whatever its name says."""
+    """Return header and bit depth of a PNG or JPEG file; its suffix is ignored."""
     bits = 8
     if _is_png(path):
         with path.open("rb") as stream:
@@ -216,8 +217,8 @@ def _integer_header(path: Path) -> tuple[Header, int]:
             size, pixel = list(image.size), len(image.getbands())
     if not may_hold(path, size[0] * size[1] * pixel):
         raise CaptureError(
-            f"{path}: the header says {size[0]} x {size[1]} pixels, more than the file can hold; "
-            "export it again."
+            f"{path}: the header declares {size[0]} x {size[1]} pixels, more than the file can "
+            "hold; export it again."
         )
     return Header((size[0], size[1])), 16 if bits == 16 else 8
 
@@ -225,9 +226,9 @@ def _integer_header(path: Path) -> tuple[Header, int]:
 def _integers(path: Path) -> np.ndarray:
     """Return (H, W, C) 8- or 16-bit integers."""
     if _is_png(path):
-        values = np.array(mi.Bitmap(str(path)))  # Pillow has no 16-bit colours
+        values = np.array(mi.Bitmap(str(path)))  # Pillow does not support 16-bit colours
     else:
-        with _jpeg(path) as image:  # Mitsuba's reader prints what is damaged
+        with _jpeg(path) as image:  # Mitsuba's reader prints to the console on damaged files
             if image.mode == "CMYK":
                 raise CaptureError(f"{path}: the image is in CMYK; export it as sRGB.")
             values = np.array(image if image.mode in ("L", "RGB") else image.convert("RGB"))
@@ -240,19 +241,22 @@ def _is_png(path: Path) -> bool:
 
 
 def _jpeg(path: Path) -> Any:
-    """Open a JPEG file; not by ``Image.open``, which tries every other format and warns."""
+    """Open a JPEG file without ``Image.open``, which tries other formats and warns."""
     with _opening, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # damaged EXIF data does not matter here
+        warnings.simplefilter("ignore")  # about damaged EXIF data, which is not used
         return JpegImageFile(path)
 
 
 def clamp_negative(
     pixels: np.ndarray, label: str, error: type[SvuError] = CaptureError
 ) -> tuple[np.ndarray, list[str]]:
-    """Set negative pixels to 0; filters and conversions of colour leave some.
+    """Set negative pixels, which filters and colour conversions cause, to 0.
 
     Returns:
-        The pixels, and a sentence if some were negative.
+        The pixels, and a list with a warning if some were negative.
+
+    Raises:
+        SvuError: Type ``error``, if negative pixels reduce the sum by more than 1 %.
     """
     below = pixels < 0
     if not below.any():
@@ -264,4 +268,4 @@ def clamp_negative(
             f"{label}: {count} pixels are negative, by more than {LOST:.0%} of the light; export "
             "the map again."
         )
-    return kept, [f"{label}: {count} negative pixels are taken for 0."]
+    return kept, [f"{label}: {count} negative pixels were set to 0."]

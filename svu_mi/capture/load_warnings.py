@@ -1,7 +1,7 @@
 """Warnings about photographs, materials and shapes of a capture.
 
-Whether the cameras see the front or the back of a surface is told by vertex normals, or else by the
-winding of the triangles. Only a closed surface has an inside that tells whether that is right.
+Vertex normals define the front of a surface; without them, the winding of the triangles does. Only
+for a closed surface this can be checked, because its front must be outside.
 """
 
 from __future__ import annotations
@@ -21,33 +21,36 @@ from svu_mi.capture.scene import is_closed, to_world
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.errors import CaptureError, excerpt
 
-NAMED = 3  # photographs that a sentence names
-# Parameters of ``principled`` that are not estimated, with the value that is assumed of each.
+NAMED = 3  # photographs that a message lists by name
+# Assumed values of the ``principled`` parameters that are not estimated.
 ASSUMED = {
     "specular": 0.5, "eta": 1.5, "anisotropic": 0.0, "clearcoat": 0.0, "sheen": 0.0,
     "spec_tint": 0.0, "spec_trans": 0.0, "flatness": 0.0,
 }  # fmt: skip
-ALIKE = 1e-3  # difference to it that changes nothing
-WRAPPERS = {  # what Mitsuba prints of other BSDFs, most around another one, and what it stands for
+ALIKE = 1e-3  # tolerated difference from these values
+WRAPPERS = {  # names of unsupported BSDFs in Mitsuba's text form, and their description
     "BumpMap[": "a bump map", "NormalMap[": "a normal map", "Mask[": "an opacity",
     "BlendBSDF[": "a blend of two materials", "Thin Principled": "a thin, transparent surface",
 }  # fmt: skip
 NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # before parameters of a BSDF in another
-BLACK = 0.05  # part of the light that black cloth, paper or paint reflects at most
-BESIDE = {"alpha", "specular_reflectance", "opacity", "weight"}  # leave something dark dark
-SMALL = 0.01  # part of all directions that a shape may cover without a word
-SHAPES = 5  # that a sentence names
-MOST = 0.6  # of what is seen, from which the front is wrong; a plate seen from both sides has .5
-POINTS, EYES = 400, 32  # that are looked at, and from
-OFFSET = 1e-4  # of the object's size, that rays start above the surface
+BLACK = 0.05  # largest reflectance of black cloth, paper or paint
+BESIDE = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brighten a dark BSDF
+SMALL = 0.01  # fraction of all directions; shapes that cover less are ignored
+SHAPES = 5  # shapes that a message lists by name
+MOST = 0.6  # share of back faces that causes a warning; 0.5 for a plate seen from both sides
+POINTS, EYES = 400, 32  # sample sizes: surface points, and cameras
+OFFSET = 1e-4  # of rays above the surface, relative to the object's size
 
 
 def check_photographs(
     photographs: Sequence[Photograph], paths: Sequence[Path | None], names: Sequence[str], *,
     some: bool,
 ) -> tuple[list[str], tuple[bool, ...]]:  # fmt: skip
-    """Return sentences about V photographs, and whether each is used: those without any light are
-    not. Unless these are only ``some``, not all may be black."""
+    """Return warnings about V photographs, and V flags: False for black or missing photographs.
+
+    Raises:
+        CaptureError: All photographs are black, unless only ``some`` views were read.
+    """
     taken = [
         (photograph, path, name)
         for photograph, path, name in zip(photographs, paths, names, strict=True)
@@ -65,20 +68,20 @@ def check_photographs(
         group = [one for one in taken if one[0].bits == bits]
         text = (
             f"{bits}-bit, not HDR; decoded as sRGB, {sum(one[0].saturated for one in group)} "
-            "saturated pixels count as at least so bright. Clipped highlights hide gloss: use HDR."
+            "saturated pixels are used as lower bounds. Clipped highlights hide gloss: use HDR."
         )
         groups.append((group, text))
     count = sum(one[0].invalid for one in taken)
-    text = f"{count} pixels are NaN, infinite or negative; left out."
+    text = f"{count} pixels are NaN, infinite or negative; ignored."
     groups.append(([one for one in taken if one[0].invalid], text))
     black = [one for one in taken if one[0].black]
-    text = "entirely black, so left out; check the exposure, or remove the photograph and its"
+    text = "entirely black, not used; check the exposure, or remove the photograph and its"
     groups.append((black, f"{text} sensor."))
     return [f"{_subject(group, len(taken))}: {text}" for group, text in groups if group], used
 
 
 def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
-    """Name what a sentence is about: one photograph, or the folder and how many of ``count``."""
+    """Return the subject of a message about a group of the ``count`` photographs."""
     _, path, name = group[0]
     if len(group) == 1:
         return str(path) if name == path.name else f"{path} ({name})"
@@ -90,7 +93,7 @@ def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
 
 
 def unsupported(scene: Any, target: Any) -> list[str]:
-    """Return a sentence about what the object's material has, and one about other shapes."""
+    """Return warnings about unsupported material features, and about light from other shapes."""
     notes = []
     if features := list(dict.fromkeys(_of_material(target.bsdf()))):
         notes.append(
@@ -110,7 +113,7 @@ def unsupported(scene: Any, target: Any) -> list[str]:
 
 
 def _of_material(bsdf: Any) -> Iterator[str]:
-    """Yield what a BSDF, or one in it, has beside what is estimated."""
+    """Yield descriptions of the features of a BSDF, or of nested ones, that are not estimated."""
     if bsdf is None:
         return
     printed = str(bsdf)
@@ -122,14 +125,14 @@ def _of_material(bsdf: Any) -> Iterator[str]:
         if name in ASSUMED and not kind.endswith("to_uv"):
             values = np.array(value, np.float64).ravel()
             if np.abs(values - ASSUMED[name]).max(initial=0) > ALIKE:
-                constant = kind in ("", "value")  # of a texture, data or the parameters of another
+                constant = kind in ("", "value")  # otherwise a texture
                 yield f"{name} {values[0]:.3g}" if constant else f"a {name} texture"
 
 
 def _is_black(bsdf: Any) -> bool:
-    """Return whether a BSDF certainly reflects next to nothing: none, an invisible or a dark one.
+    """Return whether a BSDF reflects almost no light: missing, invisible, or certainly dark.
 
-    A dark one is diffuse, or plastic, which is diffuse below a gloss.
+    Only diffuse and plastic BSDFs with known reflectance are classified as dark.
     """
     if bsdf is None or bsdf.class_name() == "Null":
         return True
@@ -141,13 +144,13 @@ def _is_black(bsdf: Any) -> bool:
     if bsdf.class_name() == "MaskBSDF" and not any(map(np.any, inputs.get("opacity", [1]))):
         return True
     colors = [*inputs.pop("reflectance", ()), *inputs.pop("diffuse_reflectance", ())]
-    gloss = [((eta - 1) / (eta + 1)) ** 2 for eta in inputs.pop("eta", ())]  # 4 % of usual plastic
-    is_diffuse = bool(colors) and set(inputs) <= BESIDE  # others have more parameters, or no colour
+    gloss = [((eta - 1) / (eta + 1)) ** 2 for eta in inputs.pop("eta", ())]  # typically 4 %
+    is_diffuse = bool(colors) and set(inputs) <= BESIDE  # other BSDFs have other parameters
     return is_diffuse and all((values <= BLACK).all() for values in [*colors, *gloss])
 
 
 def _extent(shape: Any, target: Any) -> float:
-    """Return the part of all directions around an object that a sphere around a shape covers."""
+    """Return the fraction of all directions that a shape's bounding sphere covers from a target."""
     low, high = (np.array(corner, np.float64) for corner in (shape.bbox().min, shape.bbox().max))
     distance = np.linalg.norm((low + high) / 2 - np.array(target.bbox().center(), np.float64))
     radius = np.linalg.norm(high - low) / 2
@@ -168,16 +171,15 @@ def warn_of_back_faces(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[s
     behind = back_face_share(scene, mesh, [to_world(each)[:3, 3] for each in sensors])
     if behind < MOST:
         return []
-    why = ", where nothing is found; its normals point the wrong way: set flip_normals on the shape"
+    remedy = "its normals point the wrong way: set flip_normals on the shape"
     if faces_outward(mesh):
-        inside = "it is closed, so the cameras are inside it"
-        why = f"; {inside}: see that its units are those of the poses"
-    what = f"{behind:.0%} of what the photographs show of it is its back"
-    return [f"Shape '{shape.id()}': {what}{why}."]
+        remedy = "it is closed, so the cameras are inside: check that mesh and poses use one unit"
+    share = f"{behind:.0%} of its visible area are back faces, which are not estimated"
+    return [f"Shape '{shape.id()}': {share}; {remedy}."]
 
 
 def faces_outward(mesh: MeshArrays) -> bool:
-    """Return whether a surface is closed, and its front is where its volume is not."""
+    """Return whether a surface is closed and its front faces are outside."""
     if not is_closed(mesh):
         return False
     cross, first = mesh.crosses, mesh.positions[mesh.faces[:, 0]] - mesh.positions.mean(axis=0)
@@ -188,7 +190,10 @@ def faces_outward(mesh: MeshArrays) -> bool:
 
 
 def back_face_share(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -> float:
-    """Return the share of back faces in the visible apparent area, in [0, 1]."""
+    """Return the share of back faces in the visible projected area, in [0, 1].
+
+    ``scene`` contains the occluders; ``eyes`` are world positions (3,) of the cameras.
+    """
     cross = mesh.crosses
     if not cross.any() or not len(eyes):
         return 0.0

@@ -1,4 +1,4 @@
-"""From a scene file and a folder of photographs to a ``Capture``."""
+"""Loading of captures: scene file and folder of photographs to ``Capture``."""
 
 from __future__ import annotations
 
@@ -53,42 +53,46 @@ def load_capture(
     memory: float | None = None,
     views: Iterable[int] | None = None,
 ) -> Capture:
-    """Read a scene and its photographs.
+    """Load a scene and its photographs.
 
     Args:
-        path: a Mitsuba XML scene, or a capture folder (with ``capture.json``).
-        images: folder with the photographs: ``view_0000.exr``, ... in the order of the sensors, or
-            of the sensors' ids, or as many as there are sensors, in the natural order of their
-            names, which is said. By default the capture folder, the scene's folder, or ``images``
-            beside the scene if names there say that these are photographs. If it has a
-            ``capture.json`` with sensors, those are the photographs' poses.
-        shape: id of the target; by default the only mesh (with a principled BSDF).
-        defines: values for the scene's ``<default>`` parameters.
-        unwrap: lay out new UVs even if the mesh has some. A mesh without UVs is unwrapped
-            anyway, with a warning; the result is kept as ``unwrapped.ply`` with the images.
-        missing: what to do with sensors that have no photograph: ``refuse``, or ``leave-out``
-            (they become views that are not used, of NaN that takes no memory, so that
-            ``Candidates.without_photograph`` finds them).
-        light: whether the scene must have one: ``required``, or ``optional`` for what can do
-            without, such as ``svu_mi.check`` and ``svu_mi.estimate_light``;
-            ``Capture.environment`` may be None then.
-        trust: let the scene load libraries as Mitsuba plugins, from ``plugins`` beside it or in
-            the working directory; only for scenes of people you know. A library never replaces
-            a plugin of Mitsuba's own.
-        detail: what is needed of photographs of 4 megapixels and more: those of
-            ``Detail(texels=(2048, 2048))`` are cropped to the object, and made smaller as far as
-            texels keep about one pixel across. By default they are kept as they are.
-        memory: bytes that photographs may take, by default half of what is free. Beyond that they
-            lie in a file, in TMPDIR or /var/tmp, which ends with the process.
-        views: numbers of the photographs to read, by default all. Others are views that are not
-            used, of NaN that takes no memory; none at all reads the scene and the poses.
+        path: Path of a Mitsuba XML scene, or of a capture folder with a ``capture.json``.
+        images: Folder of the photographs; default: the capture folder, ``images`` next to the
+            scene if its files match, or the scene's folder. Files are named ``view_0000.exr``,
+            ..., or after the sensors' ids. With other names, their number must be equal to the
+            number of sensors, and they are assigned in natural order, with a warning. Sensors in
+            a ``capture.json`` of this folder replace the scene's.
+        shape: Id of the target; default: the only mesh, or the only one with a principled BSDF.
+        defines: Values of the scene's ``<default>`` parameters.
+        unwrap: True computes new UVs even if the mesh has UVs. A mesh without UVs is always
+            unwrapped, with a warning. The result is cached as ``unwrapped.ply`` in ``images``.
+        missing: Treatment of sensors without a photograph: ``refuse`` raises an error,
+            ``leave-out`` makes them unused views (see ``Candidates.without_photograph``).
+        light: ``required`` raises an error if the scene has no light. ``optional`` is sufficient
+            for ``svu_mi.check`` and ``svu_mi.estimate_light``.
+        trust: True lets the scene load libraries as Mitsuba plugins, from folders ``plugins``
+            next to it or in the working directory. Use it only for scenes of trusted authors.
+        detail: Required resolution of photographs of 4 megapixels and more. For example,
+            ``Detail(texels=(2048, 2048))`` crops them to the object and downsamples them to about
+            one pixel per texel. By default they are kept unchanged.
+        memory: Bytes of memory for photographs; default: half of the free memory. Larger captures
+            are mapped from a temporary file in TMPDIR or /var/tmp.
+        views: Indices of the photographs to read; default: all. The other views are unused, with
+            NaN pixels that need no memory.
 
     Raises:
-        OptionError: another word for ``missing`` or ``light``, a path that is none, or a view that
-            there is not.
-        SvuEnvironmentError: no suitable Mitsuba variant is active.
-        SceneError: the scene cannot be loaded or lacks something.
-        CaptureError: photographs are missing, unreadable or do not fit.
+        OptionError: Invalid ``missing`` or ``light``, a path of the wrong type, or an unknown view.
+        SvuEnvironmentError: No suitable Mitsuba variant is active.
+        SceneError: The scene cannot be loaded or is incomplete.
+        CaptureError: Photographs are missing, unreadable or of the wrong size.
+
+    Example:
+        >>> capture = svu.load_capture("capture")
+        >>> capture.count, capture.images[0].shape
+        (12, (96, 96, 3))
+        >>> some = svu.load_capture("capture", views=[0, 3, 6])
+        >>> sum(some.used)
+        3
     """
     return plan_capture(
         path, images, shape=shape, defines=defines, unwrap=unwrap, missing=missing, light=light,
@@ -107,14 +111,14 @@ def plan_capture(
     light: Light = "required",
     **reading: Any,
 ) -> CapturePlan:
-    """Load a scene, match photographs with its sensors, and read their headers, but no pixel.
+    """Load a scene, match photographs with its sensors, and read their headers, but no pixels.
 
-    Arguments and errors are those of ``load_capture``.
+    Arguments and errors: see ``load_capture``.
     """
     require_variant()
     if not isinstance(path, str | os.PathLike):
         raise OptionError(
-            f"load_capture(): the path of a scene or a capture is needed, got a "
+            f"load_capture(): path must be the path of a scene or a capture, got a "
             f"{type(path).__name__}."
         )
     for name, word, known in (("missing", missing, Missing), ("light", light, Light)):
@@ -126,7 +130,7 @@ def plan_capture(
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
     xml, remembered = _described(path, folder)
-    description = dataclasses.replace(  # what the caller says wins
+    description = dataclasses.replace(  # arguments override capture.json
         remembered, scene=xml, shape=shape or remembered.shape,
         defines={**remembered.defines, **(defines or {})},
     )  # fmt: skip
@@ -140,7 +144,7 @@ def plan_capture(
 
 
 def _described(path: Path, folder: Path) -> tuple[Path, Description]:
-    """Return the scene that is meant, and what a folder of photographs says of itself."""
+    """Return the path of the scene, and the description in a folder of photographs."""
     description = capture_folder.read(folder) or Description()
     xml = path if path.suffix.lower() == ".xml" else description.scene
     if xml is None and path.is_dir():
@@ -148,7 +152,7 @@ def _described(path: Path, folder: Path) -> tuple[Path, Description]:
     if xml is None:
         require_no_result(path)
         raise CaptureError(
-            f"{path}: neither a Mitsuba XML scene nor a capture folder that names one; give the "
+            f"{path}: neither a Mitsuba XML scene nor a capture folder with a scene; give the "
             "scene, and this folder as --images."
         )
     if xml != path and not xml.is_file():
@@ -161,22 +165,22 @@ def _described(path: Path, folder: Path) -> tuple[Path, Description]:
 
 @dataclass(frozen=True, kw_only=True)
 class CapturePlan:
-    """A capture of which no pixel was read yet.
+    """A capture whose pixels are not read yet.
 
     Attributes:
-        scene: the ``mi.Scene``.
-        light: its environment emitter; None without one.
-        target: the object.
-        sensors: V sensors, with the films of whole photographs.
-        folder: of the photographs.
-        description: of the capture.
-        match: the files of the photographs.
-        paths: V files to read; None for views without one, and for those not asked for.
-        pictures: their headers, by view.
-        windows: what is kept of each photograph.
-        exposures: V gains.
-        unwrap: whether to lay out new UVs.
-        partial: whether only some views are read.
+        scene: The ``mi.Scene``.
+        light: Environment emitter; None if the scene has no light.
+        target: Target object, an ``mi.Mesh``.
+        sensors: V sensors whose films have the size of the files.
+        folder: Folder of the photographs.
+        description: Content of ``capture.json``.
+        match: Files of the photographs.
+        paths: V files to read; None for views that are missing or not requested.
+        pictures: Image headers by view.
+        windows: V crop windows.
+        exposures: V exposure gains.
+        unwrap: True computes new UVs.
+        partial: True if only requested views are read.
     """
 
     scene: Any
@@ -194,7 +198,7 @@ class CapturePlan:
     partial: bool
 
     def sizes(self, memory: float | None = None) -> Sizes:
-        """Return how large everything is, with photographs in ``memory`` bytes (``read``)."""
+        """Return the sizes for memory estimates; ``memory`` as for ``read``."""
         return Sizes(
             [self.windows[view].size for view in self.pictures], map_size(self.light),
             1.0 if self.unwrap else chart_coverage(self.target), self.light is not None,
@@ -208,14 +212,14 @@ class CapturePlan:
         return room_for_photographs([film_size(each) for each in self.sensors])
 
     def read(self, memory: float | None = None) -> Capture:
-        """Read the photographs."""
+        """Read the photographs; at most ``memory`` bytes, more are mapped from a file."""
         photographs, buffer = read_photographs(
             self.pictures, self.windows, self.exposures, self._room(memory)
         )
         runs = {picture.path: photographs[k].run for k, picture in self.pictures.items()}
         capture_folder.require_one_run(self.folder, runs, self.description.run)
         names = self.match.names
-        if len(self.description.photographs) == len(names):  # else capture.json was edited
+        if len(self.description.photographs) == len(names):  # otherwise capture.json was edited
             names = [excerpt(name) for name in self.description.photographs]
         sensors = [w.seen_by(each) for w, each in zip(self.windows, self.sensors, strict=True)]
         notes, used = check_photographs(photographs, self.paths, names, some=self.partial)
@@ -248,11 +252,11 @@ def plan_photographs(
     detail: Detail = WHOLE,
     views: Iterable[int] | None = None,
 ) -> CapturePlan:
-    """Match the photographs of a folder with sensors of a live scene (see ``plan_capture``)."""
+    """Match a folder of photographs with the sensors of a loaded scene (see ``plan_capture``)."""
     label = str(description.scene or folder)
     environment = _light(scene, description, light, folder)
     target = find_shape(scene, description.shape, label)
-    # Beside a scene's file, not every picture is a photograph.
+    # Other images in the scene's folder may be textures.
     own = description.scene is None or description.scene.resolve().parent != folder.resolve()
     match = match_photographs(folder, [s.id() for s in sensors], missing, any_name=own)
     paths = _chosen(match.paths, views)
@@ -271,7 +275,7 @@ def plan_photographs(
 
 
 def _any(values: Iterable[Value | None]) -> tuple[Value | None, ...]:
-    """Return what is known of each photograph; nothing if it is of none."""
+    """Return the values as a tuple; an empty one if every value is None."""
     known = tuple(values)
     return known if any(each is not None for each in known) else ()
 
@@ -281,7 +285,7 @@ def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
     if given and len(given) != count:
         raise CaptureError(f"{file}: {len(given)} exposures for {count} views; give one per view.")
     for index, gain in enumerate(given):
-        if not 1 / LARGEST <= gain <= LARGEST:  # NaN fails, too; pixels are divided by it
+        if not 1 / LARGEST <= gain <= LARGEST:  # rejects NaN, too
             raise CaptureError(
                 f"{file}: the exposure of view {index} is {excerpt(gain, 40)}; it must be in "
                 f"[{1 / LARGEST:g}, {LARGEST:g}]."
@@ -290,36 +294,35 @@ def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
 
 
 def _light(scene: Any, description: Description, light: Light, folder: Path) -> Any:
-    """Return the light; None without one, where that is optional."""
+    """Return the environment emitter; None for a scene without light if that is allowed."""
     if not scene.emitters():
         if light == "optional":
             return None
         if description.imported:
             raise SceneError(
-                f'{folder}: was imported without a light; load it with light="optional", and '
-                "find one with svu.estimate_light(capture, texels), or import it again with "
-                "--environment, the map of the light that the photographs were taken under.",
-                shell=f"{folder}: was imported without a light; find it in the photographs with "
-                "svu light, or import it again with --environment, the map of the light that they "
-                "were taken under.",
+                f'{folder}: was imported without a light; load it with light="optional" and '
+                "estimate the light with svu.estimate_light(capture, texels), or import it again "
+                "with --environment and the environment map of the photographs.",
+                shell=f"{folder}: was imported without a light; estimate it with svu light, or "
+                "import it again with --environment and the environment map of the photographs.",
             )
     return find_environment(scene, str(description.scene or folder))
 
 
 def map_size(light: Any) -> Size:
-    """Return (width, height) of an environment map; (0, 0) of any other light, or None."""
+    """Return (width, height) of an environment map; (0, 0) for any other light, or None."""
     if light is None or light.class_name() != "EnvironmentMapEmitter":
         return 0, 0
     height, width = mi.traverse(light)["data"].shape[:2]
-    return width - 2, height  # a column on each side is the other end's
+    return width - 2, height  # without the halo column on each side
 
 
 def _chosen(paths: Sequence[Path | None], views: Iterable[int] | None) -> list[Path | None]:
-    """Return the files of the views that are to be read; None for all others."""
+    """Return the files of the requested views; None for the others."""
     count = len(paths)
     chosen = frozenset(range(count) if views is None else views)
     for view in sorted(chosen - set(range(count))):
-        raise OptionError(f"load_capture(): there is no view {view}; there are {count}, from 0 on.")
+        raise OptionError(f"load_capture(): view {view} must be in [0, {count - 1}].")
     return [path if view in chosen else None for view, path in enumerate(paths)]
 
 

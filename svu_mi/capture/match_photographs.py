@@ -1,4 +1,4 @@
-"""Assign photographs of a folder to sensors."""
+"""Assignment of the photographs in a folder to sensors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from svu_mi.errors import CaptureError, excerpt
 
 Missing = Literal["refuse", "leave-out"]
 VIEW, MASK = "view_", "mask_"
-LONGEST = 80  # letters of a name, in messages
+LONGEST = 80  # characters of a file name in messages
 RAW = [
     ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".nef", ".orf", ".pef", ".raf", ".rw2", ".srw",
 ]  # fmt: skip
@@ -24,11 +24,11 @@ OTHERS = [".avif", ".bmp", ".gif", ".heic", ".heif", ".jxl", ".psd", ".tif", ".t
 UNREADABLE = {
     **dict.fromkeys(RAW, "develop them to linear EXR"),
     **dict.fromkeys(OTHERS, "convert them to EXR, or to PNG"),
-}  # what to do with pictures of other kinds
+}  # remedy for unsupported image formats, by suffix
 
 
 class NoPhotographsError(CaptureError):
-    """A folder has no photograph of any sensor; ``sensors`` says how many there are."""
+    """Error for a folder without a photograph of any sensor; ``sensors`` is their number."""
 
     sensors = 0
 
@@ -39,8 +39,8 @@ class Match:
 
     Attributes:
         paths: V files; None for a sensor without a photograph.
-        names: V names of those files, also of those that are not there.
-        notes: sentences about what was guessed.
+        names: V file names; the expected name for a missing file.
+        notes: Warnings about assumptions.
     """
 
     paths: list[Path | None]
@@ -53,12 +53,13 @@ def match_photographs(
 ) -> Match:
     """Find the photographs of sensors in a folder.
 
-    They are called ``view_0000.*``, ... by the number of their sensor, or by its id. Failing that
-    there must be one picture for each, which are taken in the natural order of their names.
+    Files are named ``view_0000.*``, ... by the index of their sensor, or by its id. Files with
+    other names are assigned in natural order, if their number is equal to the number of sensors.
+    ``any_name=False`` ignores them, because they may be textures.
     """
     if not folder.is_dir():
         raise CaptureError(
-            f"{folder}: no such folder; --images needs the one that holds view_0000.exr, ..."
+            f"{folder}: no such folder; give the folder of view_0000.exr, ... with --images."
         )
     pictures = _image_files(folder)
     numbers = [f"{VIEW}{index:04d}" for index in range(len(ids))]
@@ -75,11 +76,11 @@ def match_photographs(
 
 
 def photographs_of(path: Path, ids: Collection[str] = ()) -> Path:
-    """Return where the photographs of a scene or capture are when nobody says.
+    """Return the default folder of the photographs of a scene or capture.
 
-    A capture folder holds them itself; those of a scene are in ``images`` beside it, or in
-    its own folder. Many scenes keep their textures in ``images``: it is taken only if it has a
-    ``view_NNNN`` or is a capture, or has the id of a sensor.
+    For a capture folder it is the folder itself. For a scene it is ``images`` next to the file, or
+    the file's own folder. Many scenes keep textures in ``images``: it is used only if it contains
+    a ``view_NNNN``, a ``capture.json``, or a file named after a sensor.
     """
     restore(path)
     if path.is_dir():
@@ -99,13 +100,13 @@ def has_photographs(folder: Path) -> bool:
 
 
 def masks_of(stem: str) -> tuple[str, ...]:
-    """Return what the mask of a photograph may be called, both without their suffix."""
+    """Return the possible names of a photograph's mask, all without suffix."""
     numbered = (MASK + stem.removeprefix(VIEW),) if stem.startswith(VIEW) else ()
     return (*numbered, f"{MASK}{stem}", f"{stem}_mask")
 
 
 def _image_files(folder: Path) -> list[Path]:
-    """Return the pictures of a folder without masks and hidden files, in their natural order."""
+    """Return the images of a folder, except masks and hidden files, in natural order."""
     paths = [
         path for path in folder.iterdir()
         if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
@@ -115,7 +116,7 @@ def _image_files(folder: Path) -> list[Path]:
 
 
 def _natural(path: Path) -> tuple[list[str | int], str]:
-    """Return what sorts names as people do: 2 before 10."""
+    """Return the sort key of natural order: 2 before 10."""
     parts = re.split("([0-9]+)", path.stem.casefold())
     return [int(part) if k % 2 else part for k, part in enumerate(parts)], path.name
 
@@ -123,7 +124,7 @@ def _natural(path: Path) -> tuple[list[str | int], str]:
 def _by_name(
     folder: Path, expected: Sequence[str], pictures: Iterable[Path], missing: Missing
 ) -> Match:
-    """Give each sensor the picture with its name."""
+    """Assign images to the sensors with the same name."""
     by_name = _by_stem(folder, pictures)
     if absent := [name for name in expected if name not in by_name]:
         lack = (
@@ -136,57 +137,56 @@ def _by_name(
             raise error
         if missing == "refuse":
             raise CaptureError(
-                f"{lack}; give the others, or --missing leave-out to go on without them."
+                f"{lack}; add them, or continue without them by --missing leave-out."
             )
     if extra := [name for name in by_name if name not in set(expected)]:
         raise CaptureError(
-            f"{by_name[extra[0]]}: there are {len(by_name)} photographs but only {len(expected)} "
-            "sensors; remove the extra images or add their sensors to the scene."
+            f"{by_name[extra[0]]}: no sensor has this name; the folder has {len(by_name)} "
+            f"photographs for {len(expected)} sensors. Remove the extra images or add sensors."
         )
     names = [by_name[name].name if name in by_name else f"{name}.exr" for name in expected]
     return Match([by_name.get(name) for name in expected], names, [])
 
 
 def _remedy(folder: Path) -> str:
-    """Say what a folder holds that has no photograph, and what to do."""
+    """Return the remedy for a folder without photographs, depending on its content."""
     if _image_files(folder):
         return (
-            "no picture there has such a name: put the photographs into a folder of their own, "
-            "and give it with --images"
+            "no image there has such a name: put the photographs into a separate folder and give "
+            "it with --images"
         )
     others = Counter(path.suffix for path in folder.iterdir() if path.suffix.lower() in UNREADABLE)
     for suffix, count in others.most_common(1):
         return (
-            f"the folder holds no picture that svu can read ({count} {suffix}: "
+            f"the folder has no image in a supported format ({count} {suffix}: "
             f"{UNREADABLE[suffix.lower()]} first)"
         )
-    return "the folder holds no picture: give that of the photographs with --images"
+    return "the folder has no image: give the folder of the photographs with --images"
 
 
 def _in_order(
     folder: Path, ids: Sequence[str], pictures: Sequence[Path], missing: Missing
 ) -> Match:
-    """Give each sensor one of as many pictures, by their order."""
+    """Assign images to sensors in order; their numbers must be equal."""
     _by_stem(folder, pictures)
     if len(pictures) != len(ids):
         leaves_out = missing == "leave-out" and len(pictures) < len(ids)
         raise CaptureError(
-            f"{folder}: {len(pictures)} photographs for {len(ids)} sensors, and none has a name "
-            f"that says {'which are missing' if leaves_out else 'whose it is'}; call them "
-            "view_0000, ... by the number of their sensor, or by its id"
-            f"{'' if leaves_out else ', or give one for each'}."
+            f"{folder}: {len(pictures)} photographs for {len(ids)} sensors cannot be assigned by "
+            "their names; name them view_0000, ... by the index of their sensor, or by its id"
+            f"{'' if leaves_out else ', or give one per sensor'}."
         )
     ends = [f"{excerpt(pictures[k].name, LONGEST)} is sensor {k}{_id(ids[k])}"
             for k in sorted({0, len(ids) - 1})]  # fmt: skip
     note = (
-        f"{folder}: {len(ids)} photographs are taken in the order of their names: "
+        f"{folder}: {len(ids)} photographs are assigned to sensors in the order of their names: "
         f"{', ..., '.join(ends)}."
     )
     return Match(list(pictures), [path.name for path in pictures], [note])
 
 
 def _by_stem(folder: Path, pictures: Iterable[Path]) -> dict[str, Path]:
-    """Return pictures by their names without suffix."""
+    """Return the images by their names without suffix."""
     by_name: dict[str, Path] = {}
     for path in sorted(pictures, key=lambda path: (path.stem, path.name)):
         if path.stem in by_name:
@@ -199,5 +199,5 @@ def _by_stem(folder: Path, pictures: Iterable[Path]) -> dict[str, Path]:
 
 
 def _id(name: str) -> str:
-    """Return a sensor's id in brackets if somebody has given it one."""
+    """Return a sensor's id in brackets; "" for an id generated by Mitsuba."""
     return f" ('{name}')" if re.fullmatch(r"[^\W_][\w-]*", name) else ""

@@ -1,8 +1,8 @@
-"""Mesh access: the one module that reads and makes ``mi.Mesh`` buffers.
+"""Access to ``mi.Mesh`` buffers.
 
-Mitsuba 3.10 renames all of this, so nothing else in svu_mi touches a mesh buffer.
-Positions and normals are in world space (a shape's ``to_world`` is baked in at load).
-UVs are Mitsuba's: v = 0 is the first row of a bitmap.
+Mitsuba 3.10 renames them, so no other module of svu_mi accesses a mesh buffer.
+Positions and normals are in world space (Mitsuba applies ``to_world`` when it loads a shape).
+UVs follow Mitsuba: v = 0 is the first row of a bitmap.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 from svu_mi.core.io.files import mark_text, replacing
 from svu_mi.errors import MeshError, excerpt
 
-# What Mitsuba raises for a damaged mesh; the second where it quotes bytes that are not text.
+# Errors of Mitsuba for a damaged mesh; the second if its message contains bytes of the file.
 READING = (RuntimeError, UnicodeDecodeError)
-MARGIN = 1.05  # of the area of charts: texels that lie on their edges
+MARGIN = 1.05  # factor of the area of charts, for texels on their edges
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class MeshArrays:
     Attributes:
         positions: (N, 3) float64, world space.
         faces: (F, 3) int64, indices into the vertices.
-        normals: (N, 3) float64 unit vertex normals, or None when the mesh has none.
-        uvs: (N, 2) float64, or None when the mesh has none.
+        normals: (N, 3) float64 unit vertex normals; None for a mesh without normals.
+        uvs: (N, 2) float64; None for a mesh without UVs.
     """
 
     positions: np.ndarray
@@ -42,12 +42,12 @@ class MeshArrays:
 
     @property
     def crosses(self) -> np.ndarray:
-        """(F, 3), along the normals that the triangles wind around, twice as long as their area."""
+        """Cross products of the edges, (F, 3): face normals of length 2 * area."""
         return crosses_of(self.positions, self.faces)
 
 
 def crosses_of(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return the ``MeshArrays.crosses`` of triangles (F, 3) between places (N, 3)."""
+    """Return ``MeshArrays.crosses`` of faces (F, 3) with vertex positions (N, 3)."""
     a, b, c = (positions[faces[:, corner]] for corner in range(3))
     return np.cross(b - a, c - a)
 
@@ -60,13 +60,13 @@ def chart_areas(uvs: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def unit_vectors(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (..., 3) of length 1; 0 stays 0."""
+    """Normalise vectors (..., 3); zero vectors remain zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1))
 
 
 def faces_at(crosses: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return which triangles (N,) even places are on: larger ones get as many more."""
+    """Sample triangles proportionally to area: positions (N,) in [0, 1] to face indices (N,)."""
     area = np.cumsum(np.linalg.norm(crosses, axis=1))
     return np.minimum(np.searchsorted(area, places * area[-1], side="right"), len(area) - 1)
 
@@ -77,11 +77,11 @@ def has_uvs(mesh: Any) -> bool:
 
 
 def arrays(mesh: Any) -> MeshArrays:
-    """Copy a mesh's buffers to NumPy (Dr.Jit's own views alias the mesh's memory)."""
+    """Copy a mesh's buffers to NumPy (Dr.Jit's views would alias the mesh's memory)."""
     faces = np.array(mesh.faces_buffer().numpy(), np.int64).reshape(-1, 3)
     normals = _rows(mesh.vertex_normals_buffer(), 3) if mesh.has_vertex_normals() else None
     if mesh.has_flipped_normals():
-        # Mitsuba 3.9 turns them when a ray hits, not in the buffers.
+        # Mitsuba 3.9 flips normals at ray intersections, not in the buffers.
         faces = faces[:, ::-1].copy()
         normals = None if normals is None else -normals
     uvs = _rows(mesh.vertex_texcoords_buffer(), 2) if has_uvs(mesh) else None
@@ -94,17 +94,17 @@ def positions(mesh: Any) -> np.ndarray:
 
 
 def _rows(buffer: Any, width: int) -> np.ndarray:
-    with np.errstate(invalid="ignore"):  # NaN of a damaged file; callers look for them
+    with np.errstate(invalid="ignore"):  # callers check for NaN
         return np.array(buffer.numpy(), np.float64).reshape(-1, width)
 
 
 def flipped_v(uvs: np.ndarray) -> np.ndarray:
-    """Return UVs (N, 2) whose V runs the other way: OBJ and trimesh count it upwards."""
+    """Return UVs (N, 2) with flipped V: in OBJ and trimesh, v = 0 is the last row of a bitmap."""
     return np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
 
 
 def face_normals(mesh: Any, face: Any, active: Any) -> Any:
-    """Return unit normals (Normal3f) of triangles, by index; the sign is that of the winding."""
+    """Return unit normals (Normal3f) of triangles by index; the winding defines the sign."""
     corners = dr.gather(mi.Vector3u, mesh.faces_buffer(), face, active)
     a, b, c = (
         dr.gather(mi.Point3f, mesh.vertex_positions_buffer(), corner, active) for corner in corners
@@ -113,10 +113,10 @@ def face_normals(mesh: Any, face: Any, active: Any) -> Any:
 
 
 def missing_corner(mesh: Any) -> str | None:
-    """Say which corner of a face refers to a vertex that does not exist; None if all exist.
+    """Describe a vertex index that is out of range; return None if all are valid.
 
-    Mitsuba takes what a PLY or serialized file says; an index out of range ends the process as
-    soon as it computes vertex normals, or a ray meets the triangle.
+    Mitsuba does not check indices of PLY and serialized files. An index out of range aborts the
+    process when vertex normals are computed or a ray intersects the triangle.
     """
     faces, count = mesh.faces_buffer().numpy(), mesh.vertex_count()
     if faces.size == 0 or faces.max() < count:
@@ -125,7 +125,7 @@ def missing_corner(mesh: Any) -> str | None:
 
 
 def read_ply(path: Path) -> MeshArrays:
-    """Read a PLY file with Mitsuba's reader, but for its normals."""
+    """Read a PLY file without its vertex normals."""
     try:
         loaded: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": True})
     except READING as error:
@@ -136,8 +136,7 @@ def read_ply(path: Path) -> MeshArrays:
 
 
 def chart_coverage(mesh: Any) -> float:
-    """Return the part of its texture that the UV charts of a ``mi.Mesh`` cover at most, in [0, 1];
-    1 without UVs."""
+    """Return an upper bound of the fraction of the texture that UV charts cover; 1 without UVs."""
     loaded = arrays(mesh)
     if loaded.uvs is None:
         return 1.0
@@ -146,14 +145,14 @@ def chart_coverage(mesh: Any) -> float:
 
 
 def mesh_error(error: Exception) -> str:
-    """Return why Mitsuba refuses a mesh file, without the places in its code."""
+    """Return Mitsuba's reason for rejecting a mesh file, without its source positions."""
     text = " ".join(str(error).split()).split('plugin of type "', 1)[-1].split('": ', 1)[-1]
     return excerpt(re.sub(r"\[\w+(\.\w+:\d+)?\] ", "", text)).rstrip(".!")
 
 
 def write_ply(path: Path, name: str, mesh: MeshArrays, comment: str = "") -> None:
     """Write a mesh as PLY, atomically."""
-    stream = mi.MemoryStream()  # to a file on a full disk, Mitsuba loses the last bytes in silence
+    stream = mi.MemoryStream()  # on a full disk, Mitsuba would truncate the file without an error
     make_mesh(name, mesh).write_ply(stream)
     data = stream.raw_buffer()[: stream.size()]
     lines = "".join(f"comment {line}\n" for line in (comment, mark_text()) if line)

@@ -1,4 +1,4 @@
-"""Photographs: read them as linear radiance, mark what must not be used."""
+"""Photographs as linear radiance, with masks, saturation and unusable pixels."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from svu_mi.core.memory import STORED, Size, decoders
 from svu_mi.core.validation import require_photographs
 from svu_mi.errors import CaptureError
 
-# Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.
+# Saturation threshold by bit depth, as a fraction of the encoded range; JPEG blurs highlights.
 SATURATED = {8: 0.98, 16: 0.995}
-UNUSABLE = -1.0  # radiance of a pixel that is not to be used, in all channels of an EXR
-CLIPPED = -2.0  # radiance of a channel that is clipped, in an EXR with the attribute SATURATION
-SATURATION = "svu:saturation"  # radiance from which the channels of a photograph were clipped
-FIRST_STEP, LAST_STEP = "svu:first_step", "svu:last_step"  # of integers, in radiance (``Rounding``)
-ON_OBJECT = 0.999  # alpha from which a pixel shows nothing but the object
-IN_MASK = 0.5  # the same for 8-bit masks, which say inside or outside, with noise if JPEG
+UNUSABLE = -1.0  # marks an unusable pixel in all channels of an EXR file
+CLIPPED = -2.0  # marks a clipped channel in an EXR file with the attribute SATURATION
+SATURATION = "svu:saturation"  # EXR attribute: radiance at which the channels were clipped
+FIRST_STEP, LAST_STEP = "svu:first_step", "svu:last_step"  # EXR attributes (see ``Rounding``)
+ON_OBJECT = 0.999  # smallest alpha of a pixel without background
+IN_MASK = 0.5  # the same for 8-bit masks, which are binary but may have JPEG noise
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """One photograph as read.
+    """One photograph.
 
     Attributes:
-        pixels: (H, W, 3) float32 linear radiance, exposure divided out; NaN = not usable. Of a
-            pixel that is clipped, only those channels are NaN.
-        clipped: which those are, and what they are at least; None without any.
-        rounding: steps of what was stored in integers; None of floats.
-        mask: (H, W) bool, True on the object, or None.
-        invalid: number of pixels that were NaN, infinite or negative.
-        marked: number of pixels that whoever wrote the photograph has marked as unusable.
-        saturated: number of clipped pixels of a photograph of integers.
-        bits: 8 or 16 for a photograph of integers, which is not HDR; 0 for floats.
-        black: True where no usable pixel holds any light.
-        remarks: what the file says about itself that is not followed (``ImageFile.remarks``).
-        run: id of the run that wrote the file; empty = it is not known.
+        pixels: (H, W, 3) float32 linear radiance, divided by the exposure. Unusable pixels and
+            clipped channels are NaN.
+        mask: (H, W) bool, True on the object; None without a mask.
+        invalid: Number of NaN, infinite or negative pixels.
+        marked: Number of pixels that are marked as unusable in the file.
+        saturated: Number of pixels with clipped channels.
+        bits: 8 or 16 for integer (low dynamic range) files, 0 for floating point.
+        black: True if all usable pixels are 0.
+        remarks: Ignored metadata (see ``ImageFile.remarks``).
+        run: Id of the run that wrote the file; empty if unknown.
+        clipped: Clipped channels and their lower bounds; None without any.
+        rounding: Quantisation steps; None for floating-point sources.
     """
 
     pixels: np.ndarray
@@ -63,12 +63,12 @@ class Photograph:
 
 
 def open_photographs(paths: Sequence[Path | None], films: Sequence[Size]) -> dict[int, ImageFile]:
-    """Read the headers of photographs, by view; views without a path are left out."""
+    """Read the headers of photographs, by view; skip views without a path."""
     pictures: dict[int, ImageFile] = {}
     for view, (path, film) in enumerate(zip(paths, films, strict=True)):
         if path is not None:
             pictures[view] = open_image(path)
-            _require_size(path, pictures[view].size, film)  # films may promise any size
+            _require_size(path, pictures[view].size, film)  # before memory is allocated
     return pictures
 
 
@@ -76,15 +76,18 @@ def read_photographs(
     pictures: Mapping[int, ImageFile], windows: Sequence[Window], exposures: Sequence[float],
     memory: float = inf,
 ) -> tuple[list[Photograph], PixelBuffer]:  # fmt: skip
-    """Read photographs and their masks, on as many threads as Dr.Jit has and memory allows.
+    """Read photographs and their masks in parallel.
 
-    A mask is the image's alpha channel, or a file beside it (``masks_of``).
+    A mask is the image's alpha channel, or a file in the same folder (see ``masks_of``).
 
     Args:
-        pictures: files by view (``open_photographs``); other views are black, and NaN.
-        windows: what to keep of each of the V photographs.
-        exposures: V gains of the photographs; pixels are divided by them.
-        memory: bytes that they may take, beyond which they lie in a file.
+        pictures: Files by view (see ``open_photographs``); other views get NaN pixels.
+        windows: V crop windows.
+        exposures: V gains; pixels are divided by them.
+        memory: Bytes of memory for pixels; more are mapped from a file.
+
+    Returns:
+        V photographs, and the buffer with their pixels.
     """
     sizes = [windows[view].size for view in pictures]
     if pictures and STORED * sum(width * height for width, height in sizes) <= memory:
@@ -98,7 +101,7 @@ def read_photographs(
         )  # fmt: skip
         loaded = dict(zip(pictures, read, strict=True))
     return [
-        # Of a photograph that nobody has taken: NaN, in no memory.
+        # A broadcast NaN needs no memory.
         loaded.get(k) or Photograph(np.broadcast_to(np.float32(np.nan), (*window.size[::-1], 3)))
         for k, window in enumerate(windows)
     ], buffer
@@ -108,7 +111,7 @@ def _read_photograph(
     picture: ImageFile, window: Window, exposure: float,
     pixels: np.ndarray, masked: np.ndarray, channels: np.ndarray,
 ) -> Photograph:  # fmt: skip
-    """Read one photograph into arrays (H, W, ...) of a buffer."""
+    """Read one photograph into buffers (H, W, ...) for pixels, mask and clipped channels."""
     bits, stored = picture.bits, picture.stored()
     _require_size(picture.path, stored[0].shape[::-1], picture.size)
     planes = [window.cut(plane) for plane in stored]
@@ -131,8 +134,7 @@ def _read_photograph(
     )  # fmt: skip
 
 
-# Counts of pixels: invalid, marked and saturated; whether it is black, and the least radiance of
-# saturated channels.
+# Numbers of invalid, marked and saturated pixels; True if all are black; saturation radiance.
 Found = tuple[int, int, int, bool, float]
 
 
@@ -140,8 +142,11 @@ def _read_integers(
     picture: ImageFile, planes: Sequence[np.ndarray], window: Window, exposure: float,
     pixels: np.ndarray, channels: np.ndarray,
 ) -> Found:  # fmt: skip
-    """Decode sRGB integers by a table. Channels that are clipped become NaN; of a block that is
-    made one pixel, all must be to call it clipped, and any leaves it unusable."""
+    """Decode sRGB integers by a table; clipped channels become NaN.
+
+    A downsampled channel is NaN if any pixel of its block is clipped, but only counts as clipped
+    (a lower bound) if all of them are.
+    """
     codes = np.arange(2**picture.bits, dtype=planes[0].dtype)
     encoded = picture.scaled(codes)
     over = encoded > SATURATED[picture.bits]
@@ -162,8 +167,7 @@ def _read_floats(
     picture: ImageFile, planes: Sequence[np.ndarray], window: Window, exposure: float,
     pixels: np.ndarray, channels: np.ndarray,
 ) -> Found:  # fmt: skip
-    """Take linear values. What holds no radiance becomes NaN, and so does what an import has marked
-    as clipped."""
+    """Copy linear values; invalid pixels, and channels marked as clipped, become NaN."""
     color = pixels if window.shrink == 1 else np.empty((*planes[0].shape, 3), np.float32)
     for channel in range(3):
         color[..., channel] = planes[channel]
@@ -184,7 +188,7 @@ def _read_floats(
 
 
 def _mask_of(picture: ImageFile, planes: Sequence[np.ndarray], window: Window) -> np.ndarray | None:
-    """Return the mask of what is kept of a photograph, before it is made smaller."""
+    """Return the mask of the cropped photograph, before downsampling; None without a mask."""
     if len(planes) > 3:
         alpha = picture.scaled(planes[3]) if picture.bits else planes[3]
         return np.asarray(alpha >= (IN_MASK if picture.bits else ON_OBJECT))
@@ -195,7 +199,7 @@ def _mask_of(picture: ImageFile, planes: Sequence[np.ndarray], window: Window) -
 
 
 def _require_size(path: Path, size: Sequence[int], film: Sequence[int]) -> None:
-    """Refuse a photograph of another (width, height) than its film."""
+    """Raise if a photograph's (width, height) differs from its film."""
     if tuple(size) != tuple(film):
         raise CaptureError(
             f"{path}: the photograph has {size[0]} x {size[1]} pixels but its sensor's film has "
@@ -204,13 +208,13 @@ def _require_size(path: Path, size: Sequence[int], film: Sequence[int]) -> None:
 
 
 def _steps(picture: ImageFile) -> Rounding | None:
-    """Return the steps of the integers that an import has made a photograph of; None of floats."""
+    """Return the quantisation steps stored by an import; None for floating-point sources."""
     first, last = (_positive(picture, name) for name in (FIRST_STEP, LAST_STEP))
     return None if first is None or last is None else Rounding.between(first, last)
 
 
 def _positive(picture: ImageFile, name: str) -> float | None:
-    """Return an attribute that is a positive number; None if it is not there, or something else."""
+    """Return an attribute if it is a positive number, otherwise None."""
     try:
         value = float(picture.header.attributes.get(name, np.nan))
     except (TypeError, ValueError):
@@ -219,16 +223,16 @@ def _positive(picture: ImageFile, name: str) -> float | None:
 
 
 def _mark(color: np.ndarray, exposure: float, clipped: Saturation | None) -> tuple[int, int, bool]:
-    """Divide by the exposure and set pixels that hold no radiance to NaN, in place.
+    """Divide by the exposure and set invalid pixels to NaN, in place.
 
     Returns:
-        The number of those pixels, that of those among them that were marked, and whether all
-        others are black. A clipped pixel is none of them, and not black.
+        Number of invalid pixels, number of marked ones among them, and True if all others are
+        black. Clipped pixels are neither invalid nor black.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         if exposure != 1:
             color /= np.float32(exposure)
-        # Two fast passes say that nearly every photograph is sound; NaN fails both tests.
+        # Two fast passes accept almost every photograph; NaN fails both comparisons.
         low, high = color.min(initial=0), color.max(initial=0)
         sound = bool(low >= 0 and high < np.inf)
         if sound:
@@ -247,11 +251,10 @@ def _mark(color: np.ndarray, exposure: float, clipped: Saturation | None) -> tup
 
 
 def read_mask(path: Path, shape: tuple[int, ...]) -> np.ndarray:
-    """Read a mask of any kind.
+    """Read a mask from an alpha channel, colours or labels.
 
-    An alpha channel that is anywhere transparent is the mask, as in a cut-out; otherwise the
-    object is white, or of any bright colour. Integers of which none is bright are labels: the
-    object is everything but 0.
+    The mask is the alpha channel, if any of its pixels is transparent. Otherwise the object has
+    bright pixels. If an integer file has no bright pixels, they are labels: 0 is the background.
 
     Returns:
         (H, W) bool, True on the object.

@@ -1,8 +1,8 @@
-"""The pixels of all photographs of a capture, in one block of memory or of a mapped file.
+"""Pixels of all photographs of a capture, in one block of memory or of a mapped file.
 
-Kernels look pixels up in the block without a copy. Photographs that do not fit into memory lie in a
-file, of which the operating system keeps the pages in use. The file has no name, so nothing is left
-of it, however the process ends.
+Kernels gather pixels from the block without a copy. Photographs that do not fit into memory are
+mapped from a file, and the operating system caches the pages in use. The file is unnamed, so the
+system removes it when the process ends, even after a crash.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from svu_mi.core.io.files import require_files
 from svu_mi.core.memory import READING, STORED, Size, decoders, free_memory
 from svu_mi.errors import CaptureError
 
-SHARE = 0.5  # of the free memory that photographs take, before they go to a file
-ON_DISK = Path("/var/tmp")  # what is in /tmp is memory on some systems
+SHARE = 0.5  # fraction of the free memory for photographs; larger captures are mapped files
+ON_DISK = Path("/var/tmp")  # on some systems, /tmp is in memory
 GIGA = 1e9
-SPARE = 32  # files that are open at once: of photographs, decoders, libraries and results
+SPARE = 32  # file descriptors needed in addition: photographs, decoders, libraries and results
 
 
 @dataclass(frozen=True, eq=False)
 class PixelBuffer:
-    """The pixels of V photographs, one photograph after the other, P in all.
+    """The P pixels of V photographs, one photograph after the other.
 
     Attributes:
         pixels: (3 P,) float32, interleaved RGB.
         masked: (P,) bool, values of masks.
-        clipped: (P,) uint8, bits of saturated channels.
-        sizes: V (width, height).
-        offsets: (V,) int64, number of the first pixel of each photograph.
-        file: that ``pixels`` are mapped from, from its first byte on; None for memory.
+        clipped: (P,) uint8, bit c is set where channel c is saturated.
+        sizes: V sizes (width, height).
+        offsets: (V,) int64, index of the first pixel of each photograph.
+        file: Mapped file that contains ``pixels``; None if they are in memory.
     """
 
     pixels: np.ndarray
@@ -51,7 +51,7 @@ class PixelBuffer:
 
     @staticmethod
     def allocate(sizes: Sequence[Size], memory: float = math.inf) -> PixelBuffer:
-        """Make a buffer of zeros; beyond ``memory`` bytes of pixels, it lies in files."""
+        """Make a buffer of zeros, mapped from files if it needs more than ``memory`` bytes."""
         counts = np.array([width * height for width, height in sizes], np.int64)
         count, file = int(counts.sum()), None
         parts: list[tuple[int, Any]] = [(3 * count, np.float32), (count, bool), (count, np.uint8)]
@@ -73,34 +73,33 @@ class PixelBuffer:
 
     @cached_property
     def images(self) -> tuple[np.ndarray, ...]:
-        """V views (H, W, 3) of ``pixels``."""
+        """Views of ``pixels``: V arrays (H, W, 3)."""
         return self._views(self.pixels, 3)
 
     @cached_property
     def masks(self) -> tuple[np.ndarray, ...]:
-        """V views (H, W) of ``masked``."""
+        """Views of ``masked``: V arrays (H, W)."""
         return self._views(self.masked)
 
     @cached_property
     def channels(self) -> tuple[np.ndarray, ...]:
-        """V views (H, W) of ``clipped``."""
+        """Views of ``clipped``: V arrays (H, W)."""
         return self._views(self.clipped)
 
     def places(self, images: Sequence[np.ndarray]) -> list[int] | None:
-        """Return which photographs of the buffer these are; None unless they are its own views,
-        each once."""
+        """Return the index of each image in the buffer; None unless all are distinct views."""
         numbers = {id(own): number for number, own in enumerate(self.images)}
         order = [numbers.get(id(image), -1) for image in images]
         return order if -1 not in order and len(set(order)) == len(order) else None
 
     def masks_at(self, places: Sequence[int], masks: Sequence[np.ndarray | None]) -> np.ndarray:
-        """Return (P,) bool, True outside of the masks' photographs and where one has none."""
+        """Return masks as (P,) bool; True for photographs without a mask or not in ``places``."""
         return self._flat(self.masked, self.masks, places, masks, True)
 
     def channels_at(
         self, places: Sequence[int], channels: Sequence[np.ndarray | None]
     ) -> np.ndarray:
-        """Return (P,) uint8, bits of saturated channels; 0 where nothing is saturated."""
+        """Return bits of saturated channels as (P,) uint8; 0 for photographs without any."""
         return self._flat(self.clipped, self.channels, places, channels, 0)
 
     def advise_random_access(self) -> None:
@@ -117,7 +116,7 @@ class PixelBuffer:
         self, block: np.ndarray, own: Sequence[np.ndarray], places: Sequence[int],
         planes: Sequence[np.ndarray | None], fill: int,
     ) -> np.ndarray:  # fmt: skip
-        """Return the planes of photographs as one array: ``block`` itself if they lie in it."""
+        """Return planes as one array (P,); ``block`` itself if they are its views ``own``."""
         pairs = list(zip(places, planes, strict=True))
         if all(own[k] is plane or (plane is None and (own[k] == fill).all()) for k, plane in pairs):
             return block
@@ -129,8 +128,7 @@ class PixelBuffer:
 
 
 def room_for_photographs(films: Sequence[Size]) -> float:
-    """Return the default of bytes that photographs of these sizes may take: half of the free
-    memory, less what decoding takes."""
+    """Return the default memory for photographs: half of the free bytes, less decoding buffers."""
     free, largest = free_memory(), max((width * height for width, height in films), default=0)
     if free is None:
         return math.inf
@@ -143,12 +141,12 @@ def _unnamed_file(size: int) -> mmap.mmap:
     try:
         with tempfile.TemporaryFile(dir=folder, prefix="svu_") as file:
             if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, size)  # a full disk is not noticed later on
+                os.posix_fallocate(file.fileno(), 0, size)  # later, a full disk means SIGBUS
             else:
                 file.truncate(size)
             return mmap.mmap(file.fileno(), size)
     except OSError as error:
         raise CaptureError(
-            f"{folder or tempfile.gettempdir()}: no room for {size / GIGA:.1f} GB of photographs "
-            f"({error.strerror}); set TMPDIR to a folder with more, or give --memory more."
+            f"{folder or tempfile.gettempdir()}: no space for {size / GIGA:.1f} GB of photographs "
+            f"({error.strerror}); set TMPDIR to a folder with more space, or increase --memory."
         ) from error

@@ -1,10 +1,9 @@
-"""Restrict Mitsuba to its own plugin libraries: none beside a scene is loaded.
+"""Protection against plugin libraries in the folders of scenes.
 
-For ``type="name"`` Mitsuba takes ``plugins/name.so`` from the folder of the scene, from those of
-its ``<path>`` tags, or from the working directory, before its own of that name, and before a
-plugin that is registered in Python. So a scene, or a folder to work in, could bring code that
-runs. Parsing alone loads nothing: all is judged between parsing and making the objects, by what
-Mitsuba itself has parsed.
+For ``type="name"``, Mitsuba searches ``plugins/name.so`` in the folder of the scene, in the folders
+of ``<path>`` tags, and in the working directory. Only then does it use its own plugins and those
+registered in Python. A downloaded scene could therefore run code. Parsing loads no library, so
+parsed scenes are checked before their objects are made.
 """
 
 from __future__ import annotations
@@ -21,16 +20,15 @@ import mitsuba as mi
 from svu_mi.errors import SceneError, SvuEnvironmentError, excerpt
 
 FOLDER = "plugins"
-LONGEST = 300  # letters of a path, in messages
+LONGEST = 300  # characters of a path in messages
 SUFFIXES = (".so", ".dylib", ".dll")  # Linux, macOS, Windows
 
 
 def require_own_plugins(trust: bool = False) -> None:
-    """Make sure that no library of the working directory is loaded as a plugin.
+    """Raise if Mitsuba could load a library of the working directory as a plugin.
 
-    Called where a command or a function that loads a scene starts. Plugins that are registered
-    in Python, such as Mitsuba's ``prb`` and those of svu_mi, are looked for in these folders
-    every time, so ``pin_own_plugins`` does not do for them.
+    Called before a scene is loaded. ``pin_own_plugins`` is not sufficient, because Mitsuba searches
+    these folders again for each plugin registered in Python, such as ``prb``.
     """
     pin_own_plugins()
     if not trust:
@@ -39,10 +37,10 @@ def require_own_plugins(trust: bool = False) -> None:
 
 @functools.cache
 def pin_own_plugins() -> frozenset[str]:
-    """Load Mitsuba's own plugins, from its own folder, and return their names.
+    """Load all plugins of Mitsuba's own folder, and return their names.
 
-    Takes 0.03 to 0.08 s, once. Mitsuba never looks again for a plugin that it has: from here on
-    none of these names is taken from elsewhere, whatever the scene and the working directory.
+    Mitsuba never searches a loaded plugin again, so no other folder can replace it. The first call
+    takes 0.03 to 0.08 s.
     """
     folder = _own_folder()
     files = map(Path, _names(folder / FOLDER))
@@ -50,19 +48,19 @@ def pin_own_plugins() -> frozenset[str]:
     manager = mi.PluginManager.instance()
     with search_folder_first(str(folder)):
         for name in sorted(names):
-            with contextlib.suppress(RuntimeError):  # one that cannot run here
+            with contextlib.suppress(RuntimeError):  # unsupported on this system
                 manager.plugin_type(name)
     return names
 
 
 def own_plugin(description: dict[str, Any]) -> Any:
-    """Make a plugin that is registered in Python, not what a folder has under its name."""
+    """Make a plugin that is registered in Python; raise if a library has the same name."""
     _refuse_files_of(description["type"])
     return mi.load_dict(description)
 
 
 def refuse_foreign(state: Any, label: str) -> None:
-    """Refuse a scene that would load a library, or whose folders have one."""
+    """Raise if a scene (Mitsuba's parser state) uses a foreign library, or its folders have one."""
     _refuse_libraries([*(Path(str(file)).parent for file in state.files), *_searched_folders()])
     for name in {node.props.plugin_name() for node in state.nodes} - pin_own_plugins():
         if name in (".", "..") or "/" in name or "\\" in name:
@@ -82,15 +80,15 @@ def _refuse_libraries(folders: Iterable[Path]) -> None:
 
 
 def _searched_folders() -> list[Path]:
-    """Return the folders where Mitsuba looks for files and plugins, in order."""
+    """Return Mitsuba's search path of files and plugins, in order."""
     return [Path(str(folder)) for folder in mi.file_resolver()]
 
 
 @contextlib.contextmanager
 def search_folder_first(folder: str) -> Iterator[None]:
-    """Let Mitsuba look for files in a folder first, as ``mi.load_file`` does for the scene's.
+    """Put a folder first in Mitsuba's search path, within a ``with`` block.
 
-    ``<path>`` tags extend the search, too; all of that ends with the block.
+    The block also limits the effect of ``<path>`` tags.
     """
     before = mi.file_resolver()
     resolver = mi.FileResolver(before)
@@ -121,7 +119,7 @@ def _refused(path: Path) -> SceneError:
 
 @functools.cache
 def _own_folder() -> Path:
-    """Return where Mitsuba's own plugins are: beside its package, or above it in a build tree."""
+    """Return the folder that contains Mitsuba's ``plugins``: its package, or a build tree."""
     for folder in Path(mi.__file__).resolve().parents[:3]:
         if any((folder / FOLDER / f"principled{suffix}").is_file() for suffix in SUFFIXES):
             return folder
@@ -135,13 +133,13 @@ def _is_own(path: Path) -> bool:
 
 
 def _libraries(name: str) -> list[str]:
-    """Return the files that Mitsuba looks for, by its own rules about suffixes."""
+    """Return the file names that Mitsuba searches for a plugin, by its own suffix rules."""
     path = mi.filesystem.path
     return [str((path(FOLDER) / path(name)).replace_extension(path(end))) for end in SUFFIXES]
 
 
 def _names(folder: Path) -> list[str]:
-    """Return the names in a folder, none if it cannot be listed (types are looked at, too)."""
+    """Return the sorted names in a folder; empty if it cannot be listed."""
     try:
         return sorted(os.listdir(folder))
     except OSError:

@@ -1,4 +1,4 @@
-"""Limits of what pixels can hold: saturated channels, and steps of integers."""
+"""Limits of pixel values: saturated channels, and quantisation steps of integers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.capture.image_io import Transfer, decoded
 
-CURVE = 1.4 / 2.4  # exponent of how the steps of sRGB grow with radiance, above its linear part
+CURVE = 1.4 / 2.4  # sRGB steps are proportional to radiance^CURVE above its linear part
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Saturation:
 
     Attributes:
         channels: (H, W) uint8; bit c is set where channel c is clipped.
-        least: (3,) float32, the radiance that such a channel has at least.
+        least: (3,) float32, lower bounds of the radiance of clipped channels.
     """
 
     channels: np.ndarray
@@ -27,28 +27,27 @@ class Saturation:
 
     @staticmethod
     def of(over: np.ndarray, least: float) -> Saturation:
-        """Take flags (H, W, 3), and what all channels are at least."""
+        """Make a record from flags (H, W, 3), and one lower bound for all channels."""
         bits = np.array([1, 2, 4], np.uint8)
         return Saturation((over * bits).sum(axis=-1, dtype=np.uint8), np.full(3, least, np.float32))
 
     @property
     def flags(self) -> np.ndarray:
-        """(H, W, 3) bool."""
+        """Flags of clipped channels, (H, W, 3) bool."""
         return (self.channels[..., None] & np.array([1, 2, 4], np.uint8)) > 0
 
     def divided(self, gain: np.ndarray | np.floating) -> Saturation:
-        """Return what it is of a photograph without its gain, of all channels or of each."""
+        """Return the record of the photograph divided by a gain, a scalar or (3,)."""
         return replace(self, least=(self.least / gain).astype(np.float32))
 
 
 @dataclass(frozen=True)
 class Rounding:
-    """How far apart the radiances are that one photograph can hold.
+    """Quantisation steps of one photograph: max(first, slope b^(1.4 / 2.4)) at radiance b.
 
     Attributes:
-        first: (3,) float32, the step above black, of every channel.
-        slope: (3,) float32; at a radiance b a step is slope b^(1.4 / 2.4), but no less than the
-            first.
+        first: (3,) float32, step above black per channel.
+        slope: (3,) float32, step at radiance 1 per channel.
     """
 
     first: np.ndarray
@@ -56,7 +55,7 @@ class Rounding:
 
     @staticmethod
     def of(bits: int, transfer: Transfer = "srgb") -> Rounding:
-        """Return the steps of integers of 8 or 16 bits, of a white of radiance 1."""
+        """Return the steps of 8- or 16-bit integers; the largest means radiance 1."""
         last = 2**bits - 1
         ends = np.array([1 / last, 1 - 1 / last, 1], np.float64)
         first, below, white = map(float, decoded(ends, transfer))
@@ -64,11 +63,11 @@ class Rounding:
 
     @staticmethod
     def between(first: float, last: float) -> Rounding:
-        """Take the steps above black and below a white of radiance 1, of all channels."""
+        """Make steps from those above black and below white (radiance 1), for all channels."""
         return Rounding(np.full(3, first, np.float32), np.full(3, last, np.float32))
 
     def divided(self, gain: np.ndarray | np.floating | float) -> Rounding:
-        """Return what they are of a photograph without its gain, of all channels or of each."""
+        """Return the steps of the photograph divided by a gain, a scalar or (3,)."""
         gain = np.asarray(gain, np.float64)
         return Rounding(
             (self.first / gain).astype(np.float32),
@@ -77,7 +76,6 @@ class Rounding:
 
 
 def variance(radiance: Any, first: Any, slope: Any) -> Any:
-    """Return the variance of what rounding does to a radiance: that of a uniform distribution as
-    wide as a step. Floats, of one channel."""
+    """Return the variance of the rounding error at a radiance (Float), step^2 / 12."""
     step = dr.maximum(first, slope * dr.power(dr.maximum(radiance, 1e-20), CURVE))
     return step * step / 12

@@ -1,4 +1,4 @@
-"""Synthetic photographs: render a scene's sensors into a capture folder."""
+"""Synthetic captures: renders of a scene's sensors."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ from svu_mi.core.memory import Size, Sizes
 from svu_mi.core.validation import require_render, require_spp
 from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError, excerpt
 
-VIEWS = "view_*.exr"  # what an interrupted run leaves to resume
-KEY = 16  # letters of the id of a run
+VIEWS = "view_*.exr"  # files that an interrupted run keeps for resuming
+KEY = 16  # hexadecimal digits of the id of a run
 
 
 def render_capture(
@@ -58,33 +58,34 @@ def render_capture(
     progress: Callable[[int, int], None] | None = None,
     resume: bool | None = None,
 ) -> Capture:
-    """Render one photograph per sensor and read them back as a capture.
+    """Render one photograph per sensor and return them as a capture.
 
     Args:
-        scene: a ``mi.Scene``, or the path of an XML file.
-        spp: samples per pixel.
-        seed: seed of the first view; view i uses a seed derived from it.
-        folder: where ``capture.json`` and ``view_NNNN.exr`` (RGB, alpha = object mask) are put, in
-            one step when all are rendered. A capture that was rendered there earlier is replaced;
-            a folder that holds anything else is refused. By default a temporary folder that is
-            gone after reading.
-        shape: id of the target (see ``load_capture``).
-        views: place this many sensors on a sphere around the target instead of using the
-            scene's own.
-        resolution: (width, height) of those sensors' films, in pixels.
-        defines: values for the scene's ``<default>`` parameters, when it is a path.
-        unwrap: lay out new UVs even if the mesh has some (see ``load_capture``).
-        trust: let the scene load libraries, when it is a path (see ``load_capture``).
-        progress: called with (views done, views in all).
-        resume: keep the views in the folder if it is interrupted, and go on (True) with those that
-            such a run has kept, or start again (False). By default nothing is kept.
+        scene: A ``mi.Scene``, or the path of an XML file.
+        spp: Samples per pixel.
+        seed: Seed of the first view; view i uses ``seed + i``.
+        folder: Output folder of ``capture.json`` and ``view_NNNN.exr`` (RGB, alpha is the object
+            mask). It is replaced when all views are rendered. Default: a temporary folder.
+        shape: Id of the target (see ``load_capture``).
+        views: Number of sensors on a sphere around the target; default: the scene's sensors.
+        resolution: Film size (width, height) in pixels, if ``views`` is given.
+        defines: Values of the scene's ``<default>`` parameters, if ``scene`` is a path.
+        unwrap: True computes new UVs even if the mesh has UVs (see ``load_capture``).
+        trust: True lets the scene load libraries, if ``scene`` is a path (see ``load_capture``).
+        progress: Callback with the number of rendered views and of all views.
+        resume: True or False keeps finished views if the run is interrupted. True continues with
+            the views of an interrupted run, False starts again. By default no views are kept.
 
     Raises:
-        SvuEnvironmentError: no suitable Mitsuba variant is active.
-        SceneError: the scene cannot be loaded or lacks something.
-        OptionError: ``spp`` is below 1 or ``seed`` negative.
-        OutputError: the folder cannot be written, holds what was not rendered there, or nothing to
-            go on with.
+        SvuEnvironmentError: No suitable Mitsuba variant is active.
+        SceneError: The scene cannot be loaded or is incomplete.
+        OptionError: ``spp`` is below 1 or ``seed`` is negative.
+        OutputError: The folder is not writable, has other files, or has no views to resume.
+
+    Example:
+        >>> made = svu.render_capture(capture.scene, spp=1, views=3, resolution=(40, 32))
+        >>> made.count, made.images[0].shape
+        (3, (32, 40, 3))
     """
     plan = plan_render(
         scene, spp, seed, shape=shape, views=views, resolution=resolution, defines=defines,
@@ -95,13 +96,13 @@ def render_capture(
 
 @dataclass(frozen=True, kw_only=True)
 class RenderPlan:
-    """Views of a scene that are not rendered yet; attributes as for ``render_capture``.
+    """Render job that is not started; other attributes as for ``render_capture``.
 
     Attributes:
-        light: the environment emitter.
-        target: the object.
+        light: Environment emitter.
+        target: Target object, an ``mi.Mesh``.
         sensors: V perspective sensors.
-        description: of the capture.
+        description: Content of the future ``capture.json``.
     """
 
     scene: Any
@@ -115,7 +116,7 @@ class RenderPlan:
 
     @property
     def sizes(self) -> Sizes:
-        """How large everything is."""
+        """Sizes for memory estimates."""
         charts = 1.0 if self.unwrap else chart_coverage(self.target)
         return Sizes([film_size(sensor) for sensor in self.sensors], map_size(self.light), charts)
 
@@ -123,7 +124,7 @@ class RenderPlan:
         self, folder: str | os.PathLike[str] | None = None, *,
         progress: Callable[[int, int], None] | None = None, resume: bool | None = None,
     ) -> Capture:  # fmt: skip
-        """Render the views and read them back; arguments and errors as for ``render_capture``."""
+        """Render the views and load them; arguments and errors as for ``render_capture``."""
         if folder is None:
             with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
                 self._write(Path(temporary), progress)
@@ -134,7 +135,7 @@ class RenderPlan:
                 _require_views(claim, [film_size(sensor) for sensor in self.sensors], key)
             else:
                 claim.clear()
-            # Views of a run that may be resumed are marked with what they show.
+            # Resumable views store a digest of the render job.
             with writing(claim, "render", capture_folder.FILE, run=key) as draft:
                 self._write(draft.folder, progress)
                 capture_folder.write(draft, self.description, self.sensors)
@@ -147,7 +148,7 @@ class RenderPlan:
         return plan.read()
 
     def _write(self, folder: Path, progress: Callable[[int, int], None] | None) -> None:
-        """Render the views that are not there yet, and write them."""
+        """Render and write the missing views."""
         with between_steps() as stop_if_asked:
             for index, sensor in enumerate(self.sensors):
                 path = folder / _view(index)
@@ -162,13 +163,13 @@ class RenderPlan:
                 stop_if_asked()
 
     def _key(self) -> str:
-        """Return 16 hexadecimal digits that depend on everything that is rendered."""
+        """Return a digest of everything that affects the pixels: 16 hexadecimal digits."""
         cameras = [
             [describe(each), str(each.film()), each.sampler().class_name()] for each in self.sensors
         ]
-        what = scene_key(self.scene, self.target), integrator_key(self.scene)
+        scene = scene_key(self.scene, self.target), integrator_key(self.scene)
         version = svu_mi.__version__, mi.__version__, mi.variant()
-        return Key(*what, cameras, self.spp, self.seed, version).digest()[:KEY]
+        return Key(*scene, cameras, self.spp, self.seed, version).digest()[:KEY]
 
 
 def plan_render(
@@ -209,11 +210,11 @@ def plan_render(
 
 
 def require_rendered(capture: Capture, spp: int) -> None:
-    """Refuse photographs that were rendered otherwise than they would be now."""
+    """Raise if a rendered capture differs from the scene's present sensors or from ``spp``."""
     if capture.source is None or (description := capture_folder.read(capture.source)) is None:
         return
     own = [describe(sensor) for sensor in find_sensors(capture.scene, str(description.scene))]
-    changed = "from other sensors than the scene has now"
+    changed = "with other sensors than the scene has now"
     if json.loads(json.dumps(own)) == list(description.sensors):
         if description.rendered.get("spp", spp) == spp:
             return
@@ -224,24 +225,22 @@ def require_rendered(capture: Capture, spp: int) -> None:
 
 
 def _require_views(claim: Claim, films: Sequence[Size], run: str) -> None:
-    """Remove all but the complete views of a run from what an interrupted one has left."""
+    """Remove incomplete views and views of other runs from an interrupted draft."""
     left = list(claim.draft.glob(VIEWS))
     if not left:
-        raise OutputError(
-            f"{claim.folder}: there is nothing of an interrupted run to resume; omit --resume."
-        )
+        raise OutputError(f"{claim.folder}: no interrupted run to resume; omit --resume.")
     expected = {_view(index): film for index, film in enumerate(films)}
     whole = {path.name for path in left if _is_whole(path, expected.get(path.name), run)}
     if not whole:
         raise OutputError(
-            f"{claim.folder}: what an interrupted run has left was made with other options, or of "
-            "something else; restore these, or omit --resume to start again."
+            f"{claim.folder}: the interrupted run had other options or another scene; restore "
+            "these, or omit --resume to start again."
         )
     claim.clear(lambda path: path.name in whole)
 
 
 def _is_whole(path: Path, film: Size | None, run: str) -> bool:
-    """Return whether a file, not a link to one, is a view that a run has finished."""
+    """Return whether a file (not a link) is a complete view of a run."""
     if path.is_symlink() or not path.is_file():
         return False
     try:
@@ -259,7 +258,7 @@ def _view(index: int) -> str:
 
 
 def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:
-    """Render (H, W, 3); a film of luminance gives three equal channels."""
+    """Render linear radiance (H, W, 3); luminance films are repeated to three channels."""
     try:
         image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
     except Exception as error:  # Mitsuba raises RuntimeError for everything
@@ -270,5 +269,5 @@ def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:
 
 
 def object_mask(scene: Any, target: Any, sensor: Any) -> np.ndarray:
-    """Return (H, W) float32: the part of each pixel that the target covers, unoccluded."""
+    """Return the fraction of each pixel that shows the target, (H, W) float32."""
     return SensorPixels([sensor]).covered(scene, target)[0]

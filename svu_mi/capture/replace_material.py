@@ -1,4 +1,4 @@
-"""The object's material: its constant parameters, and scenes with another one in its place."""
+"""The object's material: its constant parameters, and scenes with a replaced material."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from svu_mi.parameters import NAMES, PARAMETERS
 
 
 def is_principled(bsdf: Any) -> bool:
-    """Return whether a BSDF, or None, has the parameters of ``principled``."""
+    """Return whether a BSDF has the estimated parameters of ``principled``; False for None."""
     return bsdf is not None and all(dr.all(bsdf.has_attribute(name)) for name in NAMES)
 
 
 def constant_parameters(shape: Any) -> dict[str, float]:
-    """Return the ``principled`` parameters of a shape that are not textures, by name.
+    """Return the untextured ``principled`` parameters of a shape as grey values, by name.
 
-    A grey value each, within its range; a constant colour is left out unless it is grey. Empty for
-    another BSDF, and when nothing varies: a material without any texture is a placeholder.
+    Constant colours that are not grey are omitted. Empty for other BSDFs, and for a BSDF without
+    textures, which is assumed to be a placeholder.
     """
     bsdf = shape.bsdf()
     constants: dict[str, float] = {}
@@ -41,11 +41,11 @@ def constant_parameters(shape: Any) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class RepaintedScene:
-    """A scene of its own; it shares the emitters and the other shapes with the capture's.
+    """Copy of a capture's scene with another material; emitters and other shapes are shared.
 
     Attributes:
-        scene: the ``mi.Scene``.
-        shape: the object in it.
+        scene: The ``mi.Scene``.
+        shape: The object in it, an ``mi.Mesh``.
     """
 
     scene: Any
@@ -53,32 +53,32 @@ class RepaintedScene:
 
 
 def replace_material(capture: Capture, material: Any, mesh: Any = None) -> RepaintedScene:
-    """Copy the object, give the copy a material, and put it in the place of the object."""
+    """Return a copy of the scene with another material, and optionally another mesh."""
     shape = make_mesh(capture.shape.id(), arrays(capture.mesh if mesh is None else mesh))
     if is_two_sided(capture.shape.bsdf()):
         material = mi.load_dict({"type": "twosided", "material": material})
     shape.set_bsdf(material)
-    # An area light belongs to its shape and comes with it.
+    # Area lights are part of their shapes.
     lights = [e for e in capture.scene.emitters() if e.is_environment()]
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
     return RepaintedScene(scene=make_scene([shape, *lights, *others]), shape=shape)
 
 
 def make_scene(objects: Sequence[Any]) -> Any:
-    """Make a scene of live shapes and emitters, which may be in other scenes, too."""
+    """Make a scene of existing shapes and emitters, which may belong to other scenes."""
     names = [thing.id() for thing in objects]
     parts = {f"part_{index}": thing for index, thing in enumerate(objects)}
     scene = mi.load_dict({"type": "scene", **parts}, optimize=False)
     for thing, name in zip(objects, names, strict=True):
-        thing.set_id(name)  # load_dict has renamed it to its key
+        thing.set_id(name)  # load_dict replaced it
     return scene
 
 
 def is_same(a: Any, b: Any) -> bool:
-    """Return whether two Python objects stand for one Mitsuba shape."""
+    """Return whether two Python objects refer to the same Mitsuba shape."""
     return bool(np.array(mi.ShapePtr(a) == mi.ShapePtr(b)).all())
 
 
 def is_two_sided(bsdf: Any) -> bool:
-    """Return whether a BSDF reflects on the back of its surface, too."""
+    """Return whether a BSDF reflects on both sides of its surface; False for None."""
     return bsdf is not None and "TwoSided" in bsdf.class_name()

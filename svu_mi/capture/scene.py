@@ -1,4 +1,4 @@
-"""Load a Mitsuba scene and find in it the object, the sensors and the light."""
+"""Mitsuba scenes: loading, and checks of the object, the sensors and the light."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from svu_mi.capture.scene_files import check_files, check_xml
 from svu_mi.core.threads import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 
-LONGEST = 400  # letters of what Mitsuba says
+LONGEST = 400  # characters of Mitsuba's messages
 PLACE = re.compile(r"\] (?:Error while loading|At) (.+) \(line (\d+), col \d+\): ")
-RESERVED = frozenset(("config", "filename"))  # arguments of mi.parser.parse_file itself
+RESERVED = frozenset(("config", "filename"))  # other arguments of mi.parser.parse_file
 
 
 def require_variant() -> str:
-    """Return the active variant if it can run the method.
+    """Return the active variant; raise if it is unset or unsupported.
 
-    From then on, Mitsuba's own plugins cannot be replaced by libraries (see ``trust``).
+    Also loads Mitsuba's own plugins, so that no library replaces them (``pin_own_plugins``).
     """
     variant = mi.variant()
     if variant is None:
@@ -52,22 +52,22 @@ def require_variant() -> str:
 def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: bool = False) -> Any:
     """Load a Mitsuba XML file without merging its shapes or textures.
 
-    What is judged (see ``trust`` and ``scene_files``) is what Mitsuba has parsed, and that is
-    what is made.
-
     Args:
-        path: the XML file.
-        defines: values for the scene's ``<default>`` parameters.
-        trust: load the scene's own libraries, too, from ``plugins`` beside it.
+        path: Path of the XML file.
+        defines: Values of the scene's ``<default>`` parameters.
+        trust: True lets the scene load plugin libraries (see ``load_capture``).
+
+    Raises:
+        SceneError: The scene, or a file that it refers to, is missing, damaged or not allowed.
     """
     if not path.is_file():
         raise SceneError(f"{path}: no such scene file; give the path of a Mitsuba XML scene.")
     defines = dict(defines or {})
     for name in RESERVED & defines.keys():
-        raise SceneError(f"{path}: {name!r} cannot be the name of a scene parameter.")
+        raise SceneError(f"{path}: {name!r} is reserved; rename this scene parameter.")
     require_own_plugins(trust)
     config = mi.parser.ParserConfig(mi.variant())
-    # Merging would lose the ids of equal textures and meshes.
+    # Merging equal textures and meshes would drop their ids.
     config.merge_equivalent = config.merge_meshes = False
     ensure_threads()
     with search_folder_first(os.path.dirname(path)):
@@ -86,10 +86,7 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
 
 
 def _refusal(path: Path, message: str) -> str:
-    """Return Mitsuba's reason alone, with the place that it is about: a line, maybe of an include.
-
-    Mitsuba tells it once for each file that it was on its way through.
-    """
+    """Return Mitsuba's reason with the innermost file and line, without the chain of includes."""
     places = list(PLACE.finditer(message))
     if not places:
         return f"{path}: {last_sentence(message)}"
@@ -99,7 +96,7 @@ def _refusal(path: Path, message: str) -> str:
 
 
 def last_sentence(message: str) -> str:
-    """Strip Mitsuba's nested source positions, keep what the user can act on."""
+    """Return a message of Mitsuba without its source positions, ending with a full stop."""
     text = excerpt(re.sub(r"\[[\w.]+:\d+\]\s*", "", message).strip(), LONGEST)
     return text if text.endswith((".", "!")) else text + "."
 
@@ -107,12 +104,11 @@ def last_sentence(message: str) -> str:
 def find_sensors(
     scene: Any, path: str, remedy: str = "render some with svu render --views N"
 ) -> tuple[Any, ...]:
-    """Return the scene's sensors after checking each."""
+    """Return the scene's sensors, at least one; raise if one is unsupported."""
     sensors = tuple(scene.sensors())
     if not sensors:
         raise SceneError(
-            f"{path}: the scene has no sensor, so there is no view; "
-            f"add one <sensor> per photograph, or {remedy}."
+            f"{path}: the scene has no sensor; add one <sensor> per photograph, or {remedy}."
         )
     for index, sensor in enumerate(sensors):
         check_sensor(sensor, f"{path}: sensor {index} ('{sensor.id()}')")
@@ -120,12 +116,12 @@ def find_sensors(
 
 
 def to_world(endpoint: Any) -> np.ndarray:
-    """Return the (4, 4) float64 matrix of a sensor or emitter, local to world."""
+    """Return the local-to-world matrix of a sensor or emitter, (4, 4) float64."""
     return np.array(endpoint.world_transform().matrix, np.float64).reshape(4, 4)
 
 
 def check_sensor(sensor: Any, label: str) -> None:
-    """Refuse sensors whose projection is not the pinhole the method assumes."""
+    """Raise unless a sensor is a pinhole camera with a rigid pose."""
     if sensor.class_name() != "PerspectiveCamera":
         raise SceneError(
             f"{label} is a {sensor.class_name()}; only 'perspective' sensors are supported."
@@ -144,7 +140,7 @@ def check_sensor(sensor: Any, label: str) -> None:
 
 
 def find_environment(scene: Any, path: str) -> Any:
-    """Return the scene's one environment emitter."""
+    """Return the scene's only emitter, which must be an environment emitter."""
     supported = ("EnvironmentMapEmitter", "ConstantBackgroundEmitter", "SunskyEmitter")
     emitters = scene.emitters()
     if not emitters:
@@ -154,7 +150,7 @@ def find_environment(scene: Any, path: str) -> Any:
         )
     for emitter in emitters:
         if emitter.class_name() not in supported:
-            shape = emitter.get_shape()  # of an area light, which has no id of its own
+            shape = emitter.get_shape()  # area lights have no id
             of = f"of shape '{shape.id()}'" if shape is not None else f"'{emitter.id()}'"
             which = "an area light" if shape is not None and not shape.id() else f"emitter {of}"
             raise SceneError(
@@ -168,21 +164,17 @@ def find_environment(scene: Any, path: str) -> Any:
 
 
 def require_light(capture: Any) -> None:
-    """Refuse a capture without a light, which nothing can be found about reflectance from."""
+    """Raise if a capture has no light."""
     if not capture.scene.emitters():
-        label = f"{capture.source or 'The scene'}: the capture has no light; "
+        label = f"{capture.source or 'The scene'}: the capture has no light; estimate it with "
         raise SceneError(
-            f"{label}use svu.with_light(capture, svu.estimate_light(capture, texels)), which finds "
-            "it in the photographs.",
-            shell=f"{label}find it in the photographs with svu light.",
+            f"{label}svu.with_light(capture, svu.estimate_light(capture, texels)).",
+            shell=f"{label}svu light.",
         )
 
 
 def find_shape(scene: Any, name: str | None, path: str) -> Any:
-    """Return the mesh whose texels are asked for.
-
-    Without a name it is the only mesh, or the only mesh with a ``principled`` BSDF.
-    """
+    """Return the target mesh: by id, or the only mesh, or the only one with ``principled`` BSDF."""
     shapes = list(scene.shapes())
     named = [shape for shape in shapes if shape.id() == name]
     if name is not None and not named:
@@ -205,7 +197,7 @@ def _candidates(shapes: Sequence[Any], path: str) -> list[Any]:
     if not bodies:
         raise SceneError(f"{path}: the scene has no shape; add the object as a mesh with UVs.")
     if not meshes:
-        return bodies[:1]  # refused by the caller, which names it
+        return bodies[:1]  # the caller raises an error with its id
     principled = [s for s in meshes if s.bsdf() and "Principled" in str(s.bsdf())]
     candidates = principled or meshes
     if len(candidates) > 1:
@@ -221,7 +213,7 @@ def _ids(shapes: Sequence[Any]) -> str:
 
 
 def is_closed(mesh: MeshArrays) -> bool:
-    """Return whether the surface has an inside; a bowl seen from above has none."""
+    """Return whether each edge of the surface has two faces (not so for a bowl or a plane)."""
     _, vertex = np.unique(np.round(mesh.positions, 8), axis=0, return_inverse=True)
     corners = vertex.reshape(-1)[mesh.faces]
     edges = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -230,7 +222,7 @@ def is_closed(mesh: MeshArrays) -> bool:
 
 
 def _check_buffers(mesh: MeshArrays, label: str) -> None:
-    """Refuse what Mitsuba takes from a damaged file."""
+    """Raise for damaged buffers, which Mitsuba does not check."""
     for name, values in (("positions", mesh.positions), ("normals", mesh.normals)):
         if values is not None and not np.isfinite(values).all():
             raise SceneError(f"{label} has {name} that are NaN or infinite; export its mesh again.")
@@ -239,10 +231,9 @@ def _check_buffers(mesh: MeshArrays, label: str) -> None:
 
 
 def _check_orientation(mesh: MeshArrays, label: str) -> None:
-    """Refuse a closed surface that is inside out: no photograph would see a front face.
+    """Raise if a closed surface is inside out, because cameras would see only back faces.
 
-    A mirrored ``to_world`` reverses the winding. Mitsuba turns vertex normals from the file
-    the right way, but computes missing ones from the winding.
+    A mirrored ``to_world`` reverses the winding, from which Mitsuba computes missing normals.
     """
     if len(mesh.faces) == 0 or mesh.normals is None:
         return

@@ -1,9 +1,8 @@
-"""Files of a scene, checked before Mitsuba reads them: XML, includes, and meshes.
+"""Checks of a scene's files before Mitsuba reads them: XML, includes, and meshes.
 
-XML that is nested without end, and reading from a pipe, Mitsuba's parser would not survive. A wrong
-index of a mesh may end the process (see ``missing_corner``), so each mesh is read once more, by
-Mitsuba's own reader, without vertex normals: 1 million triangles take 0.03 to 0.05 s, where making
-the scene takes more than 1 s.
+Deeply nested XML crashes Mitsuba's parser, and pipes block it. An invalid vertex index may abort
+the process (see ``missing_corner``), so each mesh is first read without vertex normals. One million
+triangles take 0.03 to 0.05 s.
 """
 
 from __future__ import annotations
@@ -20,23 +19,23 @@ from svu_mi.capture.mesh import READING, mesh_error, missing_corner
 from svu_mi.core.validation import require_views
 from svu_mi.errors import SceneError, excerpt
 
-DEEPEST = 500  # elements in one another; the parser calls itself for each, and 10 000 are too many
+DEEPEST = 500  # nested elements; Mitsuba's parser is recursive, and 10 000 overflow its stack
 LARGEST_XML = 1 << 26  # bytes of a file
-LONGEST_VALUE = 1 << 16  # letters of an attribute with its $parameters filled in
-FILLED_PER_FILE = 1 << 24  # letters of all these attributes of a file
+LONGEST_VALUE = 1 << 16  # characters of an attribute after substitution of $parameters
+FILLED_PER_FILE = 1 << 24  # characters of all these attributes of a file
 MOST_PARAMETERS = 1000
-LONGEST = 300  # letters of a path, in messages
-READERS = ("ply", "serialized", "obj")  # shapes with indices that come from a file
-KEYS = ("filename", "shape_index")  # their properties that choose what is read
+LONGEST = 300  # characters of a path in messages
+READERS = ("ply", "serialized", "obj")  # shape plugins that read meshes from files
+KEYS = ("filename", "shape_index")  # properties that select the mesh
 
 
 def check_xml(path: Path, defines: Mapping[str, str]) -> None:
-    """Look through a scene's XML, and what it includes, before Mitsuba parses it."""
+    """Check a scene's XML file and its includes; raise ``SceneError`` if Mitsuba might crash."""
     parameters = dict(defines)
     waiting, seen, sensors = [path], set(), 0
     while waiting:
         file = waiting.pop()
-        if file in seen or not exists(file):  # the latter is for Mitsuba to say
+        if file in seen or not exists(file):  # Mitsuba reports missing files
             continue
         require_file(file, path)
         seen.add(file)
@@ -49,30 +48,30 @@ def check_xml(path: Path, defines: Mapping[str, str]) -> None:
 
 
 def require_file(file: Path, label: str | Path) -> None:
-    """Refuse folders and pipes where a file is meant; Mitsuba will report missing files."""
-    if exists(file) and not isfile(file):  # reading a pipe would wait for ever
+    """Raise for folders and pipes; Mitsuba reports missing files."""
+    if exists(file) and not isfile(file):  # reading a pipe would block
         raise SceneError(
             f"{label}: refers to {excerpt(file, LONGEST)}, which is not a file; correct the name."
         )
 
 
 def _resolve(name: str, file: Path) -> Path:
-    """Return the file of a name: beside the one that names it, or where Mitsuba looks."""
+    """Return the path of a referenced file: next to ``file``, or in Mitsuba's search path."""
     beside = file.parent / name
     return beside if exists(beside) else Path(str(mi.file_resolver().resolve(name)))
 
 
 class _Reader:
-    """What one XML file says.
+    """References and sensors of one XML file.
 
     Attributes:
-        includes: names of XML files in it.
-        others: names of other files that Mitsuba reads while it parses: spectra.
-        sensors: how many there are.
+        includes: Names of included XML files.
+        others: Names of other referenced files.
+        sensors: Number of sensors.
     """
 
     def __init__(self, path: Path, parameters: dict[str, str]) -> None:
-        """Read a file; ``<default>`` adds to the parameters."""
+        """Parse a file, and add its ``<default>`` values to ``parameters``."""
         self.includes: list[str] = []
         self.others: list[str] = []
         self.sensors = 0
@@ -116,7 +115,7 @@ class _Reader:
         self._depth -= 1
 
     def _filled(self, text: str) -> str:
-        """Fill in the values of ``$parameters``, long names first, as Mitsuba does."""
+        """Substitute ``$parameters``, longest names first as in Mitsuba."""
         if "$" not in text:
             return text
         for name in sorted(filter(None, self._parameters), key=len, reverse=True):
@@ -138,7 +137,7 @@ class _Reader:
 
 
 def check_files(state: Any, label: str) -> None:
-    """Check all files that the nodes of a scene refer to, and the meshes in them."""
+    """Check all files and meshes that a parsed scene refers to."""
     meshes: dict[tuple[Any, ...], dict[str, Any]] = {}
     for node in state.nodes:
         kind, props = node.props.plugin_name(), node.props

@@ -1,7 +1,6 @@
-"""Writer of Mitsuba scene files: plugins with their properties, and parts of live scenes.
+"""Writer of Mitsuba scene files from loaded scene objects.
 
-``mi.parser.write_file`` writes what a scene was parsed from; a live scene has none of that, and
-may never have been a file. Its ids, which that function leaves out, are written here.
+``mi.parser.write_file`` needs the parser state, which a loaded scene does not have, and omits ids.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ FILTERS = {
 }  # fmt: skip
 ANALYTIC = {"Sphere": "sphere", "Disk": "disk", "Cylinder": "cylinder"}
 MATERIALS = {"Principled": "principled", "SmoothDiffuse": "diffuse"}
-GREY = 0.5  # reflectance of a shape whose material cannot be written
-SAMPLES = 64  # per pixel, unless -D spp=N
-ROWS, POLES = "svu:rows", "poles"  # header of an EXR whose first and last rows are the poles
+GREY = 0.5  # reflectance that replaces an unsupported material
+SAMPLES = 64  # default samples per pixel; -D spp=N overrides it
+ROWS, POLES = "svu:rows", "poles"  # EXR attribute of maps whose first and last row are the poles
 
 
 def scene() -> Element:
-    """Return an empty scene with the parameter ``spp``, which ``sensor`` refers to."""
+    """Return an empty scene with the parameter ``spp``, which sensors refer to."""
     root = Element("scene", version="3.0.0")
     root.append(Comment(f" Written by svu_mi {svu_mi.__version__}; needs nothing but Mitsuba. "))
     if stamp():
@@ -87,12 +86,12 @@ def _property(value: Any) -> tuple[str, str]:
 
 
 def _text(values: Any) -> str:
-    """Return numbers as text that reads back as they were."""
+    """Format numbers as text without loss of precision."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def write_document(root: Element, path: Path) -> None:
-    """Write a scene file, indented, atomically; an id that is taken gets a number."""
+    """Write an indented scene file atomically; append numbers to repeated ids."""
     taken: set[str] = set()
     for node in sorted(root.iterfind(".//*[@id]"), key=lambda node: node.tag != "shape"):
         name, number = node.attrib["id"], 1  # the first shape keeps its id
@@ -105,7 +104,7 @@ def write_document(root: Element, path: Path) -> None:
 
 
 def sensor(camera: Any, name: str) -> Element:
-    """Return a perspective sensor, in floats that read back as they are."""
+    """Return a perspective sensor as XML, without loss of precision."""
     record = describe(camera)
     near, far = record["clip"]
     shift_x, shift_y = record["principal_point_offset"]
@@ -128,8 +127,8 @@ def sensor(camera: Any, name: str) -> Element:
 
 
 def bitmap(name: str, file: str, *, id: str | None = None, raw: bool = True) -> Element:
-    """Return a texture of values that are taken as they are, or of sRGB colours."""
-    # Repeated, a chart that goes around closes without a seam.
+    """Return a bitmap texture; ``raw`` values are linear, others are sRGB colours."""
+    # Repetition avoids a seam where a chart wraps around.
     return plugin(
         "texture", "bitmap", name, id=id, filename=file, raw=raw, filter_type="bilinear",
         wrap_mode="repeat",
@@ -137,20 +136,20 @@ def bitmap(name: str, file: str, *, id: str | None = None, raw: bool = True) -> 
 
 
 def mesh(source: MeshArrays, folder: Path, file: str, name: str) -> Element:
-    """Return a mesh, and write it as PLY; ``file`` is relative to the scene file's ``folder``."""
+    """Write a mesh as PLY and return its shape; ``file`` is relative to the scene's ``folder``."""
     write_ply(folder / file, name, source)
     node = plugin("shape", "ply", id=name, filename=file)
-    # Mitsuba would compute smooth normals where the file has none.
+    # Without this flag, Mitsuba computes smooth normals if the file has none.
     return node if source.normals is not None else put(node, face_normals=True)
 
 
 def principled(name: str, textures: Mapping[str, str], *, two_sided: bool = False) -> Element:
-    """Return the material of an object in textures; specular is 0.5, as recovery takes it to be.
+    """Return a textured ``principled`` BSDF with specular 0.5, the value assumed by recovery.
 
     Args:
-        name: of the object.
-        textures: files of base_color, roughness and metallic, relative to the scene file.
-        two_sided: whether the object reflects on the back of its surface, too.
+        name: Id of the object.
+        textures: Files of base_color, roughness and metallic, relative to the scene file.
+        two_sided: True wraps the BSDF in ``twosided``.
     """
     node = plugin("bsdf", "principled", id=f"{name}_material", specular=0.5)
     for texture, path in textures.items():
@@ -163,22 +162,22 @@ def principled(name: str, textures: Mapping[str, str], *, two_sided: bool = Fals
 
 
 def environment(emitter: Any, folder: Path, assets: str) -> Element:
-    """Return an ``envmap``, ``constant`` or ``sunsky``; the map of the first is written as EXR.
+    """Return an emitter as ``envmap``, ``constant`` or ``sunsky``; write the map of an ``envmap``.
 
-    The others are written as parameters: sampled on a map, the sun's disk would be smaller than a
-    texel. ``assets`` is the folder of the map, relative to the scene file's ``folder``.
+    A ``sunsky`` is not sampled on a map, because the sun would be smaller than a pixel. ``assets``
+    is the folder of the map, relative to the scene file's ``folder``.
     """
     params, kind = mi.traverse(emitter), emitter.class_name()
     name = emitter.id() or "light"
 
-    def number(key: str) -> Any:  # of one channel or three
+    def number(key: str) -> Any:  # one number, or three channels
         return _plain(params[key] if key in params else params[f"{key}.value"])
 
     if kind == "ConstantBackgroundEmitter":
         return plugin("emitter", "constant", id=name, radiance=number("radiance"))
     if kind != "SunskyEmitter":
         file = f"{assets}/environment.exr"
-        # Mitsuba 3.9 keeps one halo column on each side.
+        # Mitsuba 3.9 stores a halo column on each side.
         pixels = np.array(params["data"], np.float32)[:, 1:-1, :3]
         write_exr(folder / file, {"RGB": pixels}, {ROWS: POLES})
         scale = float(np.array(params["scale"]).ravel()[0])
@@ -187,11 +186,11 @@ def environment(emitter: Any, folder: Path, assets: str) -> Element:
         )
     node = plugin("emitter", "sunsky", id=name, to_world=to_world(emitter))
     put(node, **{key: number(key) for key in ("turbidity", "albedo", "sun_scale", "sky_scale")})
-    # In world space, whatever to_world is, here and in the file.
+    # The sun's direction is in world space, independent of to_world.
     sun = np.array(params["sun_direction"], np.float64).ravel()
     SubElement(node, "vector", name="sun_direction", value=_text(sun))
     for key, label in (("sun_aperture", "Sun aperture"), ("complex_sun", "Complex sun model")):
-        match = re.search(rf"{label} = (\S+)", str(emitter))  # not among its parameters
+        match = re.search(rf"{label} = (\S+)", str(emitter))  # not a traversed parameter
         if match is not None:
             value = match[1] == "true" if match[1] in ("true", "false") else float(match[1])
             put(node, **{key: value})
@@ -199,39 +198,39 @@ def environment(emitter: Any, folder: Path, assets: str) -> Element:
 
 
 def shape(source: Any, folder: Path, stem: str) -> Any:
-    """Return a shape with its material; a comment and a warning for one that cannot be written.
+    """Return a shape with its material; for an unsupported shape, warn and return a comment.
 
-    ``stem`` begins the names of its files, relative to the scene file's ``folder``.
+    ``stem`` is the prefix of the names of its files, relative to the scene file's ``folder``.
     """
     kind = ANALYTIC.get(source.class_name())
     if source.is_mesh():
         node = mesh(arrays(source), folder, f"{stem}.ply", source.id())
     elif kind is not None:
         matrix = np.array(mi.traverse(source)["to_world"].matrix, np.float64).reshape(4, 4)
-        # A disk has no flipped normals: its matrix is mirrored instead.
+        # For a disk the flag is False, and its matrix is mirrored instead.
         flipped = bool(source.has_flipped_normals())
         node = plugin("shape", kind, id=source.id(), to_world=matrix, flip_normals=flipped)
     else:
         _warn(
-            f"{stem}: shape '{source.id()}' ({source.class_name()}) cannot be written and is left "
-            "out; add it to the written scene, or make it a mesh."
+            f"{stem}: shape '{source.id()}' ({source.class_name()}) cannot be written and is "
+            "missing in the new scene; add it there, or convert it to a mesh."
         )
-        return Comment(f" Left out: {source.class_name()} ")
+        return Comment(f" Missing: {source.class_name()} ")
     node.append(material(source.bsdf(), folder, stem))
     return node
 
 
 def material(bsdf: Any, folder: Path, stem: str) -> Element:
-    """Return the BSDF of a shape that is not the object; its textures are written as EXR.
+    """Return the BSDF of a shape that is not the object, and write its textures as EXR.
 
-    ``principled`` and ``diffuse``, also within ``twosided``, are written as they are. Any other is
-    replaced by a diffuse grey one, with a warning. ``stem`` is as of ``shape``.
+    Supported are ``principled`` and ``diffuse``, also within ``twosided``. Others are replaced by
+    a grey diffuse BSDF, with a warning. ``stem``: see ``shape``.
     """
     if not is_two_sided(bsdf):
         return _one_sided(bsdf, "", folder, stem)
     node = plugin("bsdf", "twosided")
     prefixes = {key.partition(".")[0] for key, _ in mi.traverse(bsdf) if "brdf_" in key}
-    for prefix in sorted(prefixes):  # two, if the back has a BSDF of its own
+    for prefix in sorted(prefixes):  # two if the back has another BSDF
         node.append(_one_sided(bsdf, f"{prefix}.", folder, f"{stem}_{prefix}"))
     return node
 
@@ -246,8 +245,8 @@ def _one_sided(bsdf: Any, prefix: str, folder: Path, stem: str) -> Element:
         kind = "diffuse" if names == {"reflectance"} else "principled" if principled_too else None
     if kind is None:
         _warn(
-            f"{stem}: a material of type {bsdf.class_name()} cannot be written and becomes a "
-            f"diffuse one of reflectance {GREY}; edit the written scene if that matters."
+            f"{stem}: a material of type {bsdf.class_name()} cannot be written; it is replaced by "
+            f"a diffuse one of reflectance {GREY}. Edit the written scene if that matters."
         )
         return plugin("bsdf", "diffuse", reflectance=[GREY] * 3)
     node, written = plugin("bsdf", kind), set()
@@ -266,11 +265,11 @@ def _one_sided(bsdf: Any, prefix: str, folder: Path, stem: str) -> Element:
         key.partition(".")[0] for key, value in inner.items()
         if key.endswith(".to_uv") and not np.allclose(np.array(value.matrix).squeeze(), np.eye(3))
     }  # fmt: skip
-    for changed, what in ((lost, "is left at its default"), (turned - lost, "loses its to_uv")):
+    for changed, result in ((lost, "has its default value"), (turned - lost, "loses its to_uv")):
         if changed:
             _warn(
-                f"{stem}: {', '.join(sorted(changed))} of another shape's material {what}; edit "
-                "the written scene if it matters."
+                f"{stem}: {', '.join(sorted(changed))} of this material {result}, because it "
+                "cannot be written; edit the written scene if that matters."
             )
     return node
 

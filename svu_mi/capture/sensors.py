@@ -1,4 +1,4 @@
-"""Sensors as data: write them to JSON, make them again, place new ones around an object."""
+"""Perspective sensors: JSON descriptions, projection, and placement around an object."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from svu_mi.core.arrays import fibonacci
 from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, OptionError
 
-LARGEST = 1e30  # of any number of a sensor; single precision ends soon after
-MAX_SIDE = 2**16  # pixels of a film
-MAX_PIXELS = 2**30  # of a photograph; kernels count its numbers, three per pixel, in 32 bits
+LARGEST = 1e30  # largest number in a description; below the limit of single precision
+MAX_SIDE = 2**16  # largest width or height of a film, in pixels
+MAX_PIXELS = 2**30  # per photograph; kernels index its 3 values per pixel by 32 bits
 
 SHAPES: dict[str, tuple[int, ...]] = {
     "to_world": (4, 4), "x_fov": (), "principal_point_offset": (2,), "clip": (2,), "film": (2,),
     "crop_offset": (2,), "crop_size": (2,),
 }  # fmt: skip
-WHOLE = ("film", "crop_offset", "crop_size")  # pixels
+WHOLE = ("film", "crop_offset", "crop_size")  # integers, in pixels
 KINDS = {(): "a number", (2,): "two numbers", (4, 4): "four rows of four numbers"}
 
 
 def affine(linear: Any, offset: Any = 0.0) -> np.ndarray:
-    """Return the map x -> linear x + offset, such as a pose, as a (4, 4) float64 matrix."""
+    """Return the (4, 4) float64 matrix of the affine map x -> linear x + offset."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = linear, offset
     return matrix
 
 
 def film_size(sensor: Any) -> tuple[int, int]:
-    """Return (width, height) of the sensor's crop window: the size of its photograph."""
+    """Return (width, height) of the sensor's crop window, the size of its photograph."""
     size = sensor.film().crop_size()
     return int(size[0]), int(size[1])
 
@@ -44,8 +44,8 @@ def film_size(sensor: Any) -> tuple[int, int]:
 def describe(sensor: Any) -> dict[str, Any]:
     """Return a JSON-ready description of a perspective sensor.
 
-    ``to_world`` is row-major, camera space is +X left, +Y up, +Z forward; ``x_fov`` is in
-    degrees over the full film width.
+    ``to_world`` is row-major; camera space is +X left, +Y up, +Z forward. ``x_fov`` is the field of
+    view over the full film width, in degrees.
     """
     params, film = mi.traverse(sensor), sensor.film()
 
@@ -62,7 +62,7 @@ def describe(sensor: Any) -> dict[str, Any]:
 
 
 def make_sensor(record: Mapping[str, Any], label: str) -> Any:
-    """Make a perspective sensor from its description."""
+    """Make a perspective sensor from its description; ``label`` is its id, and for messages."""
     check_record(record, label)
     (width, height), (left, top), (wide, high) = (map(int, record[key]) for key in WHOLE)
     shift_x, shift_y = map(float, record["principal_point_offset"])
@@ -87,14 +87,14 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
 def scaled_sensor(sensor: Any, side: int) -> Any:
     """Return a sensor with a film of at most ``side`` pixels in width and height.
 
-    The sensor itself, if its film is not larger.
+    Return ``sensor`` itself if its film is small enough.
     """
     scale = side / max(film_size(sensor))
     return sensor if scale >= 1 else resized_sensor(sensor, scale)
 
 
 def resized_sensor(sensor: Any, scale: float) -> Any:
-    """Return a sensor of the same view, with a film of ``scale`` times as many pixels per side."""
+    """Return a sensor of the same view; width and height of its film are multiplied by a scale."""
     record = describe(sensor)
     for key in ("film", "crop_offset", "crop_size"):
         low = 0 if key == "crop_offset" else 1
@@ -105,13 +105,13 @@ def resized_sensor(sensor: Any, scale: float) -> Any:
 def windowed_sensor(
     sensor: Any, corner: tuple[int, int], size: tuple[int, int], scale: float
 ) -> Any:
-    """Return a sensor whose film shows a window of another's, in pixels of another size.
+    """Return a sensor whose film is a resampled window of another sensor's film.
 
     Args:
-        sensor: the other.
-        corner: (x, y) of the window in pixels of its photograph; may lie beyond it.
-        size: (width, height) of the new film, in its own pixels.
-        scale: how many of them there are to one of the photograph's, along a side.
+        sensor: Original sensor.
+        corner: Upper left corner (x, y) of the window in original pixels; may be outside the film.
+        size: Size (width, height) of the new film in new pixels.
+        scale: New pixels per original pixel, along one side.
     """
     focal, center = focal_length(sensor) * scale, principal_point(sensor)
     offset = [0.5 - (center[k] - corner[k]) * scale / size[k] for k in range(2)]
@@ -124,13 +124,13 @@ def windowed_sensor(
 
 
 def focal_length(sensor: Any) -> float:
-    """Return a sensor's focal length in pixels."""
+    """Return the focal length in pixels."""
     record = describe(sensor)
     return float(record["film"][0] / 2 / np.tan(np.radians(record["x_fov"]) / 2))
 
 
 def principal_point(sensor: Any) -> tuple[float, float]:
-    """Return (cx, cy) in pixels of the photograph; (0, 0) is the corner of its first pixel."""
+    """Return the principal point (x, y) in pixels from the outer corner of the first pixel."""
     record = describe(sensor)
     film, offset, crop = (record[k] for k in ("film", "principal_point_offset", "crop_offset"))
     x, y = (film[k] * (0.5 - offset[k]) - crop[k] for k in range(2))
@@ -138,12 +138,14 @@ def principal_point(sensor: Any) -> tuple[float, float]:
 
 
 def projected(sensor: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where points (N, 3) are in a sensor's photograph, (N, 2) x and y in pixels, and how
-    far ahead of the camera (N,); x and y mean nothing where that is not positive."""
+    """Project world points (N, 3): return (x, y) in pixels, (N, 2), and depths, (N,).
+
+    Pixel coordinates are meaningless if the depth is not positive.
+    """
     pose = to_world(sensor)
     local = (points - pose[:3, 3]) @ pose[:3, :3]
     depth = local[:, 2]
-    # Mitsuba's cameras look along +Z with +X to the left and +Y up.
+    # Mitsuba's camera space is +X left, +Y up, +Z forward.
     away = focal_length(sensor) * local[:, :2] / np.where(depth > 0, depth, 1)[:, None]
     return np.array(principal_point(sensor)) - away, depth
 
@@ -153,30 +155,30 @@ def sphere_sensors(
     distance: float | None = None, up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     lowest: float = -1.0,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Place sensors around an object, evenly over the sphere or its upper part (Fibonacci spiral).
+    """Place sensors on a sphere around an object, evenly along a Fibonacci spiral.
 
     Args:
-        shape: the object; sensors look at the centre of its bounding box.
-        count: number of sensors.
-        resolution: (width, height) of each film, in pixels.
-        fov: opening angle over the film's shorter side, in degrees.
-        distance: from that centre, in scene units; by default the object just fits.
-        up: where the top of the sphere is; need not have unit length.
-        lowest: sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
+        shape: The object; sensors face the centre of its bounding box.
+        count: Number of sensors.
+        resolution: Film size (width, height) in pixels.
+        fov: Field of view over the film's shorter side, in degrees.
+        distance: Radius of the sphere in scene units; by default the object just fits the film.
+        up: Direction of the pole; need not have unit length.
+        lowest: Sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
     """
     if count < 1 or min(resolution) < 1:
         raise OptionError(
             f"Cannot place {count} sensors of {resolution[0]} x {resolution[1]} pixels; "
-            "all three must be at least 1."
+            "all three numbers must be at least 1."
         )
     require_views(count, "Sensors around an object")
     if not -1 <= lowest < 1:
-        raise OptionError(f"The lowest elevation's sine must be in [-1, 1), got {lowest}.")
+        raise OptionError(f"The sine of the lowest elevation must be in [-1, 1), got {lowest}.")
     center, radius = bounding_sphere(shape)
     if distance is None:
         distance = 1.05 * radius / np.sin(np.radians(fov) / 2)
     if not (np.isfinite(distance) and distance > 0):
-        raise OptionError(f"Sensors need a positive distance from the object, got {distance}.")
+        raise OptionError(f"The distance from the object must be positive, got {distance}.")
     wide = max(1.0, resolution[0] / resolution[1])
     x_fov = 2 * np.degrees(np.arctan(np.tan(np.radians(fov) / 2) * wide))
     record = {
@@ -197,9 +199,9 @@ def sensors_like(
     used: Sequence[Any], shape: Any, count: int, *, distance: float | None = None,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0), lowest: float = -1.0,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Place sensors around an object with film and lens of the first of ``used``.
+    """Place sensors around an object, with film and field of view of the first ``used`` sensor.
 
-    ``distance`` is by default their median; the others are those of ``sphere_sensors``.
+    The default ``distance`` is the median of ``used``; other arguments: see ``sphere_sensors``.
     """
     if distance is None:
         center, _ = bounding_sphere(shape)
@@ -213,7 +215,7 @@ def sensors_like(
 
 
 def _rotation(up: Sequence[float]) -> np.ndarray:
-    """Return the rotation (3, 3) that takes +Y to a direction the shortest way."""
+    """Return the smallest rotation (3, 3) from +Y to a direction."""
     length = np.linalg.norm(up)
     if not (np.isfinite(length) and length > 0):
         raise OptionError(f"up must be a direction, got {list(up)}.")
@@ -223,7 +225,7 @@ def _rotation(up: Sequence[float]) -> np.ndarray:
 
 
 def bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
-    """Return the centre of a shape's bounding box and the distance of its farthest point."""
+    """Return the centre of a shape's bounding box and the distance of the farthest vertex."""
     bounds = shape.bbox()
     low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
     center = (low + high) / 2
@@ -232,31 +234,31 @@ def bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
 
 
 def directions_of(sensors: Iterable[Any], center: np.ndarray) -> np.ndarray:
-    """Unit vectors (V, 3) from a point to sensors; along +Y for a sensor at that very point."""
+    """Return unit vectors (V, 3) from a point to sensors; +Y for a sensor at this point."""
     offsets = np.array([to_world(sensor)[:3, 3] - center for sensor in sensors]).reshape(-1, 3)
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
     return np.where(lengths > 0, offsets / np.maximum(lengths, 1e-30), (0.0, 1.0, 0.0))
 
 
 def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.ndarray:
-    """Return a camera-to-world matrix with a direction upwards, turned aside along it."""
+    """Return a look-at matrix (camera to world); replace ``up`` if it is the viewing direction."""
     forward = (target - origin) / np.linalg.norm(target - origin)
     above = np.array(up, np.float64) / np.linalg.norm(up)
-    if abs(forward @ above) >= 0.999:  # any direction that is not the camera's own
+    if abs(forward @ above) >= 0.999:  # any other direction will do
         above = np.roll(above, 1) if abs(forward @ np.roll(above, 1)) < 0.999 else above[[0, 2, 1]]
     pose = mi.ScalarTransform4d().look_at(origin=origin, target=target, up=above)
     return np.array(pose.matrix, np.float64)
 
 
 def check_record(record: Any, label: str) -> None:
-    """Refuse a description that is not complete, or of which Mitsuba would see nothing."""
+    """Raise if a sensor description is incomplete or invalid."""
     if not isinstance(record, Mapping):
         raise CaptureError(f"{label}: not a JSON object with {', '.join(SHAPES)}.")
     for key, shape in SHAPES.items():
         if key not in record:
             raise CaptureError(f"{label}: has no {key}; render or import the capture again.")
-        what = f"{KINDS[shape]}, each finite and at most {LARGEST:g}"
-        _require(_has(record[key], shape, Real), label, key, what)
+        expected = f"{KINDS[shape]}, each finite and at most {LARGEST:g}"
+        _require(_has(record[key], shape, Real), label, key, expected)
     for key in WHOLE:
         _require(_has(record[key], (2,), Integral), label, key, "two whole numbers")
     last = np.array(record["to_world"], np.float64)[3]
@@ -273,13 +275,13 @@ def check_record(record: Any, label: str) -> None:
     _require(inside, label, "crop_size", "a window inside the film")
 
 
-def _require(fine: Any, label: str, key: str, what: str) -> None:
+def _require(fine: Any, label: str, key: str, expected: str) -> None:
     if not fine:
-        raise CaptureError(f"{label}: {key} must be {what}; render or import the capture again.")
+        raise CaptureError(f"{label}: {key} must be {expected}; render or import it again.")
 
 
 def _has(value: Any, shape: tuple[int, ...], kind: Any) -> bool:
-    """Return whether a value is nested lists, or an array, of finite numbers."""
+    """Return whether a value has a shape (nested lists or an array) and finite numbers."""
     if not shape:
         return isinstance(value, kind) and not isinstance(value, bool) and abs(value) < LARGEST
     listed = isinstance(value, list | tuple | np.ndarray) and len(value) == shape[0]

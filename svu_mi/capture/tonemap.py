@@ -1,4 +1,4 @@
-"""Pictures for display: photographs exposed and encoded as sRGB, and textures on the object."""
+"""Images for display: tone-mapped photographs, and textures rendered on the object."""
 
 from __future__ import annotations
 
@@ -15,18 +15,15 @@ from svu_mi.capture.film_rays import pixel_rays, ray_table, stratified
 from svu_mi.capture.sensors import film_size, projected, scaled_sensor
 from svu_mi.core.arrays import to_drjit
 
-WHITE = 0.95  # part of the object's pixels that a tone-mapped photograph does not clip
-SIDE = 512  # pixels of the longer side of a picture
-SAMPLES = 2  # along each side of a pixel
-MANY = 2**17  # vertices that take longer to look at than the rays beside the object
-AMBIENT = 0.35  # brightness of a surface that is seen edge on
+WHITE = 0.95  # quantile of the object's pixels that becomes white
+SIDE = 512  # pixels of the longer side of an image
+SAMPLES = 2  # rays per side of a pixel
+MANY = 2**17  # vertices; for larger meshes the bounding box is projected, which is faster
+AMBIENT = 0.35  # shading factor at grazing angles
 
 
 def white_radiance(photograph: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Return the radiance that becomes white when a photograph is exposed for its object.
-
-    Arguments are those of ``tone_mapped``.
-    """
+    """Return the radiance that ``tone_mapped`` maps to white; arguments as there."""
     brightness = photograph.max(axis=2)
     chosen = brightness[mask] if mask is not None and mask.any() else brightness
     chosen = chosen[np.isfinite(chosen)]
@@ -39,6 +36,11 @@ def tone_mapped(
 ) -> np.ndarray:
     """Expose a photograph for its object and encode it as sRGB.
 
+    Args:
+        photograph: (H, W, 3) linear radiance.
+        mask: (H, W) bool, True on the object; None uses all pixels.
+        white: Radiance that becomes white; default: a quantile of the object's pixels.
+
     Returns:
         (H, W, 3) float32 in [0, 1].
     """
@@ -47,7 +49,7 @@ def tone_mapped(
 
 
 def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return a photograph in (width, height) pixels; unusable ones leave NaN around them."""
+    """Resample a photograph to (width, height); pixels that depend on NaN become NaN."""
     height, width = photograph.shape[:2]
     if (width, height) == size:
         return np.array(photograph)
@@ -61,7 +63,7 @@ def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def block_means(photograph: np.ndarray, across: int, down: int) -> np.ndarray:
-    """Return means of so many pixels across and down; those left over at the ends are cut off."""
+    """Return means of blocks of pixels, ``across`` wide, ``down`` high; crop incomplete blocks."""
     height, width = photograph.shape[0] // down, photograph.shape[1] // across
     means = np.zeros((height, width, photograph.shape[2]), np.float32)
     for row in range(down):
@@ -78,13 +80,13 @@ def srgb(linear: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ObjectView:
-    """View of an object from a sensor, traced once for any number of textures.
+    """View of an object, traced once and reused for any number of textures.
 
     Attributes:
-        window: rows and columns around the object; no pixel beyond shows it.
-        uv: (N,) Point2f of all samples of these, those of a pixel one after the other.
-        shade: (N,) Float, how bright the surface is in each; 0 off the object.
-        covered: (h, w) float32, the part of every pixel of the picture that the object covers.
+        window: Rows and columns that contain the object.
+        uv: (N,) Point2f, UVs of all samples in the window, pixel by pixel.
+        shade: (N,) Float, shading factors; 0 for samples that miss the object.
+        covered: (h, w) float32, fraction of each pixel that shows the object.
     """
 
     window: tuple[slice, slice]
@@ -94,7 +96,7 @@ class ObjectView:
 
     @staticmethod
     def of(scene: Any, sensor: Any) -> ObjectView:
-        """Trace the rays of a sensor, a few to a pixel, in a scene as of ``object_only_scene``."""
+        """Trace the rays of a sensor in an ``object_only_scene``."""
         width, height = film_size(sensor)
         rows, columns = window = _window(scene.shapes()[0], sensor)
         shape = rows.stop - rows.start, columns.stop - columns.start
@@ -105,7 +107,7 @@ class ObjectView:
         ray = pixel_rays(ray_table([sensor]), place, SAMPLES**2, stratified(SAMPLES))
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         hit = si.is_valid()
-        # Darker where the surface turns away, so that its form can be seen.
+        # Darkening at grazing angles makes the geometry visible.
         shade = dr.lerp(AMBIENT, 1, dr.abs(dr.dot(si.sh_frame.n, ray.d)))
         uv, shade = dr.select(hit, si.uv, 0), dr.select(hit, shade, 0)
         dr.eval(uv, shade)
@@ -116,27 +118,26 @@ class ObjectView:
 
     @staticmethod
     def at(scene: Any, sensor: Any, side: int = SIDE) -> ObjectView:
-        """Trace the rays of a sensor whose picture has at most so many pixels on a side."""
+        """Trace the rays of a sensor, scaled down to at most ``side`` pixels per side."""
         return ObjectView.of(scene, scaled_sensor(sensor, side))
 
     def painted(self, texture: np.ndarray) -> np.ndarray:
         """Show a texture on the object, slightly shaded.
 
         Returns:
-            (h, w, 4) float32, colour over white and the part of the pixel that is covered.
+            (h, w, 4) float32 in [0, 1]: colour over white, and the covered fraction of the pixel.
         """
-        # Antialiasing and shading work on screen values: good enough here.
+        # Averages encoded values: accurate enough for display.
         color = dr.select(self.shade > 0, self.shade * self._texel(texture), 1)
         return np.clip(np.dstack([self._mean(color, 1), self.covered]), 0, 1)
 
     def values(self, texture: np.ndarray) -> np.ndarray:
-        """Return means (h, w, 3) float32 of a texture (H, W, 3) over what of the object a pixel
-        shows; 0 where it shows none."""
+        """Return a texture (H, W, 3) averaged over each pixel: (h, w, 3), 0 off the object."""
         mean = self._mean(dr.select(self.shade > 0, self._texel(texture), 0), 0)
         return mean / np.maximum(self.covered, 1 / SAMPLES**2)[..., None]
 
     def _texel(self, texture: np.ndarray) -> Any:
-        """Color3f, the texel of every sample."""
+        """Return the texel of every sample, Color3f."""
         height, width = texture.shape[:2]
         texels = to_drjit(mi.Float, np.asarray(texture, np.float32).ravel())
         column, row = (
@@ -146,7 +147,7 @@ class ObjectView:
         return dr.gather(mi.Color3f, texels, row * dr.opaque(mi.UInt32, width) + column)
 
     def _mean(self, color: Any, beyond: float) -> np.ndarray:
-        """Means over the samples of a pixel, (h, w, 3), or what is beyond the window."""
+        """Return the means over each pixel's samples, (h, w, 3); ``beyond`` outside the window."""
         dr.eval(color)
         mean = [dr.block_sum(channel, SAMPLES**2) / SAMPLES**2 for channel in color]
         dr.eval(mean)
@@ -157,8 +158,10 @@ class ObjectView:
 
 
 def _window(shape: Any, sensor: Any) -> tuple[slice, slice]:
-    """Return rows and columns of the pixels that may show something of a mesh, at least one; all of
-    them if some of it is beside or behind the camera."""
+    """Return the rows and columns that contain a mesh, at least one each.
+
+    Return the whole film if a part of the mesh is not in front of the camera.
+    """
     box = shape.bbox()
     points = np.array([box.corner(k) for k in range(8)], np.float64)
     if shape.vertex_count() <= MANY:
@@ -174,9 +177,9 @@ def _window(shape: Any, sensor: Any) -> tuple[slice, slice]:
 
 
 def object_only_scene(capture: Any) -> Any:
-    """Return a scene of the capture's ``mesh`` and nothing else."""
+    """Return a scene that contains only the capture's ``mesh``."""
     return mi.load_dict(
-        # A copy: a live shape belongs to one scene, and the capture's may have no UVs.
+        # A copy, because Mitsuba shapes belong to one scene.
         {"type": "scene", "object": meshes.make_mesh("object", meshes.arrays(capture.mesh))},
         optimize=False,
     )

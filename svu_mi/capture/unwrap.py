@@ -1,4 +1,4 @@
-"""Texture coordinates for meshes that have none, by xatlas."""
+"""UV unwrapping of meshes by xatlas."""
 
 from __future__ import annotations
 
@@ -20,21 +20,20 @@ from svu_mi.errors import MeshError
 log = logging.getLogger(__name__)
 
 UNWRAPPED = "unwrapped.ply"
-KEY = "svu_mi unwrapped "  # a comment in the header of the file, before its digest
-HEADER = 4096  # bytes that hold the header of a PLY file
-MAX_CHART = 4096  # texels of an atlas of about 1024; packing a longer sliver takes for ever
+KEY = "svu_mi unwrapped "  # prefix of the digest in a comment of the file's header
+HEADER = 4096  # bytes; the header of the PLY file must be shorter
+MAX_CHART = 4096  # texels, for an atlas of about 1024; packing longer slivers does not end
 
 
 def unwrap(mesh: Any, label: str = "") -> Any:
-    """Return a copy of a mesh with new, non-overlapping UVs.
+    """Return a copy of a mesh with new UVs that do not overlap.
 
-    The atlas differs between xatlas versions, so whoever needs the same texels twice
-    saves the result (``unwrap_cached``).
+    The atlas depends on the version of xatlas; ``unwrap_cached`` saves it for later runs.
     """
     source, label = arrays(mesh), label or f"Shape '{mesh.id()}'"
     if len(source.faces) == 0:
-        raise MeshError(f"{label} has no faces, so there is nothing to unwrap.")
-    # Of unit size: xatlas works in single precision and takes small triangles for degenerate ones.
+        raise MeshError(f"{label} has no faces, so it cannot be unwrapped.")
+    # Scaled to unit size: xatlas uses single precision and treats small triangles as degenerate.
     low, high = source.positions.min(axis=0), source.positions.max(axis=0)
     unit = (source.positions - low) / max(float((high - low).max()), 1e-300)
     atlas, packing = xatlas.Atlas(), xatlas.PackOptions()
@@ -55,10 +54,9 @@ def unwrap(mesh: Any, label: str = "") -> Any:
 
 
 def unwrap_cached(mesh: Any, folder: Path | None) -> Any:
-    """Unwrap a mesh, or take the UVs that an earlier run left in the capture's folder.
+    """Unwrap a mesh, or reuse the UVs that an earlier run saved in a folder.
 
-    A file that belongs to another mesh, that was changed, or that is damaged is made again, with
-    a warning in the log.
+    A saved file that is damaged, modified or from another mesh is replaced, with a logged warning.
     """
     path, source = None if folder is None else folder / UNWRAPPED, arrays(mesh)
     if path is not None and path.exists():
@@ -76,8 +74,8 @@ def unwrap_cached(mesh: Any, folder: Path | None) -> Any:
 
 
 def _saved(path: Path, source: MeshArrays) -> MeshArrays:
-    """Lay the UVs of a file on a mesh, whose positions and normals are taken."""
-    if not path.is_file():  # opening a pipe would wait
+    """Combine the UVs of a saved file with positions and normals of a mesh."""
+    if not path.is_file():  # opening a pipe would block
         raise MeshError(f"{path}: is not a file")
     try:
         with path.open("rb") as stream:
@@ -90,7 +88,7 @@ def _saved(path: Path, source: MeshArrays) -> MeshArrays:
     is_own = key is not None and key[1] == _key(source, saved)
     if not is_own or saved.faces.shape != source.faces.shape:
         raise MeshError(f"{path}: belongs to another mesh, or was changed")
-    # Unwrapping only repeats vertices and keeps the order of faces, so corners tell which.
+    # Unwrapping duplicates vertices but keeps the order of faces, which maps them back.
     vertex = np.zeros(len(saved.positions), np.int64)
     vertex[saved.faces] = source.faces
     if not np.array_equal(vertex[saved.faces], source.faces):
@@ -100,10 +98,9 @@ def _saved(path: Path, source: MeshArrays) -> MeshArrays:
 
 
 def _key(source: MeshArrays, flat: MeshArrays) -> str:
-    """Return a digest of a mesh and its UVs, in the precision of files.
+    """Return a digest of a mesh and its UVs in single precision.
 
-    The version of xatlas is not part of it: what was laid out by another one is still valid, and
-    keeps texels where they were.
+    It does not depend on the version of xatlas, so saved UVs remain valid.
     """
     key = hashlib.blake2b(digest_size=16)
     for rows in (source.positions, source.normals, flat.uvs):

@@ -144,7 +144,7 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
     mesh = mesh.mesh if isinstance(mesh, Capture) else mesh
     if not isinstance(mesh, mi.Shape):
         raise OptionError(
-            f"texels(): a mesh or a capture is needed, got a {type(mesh).__name__}; use "
+            f"texels(): mesh must be a mesh or a capture, got a {type(mesh).__name__}; use "
             "capture.mesh."
         )
     name = f"Shape '{mesh.id()}'"

@@ -177,8 +177,8 @@ def test_a_capture_without_a_light_names_the_way_to_one(gray_ball):
     with pytest.raises(SceneError) as refused:
         svu.estimate(dark, svu.texels(dark.mesh, 16))
     assert str(refused.value) == (
-        "The scene: the capture has no light; use svu.with_light(capture, "
-        "svu.estimate_light(capture, texels)), which finds it in the photographs."
+        "The scene: the capture has no light; estimate it with svu.with_light(capture, "
+        "svu.estimate_light(capture, texels))."
     )
 
 

@@ -204,15 +204,15 @@ def test_an_interrupted_render_is_continued(tmp_path, capsys, stopping, variant)
     path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
     words = ("render", path, "--spp", 2, "-o", out)
     assert fails(capsys, *words, "--resume") == (
-        f"svu: {out}: there is nothing of an interrupted run to resume; omit --resume."
+        f"svu: {out}: no interrupted run to resume; omit --resume."
     )
     assert run(*words) == 130
     assert capsys.readouterr().err == (
         "svu: interrupted; 2 views are kept: continue with the same command and --resume\n"
     )
     assert fails(capsys, *words, "--resume", "--spp", 3) == (
-        f"svu: {out}: what an interrupted run has left was made with other options, or of "
-        "something else; restore these, or omit --resume to start again."
+        f"svu: {out}: the interrupted run had other options or another scene; restore these, "
+        "or omit --resume to start again."
     )
     del stopping[:-1]
     assert run(*words, "--resume") == 0
@@ -244,7 +244,7 @@ def test_an_interrupted_render_is_not_mixed_with_another(tmp_path, change):
     interrupt(path, out)
     assert plain.replace(*change) != plain
     path.write_text(plain.replace(*change))
-    with pytest.raises(OutputError, match="made with other options, or of something else"):
+    with pytest.raises(OutputError, match="had other options or another scene"):
         render_capture(path, spp=1, folder=out, resume=True)
     path.write_text(plain)
     assert render_capture(path, spp=1, folder=out, resume=True).count == 4
@@ -355,10 +355,10 @@ def test_photographs_are_matched_by_the_ids_of_their_sensors(scene):
     assert capture.names == capture.files == ("night.exr", "evening.exr", "cam2.exr")
     assert [round(float(image.mean()), 3) for image in capture.images] == [0.1, 0.2, 0.3]
     (folder / "cam2.exr").rename(folder / "cam3.exr")
-    message = r"1 of 3 photographs are missing, first cam2.exr; give the others, or --missing leave"
+    message = r"1 of 3 photographs are missing, first cam2.exr; add them, or continue without them"
     with pytest.raises(CaptureError, match=message):
         load_capture(scene)
-    with pytest.raises(CaptureError, match="cam3.exr: there are 3 photographs but only 3 sensors"):
+    with pytest.raises(CaptureError, match="cam3.exr: no sensor has this name; the folder has 3"):
         load_capture(scene, missing="leave-out")
     (folder / "cam3.exr").unlink()
     assert load_capture(scene, missing="leave-out").used == (True, True, False)
@@ -380,8 +380,8 @@ def test_photographs_of_any_name_are_taken_in_their_natural_order(tmp_path, mask
     with pytest.warns(SvuWarning) as said:
         capture = load_capture(path, folder)
     assert [str(warning.message) for warning in said] == [
-        f"{folder}: 11 photographs are taken in the order of their names: IMG_0.exr is sensor 0 "
-        "('cam0'), ..., IMG_10.exr is sensor 10 ('cam10')."
+        f"{folder}: 11 photographs are assigned to sensors in the order of their names: IMG_0.exr "
+        "is sensor 0 ('cam0'), ..., IMG_10.exr is sensor 10 ('cam10')."
     ]
     assert capture.names == tuple(f"IMG_{index}.exr" for index in range(11))
     assert [round(100 * float(image.mean())) for image in capture.images] == list(range(1, 12))
@@ -392,7 +392,7 @@ def test_photographs_of_any_name_are_taken_in_their_natural_order(tmp_path, mask
 def test_textures_beside_a_scene_are_no_photographs(tmp_path):
     path = write_scene(tmp_path, sensors=sensor_xml(1))
     write_exr(tmp_path / "base_color.exr", {"RGB": np.ones((24, 24, 3))})
-    message = f"{tmp_path}: 1 of 1 photographs are missing, first view_0000.exr; no picture there"
+    message = f"{tmp_path}: 1 of 1 photographs are missing, first view_0000.exr; no image there"
     with pytest.raises(CaptureError, match=message):
         load_capture(path)
 
@@ -436,7 +436,7 @@ def test_imported_photographs_keep_the_names_that_they_had(scene):
     assert capture.names == ("IMG_7.JPG", "IMG_8.JPG", "IMG_9.JPG")
     assert capture.files == ("view_0000.exr", "view_0001.exr", "view_0002.exr")
     assert capture.warnings == (
-        f"{folder / 'view_0001.exr'} (IMG_8.JPG): entirely black, so left out; check the "
+        f"{folder / 'view_0001.exr'} (IMG_8.JPG): entirely black, not used; check the "
         "exposure, or remove the photograph and its sensor.",
     )
     paths[2] = "right/IMG_7.JPG"  # a camera of its own, that counts like the first
@@ -459,7 +459,7 @@ PHOTOGRAPHS = {
         lambda folder: (folder / "view_0001.exr").unlink(),
         "1 of 3 photographs are missing, first view_0001.exr",
     ),
-    "extra": (copied("view_0003.exr"), "view_0003.exr.*4 photographs but only 3 sensors"),
+    "extra": (copied("view_0003.exr"), "view_0003.exr.*4 photographs for 3 sensors"),
     "twice": (copied("view_0000.hdr"), "are the same view"),
     "empty": (written(b""), "view_0002.exr: an empty file"),
     "black": (
@@ -522,7 +522,7 @@ def _write_raw_exr(path, image):
 
 def test_a_black_photograph_is_left_out_with_a_warning(scene):
     write_exr(scene.parent / "images" / "view_0001.exr", {"RGB": np.zeros((24, 24, 3))})
-    with pytest.warns(SvuWarning, match="view_0001.exr: entirely black, so left out"):
+    with pytest.warns(SvuWarning, match="view_0001.exr: entirely black, not used"):
         capture = load_capture(scene)
     assert capture.used == (True, False, True)
 
@@ -538,7 +538,7 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
         Image.fromarray(pixels).save(folder / f"view_{index:04d}.png")
     assert load_capture(path).warnings == (
         f"{folder}: all 30 photographs: 8-bit, not HDR; decoded as sRGB, 1440 saturated "
-        "pixels count as at least so bright. Clipped highlights hide gloss: use HDR.",
+        "pixels are used as lower bounds. Clipped highlights hide gloss: use HDR.",
     )
     for index in (3, 4, 9, 20, 21):
         write_exr(folder / f"view_{index:04d}.exr", {"RGB": np.zeros((24, 24, 3))})
@@ -546,10 +546,10 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
     sentences = load_capture(path).warnings
     assert sentences == (
         f"{folder}: 25 of 30 photographs (view_0000.png, view_0001.png, view_0002.png and 22 "
-        "more): 8-bit, not HDR; decoded as sRGB, 1200 saturated pixels count as at least so "
-        "bright. Clipped highlights hide gloss: use HDR.",
+        "more): 8-bit, not HDR; decoded as sRGB, 1200 saturated pixels are used as lower "
+        "bounds. Clipped highlights hide gloss: use HDR.",
         f"{folder}: 5 of 30 photographs (view_0003.exr, view_0004.exr, view_0009.exr and 2 more): "
-        "entirely black, so left out; check the exposure, or remove the photograph and its "
+        "entirely black, not used; check the exposure, or remove the photograph and its "
         "sensor.",
     )
 
@@ -566,7 +566,7 @@ def test_places_that_there_are_not(scene):
 
 BROKEN = {
     "unknown plugin": ({"extra": '<bsdf type="plyx"/>'}, r'scene.xml: .*"plyx" not found'),
-    "no sensor": ({"sensors": ""}, "no sensor, so there is no view"),
+    "no sensor": ({"sensors": ""}, "the scene has no sensor; add one"),
     "point light": ({"emitter": "point"}, "'light'.*PointLight.*not supported"),
     "two lights": ({"extra": '<emitter type="directional" id="sun"/>'}, "'sun'"),
     "light on a shape": (
@@ -601,7 +601,7 @@ def test_no_emitter(tmp_path):
         load_capture(path)
     capture = load_capture(path, light="optional")
     assert capture.environment is None
-    with pytest.raises(SceneError, match=r"the capture has no light; use svu\.with_light\("):
+    with pytest.raises(SceneError, match=r"the capture has no light; estimate it with svu"):
         estimate(capture, texels(capture.mesh, 16))
     with pytest.raises(OptionError, match="light must be one of 'required', 'optional', got 'no'"):
         load_capture(path, light="no")
@@ -610,8 +610,8 @@ def test_no_emitter(tmp_path):
     with pytest.raises(SceneError) as refused:
         load_capture(path)
     start = f"{tmp_path / 'images'}: was imported without a light; "
-    assert str(refused.value).startswith(f'{start}load it with light="optional", and find one with')
-    assert refused.value.shell.startswith(f"{start}find it in the photographs with svu light, or")
+    assert str(refused.value).startswith(f'{start}load it with light="optional" and estimate the')
+    assert refused.value.shell.startswith(f"{start}estimate it with svu light, or")
 
 
 # --- what is ignored is said ----------------------------------------------------------------

@@ -155,7 +155,9 @@ def test_a_disk_that_is_full_is_said_to_be(shot, monkeypatch, tmp_path):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(pixel_buffer.os, "posix_fallocate", full)
-    with pytest.raises(CaptureError, match=r"no room for 0.0 GB of photographs \(No space left on"):
+    with pytest.raises(
+        CaptureError, match=r"no space for 0.0 GB of photographs \(No space left on"
+    ):
         svu.load_capture(shot, memory=0.0)
 
 

@@ -78,13 +78,13 @@ def test_a_missing_light_is_no_photograph(nerf, capsys):
 
 
 @pytest.mark.parametrize(("place", "files", "instead"), [
-    ("raw", [f"IMG_{k}.CR2" for k in range(8)], "the folder holds no picture that svu can read "
+    ("raw", [f"IMG_{k}.CR2" for k in range(8)], "the folder has no image in a supported format "
      "(8 .CR2: develop them to linear EXR first)"),
-    ("raw", ["IMG_0.heic"], "the folder holds no picture that svu can read "
+    ("raw", ["IMG_0.heic"], "the folder has no image in a supported format "
      "(1 .heic: convert them to EXR, or to PNG first)"),
-    ("raw", [], "the folder holds no picture: give that of the photographs with --images"),
-    (".", ["IMG_1.exr"], "no picture there has such a name: put the photographs into a folder of "
-     "their own, and give it with --images"),  # where textures may lie, too
+    ("raw", [], "the folder has no image: give the folder of the photographs with --images"),
+    (".", ["IMG_1.exr"], "no image there has such a name: put the photographs into a separate "
+     "folder and give it with --images"),  # where textures may lie, too
 ])  # fmt: skip
 def test_a_folder_without_photographs_says_what_it_holds(tmp_path, capsys, place, files, instead):
     path, raw = write_scene(tmp_path, sensors=sensor_xml(SENSORS)), tmp_path / place
@@ -102,14 +102,14 @@ def test_names_tell_which_photographs_are_missing(tmp_path):
     folder.mkdir()
     for number in range(SENSORS - 1):
         write_exr(folder / f"IMG_{number}.exr", {"RGB": np.ones((24, 24, 3))})
-    lack = f"{folder}: 7 photographs for 8 sensors, and none has a name that says "
-    names = "call them view_0000, ... by the number of their sensor, or by its id"
+    lack = f"{folder}: 7 photographs for 8 sensors cannot be assigned by their names; "
+    names = "name them view_0000, ... by the index of their sensor, or by its id"
     with pytest.raises(CaptureError) as caught:
         svu.load_capture(path, folder)
-    assert str(caught.value) == f"{lack}whose it is; {names}, or give one for each."
+    assert str(caught.value) == f"{lack}{names}, or give one per sensor."
     with pytest.raises(CaptureError) as caught:
         svu.load_capture(path, folder, missing="leave-out")
-    assert str(caught.value) == f"{lack}which are missing; {names}."
+    assert str(caught.value) == f"{lack}{names}."
 
 
 def test_mitsubas_reason_is_told_once(tmp_path):
@@ -141,11 +141,11 @@ def test_a_mistaken_argument_is_named(tmp_path):
     scene = mi.load_file(str(write_scene(tmp_path)))
     for call, sentence in (
         (lambda: svu.texels("ball.ply", 64),
-         "texels(): a mesh or a capture is needed, got a str; use capture.mesh."),
+         "texels(): mesh must be a mesh or a capture, got a str; use capture.mesh."),
         (lambda: svu.Candidates.around("capture", 5), "Candidates.around(): a capture is needed, "
          "got a str; read one with svu.load_capture(path)."),
         (lambda: svu.load_capture(scene),
-         "load_capture(): the path of a scene or a capture is needed, got a Scene."),
+         "load_capture(): path must be the path of a scene or a capture, got a Scene."),
     ):  # fmt: skip
         with pytest.raises(OptionError) as caught:
             call()

@@ -125,8 +125,8 @@ def test_60_photographs_of_100_sensors(tmp_path, capsys):
         (photographs / f"view_000{number}.exr").unlink()
     words = ("entropy", photographs, "-o", out, "--resolution", 24)
     assert fails(capsys, *words) == (
-        f"svu: {photographs}: 2 of 5 photographs are missing, first view_0001.exr; give the "
-        "others, or --missing leave-out to go on without them."
+        f"svu: {photographs}: 2 of 5 photographs are missing, first view_0001.exr; add "
+        "them, or continue without them by --missing leave-out."
     )
     assert run(*words, "--missing", "leave-out") == 0
     record = json.loads((out / "run.json").read_text())["inputs"]
@@ -195,8 +195,7 @@ def test_a_scene_without_sensors_is_told_of_commands_that_place_some(tmp_path, c
         ("render", "pass --views N to place some"),
     ):
         assert fails(capsys, command, path, "-o", tmp_path / command) == (
-            f"svu: {path}: the scene has no sensor, so there is no view; add one <sensor> per "
-            f"photograph, or {remedy}."
+            f"svu: {path}: the scene has no sensor; add one <sensor> per photograph, or {remedy}."
         )
 
 

@@ -112,7 +112,7 @@ def test_a_scene_that_recover_renders_is_rendered_once(tmp_path, capsys, monkeyp
     text = path.read_text()
     path.write_text(text.replace('value="35"', 'value="36"', 1))
     assert run(*words, "--resume") == 2
-    assert "rendered from other sensors than the scene has now" in capsys.readouterr().err
+    assert "rendered with other sensors than the scene has now" in capsys.readouterr().err
     path.write_text(text)
     assert run(*words, "--resume") == 0
     assert photograph.stat().st_mtime_ns == before

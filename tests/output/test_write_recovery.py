@@ -275,7 +275,7 @@ def test_a_material_that_cannot_be_written_is_said(tmp_path):
 
 
 @pytest.mark.parametrize(("texture", "sentence"), [
-    ({"type": "checkerboard"}, "left at its default"),
+    ({"type": "checkerboard"}, "has its default value"),
     ({"type": "bitmap", "bitmap": None, "to_uv": 8.0}, "loses its to_uv"),
 ])  # fmt: skip
 def test_textures_that_change_in_writing_are_reported(tmp_path, texture, sentence):

@@ -59,8 +59,8 @@ def frame(path, **fields) -> Frame:
 
 
 @pytest.mark.parametrize("names, what", [
-    ("XYZ", r"holds CIE XYZ \(X, Y, Z\), not colours; export it as plain RGB"),
-    (("Y", "RY", "BY"), r"holds luminance and chroma \(Y, RY, BY\), not colours"),
+    ("XYZ", r"contains CIE XYZ \(X, Y, Z\) instead of RGB; export it as plain RGB"),
+    (("Y", "RY", "BY"), r"contains luminance and chroma \(Y, RY, BY\) instead of RGB"),
 ])  # fmt: skip
 def test_other_colours_are_not_taken_for_grey(names, what, tmp_path):
     with pytest.raises(CaptureError, match=what):
@@ -89,7 +89,7 @@ def test_foreign_chromaticities_are_said(given, said, scene):
     path = write_channels(scene.parent / "view_0000.exr", "RGB", given)
     notes = notes_of(scene)
     assert len(notes) == said
-    assert all("view_0000.exr: its chromaticities are not those of Rec. 709" in n for n in notes)
+    assert all("view_0000.exr: its chromaticities are not Rec. 709" in n for n in notes)
     photograph = convert_photograph(frame(path), scene.parent / "out.exr", (1, 1))
     notes = photograph_notes([frame(path)], [photograph])
     assert sum("have chromaticities other" in note for note in notes) == said
@@ -165,7 +165,7 @@ def test_a_photograph_that_exif_turns_is_said(suffix, scene):
     tags = image.getexif()
     tags[0x0112] = 6
     image.save(scene.parent / f"view_0000{suffix}", exif=tags)
-    assert any("is stored rotated; its EXIF orientation" in note for note in notes_of(scene))
+    assert any("is stored rotated; the EXIF orientation" in note for note in notes_of(scene))
 
 
 # --- Light --------------------------------------------------------------------------------
@@ -183,11 +183,11 @@ def envmap(path):
 
 def test_a_few_negative_pixels_of_light_are_0_and_said(tmp_path):
     write_exr(tmp_path / "sky.exr", {"RGB": dented(-0.25, 3)})
-    with pytest.warns(SvuWarning, match=r"\(.*sky.exr\): 3 negative pixels are taken for 0\.$"):
+    with pytest.warns(SvuWarning, match=r"\(.*sky.exr\): 3 negative pixels were set to 0\.$"):
         light = read_environment(envmap(tmp_path / "sky.exr"))
     assert light.radiance.min() == 0
     pixels, _, notes = read_environment_map(Light(path=tmp_path / "sky.exr", to_world=np.eye(3)))
-    assert pixels.min() == 0 and notes[0].endswith("sky.exr: 3 negative pixels are taken for 0.")
+    assert pixels.min() == 0 and notes[0].endswith("sky.exr: 3 negative pixels were set to 0.")
 
 
 def test_much_negative_light_is_refused(tmp_path):

@@ -132,7 +132,7 @@ def test_a_photograph_of_another_run_is_refused(made, tmp_path, capsys):
     shot = shutil.copytree(made / "a" / "shot", made / "a" / "mixed")
     shutil.copy(made / "b" / "shot" / "view_0001.exr", shot / "view_0001.exr")
     line = fails(capsys, "entropy", shot, *SMALL, "-o", tmp_path / "out")
-    assert "view_0001.exr: comes from another run than capture.json beside it" in line
+    assert "view_0001.exr: written by another run than the capture.json in its folder" in line
     write_exr(shot / "view_0001.exr", {"RGB": np.full((24, 24, 3), 0.5)})  # one's own
     assert run("entropy", shot, *SMALL, "-o", tmp_path / "out") == 0
 

@@ -258,7 +258,7 @@ def test_cameras_inside_a_closed_mesh_mean_other_units(tmp_path):
     assert any(note.endswith(sentence) for note in notes)
     assert not any("flipped" in note for note in notes)
     assert outwardness(tmp_path / "capture") > 0.2
-    words = "Shape 'object': 100% .*it is closed, so the cameras are inside it: see that its units"
+    words = "Shape 'object': 100% .*it is closed, so the cameras are inside: check that mesh and"
     with pytest.warns(svu.SvuWarning, match=words):
         svu.load_capture(tmp_path / "capture")
     notes = import_capture(given, tmp_path / "capture", ImportOptions(mesh_scale=0.01))
@@ -311,8 +311,8 @@ def test_loading_says_that_only_the_back_is_seen(tmp_path):
     turned = replace(mesh, faces=mesh.faces[:, ::-1], normals=None)
     capture_mesh.write_ply(path, "object", turned)
     sentence = (
-        r"Shape 'object': \d+% of what the photographs show of it is its back, where nothing is "
-        "found; its normals point the wrong way: set flip_normals on the shape."
+        r"Shape 'object': \d+% of its visible area are back faces, which are not estimated; "
+        "its normals point the wrong way: set flip_normals on the shape."
     )
     with pytest.warns(svu.SvuWarning, match=sentence):
         svu.load_capture(tmp_path / "capture")
