@@ -81,9 +81,9 @@ class _Reader:
         try:
             if path.stat().st_size > LARGEST_XML:
                 raise self._error(
-                    f"it has more than {LARGEST_XML >> 20} MiB", "split it by <include>"
+                    f"the file has more than {LARGEST_XML >> 20} MiB", "split it by <include>"
                 )
-            # In one piece: in pieces, expat would scan a long attribute once for each of them.
+            # Parsed at once: for chunks, expat would rescan a long attribute after each of them.
             self._parser.Parse(path.read_bytes(), True)
         except expat.ExpatError as error:
             raise SceneError(
@@ -104,7 +104,7 @@ class _Reader:
         if tag == "default":
             self._parameters.setdefault(values.get("name", ""), values.get("value", ""))
             if len(self._parameters) > MOST_PARAMETERS:
-                problem = f"there are more than {MOST_PARAMETERS} parameters"
+                problem = f"more than {MOST_PARAMETERS} parameters"
                 raise self._error(problem, "remove some")
         elif "filename" in values:
             names = self.includes if tag == "include" else self.others
@@ -131,7 +131,7 @@ class _Reader:
         return text
 
     def _error(self, problem: str, remedy: str) -> SceneError:
-        """Return an error with the file and the line."""
+        """Return an error with the file and the present line."""
         line = self._parser.CurrentLineNumber
         return SceneError(f"{excerpt(self._path, LONGEST)}: {problem} at line {line}; {remedy}.")
 

@@ -1,1 +1,1 @@
-"""The surface in texels, and which photograph shows which of them."""
+"""Texels of the surface, packed views, and the visibility of texels in views."""

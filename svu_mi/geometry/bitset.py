@@ -1,4 +1,4 @@
-"""One bit per lane and number (view, cell), in words that lie next to each other by lane."""
+"""Bit sets of kernel lanes: one bit per lane and number (view or light cell)."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ class Bits:
 
     Attributes:
         words: (ceil(N / 32) S,) UInt32: bit n % 32 of word (n // 32) S + s is bit n of lane s.
+        stride: Opaque UInt32, number of lanes S.
+        last: Opaque UInt32, N - 1.
     """
 
     words: Any
@@ -28,7 +30,7 @@ class Bits:
 
     @staticmethod
     def clear(numbers: int, lanes: int) -> Bits:
-        """Return bits that are all 0; room for at least one number."""
+        """Return a bit set of zeros, with at least one bit per lane."""
         numbers = max(numbers, 1)
         words = -(-numbers // WORD)
         return Bits(
@@ -37,12 +39,12 @@ class Bits:
         )  # fmt: skip
 
     def set(self, number: Any, lane: Any, active: Any) -> None:
-        """Set bits that are 0, each of them once."""
+        """Set bits; each bit must be 0 before and may be set only once."""
         bit, place = mi.UInt32(1) << (number % WORD), (number // WORD) * self.stride + lane
         dr.scatter_add(self.words, bit, place, active, dr.ReduceMode.NoConflicts)
 
     def push(self, word: Any, number: Any, lane: Any, value: Any) -> Any:
-        """Set bits of consecutive numbers; ``word``: the previous result, arbitrary at first."""
+        """Append the bit of the next number; ``word`` is the last result, arbitrary at first."""
         place = number % WORD
         word = dr.select(place == 0, 0, word) | dr.select(value, mi.UInt32(1) << place, 0)
         full = (place == WORD - 1) | (number == self.last)
@@ -51,17 +53,17 @@ class Bits:
         return word
 
     def at(self, lanes: Any) -> Bits:
-        """Return the bits of some lanes, a UInt32 array of their numbers."""
+        """Return the bits of selected lanes, given by their indices (UInt32)."""
         if not dr.width(lanes):
             return Bits(mi.UInt32(), dr.opaque(mi.UInt32, 0), self.last)
         words = dr.width(self.words) // max(int(self.stride[0]), 1)
-        count = dr.opaque(mi.UInt32, dr.width(lanes))  # else a kernel for every number of lanes
+        count = dr.opaque(mi.UInt32, dr.width(lanes))  # a literal would recompile the kernel
         place = dr.arange(mi.UInt32, words * dr.width(lanes))
         taken = dr.gather(mi.UInt32, lanes, place % count) + place // count * self.stride
         return Bits(dr.gather(mi.UInt32, self.words, taken), count, self.last)
 
     def joined(self, other: Bits) -> Bits:
-        """Return the bits of both, lanes of the other after one's own; of equally many numbers."""
+        """Append the lanes of another bit set with the same numbers."""
         rows = [
             bits.words.numpy().reshape(-1, max(int(bits.stride[0]), 1)) for bits in (self, other)
         ]
@@ -70,7 +72,7 @@ class Bits:
         return Bits(to_drjit(mi.UInt32, words.ravel()), stride, self.last)
 
     def count(self) -> np.ndarray:
-        """Return how many bits of every lane are set: (S,) int64."""
+        """Return the number of set bits of each lane, (S,) int64."""
         lanes = int(self.stride[0])
         rows = dr.opaque(mi.UInt32, dr.width(self.words) // max(lanes, 1))
         lane = dr.arange(mi.UInt32, lanes)
@@ -84,6 +86,6 @@ class Bits:
         return np.asarray(total.numpy(), np.int64)
 
     def test(self, number: Any, lane: Any) -> Any:
-        """Return whether bits are set, as a Bool."""
+        """Return the bits as Bool."""
         word = dr.gather(mi.UInt32, self.words, (number // WORD) * self.stride + lane)
         return ((word >> (number % WORD)) & 1) != 0

@@ -16,21 +16,21 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import ShapeError
 from svu_mi.geometry.texels import Texels
 
-REACH = 2.0  # longest link, in steps from a texel to the next
-OPPOSITE = -0.5  # cosine of normals below which two texels are two sides of a sheet
-HOPS = 3  # texels so near inside a chart are not neighbours across a seam
-CANDIDATES = 8  # texels looked at for every texel next to a seam
-MOST = 8  # neighbours of one texel; a coarse chart may border on a finer one
+REACH = 2.0  # largest distance of neighbours, in texel sizes
+OPPOSITE = -0.5  # cosine between normals; below it, texels are on opposite sides of a thin sheet
+HOPS = 3  # texels connected by at most this many links within a chart are not seam neighbours
+CANDIDATES = 8  # nearest texels that are tested for each texel at a seam
+MOST = 8  # largest number of neighbours; a coarse chart may be adjacent to a finer one
 
 
 @dataclass(frozen=True, kw_only=True)
 class Neighbors:
-    """Neighbourhood of T texels on the surface, P undirected pairs.
+    """Neighbourhood graph of T texels on the surface, with P undirected edges.
 
     Attributes:
-        pairs: two (P,) UInt32 of texel numbers, the lower one first, each pair once.
-        around: K arrays (T,) UInt32, neighbours of each texel, padded by its own number; symmetric.
-        seams: number of pairs across a seam.
+        pairs: Two (P,) UInt32 with the texel indices of each edge, the lower one first.
+        around: K arrays (T,) UInt32, neighbours of each texel, padded by its own index; symmetric.
+        seams: Number of edges across a seam.
     """
 
     pairs: tuple[Any, Any]
@@ -38,20 +38,20 @@ class Neighbors:
     seams: int
 
     def __post_init__(self) -> None:
-        """Refuse what a fold over neighbours would not find."""
+        """Raise unless padding is last, as ``over_neighbors`` assumes."""
         own, hidden = dr.arange(mi.UInt32, self.count), mi.Bool(False)
         for column, after in zip(self.around, self.around[1:], strict=False):
             hidden |= (column == own) & (after != own)
         if dr.any(hidden):
             texel = int(np.flatnonzero(np.array(hidden))[0])
             raise ShapeError(
-                f"Neighbors: texel {texel} has a neighbour behind its own number; own numbers, "
-                "which stand for none, come last."
+                f"Neighbors: texel {texel} has a neighbour after its own index; own indices, "
+                "which are padding, must come last."
             )
 
     @staticmethod
     def of(pairs: np.ndarray, count: int, seams: int = 0) -> Neighbors:
-        """Turn unique pairs into a neighbourhood."""
+        """Make the graph from unique pairs (P, 2) of ``count`` texels."""
         pairs = np.sort(pairs, axis=1)
         pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
         owner, other = np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]]
@@ -73,10 +73,11 @@ class Neighbors:
 
 
 def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
-    """Find the neighbours of every texel on the surface, also across seams.
+    """Find the neighbours of each texel on the surface, also across seams.
 
     Texels adjacent in the UV map are neighbours, unless they are over two texels apart in space or
-    have opposite normals. At chart edges, the texel nearest to the extrapolated position is used.
+    have opposite normals. At chart edges, the position is extrapolated by one texel, and the
+    nearest texel is used. Without ``mesh``, only the UV map is used.
     """
     right, down = _grid_pairs(texels)
     if mesh is None:
@@ -90,7 +91,7 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
 
 
 def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
-    """Return columns (T * size,) UInt32: the same lanes of the neighbours."""
+    """Expand neighbour columns from texels to ``size`` lanes per texel: (T * size,) UInt32."""
     if size == 1:
         return tuple(around)
     columns = []
@@ -103,7 +104,7 @@ def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
 
 
 def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state: Any) -> Any:
-    """Fold over the neighbours of all texels, or lanes, within a kernel."""
+    """Fold ``add(neighbour, state)`` over the neighbours of each texel (or lane) in a kernel."""
     if not around:
         return state
     other, own = around[0], dr.arange(mi.UInt32, dr.width(around[0]))
@@ -119,10 +120,10 @@ def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state:
 
 @dataclass(frozen=True)
 class _TexelFrames:
-    """Positions, normals and steps of texels, in float64.
+    """Positions, normals and tangents of texels, in float64.
 
     Attributes:
-        steps: two (T, 3): offsets to the next texel along u and v on the face.
+        steps: Two (T, 3), offsets to the next texel along u and v on the face.
     """
 
     position: np.ndarray
@@ -138,7 +139,7 @@ class _TexelFrames:
             (edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]) for edges in (uv, corner)
         )
         area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        area = np.where(area == 0, np.inf, area)[:, None]  # such a face has no texels
+        area = np.where(area == 0, np.inf, area)[:, None]  # faces without UV area have no texels
         along_u = (p * b[:, 1:] - q * a[:, 1:]) / (area * texels.resolution[0])
         along_v = (q * a[:, :1] - p * b[:, :1]) / (area * texels.resolution[1])
         face = texels.face.numpy()
@@ -149,14 +150,14 @@ class _TexelFrames:
         )
 
     def near(self, pairs: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Return (P,) bool: pairs that are close, measured in steps, on the same side."""
+        """Return (P,) bool: pairs within REACH steps and on the same side of a sheet."""
         first, second = pairs.T
         apart = _length(self.position[first] - self.position[second])
         longest = np.maximum(_length(step)[first], _length(step)[second])
         return (apart <= REACH * longest) & self.alike(first, second)
 
     def alike(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Whether normals are not those of two sides of a sheet."""
+        """Return whether texels are on the same side of a sheet, by their normals."""
         return (self.normal[first] * self.normal[second]).sum(axis=-1) > OPPOSITE
 
 
@@ -165,7 +166,7 @@ def _length(vectors: np.ndarray) -> np.ndarray:
 
 
 def _grid_pairs(texels: Texels) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs (P, 2) of texels side by side, and of texels one above the other."""
+    """Return pairs (P, 2) of horizontally and of vertically adjacent texels."""
     width, height = texels.resolution
     index = texels.index.numpy().astype(np.int64)
     number = np.full(width * height + width, -1)
@@ -191,7 +192,7 @@ def _seam_pairs(surface: _TexelFrames, right: np.ndarray, down: np.ndarray) -> n
     other = border[candidate]
     here = np.broadcast_to(start[:, None], other.shape)
     gap = surface.position[other] - surface.position[here]
-    # The texel over there may be wider than the one here.
+    # Texels across the seam may be larger.
     longest = np.maximum(*map(_length, surface.steps))
     scale = np.maximum(_length(way)[:, None], longest[other])
     usable = surface.alike(here, other) & ((gap * way[:, None]).sum(axis=-1) > 0)
@@ -209,7 +210,7 @@ def _seam_pairs(surface: _TexelFrames, right: np.ndarray, down: np.ndarray) -> n
 def _chart_borders(
     surface: _TexelFrames, right: np.ndarray, down: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return texels (E,) without a neighbour on one side, and the way (E, 3) to that side."""
+    """Return texels (E,) without a neighbour on one side, and the offset (E, 3) to that side."""
     starts, ways = [], []
     for pairs, step in zip((right, down), surface.steps, strict=True):
         for side, sign in ((0, 1), (1, -1)):
@@ -224,7 +225,7 @@ def _chart_borders(
 def _within_steps(
     count: int, pairs: np.ndarray, border: np.ndarray, start: np.ndarray, other: np.ndarray
 ) -> np.ndarray:
-    """Whether ``other`` is ``start`` or within a few steps of it without crossing a seam."""
+    """Return whether ``other`` is within HOPS links of ``start`` without crossing a seam."""
     first, second = pairs.T
     links = scipy.sparse.csr_array(
         (np.ones(2 * len(pairs), np.float32), (np.r_[first, second], np.r_[second, first])),
@@ -240,7 +241,7 @@ def _within_steps(
 
 
 def _limit_neighbors(pairs: np.ndarray, distance: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Return unique pairs, nearest first, no more for any texel than it has room for."""
+    """Return unique pairs, nearest first, at most ``room`` per texel."""
     pairs = pairs[np.argsort(distance, kind="stable")]
     pairs = pairs[np.sort(np.unique(pairs, axis=0, return_index=True)[1])]
     place = _place(pairs.T.ravel(), np.tile(np.arange(len(pairs)), 2)).reshape(2, -1)
@@ -248,7 +249,7 @@ def _limit_neighbors(pairs: np.ndarray, distance: np.ndarray, room: np.ndarray) 
 
 
 def _place(owner: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return the place of every entry among those of the same owner, in some order."""
+    """Return the rank of each entry among the entries with the same owner, sorted by ``order``."""
     by_owner = np.lexsort((order, owner))
     ranked = owner[by_owner]
     first = np.searchsorted(ranked, ranked)
@@ -258,7 +259,7 @@ def _place(owner: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 def connected_components(around: Sequence[Any]) -> np.ndarray:
-    """Return the connected piece of every texel, (T,) int64, given columns of neighbours."""
+    """Return the index of each texel's connected component, (T,) int64."""
     columns = [np.array(column, np.int64) for column in around]
     count = len(columns[0])
     rows = np.tile(np.arange(count), len(columns))
@@ -268,13 +269,13 @@ def connected_components(around: Sequence[Any]) -> np.ndarray:
 
 
 def texel_squares(texels: Texels) -> np.ndarray:
-    """Return row and column of T texels in the map, (T, 2) int64."""
+    """Return row and column of T texels in the texture, (T, 2) int64."""
     index, width = texels.index.numpy().astype(np.int64), texels.resolution[0]
     return np.stack(np.divmod(index, width), axis=1)
 
 
 def occupied_squares(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the G squares that are taken, (G, 2), and which one each of T is in, (T,) int64."""
+    """Return the G distinct squares, (G, 2), and the index of each texel's square, (T,) int64."""
     width = int(squares[:, 1].max(initial=0)) + 1
     numbers, owner = np.unique(squares[:, 0] * width + squares[:, 1], return_inverse=True)
     return np.stack(np.divmod(numbers, width), axis=1), owner
@@ -286,7 +287,7 @@ def group_neighbors(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[An
     numbers = []
     for column in around:
         other = owner[column]
-        apart = other > owner  # each pair once
+        apart = other > owner  # one direction of each pair
         numbers.append(owner[apart] * count + other[apart])
     pairs = np.divmod(np.unique(np.concatenate(numbers)), count)
     return Neighbors.of(np.stack(pairs, axis=1), count).around
@@ -295,11 +296,11 @@ def group_neighbors(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[An
 def group_means(
     values: np.ndarray, weights: np.ndarray, owner: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted means of (N, T) values over groups, and sums of weights: (N, G) each."""
+    """Return weighted means of values (N, T) over groups, and sums of weights, (N, G) each."""
     total = group_sums(weights, owner)
     return group_sums(weights * values, owner) / total, total
 
 
 def group_sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Return sums of values (N, T) over groups, (N, G), by the group (T,) that each texel is of."""
+    """Sum values (N, T) over groups: (N, G); ``owner`` (T,) is the group of each texel."""
     return np.stack([np.bincount(owner, row) for row in values])

@@ -1,8 +1,7 @@
-"""All views of a capture in flat arrays that one kernel can index by view.
+"""All views of a capture in flat arrays that kernels index by view.
 
-Memory: 1 byte per pixel for the flag that says whether a pixel may be used. The photographs
-of a capture that was read from files lie in one block already (12 bytes per pixel) and are
-looked up there; others are copied. Nothing here depends on the number of texels.
+Memory: 1 byte per pixel for the flag of usable pixels. Photographs that were read from files are
+in one block already (12 bytes per pixel) and are not copied.
 """
 
 from __future__ import annotations
@@ -26,10 +25,10 @@ from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.geometry.silhouettes import Films, Outline, find_tiles, interior
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
-LARGEST_FILM = 512  # pixels per side, of sensors without a photograph
-HOT = 1e6  # medians of what shows the object, from which a pixel is one that the camera got wrong
-SAMPLED = 2**18  # pixels, those of the object among which have the median of all
-GREY = 1e-6  # part of its largest channel that the channels of a grey pixel differ by
+LARGEST_FILM = 512  # pixels per side, for sensors without a photograph
+HOT = 1e6  # radiance of a defective ("hot") pixel, in medians of the object's pixels
+SAMPLED = 2**18  # pixels in the sample from which this median is computed
+GREY = 1e-6  # largest difference between the channels of a grey pixel, relative to the largest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +38,17 @@ class Views(Films):
     Attributes:
         cameras: (V * 16,) Float: projection rows x, y, w (pixels of the crop window, times
             depth), world position, near clip as a depth.
-        pixels: (3 P,) Float, radiance, interleaved RGB: the capture's own memory if in one block.
+        pixels: (3 P,) Float, radiance, interleaved RGB; shares the capture's memory if possible.
             None without photographs.
-        usable: (P,) Bool, shows only the object and holds a radiance. None with an ``outline``.
-        grey: R = G = B in every usable pixel (to 1e-6 of the largest); true without any.
-        clipped: partly saturated pixels; None if there are none.
-        rounding: (3 V,) Float twice, first step and slope of each channel (``Rounding``); 0 for
-            floating point photographs, None if all are.
-        outline: of the object, for sensors whose pixels are tested lazily.
+        usable: (P,) Bool, True for interior pixels with valid radiance. None with an ``outline``.
+        count: Opaque UInt32, number of views V.
+        number: Number of views V.
+        scene: The ``mi.Scene``.
+        grey: True if R = G = B in all usable pixels (relative tolerance 1e-6).
+        clipped: Partly saturated pixels; None if no channel is saturated.
+        rounding: First step and slope of each channel (``Rounding``), two (3 V,) Float; 0 for
+            floating-point photographs. None if all are.
+        outline: Silhouettes for lazy tests of interior pixels; None if ``usable`` is given.
     """
 
     cameras: Any
@@ -63,11 +65,11 @@ class Views(Films):
 
 @dataclass(frozen=True)
 class ClippedPixels:
-    """Pixels that are unusable because some of their channels are saturated.
+    """Interior pixels with saturated channels, whose other channels are valid.
 
     Attributes:
-        channels: (P,) UInt8; bit c: channel c is saturated, others are not. 0 for other pixels.
-        least: (3 V,) Float, lower bound of a view's saturated channels.
+        channels: (P,) UInt8; bit c is set where channel c is saturated. 0 for all other pixels.
+        least: (3 V,) Float, lower bounds of the radiance of saturated channels, by view.
     """
 
     channels: Any
@@ -75,11 +77,14 @@ class ClippedPixels:
 
 
 def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
-    """Lay the used views of a capture out for the gather kernels."""
+    """Pack the used views of a capture for kernels, and find their usable pixels.
+
+    ``silhouettes=True`` accepts all valid pixels inside the masks, not only interior pixels.
+    """
     kept = [index for index in range(capture.count) if capture.used[index]]
     if not kept:
         raise CaptureError(
-            f"There is no photograph to look at: none of the {capture.count} given can be used."
+            f"No usable photograph: all {capture.count} are missing, black or marked as unused."
         )
     for index in kept:
         _require_size(capture, index)
@@ -87,12 +92,12 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
     offset, count = buffer.offsets[places], len(buffer.masked)
     if 3 * count >= 2**32:
         raise CaptureError(
-            f"The photographs have {count} pixels in all, but 32-bit indices reach only "
-            f"{2**32 // 3}; reduce their resolution."
+            f"The photographs have {count} pixels in all, more than the limit of {2**32 // 3}; "
+            "reduce their resolution."
         )
     poses = [_Pose.of(capture.sensors[index]) for index in kept]
     views = _views(capture.scene, poses, offset)
-    # The photographs stay where they are; they are only looked up, never streamed.
+    # On the CPU, these arrays share the memory of the buffer.
     pixels = _Pixels(
         mi.Float(buffer.pixels),
         mi.Bool(buffer.masks_at(places, [capture.masks[index] for index in kept])),
@@ -111,7 +116,7 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
         pixel = "pixel is" if count == 1 else "pixels are up to"
         warnings.warn(
             f"{capture.names[kept[place]]}: {count} {pixel} {ratio:.0e} times as bright as the "
-            "median of the object; left out.",
+            "median of the object; ignored.",
             SvuWarning, stacklevel=3,
         )  # fmt: skip
     buffer.advise_random_access()
@@ -124,9 +129,15 @@ def pack_sensors(
     scene: Any, target: Any, sensors: Sequence[Any], largest: int = LARGEST_FILM, *,
     later: bool = False,
 ) -> Views:  # fmt: skip
-    """Pack sensors without photographs; silhouettes count as unseen.
+    """Pack sensors without photographs; silhouette pixels are unusable.
 
-    Films of more than 512 pixels are reduced to 512, with proportionally wider silhouettes.
+    Args:
+        scene: ``mi.Scene`` for occlusion tests.
+        target: The object, an ``mi.Mesh``.
+        sensors: V perspective sensors.
+        largest: Maximal film size in pixels; larger films are scaled down, which makes silhouettes
+            wider.
+        later: True tests silhouettes lazily, by ``Views.outline``.
     """
     poses = [_Pose.of(scaled_sensor(sensor, largest)) for sensor in sensors]
     sizes = np.array([pose.size for pose in poses], np.int64).reshape(-1, 2)
@@ -143,12 +154,12 @@ def pack_sensors(
 
 
 class _Pixels:
-    """Properties of the P pixels, accumulated over launches.
+    """Properties of the P pixels, accumulated over kernel launches.
 
     Attributes:
         coloured: (1,) UInt32, 1 if a usable pixel is not grey.
         brightest, faintest: (1,) UInt32, bits of the largest and smallest positive usable radiance.
-        clipped: (P,) UInt8, see ``ClippedPixels``; None if none are.
+        clipped: (P,) UInt8, see ``ClippedPixels``; None without saturated channels.
     """
 
     def __init__(self, radiance: Any, allowed: Any, flags: Any | None) -> None:
@@ -162,7 +173,7 @@ class _Pixels:
         self._allowed, self._flags = allowed, flags
 
     def mark_usable(self, index: Any, inside: Any) -> None:
-        """Mark those interior pixels that the mask allows and that hold a radiance."""
+        """Mark interior pixels that are inside the mask and have a valid radiance."""
         inside = inside & dr.gather(mi.Bool, self._allowed, index, inside)
         color = dr.gather(mi.Color3f, self.radiance, index, inside)
         good = inside & dr.all(dr.isfinite(color))
@@ -171,21 +182,21 @@ class _Pixels:
         coloured = good & (most - dr.min(color) > GREY * most)
         dr.scatter(self.coloured, mi.UInt32(1), 0, coloured)
         bits = dr.reinterpret_array(mi.UInt32, dr.maximum(most, 0))
-        place, local = mi.UInt32(0), dr.ReduceMode.Local  # all lanes go to one place
+        place, local = mi.UInt32(0), dr.ReduceMode.Local  # all lanes write to one element
         dr.scatter_reduce(dr.ReduceOp.Max, self.brightest, bits, place, good, local)
         dr.scatter_reduce(dr.ReduceOp.Min, self.faintest, bits, place, good & (most > 0), local)
         if self.clipped is not None:
             flags = dr.gather(type(self._flags), self._flags, index, inside)
             known = [dr.isfinite(x) | ((flags & (1 << c)) > 0) for c, x in enumerate(color)]
             dr.scatter(self.clipped, flags, index, inside & known[0] & known[1] & known[2])
-        # At once: photographs are read once.
+        # One evaluation, so that photographs are read once.
         dr.eval(self.usable, self.coloured, self.brightest, self.faintest, self.clipped)
 
     def clipped_pixels(self, capture: Capture, kept: Sequence[int]) -> ClippedPixels | None:
-        """Return what is clipped of the photographs that are kept; None without anything."""
+        """Return the clipped pixels; None if no pixel is clipped."""
         some = dr.zeros(mi.UInt32, 1)
         if self.clipped is not None:
-            dr.scatter(some, mi.UInt32(1), 0, self.clipped > 0)  # dr.any keeps a flag per pixel
+            dr.scatter(some, mi.UInt32(1), 0, self.clipped > 0)  # dr.any stores a flag per pixel
         if self.clipped is None or not some[0]:
             return None
         least = np.ones((len(kept), 3), np.float32)
@@ -196,14 +207,14 @@ class _Pixels:
         return ClippedPixels(self.clipped, to_drjit(mi.Float, least.ravel()))
 
     def drop_hot(self, offset: np.ndarray) -> list[tuple[int, int, float]]:
-        """Mark implausibly bright pixels unusable; return (view, number, largest / median)."""
+        """Mark hot pixels as unusable; return (view, number of pixels, largest / median)."""
         brightest, faintest = (
             bits.numpy().view(np.float32)[0] for bits in (self.brightest, self.faintest)
         )
-        if brightest <= HOT * faintest:  # and so of the median: nothing has to be read again
+        if brightest <= HOT * faintest:  # then brightest <= HOT * median, too
             return []
         colors = self.radiance.numpy().reshape(-1, 3)
-        step = len(colors) // SAMPLED | 1  # odd: not a whole number of rows
+        step = len(colors) // SAMPLED | 1  # odd, to avoid sampling few columns only
         lit = colors[::step][self.usable.numpy()[::step]].max(axis=1, initial=0)
         lit = lit[lit > 0]
         most = HOT * float(np.median(lit)) if len(lit) else np.inf
@@ -226,11 +237,13 @@ class _Pixels:
 
 @dataclass(frozen=True)
 class _Pose:
-    """One sensor as the kernels use it.
+    """Parameters of one sensor for kernels.
 
     Attributes:
+        size: (width, height) in pixels.
         camera: (16,) float64, see ``Views.cameras``.
         rays: (24,) float32, see ``ray_floats``.
+        angle: Radians between neighbouring pixels at the film's centre.
     """
 
     size: tuple[int, int]
@@ -244,8 +257,8 @@ class _Pose:
         width, height = film_size(sensor)
         to_world = scene.to_world(sensor)
         projection = np.array(sensor.projection_transform().matrix, np.float64).reshape(4, 4)
-        # Mitsuba projects to [0, 1]^2 of the crop window; row 2 is depth, which is not needed.
-        # The principal point, in units of the full film, is not part of that projection.
+        # Mitsuba projects to [0, 1]^2 of the crop window; row 2 (depth) is not needed.
+        # The projection excludes the principal point, which is in units of the full film.
         pixel = np.diag([width, height, 1.0, 1.0])
         record = describe(sensor)
         for axis in range(2):
@@ -260,7 +273,7 @@ class _Pose:
 
 
 def _views(scene: Any, poses: Sequence[_Pose], offset: np.ndarray) -> Views:
-    """Return views without pixels, of which ``offset`` has the first of each."""
+    """Return views without pixels; ``offset`` is the index of each view's first pixel."""
     sizes = np.array([pose.size for pose in poses], np.uint32).reshape(-1, 2)
     return Views(
         width=to_drjit(mi.UInt32, sizes[:, 0]),
@@ -288,7 +301,7 @@ def _tiles(target: Any, poses: Sequence[_Pose], masks: Sequence[np.ndarray | Non
 
 
 def _require_size(capture: Capture, index: int) -> None:
-    """Refuse a photograph or mask that its sensor did not take: kernels go by the film."""
+    """Raise if a photograph or mask differs in size from its sensor's film."""
     width, height = film_size(capture.sensors[index])
     image, mask = capture.images[index], capture.masks[index]
     if image.shape != (height, width, 3) or (mask is not None and mask.shape != (height, width)):
@@ -300,7 +313,7 @@ def _require_size(capture: Capture, index: int) -> None:
 
 
 def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
-    """Return first steps and slopes of the channels of photographs; None if all are of floats."""
+    """Return ``Views.rounding``; None if all photographs are floating point."""
     steps = [capture.rounding[index] for index in kept if capture.rounding]
     if not any(each is not None for each in steps):
         return None
@@ -311,7 +324,7 @@ def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
 
 
 def _buffer(capture: Capture, kept: Sequence[int]) -> tuple[PixelBuffer, list[int]]:
-    """Return a buffer that photographs lie in, and their numbers in it; a copy if need be."""
+    """Return the buffer of the photographs (a copy if necessary), and their indices in it."""
     images = [capture.images[index] for index in kept]
     places = None if capture.buffer is None else capture.buffer.places(images)
     if capture.buffer is None or places is None:
@@ -322,7 +335,7 @@ def _buffer(capture: Capture, kept: Sequence[int]) -> tuple[PixelBuffer, list[in
 def _flags(
     capture: Capture, kept: Sequence[int], buffer: PixelBuffer, places: Sequence[int]
 ) -> Any | None:
-    """Return (P,) UInt8, the bits of channels that are clipped; None where no photograph is."""
+    """Return bits of clipped channels, (P,) UInt8; None if no photograph has any."""
     saturations = [capture.clipped[index] for index in kept if capture.clipped]
     if not any(each is not None for each in saturations):
         return None

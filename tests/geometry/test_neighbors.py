@@ -181,7 +181,7 @@ def test_a_neighbour_behind_a_texels_own_number_is_refused():
     columns = np.array([[1, 0, 2], [0, 2, 1]])
     around = tuple(mi.UInt32(column.astype(np.uint32)) for column in columns)
     pairs = mi.UInt32([0, 1]), mi.UInt32([1, 2])
-    with pytest.raises(svu_mi.errors.ShapeError, match="texel 2 has a neighbour behind its own"):
+    with pytest.raises(svu_mi.errors.ShapeError, match="texel 2 has a neighbour after its own"):
         Neighbors(pairs=pairs, around=around, seams=0)
 
 

@@ -36,7 +36,7 @@ def test_a_pixel_of_1e10_is_left_out_and_its_photograph_named(vase):
     name = vase.capture.names[VIEW]
     sentence = str(caught[0].message)
     assert sentence.startswith(f"{name}: 1 pixel is ") and sentence.endswith(
-        " times as bright as the median of the object; left out."
+        " times as bright as the median of the object; ignored."
     )
     before = vase.estimate.entropy.numpy()
     assert off(entropy, before) < 0.005

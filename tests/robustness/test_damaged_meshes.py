@@ -168,7 +168,7 @@ def test_time_grows_with_the_length_of_an_attribute(tmp_path):
 def test_large_xml_is_refused_unread(tmp_path):
     path = write_scene(tmp_path)
     os.truncate(path, 1 << 40)  # a hole
-    with pytest.raises(SceneError, match=r"scene\.xml: it has more than 64 MiB"):
+    with pytest.raises(SceneError, match=r"scene\.xml: the file has more than 64 MiB"):
         load_scene(path)
 
 
