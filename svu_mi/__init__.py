@@ -1,8 +1,7 @@
 """Uncertainty for SVBRDF acquisition using frequency analysis, on Mitsuba 3 and Dr.Jit.
 
-``import svu_mi as svu`` is light: it finds a usable LLVM library (``svu_mi._llvm``) and, except on
-one core, imports nothing else. Every public name below is loaded on first use; no Mitsuba
-variant is ever set on import.
+``import svu_mi as svu`` only selects an LLVM library (``svu_mi._llvm``); on a single core, it also
+imports Dr.Jit. Public names are imported on first use. No Mitsuba variant is set.
 """
 
 from __future__ import annotations
@@ -117,8 +116,8 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
 ]  # fmt: skip
 
 _llvm.bootstrap()
-if cores() < 2:  # of which Mitsuba needs two threads
-    with suppress(ImportError):  # svu doctor says what is wrong with it
+if cores() < 2:  # Mitsuba needs two threads
+    with suppress(ImportError):  # svu doctor reports a broken installation
         from svu_mi.core.threads import ensure_threads
 
         ensure_threads()

@@ -1,13 +1,13 @@
-"""Choose the LLVM library before Dr.Jit loads one by itself.
+"""Selection of the LLVM library that Dr.Jit loads.
 
 Dr.Jit 1.5 accepts LLVM 15 and 16, but on x86-64 these abort the whole process at the first
 minimum or maximum ("Cannot select ... fminimum"). ``bootstrap`` therefore points
-``DRJIT_LIBLLVM_PATH`` at a library of version 17 or later, looked for in this order: the
-user's own variable, the system, conda, Homebrew, Windows, the karellen-llvm-core wheel.
+``DRJIT_LIBLLVM_PATH`` at a library of version 17 or later. It searches in this order: the user's
+variable, the system, conda, Homebrew, Windows, the karellen-llvm-core wheel.
 
-Dr.Jit loads its library on import. Where it was imported first and has a library that aborts,
-``import svu_mi`` raises an error if an LLVM variant is set. Otherwise ``require`` raises it, when
-an LLVM variant is about to be used, so that CUDA and Metal users are not bothered.
+Dr.Jit loads its library on import. If it was imported first and loaded a library that aborts,
+``import svu_mi`` raises an error if an LLVM variant is set. Otherwise ``require`` raises it before
+an LLVM variant is used, so CUDA and Metal are not affected.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from svu_mi.errors import SvuEnvironmentError
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 WHEEL = "karellen-llvm-core"
-# No file has this name, so Dr.Jit loads nothing and shows it in its own message; what the
-# user had set follows the colon, for a child process that inherits the variable.
+# No file has this name, so Dr.Jit loads nothing and shows it in its own message. The user's value
+# follows the colon, for child processes that inherit the variable.
 REFUSED = "refused-by-svu_mi:"
 FIRST_ACCEPTED = 15  # by Dr.Jit 1.5
 FIRST_GOOD_X86 = 17  # older ones cannot lower llvm.minimum and llvm.maximum on x86-64
@@ -39,14 +39,15 @@ Version = tuple[int, ...]
 
 @dataclass(frozen=True)
 class LlvmStatus:
-    """The LLVM library that Dr.Jit uses or will use.
+    """LLVM library that Dr.Jit uses or will use.
 
     Attributes:
-        path: the library; None if there is none, or if Dr.Jit found it by itself.
-        version: such as (19, 1, 7), fewer numbers before Dr.Jit is loaded, () if unknown.
-        source: where it comes from: ``user``, ``system``, ``conda``, ``brew``, ``windows``,
-            ``wheel``, ``drjit`` (found by Dr.Jit, imported before svu_mi) or ``none``.
-        problem: why LLVM variants cannot run, with the remedy; None if they can.
+        path: path of the library; None if missing, or if Dr.Jit selected it.
+        version: version such as (19, 1, 7); only (19,) or (19, 1) before Dr.Jit is loaded, () if
+            unknown.
+        source: ``user``, ``system``, ``conda``, ``brew``, ``windows``, ``wheel``, ``drjit``
+            (selected by Dr.Jit, which was imported before svu_mi) or ``none``.
+        problem: reason why LLVM variants cannot run, with the remedy; None if they can.
     """
 
     path: str | None
@@ -59,10 +60,10 @@ _status: LlvmStatus | None = None
 
 
 def bootstrap() -> None:
-    """Choose a library and tell Dr.Jit; runs once, on ``import svu_mi``.
+    """Choose a library and set the variable that Dr.Jit reads; called by ``import svu_mi``.
 
     Raises:
-        SvuEnvironmentError: an LLVM variant is set, whose library will abort the process.
+        SvuEnvironmentError: an LLVM variant is set, and its library would abort the process.
     """
     global _status
     if _status is None:
@@ -70,7 +71,7 @@ def bootstrap() -> None:
 
 
 def status() -> LlvmStatus:
-    """Return what was chosen; once Dr.Jit is loaded, what it really uses."""
+    """Return the chosen library, or the one in use if Dr.Jit is already loaded."""
     bootstrap()
     assert _status is not None
     if "drjit" in sys.modules and _status.problem is None:
@@ -79,10 +80,10 @@ def status() -> LlvmStatus:
 
 
 def require() -> None:
-    """Refuse to go on without a usable LLVM; call before the first kernel of an LLVM variant.
+    """Raise an error without a usable LLVM; call before the first kernel of an LLVM variant.
 
     Raises:
-        SvuEnvironmentError: with the remedy for this operating system.
+        SvuEnvironmentError: no usable LLVM; the message contains the remedy for this system.
     """
     problem = status().problem
     if problem is not None:
@@ -90,7 +91,7 @@ def require() -> None:
 
 
 def remedy() -> str:
-    """Return what to do on this operating system, as the end of a sentence."""
+    """Return installation instructions for this operating system, as the end of a sentence."""
     if sys.platform == "darwin":
         return "use the variant metal_ad_rgb, or run 'brew install llvm'."
     if sys.platform == "win32":
@@ -103,12 +104,12 @@ def remedy() -> str:
 
 
 def is_x86() -> bool:
-    """Tell whether kernels are compiled for x86-64."""
+    """Return True if kernels are compiled for x86-64."""
     return platform.machine().lower() in ("x86_64", "amd64")
 
 
 def first_good() -> int:
-    """Return the first major version that works on this machine."""
+    """Return the lowest major version that works on this machine."""
     return FIRST_GOOD_X86 if is_x86() else FIRST_ACCEPTED
 
 
@@ -119,7 +120,7 @@ def choose(candidates: Iterable[tuple[str, str]] | None = None) -> LlvmStatus:
     """Choose a library and set the variable that Dr.Jit reads, without loading Dr.Jit.
 
     Args:
-        candidates: (source, path) pairs, the preferred first; the machine's by default.
+        candidates: (source, path) pairs, the preferred first; default: ``find_candidates()``.
     """
     given = _given()
     chosen = judge_given(given) if given else first_usable(candidates or find_candidates())
@@ -128,8 +129,8 @@ def choose(candidates: Iterable[tuple[str, str]] | None = None) -> LlvmStatus:
         make_loadable(chosen.path)
         os.environ[VARIABLE] = chosen.path
     elif chosen.version and chosen.version[0] >= FIRST_ACCEPTED:
-        # Dr.Jit would accept this one and abort in the first kernel of somebody who does not
-        # call require(); without a library it raises a plain ImportError instead.
+        # Dr.Jit would accept this library and abort in the first kernel of a caller that omits
+        # require(). Without a library it raises a plain ImportError instead.
         os.environ[VARIABLE] = REFUSED + given
     return chosen
 
@@ -139,7 +140,7 @@ def _given() -> str:
 
 
 def judge_given(given: str) -> LlvmStatus:
-    """Check the user's own choice; a wrong one is reported, never silently replaced."""
+    """Check the library set by the user; an invalid one is reported, never replaced."""
     version: Version = ()
     if os.path.isdir(given):
         trouble = "is a folder; set it to the library file inside, or unset it."
@@ -157,7 +158,7 @@ def judge_given(given: str) -> LlvmStatus:
 
 
 def first_usable(candidates: Iterable[tuple[str, str]]) -> LlvmStatus:
-    """Return the first candidate that is new enough, or the reason why there is none."""
+    """Return the first candidate that is new enough; without one, a status with ``problem``."""
     refused = None
     for source, path in candidates:
         version = version_of(path)
@@ -186,11 +187,11 @@ def dotted(version: Version) -> str:
 
 
 def make_loadable(library: str) -> None:
-    """Load the wheel's C++ runtime by hand where its links are missing.
+    """Load the wheel's C++ runtime if its symbolic links are missing.
 
-    The wheel makes them when its interpreter first starts after pip; a read-only
-    installation or the very process that ran pip never sees them. Loaded privately (the
-    default), so that no other extension picks up these C++ symbols.
+    The wheel creates them when Python first starts after pip. A read-only installation, or the
+    process that ran pip, lacks them. The runtime is loaded privately (the default), so that no
+    other extension uses its symbols.
     """
     folder = os.path.join(os.path.dirname(library), "x86_64-unknown-linux-gnu")
     files = [os.path.join(folder, name) for name in RUNTIME]
@@ -199,19 +200,19 @@ def make_loadable(library: str) -> None:
     try:
         ctypes.CDLL(library)
     except OSError:
-        with suppress(OSError):  # require() says it, if the library still cannot be loaded
+        with suppress(OSError):  # require() raises if the library still cannot be loaded
             for file in files:
                 ctypes.CDLL(file)
 
 
-# --- asking Dr.Jit, once it is loaded -----------------------------------------------------
+# --- checking the library that Dr.Jit has loaded ------------------------------------------
 
 
 def _early_drjit() -> LlvmStatus:
-    """Judge the library that Dr.Jit found by itself, because it was imported before svu_mi.
+    """Check the library that Dr.Jit selected, because it was imported before svu_mi.
 
     Raises:
-        SvuEnvironmentError: an LLVM variant is set, and will abort the process.
+        SvuEnvironmentError: an LLVM variant is set, and its library would abort the process.
     """
     given = _given()
     found = _judge_loaded(LlvmStatus(given or None, (), "drjit"))
@@ -231,7 +232,7 @@ def _early_drjit() -> LlvmStatus:
 def _judge_loaded(chosen: LlvmStatus) -> LlvmStatus:
     import drjit as dr
 
-    # Known before any kernel is compiled, and -1 if nothing was loaded.
+    # Available before any kernel is compiled; -1 if nothing was loaded.
     version = tuple(int(part) for part in dr.detail.llvm_version())
     if version[0] >= first_good():
         return LlvmStatus(chosen.path, version, chosen.source)
@@ -249,16 +250,16 @@ def _judge_loaded(chosen: LlvmStatus) -> LlvmStatus:
 def _cause(path: str | None) -> str:
     try:
         _ = ctypes.CDLL(path).LLVMGetVersion if path else None
-    except (OSError, AttributeError) as error:  # not a library, or not this one
+    except (OSError, AttributeError) as error:  # not a library, or not LLVM
         return f" ({error})"
     return ""
 
 
-# --- where libraries are ------------------------------------------------------------------
+# --- searching for libraries --------------------------------------------------------------
 
 
 def find_candidates() -> Iterator[tuple[str, str]]:
-    """Yield (source, path) of library files, the preferred first; later ones cost more."""
+    """Yield (source, path) of library files, the preferred first; later ones take longer."""
     conda = os.environ.get("CONDA_PREFIX")
     if sys.platform == "win32":
         if conda:
@@ -285,7 +286,7 @@ def _linux_folders() -> list[str]:
 
 
 def _llvms(root: str) -> list[str]:
-    """Names of LLVM's own folders: llvm-19 (Debian), llvm19 (Fedora), llvm@19 (Homebrew)."""
+    """Return folders of LLVM packages: llvm-19 (Debian), llvm19 (Fedora), llvm@19 (Homebrew)."""
     return [name for name in _listed(root) if re.fullmatch(r"llvm[-@]?\d*", name)]
 
 
@@ -297,7 +298,7 @@ def _listed(folder: str) -> list[str]:
 
 
 def newest_first(source: str, folders: Iterable[str]) -> list[tuple[str, str]]:
-    """Return the library files of some folders; names that tell no version come last."""
+    """Return the library files in some folders; names without a version come last."""
     found = {
         os.path.realpath(os.path.join(folder, name))
         for folder in folders
@@ -309,8 +310,8 @@ def newest_first(source: str, folders: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def _wheel_folders() -> list[str]:
-    """Where the wheel lies if not in ``sys.prefix``, such as after ``pip install --user``."""
-    import importlib.metadata  # takes 25 ms, and is rarely asked
+    """Return folders of the wheel outside ``sys.prefix``, as with ``pip install --user``."""
+    import importlib.metadata  # takes 25 ms, and is rarely needed
 
     with suppress(importlib.metadata.PackageNotFoundError):
         files = importlib.metadata.files(WHEEL) or []
@@ -322,7 +323,7 @@ def _wheel_folders() -> list[str]:
 
 
 def stated_version(path: str) -> Version:
-    """Return the version that a resolved path states, () if none.
+    """Return the version in a resolved path, () if missing.
 
     ``libLLVM-15.so.1`` is 15, ``libLLVM.so.19.1`` is 19.1, and so is
     ``Cellar/llvm/19.1/lib/libLLVM.dylib``.
@@ -338,15 +339,15 @@ def stated_version(path: str) -> Version:
 def version_of(path: str) -> Version:
     """Return the version of a library, () if it cannot be loaded or is older than 16.
 
-    A name that states a version is believed: loading 100 MB to ask would cost more than the
-    whole import, and Dr.Jit is asked later anyway. Otherwise a subprocess asks the library,
-    so that neither a crash nor its symbols reach this process.
+    A version in the file name is used unchecked: loading the library (100 MB) would take longer
+    than the whole import, and ``status`` checks it later. Otherwise a subprocess loads the
+    library, so that neither a crash nor its symbols reach this process.
     """
-    return stated_version(os.path.realpath(path)) or _asked_version(path)
+    return stated_version(os.path.realpath(path)) or _queried_version(path)
 
 
-def _asked_version(path: str) -> Version:
-    import subprocess  # takes 6 ms, and is not needed where names tell
+def _queried_version(path: str) -> Version:
+    import subprocess  # takes 6 ms, and is rarely needed
 
     script = (
         "import ctypes, sys\n"
@@ -355,10 +356,10 @@ def _asked_version(path: str) -> Version:
         "print(*(part.value for part in version))"
     )
     try:
-        asked = subprocess.run(
+        result = subprocess.run(
             [sys.executable, "-I", "-S", "-c", script, path],
             capture_output=True, text=True, timeout=20, check=True,
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return ()
-    return tuple(int(part) for part in asked.stdout.split())
+    return tuple(int(part) for part in result.stdout.split())

@@ -1,8 +1,7 @@
-"""Errors of svu_mi: one sentence that names the file, frame or texel, and the fix.
+"""Exceptions and warnings of svu_mi; each message names the file, frame or texel, and the remedy.
 
-The command line prints the sentence and exits with status 2; Python callers catch
-``SvuError`` or one of its subclasses. A warning that is not an error derives from
-``SvuWarning`` and goes through the standard ``warnings`` module.
+The command line prints the message and exits with status 2. Python callers catch ``SvuError`` or
+one of its subclasses. Warnings derive from ``SvuWarning`` and use the ``warnings`` module.
 """
 
 from __future__ import annotations
@@ -10,16 +9,22 @@ from __future__ import annotations
 import re
 from unicodedata import category
 
-CALLED = re.compile(r"^[\w.]+\(\): ")  # how sentences about a call begin: "estimate(): "
+CALLED = re.compile(r"^[\w.]+\(\): ")  # function name at the start of a message: "estimate(): "
 
 
 class SvuError(Exception):
-    """Base of every error a user can cause and repair.
+    """Base class of all errors that a user can fix.
 
     Args:
-        sentence: what is wrong, and the fix, to whoever calls Python.
-        shell: the same to whoever uses the command line; by default the sentence, without the name
-            of the function that it begins with.
+        sentence: message for Python callers.
+        shell: message for the command line; default: ``sentence`` without a leading function name.
+
+    Example:
+        >>> try:
+        ...     svu.preset("best")
+        ... except svu.SvuError as error:
+        ...     print(type(error).__name__)
+        OptionError
     """
 
     def __init__(self, sentence: str = "", *, shell: str | None = None) -> None:
@@ -28,28 +33,28 @@ class SvuError(Exception):
 
     @property
     def shell(self) -> str:
-        """The sentence that the command line prints."""
+        """Message that the command line prints."""
         return CALLED.sub("", str(self)) if self._shell is None else self._shell
 
 
 class SvuEnvironmentError(SvuError):
-    """The installation cannot run: no usable LLVM, or a Mitsuba variant that does not fit."""
+    """The installation lacks a usable LLVM, or the Mitsuba variant is not supported."""
 
 
 class CaptureError(SvuError):
-    """Photographs, masks, exposures or poses are missing or do not fit each other."""
+    """Photographs, masks, exposures or poses are missing or inconsistent."""
 
 
 class SceneError(SvuError):
-    """The Mitsuba scene lacks, or has too much of, something that the method needs."""
+    """The Mitsuba scene cannot be loaded or rendered, or contains unsupported elements."""
 
 
 class MeshError(SvuError):
-    """The mesh cannot carry texels: no UVs, overlapping charts, no faces."""
+    """The mesh has no faces, no UV coordinates or overlapping charts."""
 
 
 class OptionError(SvuError):
-    """An option is outside its range or names something that does not exist."""
+    """An option is out of range, or a name is unknown."""
 
 
 class ShapeError(SvuError):
@@ -61,25 +66,31 @@ class OutputError(SvuError):
 
 
 class SvuWarning(UserWarning):
-    """Something the user should know although the run goes on."""
+    """Problem that does not stop the run.
+
+    Example:
+        >>> import warnings
+        >>> with warnings.catch_warnings(action="error", category=svu.SvuWarning):
+        ...     estimate = svu.estimate(capture, texels)  # raises instead of printing a warning
+    """
 
 
 def printable(value: object) -> str:
-    """Return foreign text so that a terminal shows it as it is, in one line.
+    """Return text that is safe to print in one line of a terminal, such as a file name.
 
-    A file's name may hold whatever it likes: what would end the line becomes a space; escape
-    sequences, bidirectional controls, lone surrogates and the like become question marks.
+    Line breaks become spaces. Escape sequences, bidirectional controls, lone surrogates and other
+    unprintable characters become question marks.
     """
     return "".join(map(_printable, str(value)))
 
 
 def _printable(letter: str) -> str:
-    if letter.isprintable() or category(letter) == "Zs":  # the spaces, narrow ones too
+    if letter.isprintable() or category(letter) == "Zs":  # Zs: all kinds of spaces
         return letter
     return " " if letter.isspace() else "?"
 
 
 def excerpt(value: object, longest: int = 160) -> str:
-    """Return what a file or a library says so that it fits in a sentence: printable, and short."""
+    """Return foreign text for use in a message: printable, at most ``longest`` characters."""
     text = printable(" ".join(str(value)[: longest + 1].split()))
     return text if len(text) <= longest else text[:longest] + "..."

@@ -1,9 +1,9 @@
-"""The parameters that are estimated: those of Mitsuba's ``principled`` BSDF, in one table.
+"""Table of the estimated material parameters, named as in Mitsuba's ``principled`` BSDF.
 
-A parameter is asked for in one of three ways. Radiance is linear in ``base_color``, which is
-integrated in closed form; light is filtered for every level of ``roughness``, which statistics are
-gathered at; all others only say how much of each part of the reflected light there is
-(``reflection/principled.py``), and posteriors go over nodes of them.
+Posteriors treat three kinds of parameters differently. Radiance is linear in ``base_color``, which
+is integrated in closed form. ``roughness`` changes the lobes, so statistics are gathered at fixed
+roughness levels. All others (``MIXED``) only re-weight reflectance components
+(``reflection/principled.py``); they are integrated by quadrature.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from typing import Any, NoReturn, Self
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of the material.
+    """Material parameter.
 
     Attributes:
-        name: what ``principled`` calls it.
-        channels: values per texel.
-        low: its smallest value.
-        high: its largest value.
-        default: what is assumed while nothing is known.
-        has_atoms: whether most surfaces have its smallest or its largest value, exactly: the
-            preset says how many.
-        end_labels: words for both.
+        name: name in Mitsuba's ``principled`` BSDF.
+        channels: number of values per texel.
+        low: smallest value.
+        high: largest value.
+        default: value where none is given, as in initial textures.
+        has_atoms: whether the prior has point masses at ``low`` and ``high``; their probability
+            is ``AngularPreset.metals``.
+        end_labels: labels of ``low`` and ``high`` in plots.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Parameter:
     end_labels: tuple[str, str] = ("0", "1")
 
     def holds(self, value: float) -> bool:
-        """Return whether a value is in range; NaN is not."""
+        """Return whether a value is in [low, high]; False for NaN."""
         return self.low <= value <= self.high
 
 
@@ -49,16 +49,14 @@ PARAMETERS = {p.name: p for p in (
 NAMES = tuple(PARAMETERS)
 CHANNELS = {p.name: p.channels for p in PARAMETERS.values()}
 MIXED = tuple(name for name in NAMES if name not in ("base_color", "roughness"))
-AXES = ("roughness", *MIXED, "base_color")  # of grids, slowest first
+AXES = ("roughness", *MIXED, "base_color")  # axes of grids, the slowest first
 
 
 class ByParameter(Mapping[str, Any]):
-    """A value of every parameter: by name, as in a dictionary, or as an attribute.
-
-    It is frozen; ``but`` returns another.
+    """Immutable mapping from parameter names to values, with attribute access.
 
     Raises:
-        TypeError: one is missing, or there is another.
+        TypeError: a parameter is missing or unknown.
         FrozenInstanceError: an attribute is set or deleted.
     """
 
@@ -72,7 +70,7 @@ class ByParameter(Mapping[str, Any]):
         object.__setattr__(self, "_values", {name: values[name] for name in NAMES})
 
     def but(self, **values: Any) -> Self:
-        """Return the same with other values of some parameters."""
+        """Return a copy with some values replaced."""
         return type(self)(**(self._values | values))
 
     def __getitem__(self, name: str) -> Any:
@@ -91,7 +89,7 @@ class ByParameter(Mapping[str, Any]):
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise FrozenInstanceError(
-            f"{type(self).__name__}: {name} cannot be set; but() returns one with other values."
+            f"{type(self).__name__}: {name} cannot be set; but() returns a changed copy."
         )
 
     def __delattr__(self, name: str) -> NoReturn:

@@ -1,10 +1,10 @@
-"""The pipeline, from a capture to the posterior of every texel: the file to read first.
+"""Pipeline from a capture to the posterior of each texel; read this module first.
 
     capture -> texels -> observations: visibility, light -> plan
             -> statistics of all views -> posterior     (angular, Eq. 3 to 6)
             -> SH fit -> power spectra -> posterior     (spectrum, Eq. 7 to 12)
 
-Captures are loaded by ``capture/loading.py``, texels laid out by ``geometry/texels.py``.
+``capture/loading.py`` loads captures, ``geometry/texels.py`` rasterises the UV map into texels.
 """
 
 from __future__ import annotations
@@ -57,40 +57,45 @@ def estimate(
     whole: bool = False,
     progress: Progress | None = None,
 ) -> Estimate:
-    """Estimate how much a capture says about the reflectance of every texel.
+    """Compute the posterior of the reflectance of each texel of a capture.
 
     Args:
-        source: a capture (scene, photographs and light); an estimate of one, whose rays need not
-            be traced again.
-        texels: texels of ``capture.mesh``; those of the estimate if there is one.
-        method: the estimator. ``angular`` compares photographs with what the reflection model
-            predicts for them, by statistics of all views; ``spectrum`` compares their power
-            spectra (Sec. 3.3 of the paper).
-        preset: ``default``, ``paper``, ``fast``, ``fixed`` (angular), or a preset of the
-            method.
-        grid: nodes of the parameter grid; by default 8 per parameter: roughness, metallic and
-            base colour (``PrincipledGrid``), or roughness and Ks (``ParameterGrid``), as the
-            preset's ``parameters`` say.
-        prior: non-negative weights of the grid's cells, of its shape; or one per roughness. By
-            default uniform, but for metallic of angular ``default`` and ``fast``, which is 0 or 1
-            with a probability of .8 (the preset's ``metals``); weights take its place.
-        known: parameters that are not in question, such as ``{"metallic": 0.0}``: they leave
-            the grid, and the entropy is that of the others. ``"scene"`` takes what the scene's
-            own ``principled`` material does not vary. Nothing by default: in a scene made for
-            photographs, a constant is more often a placeholder than a fact.
-        skip: work to leave out where it changes nothing; all of it by default.
+        source: a capture (scene, photographs and light), or an estimate. An estimate provides its
+            capture, texels and traced visibility.
+        texels: texels of ``capture.mesh``; required for a capture.
+        method: ``angular`` compares the photographs with radiance predicted by the reflection
+            model; ``spectrum`` compares power spectra (Sec. 3.3 of the paper).
+        preset: ``default``, ``paper``, ``fast``, ``fixed`` (angular), or a preset object.
+        grid: parameter grid, by default with 8 nodes per parameter. The preset's ``parameters``
+            select a ``PrincipledGrid`` (roughness, metallic, base colour) or a ``ParameterGrid``
+            (roughness, Ks).
+        prior: non-negative weights of the grid's bins, in the grid's shape; or one weight per
+            roughness node. Default: uniform, except metallic of the angular presets ``default``
+            and ``fast``: 0 or 1 with probability 0.8 (``AngularPreset.metals``).
+        known: known parameters by name, such as ``{"metallic": 0.0}``. They are removed from the
+            grid and from the entropy. ``"scene"`` selects all constants of the scene's
+            ``principled`` material. Default: none, because they are often placeholders.
+        skip: optimisations that do not change results; default: all.
         whole: keep the statistics of all texels in memory (3 kB per texel), as recovery and
-            guidance need them. Otherwise more than 2^18 texels are worked on tile by tile, and
-            what maps do not show is computed again when it is asked for (``TiledKernel``).
-        progress: shows what is going on and collects timings.
+            guidance require. By default, more than 2^18 texels are processed in tiles, and results
+            other than maps are recomputed on request (``TiledKernel``).
+        progress: progress display and timings.
 
     Raises:
-        OptionError: an unknown method or preset, a grid of other parameters, a bad prior, a
-            known value that is none, or texels that do not belong to the source.
-        ShapeError: a prior that does not fit the grid.
-        CaptureError: no texel is seen in any photograph.
+        OptionError: an unknown method or preset, a grid with other parameters than the preset's,
+            an invalid prior or ``known``, or texels that differ from the estimate's.
+        ShapeError: the shape of the prior differs from the grid's.
+        CaptureError: no photograph shows any texel.
         SceneError: the capture has no light.
-        SvuEnvironmentError: no suitable Mitsuba variant is active.
+        SvuEnvironmentError: the active Mitsuba variant is not supported.
+
+    Example:
+        >>> estimate = svu.estimate(capture, texels)
+        >>> estimate.image("entropy").shape
+        (64, 64)
+        >>> again = svu.estimate(estimate, known={"metallic": 0.0})  # no rays are traced again
+        >>> again.skipped["parameters known"]
+        1
     """
     require_variant()
     switches: Any = find_preset(preset, method=method)
@@ -98,7 +103,7 @@ def estimate(
     capture, texels = capture_and_texels(source, texels)
     grid_of: Any = angular_grid if isinstance(switches, AngularPreset) else spectrum_grid
     nodes = with_known(grid_of(grid, switches), known, capture.shape)
-    prior_tables = log_prior(prior, nodes.shape, "estimate()")  # refused before any work
+    prior_tables = log_prior(prior, nodes.shape, "estimate()")  # raises before any rays are traced
     observed = _observations(source, texels, skip, progress)
     plan = make_plan(skip, switches, observed, nodes, prior_tables)
     return _computed(
@@ -109,7 +114,7 @@ def estimate(
 def _observations(
     source: Capture | Observed | Estimate, texels: Texels, skip: Skip, progress: Progress
 ) -> Observed:
-    """Trace which photographs show which texels, unless that is known, and read the light."""
+    """Return observations with the light loaded; trace visibility if ``source`` is a capture."""
     require_light(capture_and_texels(source, texels)[0])
     observed = observations_of(source, texels, progress, skip)
     with progress.stage("Reading the light"):
@@ -118,7 +123,7 @@ def _observations(
 
 
 def _computed(inputs: EstimatorInputs, method: Method, switches: Any) -> Estimate:
-    """Compute the posterior by the method of ``switches``, and its entropy."""
+    """Compute the posterior by the method of ``switches``, and the entropy."""
     observed, progress = inputs.observed, inputs.progress
     sure: Any = inflated(switches, observed.capture)
     from_views = _from_statistics if isinstance(sure, AngularPreset) else _from_spectra
@@ -135,9 +140,10 @@ def _computed(inputs: EstimatorInputs, method: Method, switches: Any) -> Estimat
 
 
 def _from_statistics(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
-    """Compare photographs with what the reflection model predicts, by sums over all views."""
+    """Compare photographs with the reflection model by statistics of all views (Eq. 3 to 6)."""
     observed, progress = inputs.observed, inputs.progress
-    if observed.texels.count > TILE:  # seen or not: what is announced does not know
+    # Unseen texels count, too: the memory estimate is printed before visibility is traced.
+    if observed.texels.count > TILE:
         return tiled_posterior(inputs, switches)
     if switches.traced:
         with progress.stage("Tracing occlusion"):
@@ -170,7 +176,7 @@ def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
 
 
 def materialized(result: Estimate, progress: Progress | None = None) -> Estimate:
-    """Return an estimate with the statistics of all texels; made again if it works in tiles."""
+    """Return an estimate with statistics of all texels in memory; recompute a tiled one."""
     if not isinstance(result.posterior.kernel, TiledKernel):
         return result
     grid: Any = result.posterior.grid

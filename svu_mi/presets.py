@@ -1,10 +1,9 @@
-"""Presets: named, frozen sets of a method's switches, each with its range and its reason.
+"""Presets: frozen options of each method, with valid ranges and the reason of each default.
 
-``paper`` is the method as printed; ``default`` is our best, one setting for all scenes;
-``fast`` trades accuracy for time; ``fixed`` (angular only) assumes a noise of 8 % of the mean
-radiance instead of estimating it, which is what a path-traced reference is compared with.
-Each difference between them is a single switch, so an ablation is
-``preset("paper", penalize_constant=False)``.
+``paper`` is the published method. ``default`` is the most accurate; the same values serve all
+scenes. ``fast`` is less accurate. ``fixed`` (angular only) assumes a noise of 8 % of the mean
+radiance instead of estimating it, as comparisons with path-traced references require. Presets
+differ in single options, so an ablation is ``preset("paper", penalize_constant=False)``.
 """
 
 from __future__ import annotations
@@ -38,13 +37,20 @@ class _Channels:
 
     @property
     def colors(self) -> int:
-        """Number of colour channels that are looked at: 3, or 1 for their mean."""
+        """Number of processed colour channels: 3, or 1 for their mean."""
         return 1 if self.channels == "grey" else 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Preset(_Channels):
-    """Switches of the spectrum estimator; the defaults are those of ``default``."""
+    """Options of the spectrum estimator; defaults form the preset ``default``.
+
+    Example:
+        >>> svu.Preset().degree
+        6
+        >>> svu.preset("paper", degree=5)
+        Preset(name='paper', degree=5, ...)
+    """
 
     name: str = "default"
 
@@ -55,56 +61,56 @@ class Preset(_Channels):
     """lambda of Eq. 12; the paper uses 1e-3 and 1e-2."""
 
     penalize_constant: bool = False
-    """R_00 = e^0 = 1 as Eq. 12 prints it; False leaves l = 0, the diffuse term, free."""
+    """True: R_00 = e^0 = 1 (Eq. 12 as printed). False: l = 0, the diffuse term, is unpenalised."""
 
     band_limit: BandLimit = "photographs"
-    """Light that guidance judges candidates in: that of the estimate, or (Eq. 13 as printed) one
-    that is sharper with every view chosen; see ``GuidanceOptions``."""
+    """Band limit of the light in guidance: as in the estimate, or (Eq. 13 as printed) higher with
+    each chosen view; see ``GuidanceOptions``."""
 
     undo_prefilter: bool = False
-    """Use alpha^2 - alpha'^2 in the likelihood: the photographs are not band-limited, the
-    light is (alpha' = v^(-1/2)). But the fit attenuates what it regularises in the photographs
-    as well, and roughness below v^(-1/4) becomes one: measured, it is worse."""
+    """True: use alpha^2 - alpha'^2 in the likelihood, because the light is band-limited at
+    alpha' = v^(-1/2) and the photographs are not. Off, because it is less accurate: the regulariser
+    attenuates the photographs, too, and roughness below v^(-1/4) becomes indistinguishable."""
 
     occluded: bool = True
-    """No light comes from where the object itself stands: in the mirror direction, and in the
-    irradiance."""
+    """True: the object occludes light, in the mirror direction and in the irradiance."""
 
     rays: int = 64
-    """Cells of the light that the irradiance is traced for; half of them are above a texel."""
+    """Number of light cells traced for the irradiance; half of them are above a texel's horizon."""
 
     albedo: bool = True
-    """Rough lobes reflect less than all light, by GGX's directional albedo; on a grid of
-    principled parameters, as Ks in itself is the scale of a lobe."""
+    """True: scale lobes by GGX's directional albedo. Only for ``PrincipledGrid``, because Ks
+    already scales a lobe."""
 
     parameters: Parameters = "principled"
-    """``principled``: a posterior over (roughness, metallic, base colour), in which degree 0
-    takes part; ``specular``: over (roughness, Ks), l > 0 alone, as in the paper."""
+    """``principled``: posterior over (roughness, metallic, base colour), using degrees l >= 0;
+    ``specular``: posterior over (roughness, Ks), using l > 0, as in the paper."""
 
     bounded_alpha: bool = True
-    """alpha = max(roughness^2, 1e-3), as Mitsuba's BSDF has it; False leaves out the bound."""
+    """True: alpha = max(roughness^2, 1e-3), as in Mitsuba's BSDF; False: alpha = roughness^2."""
 
     spacing: GridSpacing = "dielectric"
     """Nodes of Ks: ``uniform`` on [0, 1], or ``dielectric``: 0.04 + 0.96 t^2, t uniform."""
 
     channels: ChannelRule = "grey"
-    """How R, G, B combine: ``grey`` fits their mean; ``sum`` adds them in d, over (roughness, Ks)
-    whatever ``parameters`` say."""
+    """``grey``: fit the mean of R, G and B; ``sum``: add the distances d of R, G and B. ``sum``
+    implies a posterior over (roughness, Ks)."""
 
     noise: NoiseRule = "relative"
-    """``fixed``: sigma in squared radiance (depends on exposure); ``relative``: sigma times
-    the capture's mean observed power."""
+    """Unit of ``sigma``. ``fixed``: squared radiance (depends on exposure); ``relative``: mean
+    observed power of the capture."""
 
     sigma: float = 0.004
-    """Standard deviation of a degree's power, in the unit that ``noise`` says."""
+    """Standard deviation of the power of a degree, in the unit given by ``noise``."""
 
     constant_sigma: float = 0.06
-    """Standard deviation of sqrt(S(0)), in radiance if ``noise`` is ``fixed``, else relative
+    """Standard deviation of sqrt(S(0)): in radiance if ``noise`` is ``fixed``, else relative
     to the square root of the capture's mean power."""
 
     def __post_init__(self) -> None:
         require_types(self)
-        # dr.sh_eval ends at 9; double precision beyond: a singular fit, an infinite 1 / sigma^2.
+        # dr.sh_eval supports l <= 9. Values beyond the other limits make the fit singular or
+        # 1 / sigma^2 infinite in double precision.
         require_ranges(
             self, degree=(1, 9), regularizer=(1e-12, 1e12), sigma=(1e-30, 1e30),
             constant_sigma=(1e-30, 1e30), rays=(16, 4096),
@@ -112,16 +118,20 @@ class Preset(_Channels):
 
     @property
     def principled(self) -> bool:
-        """Whether the posterior is over principled parameters."""
+        """True if the posterior is over principled parameters."""
         return self.parameters == "principled" and self.channels == "grey"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """How light is expanded in spherical harmonics at every texel (Eq. 12), as printed.
+    """Options of the spherical harmonic fit of each texel's light (Eq. 12); defaults as printed.
 
-    The samples are those that the texel mirrors into its photographs; light is band-limited at
-    alpha' = v^(-1/2) for v photographs first (Sec. 3.3.2).
+    Samples are the directions that the texel mirrors into the v photographs. The light is first
+    band-limited at alpha' = v^(-1/2) (Sec. 3.3.2).
+
+    Example:
+        >>> svu.preset("paper", method="angular", fit=svu.Fit(degree=5)).fit.degree
+        5
     """
 
     degree: int = 6
@@ -131,10 +141,11 @@ class Fit:
     """lambda; the paper uses 1e-3 and 1e-2."""
 
     penalize_constant: bool = True
-    """R_00 = e^0 = 1 as printed; False leaves l = 0 free."""
+    """True: R_00 = e^0 = 1 as printed; False: l = 0 is unpenalised."""
 
     undo_prefilter: bool = False
-    """Lobes of width alpha^2 - alpha'^2 instead of alpha^2, since light is filtered already."""
+    """True: lobes of squared width alpha^2 - alpha'^2 instead of alpha^2, because the light is
+    already band-limited at alpha'."""
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -143,85 +154,96 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class AngularPreset(_Channels):
-    """Switches of the angular estimator; the defaults are those of ``default``."""
+    """Options of the angular estimator; defaults form the preset ``default``.
+
+    Options marked (calibrated) apply only if ``noise`` is ``estimated``.
+
+    Example:
+        >>> svu.AngularPreset(cells=512).occluded
+        True
+        >>> svu.estimate(capture, texels, preset=svu.AngularPreset(metals=0.5)).preset.metals
+        0.5
+    """
 
     name: str = "default"
 
     fresnel: Fresnel = "split_sum"
-    """Of lobes that are looked up; ``none``: R0; ``schlick`` at theta_o, as Eq. 6 has it;
-    ``split_sum``: averaged over the lobe."""
+    """Fresnel term of narrow lobes (prefiltered light). ``none``: R0; ``schlick``: at the angle
+    theta_o (Eq. 6); ``split_sum``: averaged over the lobe."""
 
     lobe: Lobe = "ggx"
-    """Of lobes that are looked up; ``gaussian``: degrees fall off as exp(-(alpha l)^2) (Eq. 6);
-    ``ggx``: Mitsuba's."""
+    """Shape of narrow lobes. ``gaussian``: degree l is scaled by exp(-(alpha l)^2) (Eq. 6);
+    ``ggx``: as in Mitsuba."""
 
     fit: Fit | None = None
-    """Light of lobes: None looks it up in maps that are filtered for each width; a ``Fit`` expands
-    what every texel mirrors in spherical harmonics, which lobes then convolve: the paper's SH
-    model. Nothing is traced then (``cells=0``), and lobes are Gaussian around the mirror."""
+    """None: narrow lobes read light prefiltered for each width. A ``Fit``: lobes convolve a
+    spherical harmonic fit of each texel's mirrored light (the paper's SH model). A fit requires
+    ``cells=0`` and Gaussian lobes around the mirror direction."""
 
     off_specular: bool = True
-    """Lobes that are looked up lean from the mirror direction towards the normal."""
+    """True: centres of narrow lobes are shifted from the mirror direction towards the normal."""
 
     cells: int = 1024
-    """Fine cells of the light, whose visibility is traced and which wide lobes are summed over;
-    0: nothing is traced, light is hidden from nowhere, and all lobes look filtered light up."""
+    """Number of fine light cells. Their visibility is traced, and wide lobes are sums over them.
+    0: no visibility is traced, and all lobes read prefiltered light."""
 
     occluded: bool = True
-    """Light that the object itself hides is missing, from the irradiance and from lobes."""
+    """True: the object occludes light, in the irradiance and in lobes."""
 
     diffuse: Diffuse = "disney"
     """``disney``: Mitsuba's diffuse lobe, with retro-reflection; ``lambert``: constant."""
 
     parameters: Parameters = "principled"
-    """``principled``: a posterior over (roughness, metallic, base colour); ``specular``: over
-    (roughness, Ks), with the diffuse term at its best for each cell."""
+    """``principled``: posterior over (roughness, metallic, base colour); ``specular``: over
+    (roughness, Ks), with the diffuse term that minimises the error of each bin."""
 
     channels: AngularChannels = "joint"
-    """``grey``: the mean of R, G, B and a grey base colour; ``joint``: one roughness and
-    metallic for all, a base colour (or Ks) for each channel, the others marginalised."""
+    """``grey``: the mean of R, G and B, with a grey base colour; ``joint``: shared roughness and
+    metallic, and a base colour (or Ks) per channel with the others marginalised."""
 
     noise: AngularNoise = "estimated"
-    """``estimated``: of every texel, from the photographs (``posterior/noise.py``), and every
-    view counts. The others take the mean squared error over views: ``fixed``: sigma in radiance;
-    ``relative``: sigma times the capture's mean radiance; ``heteroscedastic``: that, growing with
-    the sample's own radiance."""
+    """``estimated``: noise of each texel from its residual (``posterior/noise.py``). The others
+    assume sigma for the root mean squared error over views. ``fixed``: in radiance; ``relative``:
+    relative to the capture's mean radiance; ``heteroscedastic``: relative, and increasing with the
+    radiance of the sample."""
 
     sigma: float = 0.08
-    """Standard deviation of a texel's root mean squared error, in the unit that ``noise``
-    says, unless that is estimated. The error is the model's more than the camera's: it does not
-    average out over views."""
+    """Standard deviation of a texel's root mean squared error, in the unit given by ``noise``;
+    ignored if ``noise`` is ``estimated``. It does not decrease with the number of views, because
+    errors of the reflection model exceed camera noise."""
 
     errors: Errors = "mean"
-    """Squared errors of views: their ``mean``, or their ``sum``, as printed, so that many views
-    say more than few (estimated: always all views)."""
+    """``mean`` of squared errors over views; or their ``sum`` (Eq. 4 as printed), which makes the
+    posterior narrower with each view. Must be ``mean`` if ``noise`` is ``estimated``."""
 
     assumed: float = 0.02
-    """s_0: noise of a sample where too few views tell, as a part of the mean radiance
-    (estimated)."""
+    """s_0: noise of a sample if few views show the texels, relative to the mean radiance
+    (calibrated)."""
 
     overdispersion: float = 3.5
-    """tau: so many samples say what one would if their errors were independent (estimated)."""
+    """Overdispersion tau: N samples with correlated errors count as N / tau (calibrated)."""
 
     degrees: float = 4.0
-    """nu: so many samples of the median texel's noise are added to a texel's own (estimated)."""
+    """Degrees of freedom nu of the noise prior: it counts as nu samples with the noise of the
+    median texel (calibrated)."""
 
     knee: float = 0.5
-    """Radiance from which noise grows with it, as a part of the mean radiance (estimated)."""
+    """kappa: radiance above which noise increases in proportion to it, relative to the mean
+    radiance (calibrated)."""
 
     edges: float = 60.0
-    """eta: how much noise grows with the variance of the pixels that a sample is read from, since
-    on an edge of a photograph a little beside is something else (estimated)."""
+    """eta: increase of the noise variance with the variance of nearby pixels. On image edges, small
+    errors of the pose change the sample (calibrated)."""
 
     metals: float = 0.8
-    """Prior probability that metallic is 0 or 1, nothing in between (estimated)."""
+    """Prior probability that metallic is exactly 0 or 1 (calibrated)."""
 
     levels: int = 8
-    """Levels of roughness that statistics are gathered at, between which they are interpolated
-    (estimated; the others take the grid's nodes)."""
+    """Number of roughness levels of the statistics, which are interpolated in between (calibrated;
+    otherwise statistics are gathered at the grid's nodes)."""
 
     parts: int = 42
-    """Parts of roughness that are integrated over, at least (estimated)."""
+    """Minimum number of quadrature nodes of roughness (calibrated)."""
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -232,8 +254,8 @@ class AngularPreset(_Channels):
         )  # fmt: skip
         if self.noise == "estimated" and self.parameters != "principled":
             raise OptionError(
-                "AngularPreset: noise='estimated' is for parameters='principled'; over "
-                "(roughness, Ks), use noise='relative'."
+                "AngularPreset: noise='estimated' requires parameters='principled'; for "
+                "parameters='specular', use noise='relative'."
             )
         traced = self.cells == 0 or 256 <= self.cells <= 4096
         require(self, traced, "cells", "in [256, 4096], or 0 to trace none")
@@ -241,14 +263,14 @@ class AngularPreset(_Channels):
             self._require_printed()
         if self.errors == "sum" and self.noise == "estimated":
             raise OptionError(
-                "AngularPreset: noise='estimated' counts views itself; errors='sum' is "
-                "for noise='fixed', 'relative' or 'heteroscedastic'."
+                "AngularPreset: errors='sum' requires noise='fixed', 'relative' or "
+                "'heteroscedastic', not 'estimated'."
             )
 
     def _require_printed(self) -> None:
-        """Light that is fitted texel by texel has the lobes of Eq. 6, and no others."""
+        """Raise an error unless lobes are as in Eq. 6, the only ones for fitted light."""
         require(self, isinstance(self.fit, Fit), "fit", "a Fit, or None")
-        require(self, self.cells == 0, "cells", "0 with a fit, which traces nothing")
+        require(self, self.cells == 0, "cells", "0 with a fit, which has no visibility")
         require(self, self.lobe == "gaussian", "lobe", "'gaussian' with a fit")
         require(self, self.fresnel != "split_sum", "fresnel", "'schlick' or 'none' with a fit")
         require(self, not self.off_specular, "off_specular", "False with a fit")
@@ -256,11 +278,11 @@ class AngularPreset(_Channels):
 
     @property
     def traced(self) -> bool:
-        """Whether anything is traced that light arrives from."""
+        """True if the visibility of light cells is traced."""
         return self.cells > 0
 
     def kappa(self, unit: float) -> float:
-        """Return the radiance around which samples begin to count less; infinite if none does.
+        """Return the radiance above which weights of samples decrease; infinity: all weigh 1.
 
         Args:
             unit: mean radiance of the photographs.
@@ -270,28 +292,33 @@ class AngularPreset(_Channels):
 
 @dataclass(frozen=True, kw_only=True)
 class Skip:
-    """Work that is left out because the result is the same without; all of it by default.
+    """Optimisations that do not change results; all are enabled by default.
 
-    Texels outside the charts are never work. ``Skip(unseen=False)`` turns one off, to see what
-    it saves; ``NOTHING`` turns off all.
+    Measure one by disabling it; ``NOTHING`` disables all. Texels outside the charts are never
+    computed.
+
+    Example:
+        >>> slow = svu.estimate(capture, texels, skip=svu.Skip(unseen=False))
+        >>> np.allclose(slow.entropy, estimate.entropy, atol=1e-4)
+        True
     """
 
     unseen: bool = True
-    """Texels that no photograph shows: no occlusion rays, no statistics, no fit."""
+    """Skip texels that no photograph shows: no occlusion rays, statistics or fits."""
 
     pairs: bool = True
-    """Texels and views that do not face each other, or where no usable pixel is: no ray; and
-    wherever a view does not see a texel, no look-up, no reflection model."""
+    """Skip pairs of texel and view that face away from each other or have no usable pixel: no ray.
+    Skip pairs that are not visible: no pixel is read and no reflection computed."""
 
     blind: bool = True
-    """Views that show no texel."""
+    """Skip views that show no texel."""
 
     channels: bool = True
-    """Under grey light and in grey photographs, one channel stands for three."""
+    """Compute one channel instead of three if light or photographs are grey."""
 
     levels: bool = True
-    """Roughness that the prior excludes: no filtered light, no statistics, where these are gathered
-    at the grid's nodes. (Energies that the prior excludes are never computed.)"""
+    """Skip roughness nodes that the prior excludes: no prefiltered light and no statistics. (If
+    noise is estimated, statistics need all levels.)"""
 
 
 NOTHING = Skip(unseen=False, pairs=False, blind=False, channels=False, levels=False)
@@ -311,8 +338,8 @@ ANGULAR_PRESETS: dict[str, AngularPreset] = {
     "default": AngularPreset(),
     "fixed": AngularPreset(name="fixed", channels="grey", noise="relative"),
     "fast": AngularPreset(name="fast", channels="grey", cells=0, parts=14),
-    # The paper states no sigma. That of a sum over 25 views, as many as see a texel of a sphere of
-    # 60 cameras, which weighs as much as .08 does for their mean.
+    # The paper gives no sigma. 0.4 for a sum over 25 views equals 0.08 for their mean; about 25 of
+    # 60 cameras on a sphere see a texel.
     "paper": AngularPreset(
         name="paper", channels="grey", noise="relative", sigma=0.4, errors="sum", fit=Fit(),
         fresnel="schlick", lobe="gaussian", off_specular=False, cells=0, occluded=False,
@@ -340,17 +367,22 @@ def preset(base: str | AnyPreset = ..., *, method: Method, **switches: object) -
 def preset(
     base: str | AnyPreset = "default", *, method: Method = "spectrum", **switches: object
 ) -> AnyPreset:
-    """Return a named preset, with single switches replaced.
+    """Return a preset of a method, with some options replaced.
 
     Args:
-        base: ``paper``, ``default``, ``fast``, ``fixed`` (angular only), or a preset to start
-            from.
-        method: the estimator it is for; each has switches of its own.
-        **switches: fields of ``Preset`` or ``AngularPreset`` to replace, such as ``degree=5``.
+        base: ``paper``, ``default``, ``fast``, ``fixed`` (angular only), or a preset object.
+        method: ``spectrum`` returns a ``Preset``, ``angular`` an ``AngularPreset``.
+        **switches: options to replace, such as ``degree=5``.
 
     Raises:
-        OptionError: an unknown preset, method or switch, a preset of another method, or a
+        OptionError: an unknown preset, method or option, a preset of another method, or a
             value outside its range.
+
+    Example:
+        >>> svu.preset("paper", penalize_constant=False).regularizer
+        0.001
+        >>> svu.preset("fast", method="angular").cells
+        0
     """
     if method not in METHODS:
         raise OptionError(f"Unknown method {method!r}; use one of {', '.join(METHODS)}.")
@@ -369,7 +401,7 @@ def preset(
 
 
 def _require(name: str, method: str, what: str, known: dict[str, list[str]]) -> None:
-    """Refuse a name that a method does not have, and say which one does."""
+    """Raise an error if a method lacks a name; the message includes the method that has it."""
     if name not in known[method]:
         others = [other for other in known if name in known[other]]
         raise OptionError(

@@ -189,7 +189,7 @@ def test_a_library_whose_name_tells_nothing_is_asked_in_a_subprocess():
     """The one that Dr.Jit uses now knows its version as well as its name does."""
     used = os.environ[_llvm.VARIABLE]
     stated = _llvm.stated_version(os.path.realpath(used))
-    assert _llvm._asked_version(used)[: len(stated)] == stated
+    assert _llvm._queried_version(used)[: len(stated)] == stated
 
 
 # --- in fresh processes -------------------------------------------------------------------

@@ -57,7 +57,7 @@ def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
         ({"off_specular": True}, "off_specular must be False with a fit"),
         ({"occluded": True}, "occluded must be False with a fit"),
         ({"fit": True}, "fit must be a Fit, or None"),
-        ({"noise": "estimated"}, "noise='estimated' counts views itself"),
+        ({"noise": "estimated"}, "errors='sum' requires noise"),
         ({"errors": "median"}, "errors must be one of mean, sum"),
     ],
 )

@@ -1,7 +1,7 @@
 """Posterior from angular statistics (Eq. 3 to 6, without a frequency domain).
 
-A row is a bin of all parameters but base colour. On the (roughness, Ks) grid it is a roughness;
-Kd then takes its best value in [0, 1] for each Ks.
+Bins are grouped into rows: bins of a row differ only in the last parameter (base colour or Ks). On
+a (roughness, Ks) grid, a row is a roughness, and Kd is the best value in [0, 1] for each Ks.
 """
 
 from __future__ import annotations
@@ -27,21 +27,25 @@ from svu_mi.reflection.principled import Mixture, mixture, paper_mixture
 from svu_mi.statistics.cholesky_factors import FLOOR, Factors, apply_factor
 from svu_mi.statistics.statistics import Statistics
 
-UNLIKELY = 1e30  # energy, in single precision, of a bin that the prior excludes
-HOPELESS = 1e30  # an energy beyond single precision would be infinite, its differences NaN
+UNLIKELY = 1e30  # energy of a bin that the prior excludes; finite in single precision
+HOPELESS = 1e30  # upper bound of energies: differences of infinite ones would be NaN
 
 
 @dataclass(frozen=True)
 class AngularProblem:
-    """Inputs of the energy.
+    """Inputs of the energy -log p.
 
     Attributes:
+        factors: square-root form of the statistics of S texels.
+        copies: number of equal colour channels per channel of the factors.
         slots: (R,) UInt32, level of the factors for each roughness of the grid.
         rows: UInt32, rows of the grid that the prior does not exclude.
-        sigma: Float, opaque: standard deviation of a texel's error, in radiance.
-        averaged: whether d is the mean of squared errors over views, or the sum.
-        mixed: (M,) nodes of every parameter that mixes the columns, or None for a grid of Ks.
-        prior: (-log prior of a row, of a bin given its row) as Float64 and Float, or None.
+        total: number of bins.
+        sigma: Float, opaque, standard deviation of a texel's error in radiance.
+        averaged: True: d is the mean of squared errors over views; False: their sum.
+        mixed: (M,) nodes of each parameter in ``MIXED``; None on a (roughness, Ks) grid.
+        bins: nodes of the last parameter, base colour or Ks.
+        prior: -log prior of rows (Float64) and of bins given their row (Float); None: uniform.
     """
 
     factors: Factors
@@ -57,13 +61,13 @@ class AngularProblem:
 
     @property
     def columns(self) -> int:
-        """Rows per roughness: M, or 1."""
+        """Number of rows per roughness: M, or 1."""
         return prod(len(nodes) for nodes in self.mixed or ())
 
 
 @dataclass(frozen=True)
 class AngularKernel(GridKernel):
-    """p over the axes of a ``PrincipledGrid``, or over (roughness, specular)."""
+    """Posterior from angular statistics on a ``PrincipledGrid`` or ``ParameterGrid``."""
 
     grid: ParameterGrid | PrincipledGrid
     count: int
@@ -71,12 +75,12 @@ class AngularKernel(GridKernel):
 
     @property
     def channels(self) -> int:
-        """3 when each colour channel has its own base colour or Ks, else 1."""
+        """Number of base colours or Ks per texel: 3, or 1 for grey."""
         return self.problem.factors.channels * self.problem.copies
 
     @cached_property
     def prior(self) -> Prior:
-        """The prior, the same of each channel."""
+        """Prior, equal for all channels."""
         return Prior(row_entropy.prior_table(self.problem.prior, self.grid.shape), self.grid.axes)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
@@ -84,7 +88,7 @@ class AngularKernel(GridKernel):
         return self._entropies[self._lane[texels]]
 
     def tables(self, texels: np.ndarray) -> Pair:
-        """Return p of every bin and the best nodes (see ``GridKernel``)."""
+        """Return bin probabilities and the most probable nodes (see ``GridKernel``)."""
         rows = self.problem.total // len(self.problem.bins)
         energies = partial(_row_energies, self.problem)
         base, offsets = row_entropy.energy_tables(energies, self._lane[texels], rows)
@@ -102,7 +106,7 @@ class AngularKernel(GridKernel):
 
 
 def angular_grid(grid: Any | None, switches: AngularPreset) -> ParameterGrid | PrincipledGrid:
-    """Return the grid of a preset's parameters; default: 8 nodes each, dielectric Ks."""
+    """Return a grid over the preset's parameters; default: 8 nodes each, dielectric Ks."""
     kind = PrincipledGrid if switches.parameters == "principled" else ParameterGrid
     grid = kind() if grid is None else grid
     if not isinstance(grid, kind):
@@ -125,34 +129,41 @@ def angular_posterior(
     levels: np.ndarray | None = None,
     texels: int | None = None,
 ) -> Posterior[AngularKernel]:
-    """Compare photographs with what every bin of a grid predicts for them.
+    """Compute the posterior on a grid from squared errors with a given standard deviation.
 
         p ~ exp(-d / (2 sigma^2)) prior,    d = 1/n sum_i w_i (b_i - r_i(psi))^2   (Eq. 3, 4)
 
-    The *mean* squared error: the model's own error is the same from many views as from few,
-    and must not be averaged away. With ``errors="sum"``, as printed, there is no 1/n.
+    Without 1/n (``errors="sum"``, as printed), errors of the reflection model would average out
+    over many views, which they do not.
 
     Args:
-        statistics: of S texels, or their factors; the levels are the grid's roughness.
-        grid: ``PrincipledGrid``, or ``ParameterGrid`` for (roughness, Ks); the preset's
-            ``parameters`` say which, by default 8 nodes each.
-        scale: radiance that sigma is a part of, unless the preset's noise is ``fixed``.
-        preset: switches.
-        prior: non-negative weights of the bins, of the grid's shape, or one per roughness.
-        copies: how many equal colour channels each channel of the statistics stands for.
-        levels: (R,) bool, the roughness nodes that the statistics have; all by default. The
-            prior must exclude the others.
-        texels: T, how many there are in all, seen or not; by default up to the last of S.
+        statistics: statistics of S texels at the grid's roughness nodes, or their factors.
+        grid: ``PrincipledGrid`` or, if the preset's ``parameters`` are ``specular``,
+            ``ParameterGrid``. Default: 8 nodes per axis.
+        scale: radiance unit of sigma; ignored if the preset's ``noise`` is ``fixed``.
+        preset: name or options.
+        prior: non-negative weights in the grid's shape, or one per roughness node.
+        copies: number of equal colour channels per channel of the statistics.
+        levels: (R,) bool, roughness nodes that the statistics contain; default: all. The prior
+            must exclude the others.
+        texels: number T of texels, seen or not; default: the largest texel number plus one.
 
     Raises:
-        ShapeError: the grid's roughness is not the statistics'.
-        OptionError: a grid of other parameters than the preset's, an invalid scale or prior.
+        ShapeError: the grid's roughness nodes differ from the statistics' levels.
+        OptionError: a grid with other parameters than the preset's, or an invalid scale or prior.
+
+    Example:
+        >>> observed, grid = estimate.observed, svu.PrincipledGrid(roughness=6)
+        >>> fixed = svu.preset("fixed", method="angular")  # one channel: the mean of R, G and B
+        >>> statistics = observed.statistics(grid.roughness_nodes, fixed, 1)
+        >>> svu.angular_posterior(statistics, grid, observed.unit).mean("roughness").ndim
+        1
     """
     switches = find_preset(preset, method="angular")
     if switches.noise == "estimated":
         raise OptionError(
-            "angular_posterior(): estimated noise is for calibrated_posterior(); use "
-            "preset='fixed', or another noise."
+            "angular_posterior(): noise='estimated' is not supported; use preset='fixed', or "
+            "calibrated_posterior()."
         )
     grid = angular_grid(grid, switches)
     factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
@@ -185,7 +196,7 @@ def _prior(tables: tuple[np.ndarray, np.ndarray] | None) -> tuple[Any, Any] | No
 def _require_levels(
     levels: np.ndarray, grid: ParameterGrid | PrincipledGrid, roughness: np.ndarray
 ) -> None:
-    """Refuse statistics whose roughness is not that of the grid's ``levels``."""
+    """Raise an error if the statistics' ``roughness`` differs from the grid's ``levels``."""
     if levels.dtype != bool or levels.shape != grid.shape[:1]:
         raise ShapeError(
             f"angular_posterior(): levels must be ({grid.shape[0]},) booleans, got "
@@ -194,7 +205,7 @@ def _require_levels(
     if not np.array_equal(grid.roughness_nodes[levels], roughness):
         raise ShapeError(
             "angular_posterior(): the grid's roughness is "
-            f"{_listed(grid.roughness_nodes[levels])}, that of the statistics "
+            f"{_listed(grid.roughness_nodes[levels])}, but the statistics have "
             f"{_listed(roughness)}; gather them at the nodes of the grid."
         )
 
@@ -206,8 +217,8 @@ def _listed(values: np.ndarray) -> str:
 def _row_energies(problem: AngularProblem, lane: Any) -> row_entropy.RowEnergies:
     factors = problem.factors
     reader = factors.reader(lane)
-    square = reader.weight / 2  # errors are per unit of weight
-    if problem.averaged:  # over views, whose weights are at most 1
+    square = reader.weight / 2  # factors contain errors per unit of weight
+    if problem.averaged:
         square /= mi.Float(dr.maximum(dr.gather(mi.UInt32, factors.views, lane), 1))
     scale = dr.sqrt(square) / problem.sigma
 
@@ -225,7 +236,7 @@ def _row_energies(problem: AngularProblem, lane: Any) -> row_entropy.RowEnergies
 
 
 def _bins(problem: AngularProblem, column: Any, U: list[Any]) -> list[Any]:
-    """Mean squared error of every bin of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
+    """Return |U x|^2 of each bin of a row: squared error over 2 sigma^2 (``Factors``)."""
     nodes = [mi.Float(node) for node in row_entropy.bin_values(problem.bins)]
     if problem.mixed is None:
         return [_error_at_best_diffuse(U, paper_mixture(Ks)) for Ks in nodes]
@@ -235,7 +246,7 @@ def _bins(problem: AngularProblem, column: Any, U: list[Any]) -> list[Any]:
 
 
 def _error_at_best_diffuse(U: list[Any], mix: Mixture) -> Any:
-    """Return the error at the best Kd in [0, 1]; only the first component depends on it."""
+    """Return the error at the best Kd in [0, 1]; only the first component depends on Kd."""
     first, *others = apply_factor(U, mix.offset)[:-1]
     slope = U[0]
     inverse = dr.select(slope > 0, dr.rcp(dr.select(slope > 0, slope, 1)), 0)
@@ -244,7 +255,7 @@ def _error_at_best_diffuse(U: list[Any], mix: Mixture) -> Any:
 
 
 def _square(components: list[Any], floor: Any) -> Any:
-    """|U x|^2, of whose last component ``floor`` is the square."""
+    """Return |U x|^2, given the square ``floor`` of the last component."""
     total = floor
     for x in reversed(components):
         total = dr.fma(x, x, total)

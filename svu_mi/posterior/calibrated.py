@@ -3,7 +3,7 @@
     log p(psi | B, L) = -sum_i w_i |r_i(psi) - b_i|^2 / (2 s^2 tau) + log p(psi)
 
 Base colour is integrated in closed form (``truncated_normal``), others on nodes (``quadrature``).
-Probabilities and entropy (Eq. 5) are those of the integrated masses of a grid's bins.
+Probabilities are integrals over the grid's bins, and the entropy (Eq. 5) is computed from them.
 """
 
 from __future__ import annotations
@@ -43,38 +43,38 @@ from svu_mi.presets import preset as find_preset
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.statistics import Statistics
 
-TEXELS_PER_CHUNK = 2**17  # texels at a time, of whose nodes the masses are in memory
-FEWEST = 4  # levels of roughness that a spline goes through
+TEXELS_PER_CHUNK = 2**17  # texels whose node masses are in memory at the same time
+FEWEST = 4  # minimum number of roughness levels; the spline needs four
 
 
 @dataclass(frozen=True)
 class CalibratedPrior(Prior):
-    """Prior with a density within bins."""
+    """Prior with a continuous density within bins."""
 
     problem: CalibratedProblem
 
     @staticmethod
     def of(problem: CalibratedProblem, grid: PrincipledGrid) -> CalibratedPrior:
-        """Take the mean over channels for the bins, (R, M ..., K) float64."""
+        """Return the prior of bins, (R, M ..., K) float64, the mean over channels."""
         return CalibratedPrior(
             prior_tables(problem).mean(axis=3).reshape(grid.shape), grid.axes, problem
         )
 
     @cached_property
     def max_entropy(self) -> float:  # type: ignore[override]
-        """Nats that entropies are relative to: those of the prior, the mean over channels."""
+        """Normalisation of entropies [nats]: the prior's entropy, mean over channels."""
         tables = np.moveaxis(prior_tables(self.problem), -1, 0)
         return float(np.mean([row_entropy.entropy_of(p) for p in tables]))
 
     @property
     def entropy(self) -> float:
-        """1: that of the prior in units of itself."""
+        """Normalised entropy, 1 by definition."""
         return 1.0
 
     def moments(self, name: str) -> tuple[Any, Any]:
         """Return mean and standard deviation of a parameter (see ``Prior``)."""
         low, high, p = self._parts(name)
-        if name == "base_color":  # by channel
+        if name == "base_color":
             p = np.repeat(prior_tables(self.problem).sum(axis=(0, 1)).T, self.problem.copies, 0)
         middle = (low + high) / 2
         mean = p @ middle
@@ -82,7 +82,7 @@ class CalibratedPrior(Prior):
         return mean, np.sqrt((p * spread).sum(axis=-1))
 
     def draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
-        """Draw parameters, equal in all channels (see ``Prior``)."""
+        """Sample parameters, with equal values in all channels (see ``Prior``)."""
         picked = random.choice(self.probabilities.size, count, p=self.probabilities.ravel())
         drawn = {}
         indices = np.unravel_index(picked, self.probabilities.shape)
@@ -100,7 +100,7 @@ class CalibratedPrior(Prior):
         return drawn
 
     def _parts(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Ends of parts of a parameter, and their probability by the prior: (N,) each."""
+        """Return ends and prior probability of a parameter's N parts: (N,) each."""
         of_bins = self.marginal(name)
         if name == "base_color":
             edges = self.problem.edges
@@ -111,12 +111,13 @@ class CalibratedPrior(Prior):
 
 @dataclass(frozen=True, kw_only=True)
 class CalibratedKernel(Kernel):
-    """p over the axes of a ``PrincipledGrid``; base colour has a distribution per channel.
+    """Calibrated posterior; base colour has a distribution per channel.
 
     Attributes:
-        noise: (S,) float64, s: standard deviation of a sample of weight 1, in radiance.
-        common: standard deviation of the log of the base colour scale shared by all texels, by
-            channel (unknown scale of the light). Part of ``sd`` and ``interval``, not of entropy.
+        noise: (S,) float64, standard deviation s of a sample of weight 1, in radiance.
+        learned: True if the prior was learned (``empirical_bayes``).
+        common: standard deviation, per channel, of the log of a scale that all base colours share
+            (unknown scale of the light). Included in ``sd`` and ``interval``, not in entropy.
     """
 
     grid: PrincipledGrid
@@ -128,12 +129,12 @@ class CalibratedKernel(Kernel):
 
     @property
     def channels(self) -> int:
-        """3 when each colour channel has its own base colour, else 1."""
+        """Number of base colours per texel: 3, or 1 for grey."""
         return self.problem.factors.channels * self.problem.copies
 
     @cached_property
     def prior(self) -> CalibratedPrior:
-        """The prior (see ``Kernel``)."""
+        """Prior of all texels."""
         return CalibratedPrior.of(self.problem, self.grid)
 
     @cached_property
@@ -143,30 +144,29 @@ class CalibratedKernel(Kernel):
 
     @cached_property
     def lane(self) -> np.ndarray:
-        """(T,) int64, the lane among S of each texel; 0 for others."""
+        """(T,) int64, lane of each texel in the arrays of S texels; 0 if it has none."""
         texel = self.problem.factors.texel.numpy()
         return self.problem.factors.lane_of_texel(int(texel.max()) + 1 if len(texel) else 0)
 
     def noise_of(self, texels: np.ndarray) -> np.ndarray:
-        """Return the noise of texels, (t,)."""
+        """Return the noise of texels, (t,) radiance."""
         return self.noise[self.lane[texels]]
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
         """Return the normalised entropy (see ``Kernel``)."""
         most = self.prior.max_entropy
-        if most <= 0:  # a prior that leaves one bin
+        if most <= 0:  # the prior allows only one bin
             return np.zeros(len(texels), np.float32)
         return np.clip(np.array(self.summary.entropy) / np.float32(most), 0, 1)[self.lane[texels]]
 
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """Return p of every bin (see ``Kernel``)."""
+        """Return bin probabilities (see ``Kernel``)."""
         p = kernel.bin_probabilities(self.problem, self.lane[texels])
         p = np.repeat(p, self.problem.copies, -1) if self.problem.copies > 1 else p
         return p.reshape(len(p), *self.grid.shape, -1)
 
     def rows(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return masses and colours of bins of all other parameters (``row_masses_and_colors``), of
-        a few texels."""
+        """Return masses and mean colours of rows of bins (see ``row_masses_and_colors``)."""
         return kernel.row_masses_and_colors(self.problem, self.lane[texels])
 
     def best(self, texels: np.ndarray) -> np.ndarray:
@@ -190,7 +190,7 @@ class CalibratedKernel(Kernel):
         return mean, np.hypot(sd, mean * self._common) if name == "base_color" else sd
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
-        """Return the ends of intervals (see ``Kernel``)."""
+        """Return the ends of the shortest intervals (see ``Kernel``)."""
         lanes = self.lane[texels]
         of = self._ends_of_color if name == "base_color" else partial(self._ends_of_nodes, name)
         chunks = [
@@ -202,6 +202,7 @@ class CalibratedKernel(Kernel):
 
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
         """Return half the widths of intervals (see ``Kernel``)."""
+        # The faster path below computes only the channel with the largest deviation.
         problem = self.problem
         alone = problem.factors.channels == 1 or problem.color_prior is not None or any(self.common)
         if name != "base_color" or alone:
@@ -231,7 +232,7 @@ class CalibratedKernel(Kernel):
         return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
 
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
-        """Draw parameters, the same of a texel whichever others are asked for (see ``Kernel``)."""
+        """Sample parameters; independent of the other requested texels (see ``Kernel``)."""
         problem, lanes, names = self.problem, self.lane[texels], list(self.grid.axes)
         index = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         total = dr.gather(mi.Float, self.summary.total, index)
@@ -249,12 +250,12 @@ class CalibratedKernel(Kernel):
         return drawn
 
     def without_common_scale(self) -> CalibratedKernel:
-        """Return the kernel without the uncertainty of the scale that all texels share."""
+        """Return the kernel without the uncertainty of the common scale."""
         return replace(self, common=(0.0, 0.0, 0.0)) if any(self.common) else self
 
     @property
     def _common(self) -> np.ndarray:
-        """``common`` for as many channels as base colour has."""
+        """``common`` per base colour channel, (3,) or (1,)."""
         return np.asarray(self.common) if self.channels > 1 else np.mean(self.common, keepdims=True)
 
 
@@ -270,25 +271,32 @@ def calibrated_posterior(
     light_uncertainty: LightUncertainty | None = None,
     rounding: np.ndarray | None = None,
 ) -> Posterior[CalibratedKernel]:
-    """Integrate over what explains the photographs.
+    """Compute the posterior with noise estimated from the residual of each texel.
 
     Args:
-        statistics: of S texels at levels of roughness, uniform on [0, 1]; or their factors.
-        grid: whose bins probabilities are of; 8 x 8 x 8 by default.
-        scale: radiance of about the size of the photographs'.
-        preset: switches: overdispersion, degrees of freedom and metals.
-        prior: non-negative weights of the bins, of the grid's shape, or one per roughness; they
-            take the place of the preset's prior, which goes on within a bin. A bin at an end of
-            a range is half as wide as others, and 1 for every bin is not the default.
-        copies: how many equal colour channels each channel of the statistics stands for.
-        texels: T, how many there are in all, seen or not; by default up to the last of S.
-        light_uncertainty: of the light, whose scale base colours have in common.
-        rounding: (S,) variance of a sample of weight 1 by rounding alone, squared radiance, below
-            which its noise is never; None for photographs of floats.
+        statistics: statistics of S texels at even roughness levels on [0, 1], or their factors.
+        grid: grid of the bins; default: 8 x 8 x 8.
+        scale: radiance unit, such as the mean of the photographs.
+        preset: name or options.
+        prior: non-negative weights in the grid's shape, or one per roughness node. They replace
+            the preset's prior of bins, but not its density within a bin. The default differs from
+            equal weights, because the outermost bins are half as wide as the others.
+        copies: number of equal colour channels per channel of the statistics.
+        texels: number T of texels, seen or not; default: the largest texel number plus one.
+        light_uncertainty: uncertainty of the light; its scale is common to all base colours.
+        rounding: (S,) rounding variance of a sample of weight 1, squared radiance: the minimum of
+            the noise variance. None for floating point photographs.
 
     Raises:
-        OptionError: another preset, an invalid scale or prior.
-        ShapeError: a prior that does not fit the grid, or other levels.
+        OptionError: an angular preset is required, or an invalid scale or prior.
+        ShapeError: a prior of another shape than the grid, or unsuitable roughness levels.
+
+    Example:
+        >>> observed = estimate.observed
+        >>> statistics = observed.statistics(np.linspace(0, 1, 8), estimate.preset, 3)
+        >>> posterior = svu.calibrated_posterior(statistics, scale=observed.unit)
+        >>> posterior.mean("base_color").shape == (estimate.texels.count, 3)
+        True
     """
     switches = find_preset(preset, method="angular")
     factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
@@ -304,10 +312,10 @@ def calibrated_posterior(
 
 
 def _require_levels(levels: np.ndarray, nodes: np.ndarray) -> None:
-    """Refuse statistics between whose levels nothing can be interpolated."""
+    """Raise an error if the statistics' roughness levels do not permit interpolation."""
     if len(nodes) == 1:
         good = np.array_equal(levels, nodes)
-        wanted = f"the roughness that is known, {nodes[0]:g}"
+        wanted = f"the known roughness, {nodes[0]:g}"
     else:
         good = len(levels) >= FEWEST and np.allclose(levels, np.linspace(0, 1, len(levels)))
         wanted = f"at least {FEWEST} even levels from 0 to 1"
@@ -322,7 +330,7 @@ def _problem(
     factors: Factors, grid: PrincipledGrid, switches: AngularPreset, prior: Any | None,
     copies: int,
 ) -> CalibratedProblem:  # fmt: skip
-    """Everything but the noise."""
+    """Return the inputs of the posterior, without noise."""
     r = uniform_axis(grid.roughness_nodes, switches.parts)
     mixed = ProductAxis(tuple(
         mixed_axis(grid.axes[name], MIXED_PARTS, switches.metals * PARAMETERS[name].has_atoms)
@@ -346,9 +354,9 @@ def _problem(
 def _with_noise(
     problem: CalibratedProblem, switches: AngularPreset, scale: float, rounding: np.ndarray | None
 ) -> tuple[CalibratedProblem, np.ndarray]:
-    """Estimate the noise of every texel, and measure energies in it; returns s, too."""
+    """Return the problem with energies in units of noise, and the noise s of S texels."""
     factors = problem.factors
-    # Opaque: as a literal, every capture would compile a kernel of its own.
+    # Opaque: with a literal, Dr.Jit would compile another kernel for each capture.
     unit = dr.opaque(mi.Float, 1 / scale, factors.count)
     rest = np.array(kernel.min_energy(replace(problem, scale=unit)), np.float64)  # over unit^2
     unexplained, weight = factors.residuals()
@@ -363,7 +371,7 @@ def _with_noise(
         problem, scale=to_drjit(mi.Float, np.sqrt(energy_scale) / scale),
         min_energy=to_drjit(mi.Float, energy_scale * rest),
     )  # fmt: skip
-    if problem.color_prior is not None:  # which may contradict the likelihood by any number of nats
+    if problem.color_prior is not None:  # the best node may have a small prior
         above = kernel.min_energy(problem, excess=True)
         problem = replace(problem, min_energy=problem.min_energy + above)
         dr.eval(problem.min_energy)
@@ -371,7 +379,7 @@ def _with_noise(
 
 
 def prior_tables(problem: CalibratedProblem) -> np.ndarray:
-    """Return the prior probability of every bin by channel, (R, M, K, C) float64, of sum 1."""
+    """Return the prior of bins, (R, M, K, C) float64; the sum is 1 for each channel."""
     shape = (*problem.shape[:2], problem.tables, problem.shape[2])
     rows = np.exp(-problem.rows).reshape(*shape[:2], 1, 1)
     width = bin_widths(problem.edges)

@@ -1,6 +1,6 @@
 """Posterior integrals of a texel: entropy, moments, marginals, probabilities, draws.
 
-Each is one pass over the nodes of all other parameters (``node_integration``).
+Each needs one pass over the nodes of roughness and the mixing parameters (``node_integration``).
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from svu_mi.statistics.texel_blocks import BLOCK, block_size, texel_offset
 
 
 def min_energy(problem: CalibratedProblem, *, excess: bool = False) -> Any:
-    """Return the energy of the best node, (S,) Float; ``excess``: over ``problem.min_energy``."""
+    """Return the energy of the best node, (S,) Float; relative to ``problem.min_energy`` and with
+    the prior if ``excess``."""
     integrator, columns = NodeIntegrator(problem), dr.opaque(mi.UInt32, problem.mixed.count)
     nodes = dr.opaque(mi.UInt32, problem.roughness.count)
 
@@ -48,11 +49,11 @@ class PosteriorSummary:
     """Results of one pass over all nodes of S texels.
 
     Attributes:
-        entropy: (S,) Float, nats, of the masses of the bins; mean over channels.
-        total: (S,) Float, integral of the posterior before normalisation.
-        mean, sd: Floats (S,) of roughness, the mixing parameters, and base colour by channel.
-        best: (S,) UInt32, the first of the R M bins of largest mass.
-        best_colors: UInt32s (S,), the best of the K bins of base colour, given that.
+        entropy: (S,) Float, entropy of the bins [nats], mean over channels.
+        total: (S,) Float, integral of the unnormalised posterior.
+        mean, sd: (S,) Floats for roughness, each mixing parameter, and base colour per channel.
+        best: (S,) UInt32, index of the best bin of roughness and mixing parameters, in [0, R M).
+        best_colors: (S,) UInt32 per channel, index of the best bin of base colour given ``best``.
     """
 
     entropy: Any
@@ -65,26 +66,26 @@ class PosteriorSummary:
 
 @dataclass
 class MomentSums:
-    """Sums of parameters and of their squares over nodes, Float64 for each parameter."""
+    """Weighted sums of parameters and of their squares over nodes: a Float64 per parameter."""
 
     sums: list[Any]
     squares: list[Any]
 
     @staticmethod
     def zeros(number: int, count: int) -> MomentSums:
-        """Start with zero sums of ``number`` parameters in ``count`` lanes."""
+        """Return zero sums of ``number`` parameters in ``count`` lanes."""
         first, second = ([dr.zeros(mi.Float64, count) for _ in range(number)] for _ in range(2))
         return MomentSums(first, second)
 
     def add(self, weight: Any, values: list[tuple[Any, Any]]) -> None:
-        """Add a node, of which each parameter has a mean and a mean square."""
+        """Add a node; ``values`` are the mean and mean square of each parameter."""
         w = mi.Float64(weight)
         means, squares = zip(*values, strict=True)
         self.sums = [dr.fma(w, x, old) for x, old in zip(means, self.sums, strict=True)]
         self.squares = [dr.fma(w, x, old) for x, old in zip(squares, self.squares, strict=True)]
 
     def finish(self, total: Any) -> tuple[list[Any], list[Any]]:
-        """Return means and standard deviations: Floats."""
+        """Return means and standard deviations, Floats, given the sum of weights."""
         mean = [x / total for x in self.sums]
         sd = [dr.sqrt(dr.maximum(x / total - dr.square(m), 0))
               for x, m in zip(self.squares, mean, strict=True)]  # fmt: skip
@@ -93,7 +94,7 @@ class MomentSums:
 
 @dataclass
 class BestBin:
-    """Bin of the largest mass so far: of all parameters but base colour, then of base colours."""
+    """Bin of largest mass so far: row (all parameters but base colour), and base colours."""
 
     mass: Any
     row: Any
@@ -101,12 +102,12 @@ class BestBin:
 
     @staticmethod
     def zeros(channels: int, count: int) -> BestBin:
-        """Start without a bin."""
+        """Return the initial state, of mass 0."""
         row, *colors = (dr.zeros(mi.UInt32, count) for _ in range(1 + channels))
         return BestBin(dr.zeros(mi.Float, count), row, colors)
 
     def add(self, mass: Any, row: Any, colors: list[Any]) -> None:
-        """Replace the best bin by one of larger mass."""
+        """Replace the best bin in lanes where ``mass`` is larger."""
         more = mass > self.mass
         self.colors = [dr.select(more, new, old)
                        for new, old in zip(colors, self.colors, strict=True)]  # fmt: skip
@@ -116,9 +117,12 @@ class BestBin:
 
 @dataclass
 class BinMasses:
-    """Masses of (column, channel, base colour) of one bin of roughness, in local memory.
+    """Masses of the bins (column, channel, base colour) of one roughness bin, in local memory.
+
+    A column is a node of the mixing parameters.
 
     Attributes:
+        memory: masses in local memory.
         logs: Float, sum of a log a over the masses a of all finished bins.
     """
 
@@ -127,7 +131,7 @@ class BinMasses:
 
     @staticmethod
     def zeros(problem: CalibratedProblem, count: int) -> BinMasses:
-        """Start with empty bins."""
+        """Return empty bins."""
         _, of_column, of_color = problem.shape
         number = of_column * problem.factors.channels * of_color
         return BinMasses(zeroed_memory(number), dr.zeros(mi.Float, count))
@@ -143,7 +147,7 @@ class BinMasses:
                 self.memory[place] = self.memory[place] + node.weight * part
 
     def finish_row(self, problem: CalibratedProblem, row: Any, best: BestBin) -> tuple[Any, Any]:
-        """At the last node of a bin of roughness, empty its bins and update the best one."""
+        """Clear the bins after the last node of a roughness bin, and update the best bin."""
         channels, of_color = problem.factors.channels, dr.opaque(mi.UInt32, problem.shape[2])
         end = dr.gather(mi.UInt32, problem.nodes.last, row)
         first = dr.gather(mi.UInt32, problem.nodes.row, row) * problem.shape[1]
@@ -151,7 +155,7 @@ class BinMasses:
         def of_column(column: Any, bins: BinMasses, best: BestBin) -> tuple[Any, ...]:
             places = [(column * channels + channel) * of_color for channel in range(channels)]
             finished = [bins.finish(place, of_color) for place in places]
-            # All channels have the same total.
+            # The total mass is equal for all channels.
             best.add(finished[0][0], first + column, [color for _, color in finished])
             return column + 1, bins, best
 
@@ -160,7 +164,7 @@ class BinMasses:
         )[1:]
 
     def finish(self, place: Any, number: Any) -> tuple[Any, Any]:
-        """Empty ``number`` bins; return the sum of their masses and the index of the largest."""
+        """Clear ``number`` bins; return their total mass and the index of the largest."""
 
         def add_bin(k: Any, bins: BinMasses, total: Any, top: Any, best: Any) -> tuple[Any, ...]:
             a = bins.memory[place + k]
@@ -179,7 +183,15 @@ class BinMasses:
 
 @dataclass
 class SummarySums:
-    """Sums of ``summarize``: of the present node and bin of roughness, and of all finished."""
+    """Accumulators of ``summarize``.
+
+    Attributes:
+        bins: bins of the current roughness bin.
+        of_row: mass of the current roughness node.
+        total: mass of all finished roughness nodes.
+        roughness, others: moments of roughness, and of all other parameters.
+        best: best bin so far.
+    """
 
     bins: BinMasses
     of_row: Any
@@ -190,7 +202,7 @@ class SummarySums:
 
     @staticmethod
     def zeros(problem: CalibratedProblem) -> SummarySums:
-        """Start with zero sums."""
+        """Return zero sums."""
         count, channels = problem.factors.count, problem.factors.channels
         others = MomentSums.zeros(len(problem.nodes.columns) + channels, count)
         return SummarySums(
@@ -210,7 +222,7 @@ class SummarySums:
         self.others.add(node.weight, values)
 
     def finish_row(self, problem: CalibratedProblem, row: Any) -> None:
-        """Add the mass of a node of roughness."""
+        """Add the mass of the current roughness node to the totals."""
         self.total = self.total + mi.Float64(self.of_row)
         self.roughness.add(self.of_row, [problem.nodes.rows.moments(row)])
         self.of_row = mi.Float(0)
@@ -218,7 +230,7 @@ class SummarySums:
 
 
 def summarize(problem: CalibratedProblem) -> PosteriorSummary:
-    """Integrate once over all nodes of all texels."""
+    """Return entropy, moments and best bins of all texels, in one pass over the nodes."""
 
     def visit(node: Node, sums: SummarySums) -> tuple[SummarySums]:
         sums.add(problem, node)
@@ -239,7 +251,7 @@ def summarize(problem: CalibratedProblem) -> PosteriorSummary:
 
 
 def bin_probabilities(problem: CalibratedProblem, chosen: np.ndarray) -> np.ndarray:
-    """Return bin masses of t texels, (t, R, M, K, C) float32, of sum 1 per texel and channel."""
+    """Return bin probabilities of t texels, (t, R, M, K, C) float32, of sum 1 per channel."""
     rows, of_column, of_color = problem.shape
     shape = (len(chosen), rows, of_column, problem.factors.channels, of_color)
     masses = _bin_masses(problem, chosen).numpy().reshape(shape)
@@ -251,20 +263,22 @@ def bin_probabilities(problem: CalibratedProblem, chosen: np.ndarray) -> np.ndar
 def row_masses_and_colors(
     problem: CalibratedProblem, chosen: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return unnormalised masses of bins of all but base colour, (t, R M) float64, and their
-    mean colours (``row_colors``), (t, R M, C) float64."""
+    """Return masses of rows, (t, R M), and mean colours, (t, R M, C), float64, unnormalised.
+
+    A row is a bin of roughness and the mixing parameters (see ``row_colors``).
+    """
     shape = (len(chosen), -1, problem.factors.channels, problem.shape[2])
     masses = _bin_masses(problem, chosen).numpy().reshape(shape)
-    # All channels have the same masses.
+    # The mass of a row is equal for all channels.
     totals = np.einsum("trk->tr", masses[:, :, 0], dtype=np.float64)
     return totals, row_colors(np.moveaxis(masses, 2, 3), problem.edges)
 
 
 def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
-    """Return the masses of all bins of some texels, not normalised: (t R M C K,) Float."""
+    """Return unnormalised bin masses of t texels, (t R M C K,) Float."""
     rows, nodes = problem.shape[0], problem.nodes
     launch = dr.arange(mi.UInt32, len(chosen) * rows)
-    # A packet is about one bin of roughness of many texels, which leave out the same nodes.
+    # Lanes of a packet share a roughness bin, so they skip nearly the same nodes.
     number = dr.opaque(mi.UInt32, len(chosen))
     texel, bin_index = launch % number, launch // number
     integrator = NodeIntegrator(problem, dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), texel))
@@ -279,14 +293,14 @@ def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
     )  # fmt: skip
     first = texel * dr.opaque(mi.UInt32, rows) + bin_index
     size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
-    result = dr.empty(mi.Float, len(chosen) * rows * size_of_row)  # all is written
+    result = dr.empty(mi.Float, len(chosen) * rows * size_of_row)  # every value is written below
     result = _write(masses.memory, size_of_row, result, first * size_of_row)
     dr.eval(result)
     return result
 
 
 def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> Any:
-    """Return unnormalised masses of a parameter's N nodes: a Float in blocks, N rows, t texels."""
+    """Return unnormalised masses of a parameter's N nodes for t texels, in ``texel_blocks``."""
     number, place = problem.axis(name).count, None
     if name in MIXED:
         nodes = np.unravel_index(np.arange(problem.mixed.count), problem.mixed.shape)
@@ -306,8 +320,10 @@ def color_masses(
     problem: CalibratedProblem, parts: QuadratureAxis, chosen: np.ndarray,
     channel: np.ndarray | None = None,
 ) -> list[Any]:  # fmt: skip
-    """Return the masses of K parts of base colour (see ``node_masses``), for each channel, or for
-    one of each texel, ``channel`` (t,) int64, where the prior leaves colours alike."""
+    """Return the masses of K parts of base colour per channel (see ``node_masses``).
+
+    With ``channel``, (t,) int64, only that channel of each texel; requires a uniform colour prior.
+    """
     edges = np.append(parts.low, parts.high[-1])
     only = None if channel is None else to_drjit(mi.UInt32, channel.astype(np.uint32))
     integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen), edges, only)
@@ -328,9 +344,10 @@ def color_masses(
 def draw(
     problem: CalibratedProblem, lanes: np.ndarray, total: Any, random: list[Any]
 ) -> tuple[list[Any], list[Any]]:
-    """Draw roughness, the mixing parameters, and base colour by channel of t texels: Floats (t,).
+    """Sample roughness, mixing parameters, and base colour per channel of t texels: (t,) Floats.
 
-    ``random`` are Floats (t,) in [0, 1): one, one for each mixing parameter, two per channel.
+    ``random`` are (t,) Floats in [0, 1): one for the node, one for each shared parameter, and two
+    for each channel. ``total`` is the mass of each texel.
     """
     integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, lanes.astype(np.uint32)))
     nodes, count = problem.nodes, len(lanes)
@@ -355,9 +372,9 @@ def draw(
 
 
 def zeroed_memory(number: int) -> Any:
-    """Return zeroed local memory, written in a loop (Dr.Jit 1.5 unrolls a literal start).
+    """Return local memory that is cleared in a loop (Dr.Jit 1.5 unrolls an initial value).
 
-    The loop's end is a literal: otherwise Dr.Jit 1.5 reuses a kernel of another size.
+    The loop's end is a literal: with an opaque one, Dr.Jit 1.5 reuses a kernel of another size.
     """
 
     def clear(k: Any, memory: Any) -> tuple[Any, Any]:
@@ -369,7 +386,7 @@ def zeroed_memory(number: int) -> Any:
 
 
 def _to_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:
-    """Return local memory in blocks, written within the kernel that computes it."""
+    """Copy local memory to ``texel_blocks`` within the kernel that computes it."""
     target = dr.zeros(mi.Float, block_size(number, count))
     dr.eval(target)
     place = texel_offset(dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, number))
@@ -379,7 +396,7 @@ def _to_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:
 def _write(
     masses: Any, number: int, target: Any, place: Any, stride: int = 1, first: int = 0
 ) -> Any:
-    """Write local memory to ``target``, from ``place`` on."""
+    """Write local memory to ``target``, starting at ``place``."""
     end, first = dr.opaque(mi.UInt32, number), mi.UInt32(first)
 
     def write(k: Any, masses: Any) -> tuple[Any, Any]:

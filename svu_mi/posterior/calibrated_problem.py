@@ -16,22 +16,27 @@ from svu_mi.posterior.quadrature import ProductAxis, QuadratureAxis
 from svu_mi.posterior.truncated_normal import FULL_SUPPORT
 from svu_mi.statistics.cholesky_factors import Factors, catmull_rom
 
-SPLINE_LEVELS = 4  # levels that a roughness is interpolated from
-NEVER = 1e30  # -log of a prior of zero
+SPLINE_LEVELS = 4  # number of levels that a spline interpolates
+NEVER = 1e30  # stands for -log 0
 
 
 @dataclass(frozen=True)
 class CalibratedProblem:
-    """Inputs of a posterior.
+    """Inputs of a calibrated posterior.
+
+    A row is a bin of roughness and the mixing parameters.
 
     Attributes:
-        edges: (K + 1,) of the bins of base colour; two equal ones if it is known.
-        rows: (R * M,) float64, -log of the prior of a row of bins, all but base colour.
-        color_prior: (R * M * tables * K,) Float, density of base colour in a bin, given all
-            others; None: 1 everywhere.
-        scale: Float of S values or one, sqrt(W / (s^2 tau)): noise units per unit of weight.
-        min_energy: (S,) Float, energy of the best node, less the residual floor.
-        tables: of ``color_prior``: 1 for all channels, or one each.
+        factors: square-root form of the statistics of S texels.
+        copies: number of equal colour channels per channel of the factors.
+        roughness, mixed: quadrature nodes.
+        edges: (K + 1,) edges of the base colour bins; two equal edges if it is known.
+        rows: (R * M,) float64, -log prior of each row.
+        color_prior: (R * M * tables * K,) Float, prior density of base colour given the row; None:
+            uniform.
+        scale: (S,) or (1,) Float, sqrt(W / (s^2 tau)): converts the factors to units of noise.
+        min_energy: (S,) Float, energy of the best node without the residual floor.
+        tables: number of colour priors: 1 (shared by all channels) or one per channel.
     """
 
     factors: Factors
@@ -47,7 +52,7 @@ class CalibratedProblem:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Bins (R, M, K)."""
+        """Number of bins, (R, M, K)."""
         return self.roughness.bins, self.mixed.bins, len(self.edges) - 1
 
     def axis(self, name: str) -> QuadratureAxis:
@@ -61,7 +66,7 @@ class CalibratedProblem:
 
     @cached_property
     def max_log_prior(self) -> float:
-        """Largest log prior density of the colours of a node [nats]."""
+        """Maximum over nodes of the log prior density of all base colours [nats]."""
         if self.color_prior is None:
             return 0.0
         most = float(dr.max(self.color_prior)[0])
@@ -69,11 +74,11 @@ class CalibratedProblem:
 
     @cached_property
     def has_full_support(self) -> bool:
-        """Whether the prior of colours excludes nothing (see ``Channel.weighed``)."""
+        """True if the colour prior exceeds ``FULL_SUPPORT`` everywhere."""
         return self.color_prior is not None and float(dr.min(self.color_prior)[0]) > FULL_SUPPORT
 
     def subset(self, chosen: np.ndarray) -> CalibratedProblem:
-        """Return the problem of some texels, by their numbers among S."""
+        """Return the problem of some lanes in [0, S)."""
         lanes = to_drjit(mi.UInt32, chosen)
         return replace(
             self, factors=self.factors.subset(chosen),
@@ -84,7 +89,7 @@ class CalibratedProblem:
 
 @dataclass(frozen=True)
 class NodeValues:
-    """A parameter at nodes: (N,) Floats, the value and its variance within a node's part."""
+    """Values of a parameter at N nodes, and variances within each node's part: (N,) Floats."""
 
     value: Any
     variance: Any
@@ -98,28 +103,28 @@ class NodeValues:
         return dr.gather(mi.Float, self.value, node)
 
     def moments(self, node: Any) -> tuple[Any, Any]:
-        """Return mean and mean square within the part of a node: Float64."""
+        """Return mean and mean square over the part of a node: Float64."""
         mean = mi.Float64(self.at(node))
         return mean, dr.fma(mean, mean, mi.Float64(dr.gather(mi.Float, self.variance, node)))
 
     def sample(self, node: Any, random: Any) -> Any:
-        """Sample a value within the part of a node, by a random number in [0, 1)."""
+        """Sample uniformly within the part of a node; ``random`` is in [0, 1)."""
         variance = dr.gather(mi.Float, self.variance, node)
         return self.at(node) + (random - 0.5) * dr.sqrt(12 * variance)
 
 
 @dataclass(frozen=True)
 class NodeTables:
-    """Nodes in memory: N rows of roughness, L columns of the parameters that mix.
+    """Node tables on the device: N roughness nodes ("rows"), L mixing nodes ("columns").
 
     Attributes:
-        levels, weights: (N * 4,) UInt32 and Float, to interpolate between levels of roughness.
-        rows: (N,) Floats of roughness: value, and variance within a part.
-        columns: (L,) the same of every mixing parameter.
-        row, column: (N,), (L,) UInt32, bins.
-        prior: (N * L,) Float, -log of the prior.
-        first: (R + 1,) UInt32, first node of roughness of each bin.
-        last: (N,) UInt32, number of mixing bins at the last node of a bin of roughness, else 0.
+        levels, weights: (N * 4,) UInt32 and Float, spline between roughness levels.
+        rows: values of the N roughness nodes.
+        columns: values of the L mixing nodes, for each mixing parameter.
+        row, column: (N,), (L,) UInt32, bin of each node.
+        prior: (N * L,) Float, -log prior.
+        first: (R + 1,) UInt32, first roughness node of each bin.
+        last: (N,) UInt32, number of mixing bins at the last node of a roughness bin, else 0.
     """
 
     levels: Any

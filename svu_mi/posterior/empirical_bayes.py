@@ -1,12 +1,12 @@
-"""Prior shared by the texels of an object, learned from all of them.
+"""Prior of an object's materials, learned from all texels (empirical Bayes [Robbins 1956]).
 
-Expectation maximisation [Dempster, Laird and Rubin 1977] finds the prior of largest likelihood. It
-is the mean of the posteriors that it leads to (empirical Bayes [Robbins 1956]),
+Expectation maximisation [Dempster, Laird and Rubin 1977] finds the prior of largest likelihood. In
+each step the new prior is the mean of the posteriors under the current one,
 
     p(psi) <- mean over texels of p(psi | B_p, L).
 
-Global sharing (Sec. 5.2 of the paper) without seeds: texels share probabilities, not values. Each
-posterior is blurred by its texel's uncertainty, and so is the mean: a power sharpens it.
+This replaces the paper's global sharing (Sec. 5.2), without seeds: texels share probabilities, not
+values. The mean is blurred by the uncertainty of each texel, so it is sharpened by a power.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import bin_widths
 
-ROUNDS = 2  # more of them drift where all texels err alike; chosen on our own scenes
-SHARPNESS = 1.3
-OTHERWISE = 1e-3  # probability that a texel, or its colour, is like no other
-SAMPLE = 1500  # texels that the prior is learned from
-LEAST = 1e-30  # probability that stands for 0 in a logarithm
+ROUNDS = 2  # chosen on our own scenes; more amplify errors that all texels share
+SHARPNESS = 1.3  # exponent of the mean
+OTHERWISE = 1e-3  # weight of the original prior, for texels or colours that differ from all others
+SAMPLE = 1500  # number of texels that the prior is learned from
+LEAST = 1e-30  # replaces 0 in a logarithm
 
 
 def with_empirical_prior(
     posterior: Posterior[CalibratedKernel], rounds: int = ROUNDS
 ) -> Posterior[CalibratedKernel]:
-    """Return the posterior with a shared prior, learned in ``rounds`` of expectation maximisation.
+    """Return the posterior under a prior learned by ``rounds`` of expectation maximisation.
 
-    Base colours of R, G and B each have a prior, given all others. Bins that the given prior
-    excludes stay excluded. A posterior that has a learned prior is returned unchanged.
+    R, G and B have separate base colour priors, given all other parameters. Bins that the present
+    prior excludes stay excluded. A posterior with a learned prior is returned unchanged.
     """
     problem = posterior.kernel.problem
     seen = np.flatnonzero(np.array(problem.factors.views))
@@ -60,18 +60,18 @@ def with_empirical_prior(
 
 
 def _sharpened(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:
-    """Sharpen the mean (R, M, K, C) of posteriors and mix it with the prior ``alone``."""
+    """Sharpen the mean posterior, (R, M, K, C), and mix it with the original prior ``alone``."""
     sharp = mean**SHARPNESS
     result = (1 - OTHERWISE) * sharp / np.maximum(sharp.sum(axis=(0, 1, 2)), LEAST)
     result += OTHERWISE * alone
-    rows = result.sum(axis=2, keepdims=True)  # of one channel; all share the others
+    rows = result.sum(axis=2, keepdims=True)  # per channel; averaged below
     given = (1 - OTHERWISE) * result / np.maximum(rows, LEAST)
     given += OTHERWISE * alone / np.maximum(alone.sum(axis=2, keepdims=True), LEAST)
     return given * rows.mean(axis=3, keepdims=True)
 
 
 def _with_prior(problem: CalibratedProblem, prior: np.ndarray) -> CalibratedProblem:
-    """Return the problem with a prior (R, M, K, C) of the masses of bins."""
+    """Return the problem with bin probabilities ``prior``, (R, M, K, C)."""
     rows = prior.sum(axis=2).mean(axis=2).ravel()
     energies = np.where(rows > 0, -np.log(np.maximum(rows, LEAST)), row_entropy.IMPOSSIBLE)
     given = prior / np.maximum(prior.sum(axis=2, keepdims=True), LEAST)

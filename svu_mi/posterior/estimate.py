@@ -1,4 +1,4 @@
-"""The result of an estimate, and what later stages go on from."""
+"""Result of an estimate; the starting point of recovery, guidance and further estimates."""
 
 from __future__ import annotations
 
@@ -20,20 +20,25 @@ from svu_mi.presets import AnyPreset, Skip
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Estimate:
-    """What the photographs say about each of T texels.
+    """Posterior of each of T texels, and statistics of the run.
 
     Attributes:
-        method: name of the estimator.
-        preset: the switches it ran with.
-        texels: where the values belong.
+        method: name of the estimator, ``angular`` or ``spectrum``.
+        preset: options of the estimator.
+        texels: texels of the results.
         posterior: p(psi | B, L) of each texel.
-        coverage: (T,) UInt32, number of views that see each texel.
-        seen_per_view: (V,) int64, number of texels each used view sees.
-        skipped: what was not computed, by reason, as counts.
-        timings: seconds per stage, synchronised.
-        observed: what it was made from, for those who go on from here; it keeps the photographs
+        coverage: (T,) UInt32, number of views that show each texel.
+        seen_per_view: (V,) int64, number of visible texels in each used view.
+        skipped: number of skipped items (texels, views, channels, levels), by reason.
+        timings: duration of each stage [s], synchronised.
+        observed: photographs, light and visibility, reused by later stages; keeps the photographs
             in memory.
-        prior: the weights of cells that it was asked with, None for the usual ones.
+        prior: weights of the grid's bins, as given to ``estimate()``; None for the default.
+
+    Example:
+        >>> estimate.entropy.shape == (texels.count,)
+        True
+        >>> low, high = estimate.posterior.interval("roughness")
     """
 
     method: str
@@ -57,30 +62,30 @@ class Estimate:
 
     @property
     def switches(self) -> AnyPreset:
-        """The preset, as much less certain as the light is (``with_light``)."""
+        """The preset, with overdispersion increased by the uncertainty of estimated light."""
         observed = self.observed
         return self.preset if observed is None else inflated(self.preset, observed.capture)
 
     @cached_property
     def entropy(self) -> Any:
-        """Normalised entropy (T,) in [0, 1] (Eq. 5).
+        """Normalised entropy, (T,) in [0, 1] (Eq. 5).
 
-        That of the prior for a texel nobody saw: exactly 1 without ``prior``, and always where
-        the entropy is a part of the prior's (angular ``default`` and ``fast``).
+        Unseen texels have the prior's entropy, which is 1 unless ``prior`` is given. It is always
+        1 if entropies are relative to the prior's (angular ``default`` and ``fast``).
         """
         return self.posterior.entropy()
 
     def image(self, name: str) -> np.ndarray:
-        """Lay a per-texel result out as a float32 texture.
+        """Return a per-texel result as a float32 texture.
 
         Args:
-            name: ``entropy`` (1 outside the charts), ``coverage`` (0 outside the charts), or of a
-                parameter, say roughness: ``roughness_mean``, ``roughness_sd``,
-                ``roughness_low`` and ``roughness_high`` (ends of the 90 % interval; NaN outside
-                the charts).
+            name: ``entropy`` (1 outside the charts), ``coverage`` (0 outside the charts), or a
+                parameter with ``_mean``, ``_sd``, ``_low`` or ``_high``, such as
+                ``roughness_mean`` (NaN outside the charts). ``_low`` and ``_high`` are the ends of
+                the 90 % interval.
 
         Returns:
-            (H, W), or (H, W, 3) where channels have their own.
+            (H, W), or (H, W, 3) for parameters with a value per channel.
 
         Raises:
             OptionError: an unknown name.
@@ -105,7 +110,7 @@ class Estimate:
 def capture_and_texels(
     source: Capture | Observed | Estimate, texels: Texels | None
 ) -> tuple[Capture, Texels]:
-    """Return what a source is about, without any work; errors of ``observations_of``."""
+    """Return capture and texels of a source, without computation; see ``observations_of``."""
     if not isinstance(source, Capture):
         seen = _observed_by(source, texels)
         return seen.capture, seen.texels
@@ -118,18 +123,23 @@ def observations_of(
     source: Capture | Observed | Estimate, texels: Texels | None,
     progress: Progress | None = None, skip: Skip | None = None,
 ) -> Observed:  # fmt: skip
-    """Return the ``Observed`` of ``source``; trace visibility if ``source`` is a capture."""
+    """Return the ``Observed`` of ``source``; trace visibility if ``source`` is a capture.
+
+    Raises:
+        OptionError: a capture without texels, texels that differ from the source's, or an
+            estimate without observations.
+    """
     if isinstance(source, Capture):
         return observe(*capture_and_texels(source, texels), progress, skip)
     return _observed_by(source, texels)
 
 
 def _observed_by(source: Observed | Estimate, texels: Texels | None) -> Observed:
-    """Return what to go on from; errors of ``observations_of``."""
+    """Return the ``Observed`` of ``source`` (see ``observations_of``)."""
     if isinstance(source, Estimate):
         if source.observed is None:
             raise OptionError(
-                "The estimate does not know its capture; use what svu.estimate() returns of one."
+                "The estimate has no observations; use an estimate returned by svu.estimate()."
             )
         source = source.observed
     if not isinstance(source, Observed):
@@ -138,7 +148,5 @@ def _observed_by(source: Observed | Estimate, texels: Texels | None) -> Observed
             "svu.load_capture(path)."
         )
     if texels is not None and texels is not source.texels:
-        raise OptionError(
-            "The texels differ from those that were observed; omit them, or pass the capture."
-        )
+        raise OptionError("The texels differ from the estimate's; omit them, or pass the capture.")
     return source

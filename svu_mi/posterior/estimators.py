@@ -1,4 +1,4 @@
-"""The posterior from statistics of all views, of all texels at once or tile by tile."""
+"""Posterior from statistics of all views: for all texels at once, or in tiles."""
 
 from __future__ import annotations
 
@@ -28,7 +28,16 @@ from svu_mi.statistics.gather_statistics import Weighting
 
 @dataclass(frozen=True)
 class EstimatorInputs:
-    """Inputs of both estimators; ``whole`` keeps the statistics of all texels, however many."""
+    """Inputs of both estimators.
+
+    Attributes:
+        observed: photographs, light, texels and visibility.
+        grid: parameter grid.
+        prior: weights of the grid's bins; None for the default.
+        plan: work to do.
+        progress: progress display.
+        whole: keep the statistics of all texels in memory, also of more than a tile.
+    """
 
     observed: Observed
     grid: Any
@@ -39,7 +48,7 @@ class EstimatorInputs:
 
 
 def gather_factors(inputs: EstimatorInputs, switches: AngularPreset) -> Factors:
-    """Gather the statistics of all texels, and factor them."""
+    """Gather the statistics of all seen texels and factorise them."""
     observed = inputs.observed
     texels = None if _uses_all(observed, switches) else np.flatnonzero(observed.coverage)
     return _factors(inputs, observed, switches, texels)
@@ -55,9 +64,10 @@ def statistics_posterior(
 
 
 def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
-    """Return the posterior of more texels than are worked on at a time.
+    """Return the posterior of more texels than one tile holds.
 
-    Either the statistics of all are kept (``whole``), or tiles are made again when asked for.
+    With ``inputs.whole``, the statistics of all texels stay in memory. Otherwise results other than
+    maps recompute the statistics of the requested texels.
     """
     if inputs.whole:
         return _joined_tiles(inputs, switches)
@@ -74,15 +84,15 @@ def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posteri
 
 
 def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
-    """Factor statistics tile by tile: sums and visibility of light are of one tile at a time."""
+    """Return the posterior from factors of all texels; sums and light visibility are per tile."""
     seen, texels = inputs.observed, inputs.observed.seen
     if not _uses_all(seen, switches):
         texels = np.flatnonzero(seen.coverage)
     rows = stride(len(_levels(inputs, switches)), inputs.plan.channels)
     if rows * len(texels) > MAX_LANES:
         raise OptionError(
-            f"{len(texels)} texels that are seen are too many to keep the statistics of; use at "
-            f"most {MAX_LANES // rows}, with fewer texels per side (--resolution)."
+            f"The statistics of {len(texels)} seen texels exceed the size of an array; at most "
+            f"{MAX_LANES // rows} are possible: lower the resolution (--resolution)."
         )
     rounded: list[np.ndarray | None] = []
 
@@ -95,14 +105,14 @@ def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior
 
     with inputs.progress.stage("Gathering statistics", len(texels)) as stage:
         factors = Factors.concatenated(of_tiles(stage), len(texels))
-        dr.flush_malloc_cache()  # the sums of a tile, which nobody needs any more
-    told = [part for part in rounded if part is not None]  # of all tiles, or of none
-    rounding = np.concatenate(told) if told else None
+        dr.flush_malloc_cache()  # releases the sums of the last tile
+    known = [part for part in rounded if part is not None]  # either all tiles have one, or none
+    rounding = np.concatenate(known) if known else None
     return _posterior(inputs, switches, factors, rounding, seen.texels.count)
 
 
 def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarray) -> Posterior:
-    """Return the posterior of some texels, which it numbers from 0."""
+    """Return the posterior of some texels, renumbered from 0."""
     part = inputs.observed.subset(texels)
     own = np.arange(len(texels))
     if not _uses_all(part, switches):
@@ -116,7 +126,7 @@ def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarra
 def _factors(
     inputs: EstimatorInputs, seen: Observed, switches: AngularPreset, texels: np.ndarray | None
 ) -> Factors:
-    """Gather the statistics of texels, by default of those of ``seen``, and factor them."""
+    """Gather the statistics of texels (default: ``seen.seen``) and factorise them."""
     return seen.factors(
         _levels(inputs, switches), switches, inputs.plan.channels,
         light_channels=inputs.plan.light_channels, weighting=_weighting(seen, switches),
@@ -130,7 +140,7 @@ def _weighting(seen: Observed, switches: AngularPreset) -> Weighting:
 
 
 def _rounding(seen: Observed, switches: AngularPreset) -> np.ndarray | None:
-    """Return what rounding does to the texels of ``seen``, where noise is estimated."""
+    """Return the rounding variance of each texel; None unless noise is estimated."""
     return seen.rounding(_weighting(seen, switches)) if switches.noise == "estimated" else None
 
 
@@ -158,12 +168,12 @@ def _uses_all(seen: Observed, switches: AngularPreset) -> bool:
 
 
 def view_counts(seen: Observed, switches: AnyPreset) -> np.ndarray:
-    """Return the number of views that show each texel to an estimator, (T,) uint32."""
+    """Return the number of views used by the estimator for each texel, (T,) uint32."""
     return seen.shown if uses_saturated_samples(switches) else seen.coverage
 
 
 def _levels(inputs: EstimatorInputs, switches: AngularPreset) -> np.ndarray:
-    """Levels of roughness to gather at: those of the grid that are possible, or even ones."""
+    """Return roughness levels of the statistics: even, or the grid's nodes under the prior."""
     nodes = inputs.grid.roughness_nodes
     if switches.noise == "estimated" and len(nodes) > 1:
         return np.linspace(0, 1, switches.levels)
@@ -171,12 +181,12 @@ def _levels(inputs: EstimatorInputs, switches: AngularPreset) -> np.ndarray:
 
 
 def uses_saturated_samples(switches: AnyPreset) -> bool:
-    """Return whether texels are seen, too, where they are brighter than photographs can say."""
+    """Return True if saturated samples count as lower bounds of radiance."""
     return isinstance(switches, AngularPreset) and switches.kappa(1.0) < np.inf
 
 
 def inflated(switches: AnyPreset, capture: Capture) -> AnyPreset:
-    """Return switches of a posterior that knows how uncertain the light is."""
+    """Return options with overdispersion increased by the uncertainty of estimated light."""
     uncertainty = capture.light_uncertainty
     if uncertainty is None or not isinstance(switches, AngularPreset):
         return switches

@@ -1,4 +1,4 @@
-"""Where posteriors are sampled: product grids over named BRDF parameters."""
+"""Product grids of BRDF parameters."""
 
 from __future__ import annotations
 
@@ -18,33 +18,39 @@ MAX_NODES = 64
 
 
 class Grid(Protocol):
-    """What every grid has."""
+    """Interface of parameter grids."""
 
     @property
     def axes(self) -> dict[str, np.ndarray]:
-        """Float64 nodes by parameter, slowest axis first."""
+        """Float64 nodes of each parameter by name, slowest axis first."""
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of nodes of each axis."""
+        """Number of nodes per axis."""
 
 
 @dataclass(frozen=True)
 class ParameterGrid:
-    """A product grid of roughness and specular nodes.
+    """Product grid of roughness and Ks (the paper's parameters).
 
     Attributes:
         roughness: number of nodes, uniform on [0, 1]; 8 as in the paper.
         specular: number of nodes of Ks.
         spacing: ``uniform``: Ks uniform on [0, 1]; ``dielectric``: Ks = 0.04 + 0.96 t^2 with t
-            uniform on [0, 1], which resolves dielectrics and leaves out Ks = 0, where every
-            roughness is the same. None takes the preset's.
-        known: values of parameters that are not in question, by name; each is one node. Another
-            roughness is another kernel of the angular method, other values are not.
+            uniform on [0, 1], which resolves dielectrics and omits Ks = 0, where roughness has
+            no effect. None: the preset's ``spacing``.
+        known: known values by parameter name; each axis then has one node. A new value of
+            roughness compiles a new kernel in the angular method.
 
     Raises:
-        OptionError: fewer than 2 or more than 64 nodes, an unknown spacing, or known values
-            that are not parameters, not in [0, 1], or all there is.
+        OptionError: fewer than 2 or more than 64 nodes, an unknown spacing, an unknown name in
+            ``known``, a known value outside [0, 1], or no unknown parameter.
+
+    Example:
+        >>> svu.ParameterGrid(roughness=16).shape
+        (16, 8)
+        >>> svu.ParameterGrid(known={"roughness": 0.3}).axes["roughness"]
+        array([0.3])
     """
 
     roughness: int = 8
@@ -60,46 +66,52 @@ class ParameterGrid:
             )
 
     def resolved(self, preset: Preset) -> ParameterGrid:
-        """Return the grid with the preset's spacing, unless it has its own."""
+        """Return the grid with the preset's spacing if it has none."""
         return self if self.spacing else replace(self, spacing=preset.spacing)
 
     @property
     def roughness_nodes(self) -> np.ndarray:
-        """(R,) float64 roughness of each row."""
+        """(R,) float64 roughness nodes."""
         return _nodes(self, "roughness")
 
     @property
     def specular_nodes(self) -> np.ndarray:
-        """(S,) float64 Ks of each column."""
+        """(S,) float64 nodes of Ks."""
         t = _nodes(self, "specular")
         uneven = self.spacing == "dielectric" and "specular" not in self.known
         return F0 + (1 - F0) * t**2 if uneven else t
 
     @property
     def axes(self) -> dict[str, np.ndarray]:
-        """Nodes by parameter: ``roughness`` and ``specular``."""
+        """Nodes of ``roughness`` and ``specular``."""
         return {"roughness": self.roughness_nodes, "specular": self.specular_nodes}
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(R, S)."""
+        """Number of nodes per axis, (R, S)."""
         return tuple(len(nodes) for nodes in self.axes.values())
 
 
 @dataclass(frozen=True)
 class PrincipledGrid:
-    """A product grid of Mitsuba's own parameters, each uniform on [0, 1].
+    """Product grid of the parameters of Mitsuba's ``principled`` BSDF, uniform on [0, 1].
 
     Attributes:
         roughness: number of nodes R; 8 as in the paper.
         metallic: number of nodes M.
-        base_color: number of nodes K of a grey base colour.
-        known: values of parameters that are not in question, by name; each is one node. Another
-            roughness is another kernel of the angular method, other values are not.
+        base_color: number of nodes K of one channel of base colour.
+        known: known values by parameter name; each axis then has one node. A new value of
+            roughness compiles a new kernel in the angular method.
 
     Raises:
-        OptionError: fewer than 2 or more than 64 nodes, or known values that are no
-            parameters, not in [0, 1], or all there is.
+        OptionError: fewer than 2 or more than 64 nodes, an unknown name in ``known``, a known
+            value outside [0, 1], or no unknown parameter.
+
+    Example:
+        >>> svu.PrincipledGrid(base_color=16).shape
+        (8, 8, 16)
+        >>> svu.PrincipledGrid(known={"metallic": 0.0}).shape
+        (8, 1, 8)
     """
 
     roughness: int = 8
@@ -112,32 +124,32 @@ class PrincipledGrid:
 
     @property
     def roughness_nodes(self) -> np.ndarray:
-        """(R,) float64."""
+        """(R,) float64 roughness nodes."""
         return _nodes(self, "roughness")
 
     @property
     def mixed_nodes(self) -> list[np.ndarray]:
-        """Float64 nodes of every parameter that mixes the columns, metallic first."""
+        """Float64 nodes of each mixing parameter (``parameters.MIXED``)."""
         return [_nodes(self, name) for name in MIXED]
 
     @property
     def base_color_nodes(self) -> np.ndarray:
-        """(K,) float64, linear."""
+        """(K,) float64 base colour nodes, linear."""
         return _nodes(self, "base_color")
 
     @property
     def axes(self) -> dict[str, np.ndarray]:
-        """Nodes by parameter, in the order of ``parameters.AXES``."""
+        """Nodes of each parameter, in the order of ``parameters.AXES``."""
         return {name: _nodes(self, name) for name in AXES}
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(R, M, K)."""
+        """Number of nodes per axis, (R, M, K)."""
         return tuple(len(nodes) for nodes in self.axes.values())
 
 
 def _nodes(grid: ParameterGrid | PrincipledGrid, name: str) -> np.ndarray:
-    """Nodes of a parameter, uniform on [0, 1]; or what is known of it."""
+    """Return the nodes of a parameter: its known value, or uniform on [0, 1]."""
     if name in grid.known:
         return np.array([grid.known[name]], np.float64)
     return np.linspace(0, 1, getattr(grid, name))
@@ -145,7 +157,7 @@ def _nodes(grid: ParameterGrid | PrincipledGrid, name: str) -> np.ndarray:
 
 def _require_valid(grid: ParameterGrid | PrincipledGrid, names: tuple[str, ...]) -> None:
     kind = type(grid).__name__
-    object.__setattr__(grid, "known", dict(grid.known))  # the caller's may change
+    object.__setattr__(grid, "known", dict(grid.known))  # a copy: the caller may change its own
     for name in names:
         count = getattr(grid, name)
         if not (isinstance(count, Integral) and 2 <= int(count) <= MAX_NODES):

@@ -1,4 +1,4 @@
-"""The shortest interval that holds a part of a parameter's probability."""
+"""Credible intervals: the shortest interval with a given probability."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from svu_mi.posterior.quadrature import QuadratureAxis
 from svu_mi.statistics.texel_blocks import BLOCK, texel_offset
 
 LEVEL = 0.9  # default probability of an interval
-SUBSAMPLE = 4096  # texels that represent a surface
+SUBSAMPLE = 4096  # number of texels that summaries sample
 
 
 def subsample(texels: np.ndarray, most: int = SUBSAMPLE) -> np.ndarray:
-    """Take at most ``most`` texels, evenly spaced."""
+    """Return at most ``most`` texels, evenly spaced."""
     count = min(len(texels), most)
     return np.asarray(texels[np.arange(count) * len(texels) // max(count, 1)])
 
@@ -25,9 +25,10 @@ def subsample(texels: np.ndarray, most: int = SUBSAMPLE) -> np.ndarray:
 def shortest_interval(
     masses: Any, parts: QuadratureAxis, count: int, level: float
 ) -> tuple[Any, Any]:
-    """Return low and high, Floats (S,), of the shortest run of parts with probability ``level``.
+    """Return both ends, (count,) Floats, of the shortest run of parts with probability ``level``.
 
-    ``masses`` is a Float in blocks: a row for each part, any sum.
+    ``masses`` are the unnormalised masses of all parts, in ``texel_blocks``. A sliding window
+    visits each part twice.
     """
     number = dr.opaque(mi.UInt32, parts.count)
     place = texel_offset(dr.arange(mi.UInt32, count), number)
@@ -41,11 +42,11 @@ def shortest_interval(
 
     zero = dr.zeros(mi.Float, count)
     total = dr.while_loop((mi.UInt32(0), zero), lambda part, _: part < number, add)[1]
-    # Rounding of sums must not ask for more than there is.
+    # With rounding errors, the sum of all parts may be less than the total.
     wanted = total * dr.minimum(dr.opaque(mi.Float, level), 1 - 1e-6)
 
     def move(first: Any, end: Any, held: Any, best: Any, a: Any, b: Any) -> tuple[Any, ...]:
-        """Take in parts until there is enough; then compare, and let go of the first."""
+        """Append a part if the window lacks mass; otherwise compare, and remove its first part."""
         enough = held >= wanted
         width = dr.gather(mi.Float, high, dr.maximum(end, 1) - 1) - dr.gather(mi.Float, low, first)
         better = enough & (width < best)

@@ -1,4 +1,4 @@
-"""Kernels: what computes the posterior of given texels."""
+"""Interface of kernels, which compute the posterior of given texels."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ from svu_mi.posterior.tables import draw_bins, marginals
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.texel_blocks import to_blocks
 
-CHUNK = 1 << 22  # bins per pass of everything that is not the entropy
+CHUNK = 1 << 22  # number of bins in memory at the same time
 
 Pair = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior of all texels: the posterior of texels that no photograph shows.
+    """Prior of all texels, which is also the posterior of unseen texels.
 
     Attributes:
-        probabilities: float64 of the grid's shape, of sum 1.
+        probabilities: probability of each bin, float64 in the grid's shape, of sum 1.
+        axes: nodes of each parameter.
     """
 
     probabilities: np.ndarray
@@ -38,7 +39,7 @@ class Prior:
 
     @property
     def max_entropy(self) -> float:
-        """Nats that entropies are relative to: log n, for the n bins of the grid (Eq. 5)."""
+        """Normalisation of entropies [nats]: log n for the n bins of the grid (Eq. 5)."""
         return float(np.log(self.probabilities.size))
 
     @property
@@ -47,26 +48,27 @@ class Prior:
         return min(entropy_of(self.probabilities) / self.max_entropy, 1.0)
 
     def marginal(self, name: str) -> np.ndarray:
-        """Return the probability of every node of a parameter."""
+        """Return the probability of each node of a parameter."""
         return marginals(self.probabilities, list(self.axes))[name]
 
     def moments(self, name: str) -> tuple[Any, Any]:
-        """Return mean and standard deviation of a parameter: numbers, or (g,) by channel."""
+        """Return mean and standard deviation of a parameter: numbers, or (g,) per channel."""
         nodes, p = self.axes[name], self.marginal(name)
         mean = float(p @ nodes)
         return mean, float(np.sqrt(p @ (nodes - mean) ** 2))
 
     def draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
-        """Draw parameters, equal in all channels: (count,) by name."""
+        """Sample parameters, with equal values in all channels: (count,) by name."""
         picked = random.choice(self.probabilities.size, count, p=self.probabilities.ravel())
         index = np.unravel_index(picked, self.probabilities.shape)
         return {name: nodes[k] for (name, nodes), k in zip(self.axes.items(), index, strict=True)}
 
 
 class Kernel(ABC):
-    """Computes the posterior of given texels, (t,) int64 numbers, as if photographs show them.
+    """Posterior of given texels, (t,) int64 indices; all must be seen in a photograph.
 
-    Values have a last axis of g channels: G for the last parameter of the grid, else 1.
+    Results have a last axis of g channels: g = G for the last parameter of the grid (base colour or
+    Ks), g = 1 for parameters that channels share.
     """
 
     grid: Grid
@@ -75,12 +77,12 @@ class Kernel(ABC):
     @property
     @abstractmethod
     def channels(self) -> int:
-        """Number G of distributions per texel: 3 when each channel has its own, else 1."""
+        """Number G of base colours or Ks per texel: 3, or 1 for grey."""
 
     @property
     @abstractmethod
     def prior(self) -> Prior:
-        """The prior."""
+        """Prior of all texels."""
 
     @abstractmethod
     def entropy(self, texels: np.ndarray) -> np.ndarray:
@@ -88,7 +90,7 @@ class Kernel(ABC):
 
     @abstractmethod
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """Return p of every bin, (t, *grid, G) float32; of a few texels."""
+        """Return bin probabilities, (t, *grid, G) float32; memory limits t (see ``chunks``)."""
 
     @abstractmethod
     def best(self, texels: np.ndarray) -> np.ndarray:
@@ -96,15 +98,15 @@ class Kernel(ABC):
 
     @abstractmethod
     def moments(self, name: str, texels: np.ndarray) -> Pair:
-        """Return mean and standard deviation of a parameter, (t, g) float32 both."""
+        """Return mean and standard deviation of a parameter, both (t, g) float32."""
 
     @abstractmethod
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
-        """Return both ends of the shortest intervals, (t, g) float32."""
+        """Return both ends of the shortest intervals of probability ``level``, (t, g) float32."""
 
     @abstractmethod
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
-        """Draw parameters, (count, t, g) float32 by name."""
+        """Sample parameters, (count, t, g) float32 by name."""
 
     def marginals(self, texels: np.ndarray) -> dict[str, np.ndarray]:
         """Return the marginals of all parameters, (t, nodes, G) float32 by name."""
@@ -118,35 +120,39 @@ class Kernel(ABC):
         return found
 
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
-        """Return half the widths of intervals, (t,): of the channel of largest deviation."""
+        """Return half the widths of intervals, (t,), of the channel with the largest deviation."""
         low, high = self.ends(name, level, texels)
         half = (high - low) / 2
         widest = 0 if half.shape[1] == 1 else self.moments(name, texels)[1].argmax(axis=1)
         return half[np.arange(len(half)), widest]
 
     def channels_of(self, name: str) -> int:
-        """Return g: only the last parameter may be a channel's own."""
+        """Return the number of channels g of a parameter."""
         return self.channels if name == list(self.grid.axes)[-1] else 1
 
     def chunks(self, count: int) -> Iterator[slice]:
-        """Yield spans of texels whose bins are computed together."""
+        """Yield slices of texels whose bins fit into memory."""
         size = max(CHUNK // (int(np.prod(self.grid.shape)) * self.channels), 1)
         for first in range(0, count, size):
             yield slice(first, min(first + size, count))
 
 
 class GridKernel(Kernel):
-    """Kernel that evaluates the bins of a grid."""
+    """Kernel that evaluates all bins of a grid.
+
+    Attributes:
+        count: number of texels T.
+    """
 
     count: int
     continuous = False
 
     @abstractmethod
     def tables(self, texels: np.ndarray) -> Pair:
-        """Return p of every bin, (t, *grid, G) float32, and the best nodes, (t, axes, G)."""
+        """Return bin probabilities, (t, *grid, G) float32, and best nodes, (t, axes, G) int64."""
 
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """Return p of every bin (see ``Kernel``)."""
+        """Return bin probabilities (see ``Kernel``)."""
         return self.tables(texels)[0]
 
     def best(self, texels: np.ndarray) -> np.ndarray:
@@ -157,7 +163,7 @@ class GridKernel(Kernel):
         return best
 
     def moments(self, name: str, texels: np.ndarray) -> Pair:
-        """Return the moments of the nodes (see ``Kernel``)."""
+        """Return mean and standard deviation of the nodes (see ``Kernel``)."""
         p = self._marginal(name)[texels].astype(np.float64)
         nodes = self.grid.axes[name][:, None]
         mean = (p * nodes).sum(axis=1)
@@ -165,7 +171,7 @@ class GridKernel(Kernel):
         return mean.astype(np.float32), np.sqrt(variance).astype(np.float32)
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
-        """Return the ends of runs of bins (see ``Kernel``)."""
+        """Return the ends of the shortest runs of bins (see ``Kernel``)."""
         p, parts = self._marginal(name)[texels], bin_axis(self.grid.axes[name])
         ends = [
             shortest_interval(to_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
@@ -175,7 +181,7 @@ class GridKernel(Kernel):
         return low, high
 
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
-        """Draw nodes (see ``Kernel``)."""
+        """Sample nodes (see ``Kernel``)."""
         random = np.random.default_rng(seed).random((1 + self.channels, count, self.count))
         found: dict[str, np.ndarray] = {}
         for span in self.chunks(len(texels)):
@@ -195,13 +201,13 @@ class GridKernel(Kernel):
 
 
 def require_scale(caller: str, scale: float) -> None:
-    """Refuse a radiance unit that is not positive and finite."""
+    """Raise an error unless the radiance unit is positive and finite."""
     if not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"{caller}: scale must be positive, got {scale!r}.")
 
 
 def observed_by(caller: str, factors: Factors, copies: int, texels: int | None) -> np.ndarray:
-    """Return which texels are seen, (T,) bool; T defaults to the last texel with factors."""
+    """Return a mask of seen texels, (T,) bool; T defaults to the largest texel number plus one."""
     texel = factors.texel.numpy()
     last = int(texel.max()) if len(texel) else -1
     total = last + 1 if texels is None else texels

@@ -1,7 +1,7 @@
-"""Integration over nodes of roughness and the mixing parameters, for every texel.
+"""Integration over nodes of roughness ("rows") and the mixing parameters ("columns").
 
-Base colour is integrated in closed form at each node, channel by channel. Nodes of negligible
-weight are skipped. A visitor accumulates the results.
+At each node, base colour is integrated in closed form per channel. Nodes of negligible weight are
+skipped. A callback accumulates results over the nodes.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ from svu_mi.posterior.truncated_normal import ChannelLikelihood, ColorIntegrals
 from svu_mi.reflection.principled import Mixture, mixture
 from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, apply_factor
 
-FAR = 28.0  # nats above the best node, prior included, from which a node is skipped
+FAR = 28.0  # energy above the best node [nats], prior included, from which a node is skipped
 
 
 @dataclass(frozen=True)
 class Node:
-    """One node of every texel: all parameters but base colour.
+    """One node of each texel.
 
     Attributes:
-        row, column: UInt32 numbers of the nodes.
+        row, column: UInt32, indices of the nodes of roughness and the mixing parameters.
         weight: Float, exp(-energy) integrated over base colour, prior included.
+        colors: integrals of base colour, one per channel.
     """
 
     row: Any
@@ -39,8 +40,15 @@ class Node:
 
 
 class NodeIntegrator:
-    """Integrator over the nodes of texels ``lane``, with colour bins ``edges`` (default: the
-    grid's), of all channels or one of each texel, ``only`` (UInt32; needs a uniform prior)."""
+    """Integrator over the nodes of texels.
+
+    Args:
+        problem: inputs of the posterior.
+        lane: UInt32, texels in [0, S); default: all.
+        edges: edges of the base colour bins; default: the grid's.
+        only: UInt32, the single channel to integrate in each texel; requires a uniform colour
+            prior. Default: all channels.
+    """
 
     def __init__(
         self, problem: CalibratedProblem, lane: Any | None = None, edges: np.ndarray | None = None,
@@ -60,7 +68,7 @@ class NodeIntegrator:
         self, visit: Callable[..., Any], state: tuple[Any, ...],
         end_row: Callable[..., Any] | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Fold over all nodes of roughness (see ``fold_rows``)."""
+        """Fold over all nodes (see ``fold_rows``)."""
         end = dr.opaque(mi.UInt32, self.problem.roughness.count)
         return self.fold_rows(mi.UInt32(0), end, visit, state, end_row)
 
@@ -68,10 +76,10 @@ class NodeIntegrator:
         self, begin: Any, end: Any, visit: Callable[..., Any], state: tuple[Any, ...],
         end_row: Callable[..., Any] | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Fold over nodes of roughness in [begin, end), and within each over columns.
+        """Fold over rows in [begin, end), and over all columns of each.
 
-        ``visit(node, *state)`` returns the new state, only where a node matters; ``end_row(row,
-        *state)`` does after all columns. Both are traced once.
+        ``visit(node, *state)`` returns the new state; it is called for nodes that are not skipped.
+        ``end_row(row, *state)`` returns the new state after the last column. Both are traced once.
         """
 
         def body(row: Any, *state: Any) -> tuple[Any, ...]:
@@ -99,7 +107,7 @@ class NodeIntegrator:
         )[1:]
 
     def entries(self, row: Any) -> list[list[Any]]:
-        """Return the factors of every channel at a node of roughness, in units of noise."""
+        """Return the factors of each channel at a row, in units of noise."""
         places = [row * SPLINE_LEVELS + k for k in range(SPLINE_LEVELS)]
         levels = [dr.gather(mi.UInt32, self.nodes.levels, place) for place in places]
         weights = [dr.gather(mi.Float, self.nodes.weights, place) for place in places]
@@ -109,13 +117,13 @@ class NodeIntegrator:
                 self._scale * sum(w * U[k] for w, U in zip(weights, near, strict=True))
                 for k in range(len(PAIRS))
             ]
-            # A square; between levels the spline may swing below zero.
+            # This entry is a square, but the spline can be negative between levels.
             U[FLOOR] = dr.maximum(U[FLOOR], 0) * self._scale
             factors.append(U)
         return factors
 
     def channels(self, U: list[list[Any]], column: Any) -> list[ChannelLikelihood]:
-        """Return the likelihood of every channel's base colour at a node, from their factors."""
+        """Return the likelihood of each channel's base colour at a column, from factors ``U``."""
         mix = self._mixture(column)
         return [
             ChannelLikelihood.of(
@@ -126,7 +134,7 @@ class NodeIntegrator:
         ]  # fmt: skip
 
     def energy(self, U: list[list[Any]], column: Any) -> Any:
-        """Return the energy of the best colour at a column, without any prior: Float."""
+        """Return the energy of the best colour at a column, without prior: Float."""
         if self._color_is_known:
             c, mix = dr.opaque(mi.Float, float(self.problem.edges[0])), self._mixture(column)
             energies = [energy_at(of_channel, mix.at(c)) for of_channel in U]
@@ -135,7 +143,7 @@ class NodeIntegrator:
         return self.problem.copies * sum(energies)
 
     def excess(self, U: list[list[Any]], row: Any, column: Any, best: Any) -> Any:
-        """Return the smaller of ``best`` and a node's energy above ``min_energy``, with prior."""
+        """Return min(``best``, energy of a node relative to ``min_energy``, with prior): Float."""
         energy, parts = self._channels(U, row, column)
         if self.problem.color_prior is not None and not self._color_is_known:
             energy = dr.if_stmt(
@@ -146,7 +154,7 @@ class NodeIntegrator:
         return dr.minimum(energy, best)
 
     def draw_colors(self, row: Any, column: Any, random: list[Any]) -> list[Any]:
-        """Draw base colours by channel, copies included, at a node; two ``random`` Floats each."""
+        """Sample base colours at a node, per channel with copies; ``random``: two Floats each."""
         problem = self.problem
         number = problem.factors.channels * problem.copies
         if self._color_is_known:
@@ -167,7 +175,8 @@ class NodeIntegrator:
         return colors
 
     def _channels(self, U: list[list[Any]], row: Any, column: Any) -> tuple[Any, list[Any]]:
-        """Return a node's energy above ``min_energy``, without colour prior; and channels."""
+        """Return a node's energy relative to ``min_energy`` without colour prior, and the fields
+        of each channel's likelihood."""
         place = row * self._columns + column
         prior = dr.gather(mi.Float, self.nodes.prior, place) - self._min_energy
         if self._color_is_known:
@@ -217,7 +226,7 @@ class NodeIntegrator:
         return Node(row, column, weight, colors)
 
     def _node_of_one(self, row: Any, column: Any, weight: Any, parts: list[Any]) -> Node:
-        """Return a node with the colours of one channel, for intervals: in single precision."""
+        """Return a node with the bins of one channel (``only``), in single precision."""
         for one in parts:
             weight *= ChannelLikelihood(*one).integrate_masses([0.0, 1.0])[0] ** self.problem.copies
         own = parts[0]
@@ -227,7 +236,7 @@ class NodeIntegrator:
         return Node(row, column, weight, [ColorIntegrals(mass, bins, mi.Float(0), mi.Float(0))])
 
     def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:
-        """Density of every channel's base colour in every bin of ``edges``, given a node."""
+        """Return each channel's prior density in each bin of ``edges``, given a node."""
         problem, nodes = self.problem, self.nodes
         if problem.color_prior is None:
             return None
@@ -248,7 +257,7 @@ class NodeIntegrator:
 
 
 def energy_at(U: list[Any], x: list[Any]) -> Any:
-    """Return 1/2 |U x|^2 where columns count x times, the last of them once: Float."""
+    """Return 1/2 |U x|^2: Float."""
     energy = U[FLOOR]
     for component in reversed(apply_factor(U, x)[:-1]):
         energy = dr.fma(component, component, energy)
@@ -256,7 +265,7 @@ def energy_at(U: list[Any], x: list[Any]) -> Any:
 
 
 def _sample_index(parts: list[Any], random: Any) -> Any:
-    """Sample an index of K probabilities by a random number in [0, 1): UInt32."""
+    """Sample an index of K probabilities; ``random`` is in [0, 1). Returns UInt32."""
     below, bin_index = mi.Float(0), dr.zeros(mi.UInt32, dr.width(random))
     for part in parts[:-1]:
         below += part

@@ -1,18 +1,19 @@
 """Noise of a texel's samples, estimated from the photographs.
 
-A sample is b = r(psi) + e with Var e = s^2 / w. The weights w model how noise grows with radiance;
-s is the texel's noise level, from the residual of its best parameters,
+A sample is b = r(psi) + e with Var e = s^2 / w. The weights w model the increase of noise with
+radiance. The noise level s of a texel follows from the residual of its best parameters,
 
     s^2 = (nu s_0^2 + t Q_min) / (nu + t max(N - 5, 1)),    Q = sum w e^2 over N samples,
 
-with a prior of nu samples of the median texel's variance s_0^2 (Student's t, nu degrees).
+under a prior of nu samples with the median texel's variance s_0^2 (Student's t, nu degrees).
 
-A few views fit any parameters, so t grows from 0 at 5 views to 1 at 8, and log s_0 moves from the
-assumed value to the median of texels with 2 x 5 samples, reached when the mean of t is 1/2.
-Exception: if the residual exceeds s_0, t = 1 for any N (for s_0: if the median residual does).
+Five parameters fit the samples of five views exactly, so t rises from 0 at 5 views to 1 at 8.
+Likewise, log s_0 moves from the assumed value to the median of texels with 2 x 5 samples as the
+mean of t rises to 1/2. Exception: if the residual exceeds s_0, t = 1 for any number of views (for
+s_0 itself: if the median residual exceeds the assumed value).
 
 Errors of neighbouring views are correlated: N samples count as N / tau (overdispersion tau). The
-constants were chosen on the scenes that come with svu_mi (BENCHMARKS.md).
+constants were chosen on the example scenes (BENCHMARKS.md).
 """
 
 from __future__ import annotations
@@ -21,19 +22,25 @@ import numpy as np
 
 from svu_mi.parameters import CHANNELS
 
-SMALLEST = 1e-3  # least noise, in the unit
-FITTED = sum(CHANNELS.values())  # 5 parameters, which every texel has used up
-FULL = 8  # views from which a texel's own residual counts fully
+SMALLEST = 1e-3  # minimum of s and s_0, relative to the radiance unit
+FITTED = sum(CHANNELS.values())  # number of fitted values per texel, 5
+FULL = 8  # number of views at which t = 1
 
 
 def noise_variance(
     residual: np.ndarray, views: np.ndarray, channels: int, degrees: float, assumed: float,
     rounding: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Return s^2 of every texel, (S,) float64, in squared radiance, at least ``rounding``.
+    """Return the noise variance s^2 of each texel, (S,) float64, in squared radiance units.
 
-    ``residual`` is (S,) Q_min, ``degrees`` nu, ``assumed`` s_0, ``rounding`` the (S,) variance by
-    rounding (``gather_statistics.rounding_sums``); None for floating point photographs.
+    Args:
+        residual: (S,) Q_min.
+        views: (S,) number of views.
+        channels: number of samples per view.
+        degrees: nu.
+        assumed: s_0 before any residual is known.
+        rounding: (S,) rounding variance, the minimum of s^2 (``Observed.rounding``); None for
+            floating point photographs.
     """
     samples, seen = views * channels, views > 0
     own = np.maximum(samples - FITTED, 1)

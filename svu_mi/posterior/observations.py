@@ -1,8 +1,7 @@
-"""Observed: a capture's photographs, light, texels and their visibility, each computed once.
+"""Photographs, light, texels and visibility of a capture, shared by all later stages.
 
-Every consumer of a capture continues from here: silhouettes are computed once, rays to the cameras
-and to the cells of the light are traced once, whichever estimate, recovery, forecast or reference
-needs them first.
+Estimates, recovery, guidance and references reuse one ``Observed``. Silhouettes, rays to cameras
+and rays to light cells are computed on first use, once.
 """
 
 from __future__ import annotations
@@ -52,18 +51,21 @@ from svu_mi.statistics.statistics import LazyStatistics, Statistics
 
 log = logging.getLogger(__name__)
 
-BRIGHTEST = 1e12  # mean radiance; exposure does not matter within the range
-COARSE = 8  # fine cells of the light per coarse one, on average
-DARK = 1e-2  # part of the light that is the unit of radiance if all photographs are black
+BRIGHTEST = 1e12  # maximum mean radiance, 1 / BRIGHTEST the minimum: squares fit single precision
+COARSE = 8  # number of fine light cells per coarse cell, on average
+DARK = 1e-2  # radiance unit of black photographs, relative to the mean radiance of the light
 
 
 @dataclass(eq=False, kw_only=True)
 class Observed:
-    """Photographs, light, texels and their visibility of a capture; traced lazily.
+    """Photographs, light, texels and visibility of a capture; computed on first use.
 
     Attributes:
-        visibility: of texels in views.
-        seen: (S,) int64, texels to compute: those in a photograph, or all if none are skipped.
+        capture: the capture.
+        texels: T texels.
+        views: packed photographs and cameras.
+        visibility: visibility of texels in views.
+        seen: (S,) int64, texels to compute: all seen texels, or all T if none are skipped.
     """
 
     capture: Capture
@@ -75,39 +77,39 @@ class Observed:
     _light_visibility: dict[Any, LightVisibility] = field(default_factory=dict, repr=False)
 
     def subset(self, texels: np.ndarray) -> Observed:
-        """Return the same with (t,) texels to compute; the light is read once for both."""
+        """Return a copy with (t,) texels to compute; it shares the light."""
         return replace(self, seen=texels, _light_visibility={})
 
     @cached_property
     def coverage(self) -> np.ndarray:
-        """(T,) uint32, number of photographs that show each texel with nothing clipped."""
+        """(T,) uint32, number of photographs that show each texel unsaturated."""
         return np.array(self.visibility.coverage)
 
     @cached_property
     def clipped_coverage(self) -> np.ndarray | None:
-        """(T,) uint32, number of photographs with saturated channels of each texel; or None."""
+        """(T,) uint32, number of photographs that show each texel saturated; None if none do."""
         seen = self.visibility
         return None if seen.clipped is None else np.asarray(seen.clipped_coverage)
 
     @property
     def shown(self) -> np.ndarray:
-        """(T,) uint32, number of photographs that show each texel, clipped or not."""
+        """(T,) uint32, number of photographs that show each texel, saturated or not."""
         clipped = self.clipped_coverage
         return self.coverage if clipped is None else np.asarray(self.coverage + clipped, np.uint32)
 
     @property
     def scale(self) -> float:
-        """Mean radiance of all samples; 0 if they are black."""
+        """Mean radiance of all samples; 0 if all are black."""
         return self.visibility.scale
 
     @cached_property
     def unit(self) -> float:
-        """Radiance unit of noise: the photographs' mean, or part of the light's if black."""
+        """Radiance unit of noise: mean of the photographs; of the light (1 %) if they are black."""
         return self.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
 
     @property
     def lighting(self) -> Lighting:
-        """The light; read when first needed."""
+        """Environment light, read on first use."""
         if "lighting" not in self._of_light:
             require_light(self.capture)
             self._of_light["lighting"] = read_lighting(self.capture, sum(self.capture.used))
@@ -115,7 +117,7 @@ class Observed:
         return lighting
 
     def light_tree(self, fine: int) -> LightTree:
-        """Return the light in ``fine`` cells; cached."""
+        """Return the tree of light cells with ``fine`` fine cells; cached."""
         if fine not in self._of_light:
             coarse = min(max(fine // COARSE, 64), fine)
             self._of_light[fine] = build_light_tree(self.lighting.environment, coarse, fine)
@@ -124,24 +126,24 @@ class Observed:
 
     @cached_property
     def surface(self) -> TexelLanes:
-        """The texels of ``seen``: S lanes."""
+        """Positions and normals of the texels in ``seen``: S lanes."""
         return self._lanes(self.seen)
 
     @cached_property
     def lane(self) -> np.ndarray:
-        """(T,) int64, the lane of ``surface`` of each texel; -1 for all others."""
+        """(T,) int64, lane of each texel in ``surface``; -1 if not in ``seen``."""
         lanes = np.full(self.texels.count, -1)
         lanes[self.seen] = np.arange(len(self.seen))
         return lanes
 
     @cached_property
     def mirrors(self) -> MirrorVisibility:
-        """Whether anything blocks the mirror direction of a sample; traced when first needed."""
+        """Visibility of the mirror direction of each sample; traced on first use."""
         lane = to_drjit(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
         return trace_mirror_visibility(self.views, self.surface, self.visibility, lane)
 
     def light_visibility(self, cells: int, *, occluded: bool = True) -> LightVisibility:
-        """Return the visibility of ``cells`` fine light cells from the ``seen`` texels; cached."""
+        """Return the visibility of ``cells`` fine light cells from S texels; cached."""
         key = (cells, occluded)
         if key not in self._light_visibility:
             self._light_visibility[key] = trace_light_visibility(
@@ -150,7 +152,7 @@ class Observed:
         return self._light_visibility[key]
 
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
-        """Return the irradiance of the ``seen`` texels: a Float (S,) per channel, 3 or 1."""
+        """Return the irradiance of S texels: an (S,) Float per channel, 3 or 1."""
         if not switches.occluded:
             return as_channels(self.lighting.irradiance(self.surface.normal), channels)
         moments = self.light_visibility(switches.rays).diffuse(
@@ -162,7 +164,7 @@ class Observed:
         self, roughness: np.ndarray, switches: AngularPreset, channels: int,
         texels: np.ndarray | None = None,
     ) -> ReflectionModel:  # fmt: skip
-        """Return the reflection model of (t,) texels (default: ``seen``) at (R,) roughnesses."""
+        """Return the reflection model of texels (default: ``seen``) at (R,) roughness levels."""
         surface, visibility = self.surface if texels is None else self._lanes(texels), None
         if switches.traced:
             visibility = self._visibility_of(texels, switches)
@@ -175,7 +177,8 @@ class Observed:
     def mirrored(
         self, fit: Fit | None, channels: int, texels: np.ndarray | None = None
     ) -> MirroredLight | None:
-        """Return the light that (t,) texels mirror into photographs, or None without ``fit``."""
+        """Return the light that texels (default: ``seen``) mirror into photographs, to be fitted;
+        None without ``fit``."""
         if fit is None:
             return None
         return MirroredLight(self, fit, channels, self.seen if texels is None else texels)
@@ -185,10 +188,11 @@ class Observed:
         light_channels: int | None = None, weighting: Weighting = UNIFORM,
         texels: np.ndarray | None = None,
     ) -> Statistics:  # fmt: skip
-        """Gather the statistics of all photographs, of (t,) texels, by default ``seen``.
+        """Gather the statistics of texels (default: ``seen``) over all photographs.
 
-        Channels are 3, or 1 for their mean. Saturated samples count as bounds (``censored``) if
-        ``weighting`` has a finite kappa and no ``current``; otherwise not at all.
+        ``channels`` is 3, or 1 for their mean. Saturated samples count as lower bounds
+        (``censored``) if ``weighting`` has a finite kappa and no ``current``; otherwise they are
+        ignored.
         """
         model = self.model(roughness, switches, light_channels or channels, texels)
         return self._with_clipped(model, channels, weighting)
@@ -198,32 +202,35 @@ class Observed:
         light_channels: int | None = None, weighting: Weighting = UNIFORM,
         texels: np.ndarray | None = None,
     ) -> Factors:  # fmt: skip
-        """Return the square-root form of ``statistics``; saves memory if none is saturated."""
+        """Return the factors of ``statistics``; stores no sums unless samples are saturated."""
         model = self.model(roughness, switches, light_channels or channels, texels)
         if self._counts_clipped(weighting):
             return self._with_clipped(model, channels, weighting).factor()
         return self._gather(model, channels, weighting).factor()
 
     def rounding(self, weighting: Weighting) -> np.ndarray | None:
-        """Return the mean rounding variance at weight 1, (S,) squared radiance; None for floats."""
+        """Return the mean rounding variance of weight 1, (S,) squared radiance.
+
+        None if the photographs are floating point.
+        """
         total = rounding_sums(self.views, self.visibility, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
 
     def _with_clipped(
         self, model: ReflectionModel, channels: int, weighting: Weighting
     ) -> Statistics:
-        """Gather statistics, in which clipped samples count as bounds."""
+        """Gather statistics in which saturated samples count as lower bounds."""
         statistics = self._gather(model, channels, weighting).statistics()
         clipped = self.clipped_coverage
         if clipped is None or not self._counts_clipped(weighting):
             return statistics
         number = statistics.texel.numpy()
-        # A sample whose middle is not clipped may be so in part.
+        # Samples can be saturated in part of their pixels.
         partly = (clipped[number] > 0) | (self.coverage[number] != statistics.views.numpy())
         lanes = np.flatnonzero(partly)
         if not len(lanes):
             return statistics
-        # What is not clipped stays; samples that are clipped are added to it.
+        # The sums of unsaturated samples stay the same in all passes.
         plain, texels = statistics.subset(lanes), number[lanes].astype(np.int64)
         model = self.model(model.roughness, model.switches, model.channels, texels)
         samples = clipped_samples(self.views, self.visibility, model.surface)
@@ -248,7 +255,7 @@ class Observed:
         return TexelLanes.of(self.texels, to_drjit(mi.UInt32, texels.astype(np.uint32)))
 
     def _visibility_of(self, texels: np.ndarray | None, switches: AngularPreset) -> LightVisibility:
-        """Return the light visibility of texels; those not in ``seen`` are traced now."""
+        """Return the light visibility of texels; trace it for texels that are not in ``seen``."""
         known = self.light_visibility(switches.cells, occluded=switches.occluded)
         if texels is None or np.array_equal(texels, self.seen):
             return known
@@ -268,7 +275,7 @@ class Observed:
 def observe(
     capture: Capture, texels: Texels, progress: Progress | None = None, skip: Skip | None = None
 ) -> Observed:
-    """Trace the visibility of texels in a capture's views; ``skip`` keeps the results."""
+    """Trace the visibility of texels in a capture's views; ``skip`` only saves time."""
     progress, skip = progress or Progress(), skip or Skip()
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
@@ -286,11 +293,14 @@ def observe(
 
 
 def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False) -> None:
-    """Warn of photographs that show no texel, by (V,) ``counts``; raise if none shows any."""
+    """Check (V,) numbers of visible texels: warn of photographs with none, raise if all have none.
+
+    ``clipped``: some texels are visible, but saturated.
+    """
     if not counts.any() and clipped:
         raise CaptureError(
-            f"All that {len(counts)} photographs show of '{capture.shape.id()}' is clipped; expose "
-            "for the object."
+            f"All texels of '{capture.shape.id()}' are saturated in all {len(counts)} photographs; "
+            "use shorter exposures."
         )
     if not counts.any():
         raise CaptureError(
@@ -304,7 +314,7 @@ def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False)
 
 
 def require_range(radiance: float) -> None:
-    """Refuse radiance whose squares are not in single precision; black is valid."""
+    """Raise an error if squares of the mean radiance exceed single precision; 0 is valid."""
     if radiance and not 1 / BRIGHTEST <= radiance <= BRIGHTEST:
         raise CaptureError(
             f"The photographs' mean radiance is {radiance:g}; scale them and the light so that it "

@@ -1,4 +1,4 @@
-"""The posterior of T texels, computed when asked."""
+"""Posterior of T texels; results are computed on request."""
 
 from __future__ import annotations
 
@@ -23,11 +23,18 @@ K = TypeVar("K", bound=Kernel)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posterior(Generic[K]):
-    """p(psi | B, L) on a grid for each of T texels (Eq. 3, 4).
+    """Posterior p(psi | B, L) of each of T texels (Eq. 3, 4).
 
     Attributes:
-        kernel: computes what is asked of texels that are observed.
-        observed: (T,) bool; a texel nobody saw has the prior for its posterior.
+        kernel: kernel that computes the results of seen texels.
+        observed: (T,) bool, mask of seen texels; the posterior of all others is the prior.
+
+    Example:
+        >>> posterior = estimate.posterior
+        >>> low, high = posterior.interval("roughness", level=0.9)
+        >>> draws = posterior.draw(count=4)
+        >>> draws["base_color"].shape == (4, texels.count, 3)
+        True
     """
 
     kernel: K
@@ -35,8 +42,7 @@ class Posterior(Generic[K]):
 
     @property
     def grid(self) -> Grid:
-        """The parameter grid; its ``axes`` name the parameters, in the order of the axes of
-        ``probabilities``."""
+        """Parameter grid; the order of its ``axes`` is that in ``probabilities``."""
         return self.kernel.grid
 
     @property
@@ -46,48 +52,46 @@ class Posterior(Generic[K]):
 
     @property
     def axes(self) -> dict[str, np.ndarray]:
-        """Nodes of every parameter, by name, in the order of the axes of ``probabilities``."""
+        """Nodes of each parameter by name, in the order of the axes of ``probabilities``."""
         return self.grid.axes
 
     @property
     def channels(self) -> int:
-        """Number G of distributions per texel: 3 when each colour channel has its own, else 1."""
+        """Number G of base colours or Ks per texel: 3, or 1 for grey."""
         return self.kernel.channels
 
     @property
     def continuous(self) -> bool:
-        """Whether intervals are made of finer parts than the bins of the grid."""
+        """True if parameters are continuous; False if intervals consist of the grid's bins."""
         return self.kernel.continuous
 
     @property
     def prior(self) -> np.ndarray:
-        """Probability of every bin where nobody looked: float64 of the grid's shape, of sum 1."""
+        """Prior probability of each bin, float64 in the grid's shape, of sum 1."""
         return self.kernel.prior.probabilities
 
     @property
     def max_entropy(self) -> float:
-        """Nats that entropies are a part of: log n, of the n bins of the grid (Eq. 5); those of
-        the prior if it is calibrated."""
+        """Normalisation of entropies [nats]: log n for n bins (Eq. 5); if calibrated, the entropy
+        of the prior."""
         return self.kernel.prior.max_entropy
 
     @property
     def prior_entropy(self) -> float:
-        """Normalised entropy of a texel nobody saw, in [0, 1]: that of the prior (Eq. 5).
+        """Normalised entropy of unseen texels, in [0, 1]: the prior's (Eq. 5).
 
-        1 without weights of one's own, or if all are equal. The part of log n otherwise: a prior
-        that leaves k of n bins, all as likely, says log k / log n. Always 1 where entropies are
-        parts of the prior's.
+        1 if the prior is uniform or the posterior calibrated. log k / log n if the prior allows k
+        of n bins with equal probability.
         """
         return self.kernel.prior.entropy
 
     def entropy(self) -> Any:
-        """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
+        """Return the entropy H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
 
-        n is the number of bins of the grid, also of those that a prior excludes; a texel nobody
-        saw has ``prior_entropy``. A calibrated posterior has the prior's entropy in place of
-        log(n), of which more is cut off: 1 says that photographs add nothing. When each
-        channel has a distribution of its own, the mean of their entropies. Computed in one kernel,
-        without the probabilities.
+        n is the number of bins, including bins that the prior excludes. A calibrated posterior is
+        normalised by the prior's entropy instead of log(n), and larger values are clipped to 1:
+        the photographs add no information. Entropies of channels are averaged. Unseen texels have
+        ``prior_entropy``. The probabilities are not stored.
         """
         return mi.TensorXf(self._entropy)
 
@@ -104,24 +108,22 @@ class Posterior(Generic[K]):
 
     @property
     def probabilities(self) -> Any:
-        """p, TensorXf ``(T, *grid)``; or ``(T, *grid, 3)`` when each channel has its own.
-
-        The last axis then holds one distribution per channel, each with the other channels
-        marginalised.
+        """Bin probabilities, TensorXf ``(T, *grid)``; ``(T, *grid, 3)`` if base colour has 3
+        channels, with the other channels marginalised.
 
         Raises:
-            OptionError: it would take more than 2 GiB; ask for ``probabilities_of`` some.
+            OptionError: a result of more than 2 GiB; use ``probabilities_of`` for fewer texels.
         """
         return self.probabilities_of(np.arange(self.count))
 
     def probabilities_of(self, chosen: Any) -> Any:
-        """Return p of some texels.
+        """Return the bin probabilities of some texels.
 
         Args:
             chosen: (t,) indices of texels.
 
         Returns:
-            TensorXf ``(t, *grid)`` or ``(t, *grid, 3)``, as ``probabilities`` has it.
+            TensorXf ``(t, *grid)`` or ``(t, *grid, 3)``, as ``probabilities``.
 
         Raises:
             OptionError: an index outside [0, T), or a result of more than 2 GiB.
@@ -130,8 +132,8 @@ class Posterior(Generic[K]):
         shape = (len(chosen), *self.grid.shape, self.channels)
         if np.prod(shape, dtype=float) > MAX_PROBABILITIES:
             raise OptionError(
-                f"Posterior.probabilities: {shape} values do not fit in 2 GiB; use entropy(), "
-                "marginal(), map(), or probabilities_of() fewer texels."
+                f"Posterior.probabilities: {shape} values exceed 2 GiB; use entropy(), "
+                "marginal(), map(), or probabilities_of() with fewer texels."
             )
         result = np.empty(shape, np.float32)
         seen = self.observed[chosen]
@@ -142,15 +144,14 @@ class Posterior(Generic[K]):
         return _tensor(result if self.channels > 1 else result[..., 0])
 
     def marginal(self, name: str, chosen: Any | None = None) -> Any:
-        """Return the marginal of one parameter.
+        """Return the marginal probabilities of one parameter.
 
         Args:
-            name: a name of ``axes``.
-            chosen: (t,) indices of texels; all by default.
+            name: name of the parameter.
+            chosen: (t,) indices of texels; default: all.
 
         Returns:
-            (t, nodes); or (t, nodes, 3) when each channel has its own and they differ, which
-            they do not for what channels share (roughness, metallic).
+            (t, nodes); (t, nodes, 3) for base colour if it has 3 channels.
 
         Raises:
             OptionError: an unknown parameter, or an index outside [0, T).
@@ -160,14 +161,14 @@ class Posterior(Generic[K]):
         return self._shaped(name, found[name])
 
     def marginals(self, chosen: Any) -> dict[str, Any]:
-        """Return the marginals of all parameters of some texels, as ``marginal`` has each."""
+        """Return the marginals of all parameters of some texels by name (see ``marginal``)."""
         found = self._marginals_of(self._indices(chosen))
         return {name: self._shaped(name, table) for name, table in found.items()}
 
     def marginal_entropy(self, name: str) -> Any:
-        """Return the normalised entropy of a marginal: (T,), or (T, 3) per channel.
+        """Return the entropy of a marginal relative to log(nodes): (T,), or (T, 3) per channel.
 
-        That of a parameter that is known is 0, also where nobody looked.
+        0 for known parameters, also in unseen texels.
         """
         self._check_parameter(name)
         p = np.array(self.marginal(name), np.float64)
@@ -176,13 +177,13 @@ class Posterior(Generic[K]):
         return _tensor(np.clip(bits / np.log(nodes), 0, 1) if nodes > 1 else 0 * bits)
 
     def map(self, chosen: Any | None = None) -> dict[str, Any]:
-        """Return the most probable bin by parameter: (T,), or (T, 3) per channel.
+        """Return the most probable bin, by parameter: (t,), or (t, 3) per channel.
 
-        A texel nobody saw gets the most probable bin of the prior; of several that are as
-        likely, that which is nearest to the middle of the grid, and the first of these.
+        Unseen texels get the most probable bin of the prior. Of several bins with equal
+        probability, it is the one nearest to the middle of the grid, or the first of these.
 
         Args:
-            chosen: (t,) indices of texels; all by default.
+            chosen: (t,) indices of texels; default: all.
 
         Raises:
             OptionError: an index outside [0, T).
@@ -199,7 +200,7 @@ class Posterior(Generic[K]):
         return self._best_of(np.arange(self.count))
 
     def _best_of(self, chosen: np.ndarray) -> np.ndarray:
-        """Indices (t, axes, G) of the most probable nodes, of the prior's where nobody looked."""
+        """Return (t, axes, G) indices of the most probable nodes (see ``map``)."""
         seen = self.observed[chosen]
         best = np.empty((len(chosen), len(self.axes), self.channels), np.int64)
         best[~seen] = _best_of_prior(self.prior)[:, None]
@@ -212,7 +213,7 @@ class Posterior(Generic[K]):
         return self._marginals_of(np.arange(self.count))
 
     def _marginals_of(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
-        """All marginals (t, nodes, g) of some texels, from one pass over the probabilities."""
+        """Return all marginals, (t, nodes, g), from one pass over the probabilities."""
         seen, found = self.observed[chosen], {}
         known = self.kernel.marginals(chosen[seen]) if seen.any() else {}
         for name, nodes in self.axes.items():
@@ -225,9 +226,9 @@ class Posterior(Generic[K]):
         return found
 
     def mean(self, name: str) -> Any:
-        """Return the mean of a parameter: TensorXf (T,), or (T, 3) where channels have their own.
+        """Return the posterior mean of a parameter: TensorXf (T,), or (T, 3) per channel.
 
-        Where nobody looked, that of the prior.
+        Unseen texels have the prior's mean.
 
         Raises:
             OptionError: an unknown parameter.
@@ -235,23 +236,22 @@ class Posterior(Generic[K]):
         return self._shaped(name, self._mean_and_sd(name)[0])
 
     def sd(self, name: str) -> Any:
-        """Return the standard deviation of a parameter: TensorXf (T,) or (T, 3), as ``mean``."""
+        """Return the standard deviation of a parameter, in the shape of ``mean``."""
         return self._shaped(name, self._mean_and_sd(name)[1])
 
     def interval(self, name: str, level: float = 0.9, chosen: Any | None = None) -> tuple[Any, Any]:
-        """Return the shortest interval that holds a parameter with a probability.
+        """Return the shortest interval that contains a parameter with probability ``level``.
 
-        It is made of parts of the parameter's range (bins of the grid, or finer), and goes to
-        the outer edges of the first and the last. Where nobody looked it is all that the prior
-        allows, [0, 1] without a prior of one's own.
+        Interval ends are edges of the grid's bins, or of finer parts (``continuous``). For unseen
+        texels, the interval is the support of the prior, by default [0, 1].
 
         Args:
-            name: a name of ``axes``.
-            level: the probability, in (0, 1).
-            chosen: (t,) indices of texels; all by default.
+            name: name of the parameter.
+            level: probability, in (0, 1).
+            chosen: (t,) indices of texels; default: all.
 
         Returns:
-            low and high: TensorXf (t,), or (t, 3) where channels have their own.
+            Lower and upper ends: TensorXf (t,), or (t, 3) per channel.
 
         Raises:
             OptionError: an unknown parameter, a level outside (0, 1), or an index outside
@@ -280,12 +280,10 @@ class Posterior(Generic[K]):
         return texels, low, high
 
     def half_width(self, name: str, level: float = 0.9, chosen: Any | None = None) -> Any:
-        """Return half the width of ``interval``: TensorXf (t,).
+        """Return half the width of ``interval``, TensorXf (t,).
 
-        Of channels that have their own, that of the widest, which is taken to be the one of the
-        largest standard deviation: no intervals are computed of the others.
-
-        Arguments and errors are those of ``interval``.
+        For base colour, the interval of the channel with the largest standard deviation is used.
+        Arguments and errors are as for ``interval``.
         """
         texels, low, high = self._allowed(name, level, chosen)
         half, seen = (high - low).max(axis=1) / 2, self.observed[texels]
@@ -294,18 +292,18 @@ class Posterior(Generic[K]):
         return _tensor(half)
 
     def draw(self, count: int = 1, seed: int = 0) -> dict[str, Any]:
-        """Draw parameters of all texels, each texel for itself.
+        """Sample parameters from the posterior, independently for each texel.
 
         Args:
             count: number of draws.
-            seed: of the draws, a whole number that is not negative; equal seeds draw the same.
+            seed: seed, a whole number >= 0.
 
         Returns:
-            By parameter TensorXf (count, T), or (count, T, 3) where channels have their own;
-            parameters of one draw belong together. Where nobody looked, from the prior.
+            TensorXf (count, T), or (count, T, 3) per channel, by parameter name. Each draw is a
+            joint sample of all parameters. Unseen texels are sampled from the prior.
 
         Raises:
-            OptionError: a count below 1, or a seed that is not a whole number.
+            OptionError: a count below 1, or a seed that is not a whole number >= 0.
         """
         for name, value, least in (("count", count, 1), ("seed", seed, 0)):
             if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
@@ -325,12 +323,12 @@ class Posterior(Generic[K]):
         return {name: self._shaped(name, values) for name, values in drawn.items()}
 
     def prior_moments(self, name: str) -> tuple[Any, Any]:
-        """Return mean and standard deviation of a parameter where nobody looked: numbers, or (g,)
-        by channel."""
+        """Return the prior's mean and standard deviation of a parameter: numbers, or (g,) per
+        channel."""
         return self.kernel.prior.moments(name)
 
     def _mean_and_sd(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """(T, g) both; those of the prior where nobody looked."""
+        """Return mean and standard deviation, (T, g); the prior's for unseen texels."""
         self._check_parameter(name)
         shape = (self.count, self.kernel.channels_of(name))
         mean, sd = (np.broadcast_to(np.asarray(x, np.float32), shape).copy()
@@ -340,15 +338,15 @@ class Posterior(Generic[K]):
         return mean, sd
 
     def _shaped(self, name: str, values: np.ndarray) -> Any:
-        """Values (..., g) as a tensor; without the last axis where there is one for all."""
+        """Return values (..., g) as a tensor, without the last axis if channels share them."""
         own = self.kernel.channels_of(name) > 1
         return _tensor(values.copy() if own else values[..., 0].copy())
 
     def kl(self, other: Posterior) -> Any:
-        """Return KL(p || q) of every texel p to every texel q of another: (T, T') (Sec. 5.2).
+        """Return the divergences KL(p || q) of T texels p from T' texels q of ``other``, (T, T').
 
-        sum p log p - p . log q, one matrix product; the mean over channels when each has its
-        own distribution. Probabilities below 1e-30 count as 1e-30.
+        See Sec. 5.2 of the paper. Divergences of channels are averaged; probabilities below 1e-30
+        count as 1e-30.
 
         Raises:
             ShapeError: the grids differ.
@@ -374,12 +372,12 @@ class Posterior(Generic[K]):
     def _check_parameter(self, name: str) -> None:
         if name not in self.axes:
             known = " or ".join(self.axes)
-            raise OptionError(f"Posterior: there is no parameter {name!r}; use {known}.")
+            raise OptionError(f"Posterior: unknown parameter {name!r}; use {known}.")
 
 
 def _best_of_prior(prior: np.ndarray) -> np.ndarray:
-    """Return the index (axes,) of the bin that stands for a prior; see ``Posterior.map``."""
-    # The tables that a prior is kept in are rounded, some in single precision.
+    """Return the index, (axes,), of the most probable bin of a prior (see ``Posterior.map``)."""
+    # Equal probabilities can differ by rounding to single precision.
     likely = np.argwhere(prior >= (1 - 1e-5) * prior.max())
     away = likely - (np.array(prior.shape) // 2 if len(likely) == prior.size
                      else (np.array(prior.shape) - 1) / 2)  # fmt: skip

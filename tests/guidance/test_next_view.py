@@ -826,7 +826,7 @@ class TestNextBestView:
                 svu.next_best_view(estimate, **words)
         with pytest.raises(svu.SvuError, match="proposal must be 0 to 0"):
             svu.next_best_view(estimate).image(1)
-        with pytest.raises(svu.SvuError, match="does not know its capture"):
+        with pytest.raises(svu.SvuError, match="has no observations"):
             svu.next_best_view(dataclasses.replace(estimate, observed=None))
 
     @pytest.mark.slow

@@ -153,7 +153,7 @@ def test_wrong_input_is_named():
     assert "\n" not in str(caught.value)
     with pytest.raises(ShapeError, match="the grid's roughness is"):
         angular_posterior(replace(statistics, roughness=statistics.roughness**2), PRINCIPLED)
-    with pytest.raises(OptionError, match="is for calibrated_posterior"):
+    with pytest.raises(OptionError, match="use preset=.fixed"):
         angular_posterior(statistics, PRINCIPLED, preset="default")
     with pytest.raises(OptionError, match="need a PrincipledGrid"):
         angular_posterior(statistics, SPECULAR)

@@ -163,7 +163,7 @@ def test_presets_that_leave_clipped_samples_out_do_not_see_such_texels(vase):
 
 def test_an_object_that_is_clipped_altogether_is_said_to_be(vase):
     stored, _ = in_integers(vase.capture, vase.estimate.observed, 1.0)
-    with pytest.raises(CaptureError, match="is clipped; expose for the object"):
+    with pytest.raises(CaptureError, match="are saturated in all .* use shorter exposures"):
         observe(stored, vase.texels)
 
 
