@@ -32,11 +32,20 @@ Threads = Annotated[
     int,
     tyro.conf.arg(
         aliases=["-t"],
-        help="CPU threads; 0 = all. At least 2: Mitsuba cannot read EXR files with one.",
+        metavar="N",
+        help="CPU threads, at least 2, which Mitsuba needs to read EXR; 0: all cores.",
     ),
 ]
-Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Log more; errors with traceback.")]
-Variant = Annotated[str, tyro.conf.arg(aliases=["-m"], help="Mitsuba variant.")]
+Verbose = Annotated[
+    bool, tyro.conf.arg(aliases=["-v"], help="Print log messages, and the traceback of errors.")
+]
+Variant = Annotated[
+    str,
+    tyro.conf.arg(
+        aliases=["-m"], metavar="NAME",
+        help="Mitsuba variant; auto: the first available of cuda, metal and llvm _ad_rgb.",
+    ),
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +54,14 @@ class BaseCommand:
 
     uses_matplotlib: ClassVar[bool] = True
     """Whether the command imports matplotlib, for its pictures."""
+    first: ClassVar[str] = ""
+    """Names of the options that ``--help`` shows first, in order."""
     variant: Variant = "auto"
-    """Mitsuba variant; auto takes the first usable of cuda, metal and llvm _ad_rgb."""
     threads: Threads = 0
     verbose: Verbose = False
     trust: bool = False
-    """Let Mitsuba load libraries from a folder named plugins beside the scene, or in the working
-    directory: they run with all your rights. Without it they are refused."""
+    """Load Mitsuba plugins from a folder named plugins next to the scene or in the working
+    directory. They run with your rights; refused by default."""
 
     def start(self) -> None:
         """Set the variant and the number of threads."""

@@ -26,9 +26,7 @@ What = Annotated[
     str,
     tyro.conf.Positional,
     tyro.conf.arg(
-        metavar=f"{{{','.join((*BENCHMARKS, 'all'))}}}",
-        help=f"{'; '.join(f'{name}: {does}' for name, does in BENCHMARKS.items())}; all: "
-        f"{' and '.join(ALL)}.",
+        metavar="[BENCHMARK]", help=f"Benchmark to run; all: {' and '.join(ALL)}, the fast ones."
     ),
 ]
 Photographs = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CAPTURE]")]
@@ -39,34 +37,35 @@ Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 class Bench(BaseCommand):
     """Measure accuracy, calibration and speed.
 
-    Writes bench.json, bench.md and plots. The same command continues an interrupted run.
+    Writes bench.json, bench.md and plots. Run the same command again to continue an interrupted
+    run.
     """
 
+    first = "what capture output data objects lights rows quick fresh stored"
     output: Output = Path("out/bench")
     data: Path | None = None
-    """Folder with objects/ and envmaps/, or of Stanford-ORB; without it, the scenes of svu_mi."""
+    """Folder with objects/ and envmaps/, or of Stanford-ORB (default: the included scenes)."""
     objects: Names = ""
-    """Objects to run; without it all (of svu_mi's: vase, knot and spheres)."""
+    """Objects to run, such as vase,knot (default: all)."""
     lights: Names = ""
-    """Lights to run; without it all."""
+    """Lights to run (default: all)."""
     quick: bool = False
-    """Small pictures, few texels; without --data two scenes, two lights."""
+    """Use small images and few texels; without --data also two scenes and two lights only."""
     fresh: bool = False
     """Compute finished cases again."""
-
     keep: bool = False
-    """Reuse finished results of other versions of svu_mi, too."""
+    """Also reuse finished results of other versions of svu_mi."""
     stored: bool = False
-    """Measure nothing; make tables and plots of existing results."""
+    """Make tables and plots of existing results without new measurements."""
     what: What = "all"
     capture: Photographs = None
-    """real: the capture's folder, or its scene."""
+    """Capture folder or scene for the benchmark real (default: none)."""
     rows: Names = ""
-    """recovery, orb, paper: rows to run; without it the usual ones."""
+    """Rows of the table to run: recovery, orb, paper (default: the usual ones)."""
     every: int = 5
-    """real: of the photographs, each so many-th is left out."""
+    """real: every N-th photograph is held out, N at least 2."""
     environment_view: str | None = None
-    """orb: test photograph whose environment map is the light of recovery; without it the first."""
+    """orb: test photograph whose environment map is the light of recovery (default: the first)."""
 
     def run(self, console: Console) -> int:
         """Run the benchmarks."""
@@ -132,6 +131,10 @@ class Bench(BaseCommand):
         if not self.capture.exists():
             raise CaptureError(f"{self.capture}: no such file or folder; give a capture.")
         require_range("--every", self.every, 2)
+
+
+LISTED = "; ".join(f"{name}: {text}" for name, text in BENCHMARKS.items())
+Bench.__doc__ = f"{Bench.__doc__}\n\n    Benchmarks: {LISTED}."  # printed by --help
 
 
 def parse_names(words: str, option: str) -> tuple[str, ...]:

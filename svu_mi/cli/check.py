@@ -30,19 +30,20 @@ SERIOUS = ("wrong", "unclear")  # verdicts in capital letters
 
 @dataclass(frozen=True, kw_only=True)
 class CheckCapture(BaseCommand):
-    """Compare photographs with mesh, poses and light, and name the fix if axes are wrong.
+    """Check that photographs match the mesh, the poses and the light.
 
-    Tries every known mistake: axes of cameras and mesh, inverse poses, how the environment map
-    is oriented, V of the texture; compares gains. Works without masks and without a light. Writes
-    check.html and check.json.
+    Tests the usual mistakes: camera and mesh axes, inverted poses, orientation of the environment
+    map, flipped texture V, exposure gains; and prints the command that corrects them. Masks and a
+    light are optional. Writes check.html and check.json.
     """
 
+    first = "scene output images shape define missing gains strict overwrite"
     source: SceneOptions
     photographs: PhotographOptions = PhotographOptions()
     output: Output = Path("out/check")
     overwrite: Overwrite = False
     strict: bool = False
-    """Exit with status 3 if something does not fit."""
+    """Exit with status 3 if a check fails, for scripts."""
 
     def run(self, console: Console) -> int:
         """Check, print the findings, and write the page."""

@@ -23,28 +23,31 @@ Presets = Annotated[tuple[Preset, ...], tyro.conf.arg(metavar="PRESET [PRESET]")
 
 @dataclass(frozen=True, kw_only=True)
 class Compare(ResultCommand):
-    """Compare two captures, results or folders of textures of one object.
+    """Compare two captures, results or texture folders of one object.
 
-    Each of A and B is a capture (which is estimated), a folder that svu entropy or svu recover
-    wrote, or any folder with base_color, roughness and metallic (some of them) as EXR or PNG, over
-    the same UVs. Writes compare.html, compare.json and a difference_*.exr of every map.
+    A and B are captures (estimated first), folders written by svu entropy or svu recover, or
+    folders with base_color, roughness or metallic as EXR or PNG, all with the same UVs. Writes
+    compare.html, compare.json and a difference_*.exr (B minus A) per map.
     """
 
     a: Annotated[Result, tyro.conf.arg(metavar="A")]
-    """The first, such as before a change."""
+    """First capture or result, such as before a change."""
     b: Annotated[Result, tyro.conf.arg(metavar="B")]
-    """The second, which the first is subtracted from."""
+    """Second capture or result; differences are B minus A."""
     command, page = "compare", "compare.html"
+    first = "a b output resolution preset tolerance overwrite"
     output: opt.Output = Path("out/compare")
     preset: Presets = ("default",)
-    """Of estimates of captures: default, fixed, fast or paper; two for A and B."""
+    """Preset of estimates of captures: default, fixed, fast or paper; two for A and B."""
     resolution: opt.Size = ()
-    """Texels per side, or width and height; by default those of the coarser textures, or 512."""
+    """Texels per side, or width and height (default: those of the coarser textures; 512 for
+    captures)."""
     tolerance: float = 0.05
-    """Difference that counts where it is not known how certain both are."""
+    """Difference of a parameter, in [0, 1], that counts as a change where no standard
+    deviation is known."""
     memory: opt.Memory = ""
-    """Memory that the photographs of a capture may take, such as 4G; beyond it they lie in a file.
-    By default half of what is free."""
+    """Memory for photographs, such as 4G or 800M; those beyond it are kept in a temporary file in
+    TMPDIR (default: half of the free memory)."""
 
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""

@@ -19,13 +19,15 @@ from svu_mi.core.io.output_folder import claimed
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(BaseCommand):
-    """Render the vase that comes with svu_mi and compute its entropy."""
+    """Render the vase that is included in svu_mi, and compute its entropy."""
 
+    first = "output light resolution spp overwrite"
     output: Output = Path("out/demo")
     overwrite: Overwrite = False
     light: Literal["studio", "overcast", "clear", "window"] = "window"
+    """Environment map of the photographs: studio and window are indoors, the others skies."""
     spp: int = 32
-    """Samples per pixel of the photographs."""
+    """Samples per pixel of the photographs; more reduce noise."""
     resolution: Resolution = (256,)
 
     def run(self, console: Console) -> int:

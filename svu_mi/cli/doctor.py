@@ -43,7 +43,7 @@ class HealthCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(BaseCommand):
-    """Say what is installed, what can run here, and what to do about the rest."""
+    """Check the installation, and print how to repair it."""
 
     uses_matplotlib = False
 

@@ -14,17 +14,18 @@ from svu_mi.core.progress import Progress
 
 @dataclass(frozen=True, kw_only=True)
 class Entropy(EstimateCommand, ResultCommand):
-    """Compute how much photographs tell about every texel.
+    """Compute the entropy of each texel: how uncertain its material is.
 
-    Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
-    run.json.
+    Writes entropy.exr (0: certain, 1: as uncertain as the prior), coverage.exr (number of views
+    per texel), overview.png and run.json.
     """
 
     command = "entropy"
+    first = "scene output resolution light images render preset method known overwrite"
     output: opt.Output = Path("out/entropy")
     resolution: opt.Resolution = (512,)
     skip: bool = True
-    """Skip work that changes no result (unseen texels, blind views, equal channels, ...)."""
+    """Skip work that does not change results, such as unseen texels; --no-skip to verify that."""
     pictures: opt.Pictures = True
 
     def work(self, progress: Progress, place: Claim) -> list[str]:

@@ -27,31 +27,32 @@ Gutter = Annotated[int | None, tyro.conf.arg(metavar="TEXELS")]
 
 @dataclass(frozen=True, kw_only=True)
 class Export(ResultCommand):
-    """Write recovered textures for Blender, Mitsuba, MaterialX and the web.
+    """Export recovered textures to Blender, Mitsuba, MaterialX and the web.
 
     Writes textures/*.exr and *.png (base_color, roughness, metallic, their standard deviations,
     packed orm, entropy, coverage), asset.glb, entropy.glb, object.xml, preview.xml, mesh.ply,
-    material.mtlx, mesh.obj, and asset.json, which says what each file is.
+    material.mtlx, mesh.obj, and asset.json, which describes each file.
     """
 
     result: Result
-    """Folder that svu recover wrote."""
+    """Folder written by svu recover."""
     command = "export"
+    first = "result output formats up entropy bits half gutter overwrite"
     output: Output = Path("out/asset")
     entropy: Maps = None
-    """Folder that svu entropy wrote about the same capture, for its maps; by default those in
-    RESULT."""
+    """Folder written by svu entropy for the same capture, whose maps are exported (default: those
+    in RESULT)."""
     formats: Formats = ("exr", "png", "glb", "xml", "materialx")
-    """What to write; xml includes exr, and materialx includes png."""
+    """Formats to write, such as glb for the web; xml includes exr, materialx includes png."""
     bits: Literal[8, 16] = 8
-    """Bits per channel of PNG."""
+    """Bits per channel of PNG files; 16 avoid banding."""
     half: bool = False
-    """EXR in half precision."""
+    """Write EXR in half precision, which halves the size of files."""
     gutter: Gutter = None
-    """Width of the gutter around charts; by default everything between them is filled."""
+    """Texels by which UV charts are extended (default: all texels between charts are filled)."""
     up: Literal["y", "z"] | None = None
-    """Axis of the capture's world that points up; by default that of its cameras. glTF needs
-    y, so a capture with z up is rotated in the GLB."""
+    """Up axis of the capture, which is rotated to +Y in GLB files if it is z (default: inferred
+    from the cameras)."""
 
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""

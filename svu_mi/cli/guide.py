@@ -33,42 +33,42 @@ if TYPE_CHECKING:
     from svu_mi.posterior.estimate import Estimate
 
 SCENE = "scene"
-From = Annotated[str, tyro.conf.arg(metavar="NUMBER | FILE | scene")]
+From = Annotated[str, tyro.conf.arg(metavar="N | FILE | scene")]
 Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="NUMBER ...")]
 Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Guide(EstimateCommand):
-    """Propose where to take the next photographs from.
+    """Propose the poses of the next photographs.
 
-    Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, maps
-    gain_0.exr, ... (what each proposal is expected to change in every texel), thumbnails/ and
-    run.json.
+    Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, the
+    expected entropy reduction per texel as gain_0.exr, ..., thumbnails/ and run.json.
     """
 
+    first = "scene output candidates add strategy resolution light images lowest reachable"
     output: opt.Output = Path("out/next")
     overwrite: opt.Overwrite = False
     resolution: opt.Resolution = (512,)
     candidates: From = "100"
-    """Where photographs can be taken from: a number of views on a sphere around the object; the
-    poses of a transforms.json, capture.json or Mitsuba XML file; or "scene", its sensors that have
-    no photograph yet."""
+    """Candidate poses: their number on a sphere around the object; a transforms.json, capture.json
+    or Mitsuba XML file; or scene: its sensors without a photograph."""
     add: int = 5
-    """How many to propose; each assumes that those before it are photographed."""
+    """Number of poses to propose, at least 1; each takes the earlier ones as photographed."""
     lowest: float | None = None
-    """Lowest elevation on the sphere in degrees: -90 is all of it (default), 0 its upper half."""
+    """Lowest elevation on the sphere in degrees, in [-90, 90); 0: the upper hemisphere, for an
+    object on a table (default: -90)."""
     up: Up = (0.0, 1.0, 0.0)
-    """Top of the sphere, and of the map of directions."""
+    """Up direction of the sphere and of the direction map."""
     distance: float | None = None
-    """Radius of the sphere; by default the median distance of the photographs."""
+    """Radius of the sphere in units of the scene (default: median distance of the photographs)."""
     reachable: Path | None = None
-    """File with the numbers of the candidates that can be reached, separated by white space or as a
-    JSON list; or with a JSON list of booleans, one per candidate."""
+    """File with the numbers of reachable candidates, separated by white space or as a JSON list;
+    or a JSON list of one boolean per candidate (default: all)."""
     unreachable: Numbers = ()
-    """Numbers of candidates that cannot be reached."""
+    """Numbers of candidates that cannot be reached (default: none)."""
     pictures: opt.Pictures = True
-    judging: GuidanceOptions = GuidanceOptions()
+    guidance: GuidanceOptions = GuidanceOptions()
 
     def run(self, console: Console) -> int:
         """Judge the candidates, and write the results."""
@@ -105,7 +105,7 @@ class Guide(EstimateCommand):
         candidates = fixed or self._reachable(self._place_candidates(capture))
         known = self.estimation.estimate(progress, capture, texels, whole=True)
         guidance = next_best_view(
-            known, candidates, self.add, options=self.judging, progress=progress
+            known, candidates, self.add, options=self.guidance, progress=progress
         )
         return capture, known, guidance
 
@@ -187,9 +187,9 @@ class Guide(EstimateCommand):
                 f"--preset {preset} is the SH model, which knows light only where photographs "
                 "were taken; add --method spectrum for Eq. 13, or omit --preset."
             )
-        if self.judging.band_limit == "growing" and method != "spectrum":
+        if self.guidance.band_limit == "growing" and method != "spectrum":
             raise OptionError("--band-limit growing needs --method spectrum.")
-        strategy = self.judging.strategy
+        strategy = self.guidance.strategy
         needed = TABLE[strategy].method
         if needed not in (None, method):
             raise OptionError(f"--strategy {strategy} needs --method {needed}.")

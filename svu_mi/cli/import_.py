@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE | exif")]
+Mesh = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE")]
 Curve = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 Fixes = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction,
@@ -44,9 +45,10 @@ def _light(
     """Return the light that options describe.
 
     Args:
-        environment: The light: a lat-long map, HDR or EXR.
-        environment_axes: Top and centre of the map: +Y +Z, +Y -Z, +Y +X, or +Z +X.
-        environment_scale: Factor of the light's radiance.
+        environment: Environment map, a lat-long HDR or EXR file (default: that of the source).
+        environment_axes: Axes at the top and centre of the map: mitsuba +Y +Z, opengl +Y -Z,
+            threejs +Y +X, blender +Z +X.
+        environment_scale: Factor of the map's radiance, if its unit is not that of the photographs.
     """
     if environment is None:
         return None
@@ -58,6 +60,7 @@ def _light(
 class Conversion(ImportOptions):
     """What the source does not say, or gets wrong."""
 
+    mesh: Mesh = None
     environment: Annotated[Light | None, tyro.conf.arg(constructor=_light)] = None
     exposures: Gains = None
     response: Curve = None
@@ -66,21 +69,23 @@ class Conversion(ImportOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Import(BaseCommand):
-    """Turn the capture of another tool into a capture folder.
+    """Convert a capture of another tool to a capture folder.
 
     Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, poses_bounds.npy (LLFF),
-    cameras_sphere.npz (IDR, NeuS), Stanford-ORB and Objects with Lighting; writes scene.xml with
-    the mesh and the light, linear EXR photographs with their masks, and capture.json. Look at the
-    result with svu check.
+    cameras_sphere.npz (IDR, NeuS), Stanford-ORB and Objects with Lighting. Writes scene.xml with
+    the mesh and the light, linear EXR photographs with masks, and capture.json. Check the result
+    with svu check.
     """
 
     uses_matplotlib = False
+    first = "source output mesh mesh-up world-up mesh-scale environment images missing fix"
     source: From
-    """The file or folder."""
+    """File or folder to convert."""
     output: Output = Path("capture")
     overwrite: Overwrite = False
     undistort: bool = False
-    """COLMAP: undistort the photographs by pycolmap, which knows more kinds of lenses: fisheyes."""
+    """COLMAP: undistort the photographs with pycolmap, which supports more camera models, such as
+    fisheye lenses."""
     reading: ReadOptions = ReadOptions()
     conversion: Conversion = Conversion()
 

@@ -34,27 +34,26 @@ Weights = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 @dataclass(frozen=True, kw_only=True)
 class Inpaint(CaptureCommand, ResultCommand):
-    """Fill texels of recovered textures that no photograph shows, by what they are like.
+    """Fill unseen texels of recovered textures.
 
-    In their piece of the object, as high, around an axis, or on the other side of a mirror: how
-    much each of these says is found out by hiding parts that were seen. With --model, a diffusion
-    model invents them. Writes textures, recovered.xml, uncertainty.exr, filled.exr (1 where a texel
-    was filled), filled.png and run.json.
+    Predicts them from similar texels: on the same part, at the same height, or at a symmetric
+    position. Each similarity is weighted by cross-validation on seen texels. With --model, a
+    diffusion model generates them. Writes textures, recovered.xml, uncertainty.exr, filled.exr (1
+    at filled texels), filled.png and run.json.
     """
 
     command = "inpaint"
+    first = "scene recovered output above model light images shape overwrite"
     light: opt.GivenLight = None
     output: opt.Output = Path("out/filled")
     recovered: From
-    """Folder that svu recover wrote."""
+    """Folder written by svu recover for the same capture."""
     above: float = inf
-    """Fill texels, too, of which a parameter's standard deviation is larger: what is known of them
-    counts as much as it is certain. Without it, those that were never seen."""
+    """Also fill seen texels with a parameter whose standard deviation, in [0, 1], is larger, such
+    as 0.2. Positive; inf fills unseen texels only."""
     model: Weights = None
-    """Folder with the weights of a diffusion model, which fills instead of likeness, as in Sec. 5.3
-    of the paper: Marigold (intrinsics, appearance) or RGB<->X (RGB to X), as published. They do
-    not come with svu_mi and have licences of their own; that of RGB<->X is for noncommercial
-    research. Needs svu_mi[diffusion]."""
+    """Folder of published weights of Marigold (intrinsics, appearance) or RGB<->X, which have their
+    own licences; needs svu_mi[diffusion] (default: similar texels)."""
     pictures: opt.Pictures = True
     diffusion: DiffusionOptions = DiffusionOptions()
 
@@ -68,7 +67,9 @@ class Inpaint(CaptureCommand, ResultCommand):
 
             require_model(self.model)
         elif self.diffusion != DiffusionOptions():
-            raise OptionError("How a diffusion model is asked has no effect without --model.")
+            raise OptionError(
+                "Options of the diffusion model have no effect without --model; omit them."
+            )
 
     def work(self, progress: Progress, place: Claim) -> Iterable[str]:
         """Fill, and write the results."""

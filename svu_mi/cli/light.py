@@ -30,36 +30,43 @@ FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side that base colours are comp
 
 @dataclass(frozen=True, kw_only=True)
 class FindLight(CaptureCommand, ResultCommand):
-    """Find the light that photographs were taken under, in the photographs.
+    """Estimate the environment map from the photographs.
 
-    Writes light.exr (a map in the frame of Mitsuba's envmap, with layers that say how well it is
-    known), light.npz (what --light of other commands takes), light.png and light.json. A light
-    that the capture has is not looked at, but compared with.
+    Writes light.exr (a map in the frame of Mitsuba's envmap, with layers of its uncertainty),
+    light.npz (for --light of other commands), light.png and light.json. If the capture has a
+    light, the estimate ignores it and is compared with it.
     """
 
     command = "light"
+    first = (
+        "scene output images gains light-moves light-fixed background grey-card mean-albedo "
+        "light-scale"
+    )
     output: opt.Output = Path("out/light")
     resolution: opt.Size = (256,)
-    """Texels per side, or width and height, that texels are chosen from."""
+    """Texels per side, or width and height, of the grid that texels are sampled from."""
     texels: int = LightOptions.texels
-    """Texels that are looked at, at most: more take longer and change little."""
+    """Maximum number of sampled texels, in [16, 10000]; more take longer and change little."""
     depths: Depths = LightOptions.depths
-    """Numbers of cells of the sphere, ascending, and rounds at each."""
+    """Cells of the sphere, in [64, 4096] and ascending, and iterations at each; more cells resolve
+    smaller lamps."""
     seed: int = LightOptions.seed
-    """Of the other lights that are drawn: the same gives the same result."""
+    """Random seed of the posterior samples of the light; at least 0."""
     light_moves: Switch = False
-    """It turns with the camera: a turntable, or a lamp on the camera."""
+    """The light rotates with the camera: a turntable, or a lamp on the camera (default: both
+    hypotheses are tested)."""
     light_fixed: Switch = False
-    """It stands still."""
+    """The light is static: the camera was moved (default: both hypotheses are tested)."""
     background: Literal["none", "distant"] = "none"
-    """distant: pixels beside the object show the light itself; not in a light tent."""
+    """distant: pixels outside the object show the light; wrong in a light tent or near walls."""
     light_scale: float | None = None
-    """Factor of the light's brightness, if that is known."""
+    """Factor of the estimated radiance, if the brightness is known (default: 1)."""
     mean_albedo: float | None = None
-    """Mean base colour of the surface that is seen, if that is known: fixes the brightness."""
+    """Mean base colour of the seen surface in (0, 1], if known; sets the brightness (default: the
+    prior)."""
     grey_card: Card = None
-    """Texture coordinates of a grey spot that is not metallic, and its base colour there: fixes
-    brightness and colour."""
+    """Texture coordinates of a grey spot that is not metallic, and its base colour, all in [0, 1];
+    sets brightness and colour (default: the prior)."""
     pictures: opt.Pictures = True
 
     def check(self) -> None:

@@ -8,7 +8,6 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from contextlib import nullcontext
 from typing import Annotated, Any, Union
 
 import tyro
@@ -24,7 +23,7 @@ from svu_mi.cli.doctor import Doctor
 from svu_mi.cli.entropy import Entropy
 from svu_mi.cli.export import Export
 from svu_mi.cli.guide import Guide
-from svu_mi.cli.help import REGISTRY, reflowed_help
+from svu_mi.cli.help import REGISTRY, command_help, overview
 from svu_mi.cli.import_ import Import
 from svu_mi.cli.inpaint import Inpaint
 from svu_mi.cli.light import FindLight
@@ -40,16 +39,20 @@ from svu_mi.cli.view import View
 from svu_mi.core.memory import require_start
 from svu_mi.errors import OptionError, SvuError, excerpt, printable
 
-COMMANDS = {
-    "import": Import, "check": CheckCapture, "light": FindLight, "entropy": Entropy,
-    "guide": Guide, "recover": Recover, "inpaint": Inpaint, "relight": Relight, "report": Report,
-    "export": Export, "view": View, "compare": Compare, "batch": Batch, "scenes": Scenes,
-    "render": Render, "demo": Demo, "bench": Bench, "doctor": Doctor,
-}  # fmt: skip
+# Commands in the order of ``svu --help``.
+GROUPS: dict[str, dict[str, Any]] = {
+    "start": {"demo": Demo, "scenes": Scenes, "doctor": Doctor},
+    "capture": {"render": Render, "import": Import, "check": CheckCapture, "light": FindLight},
+    "uncertainty": {"entropy": Entropy, "guide": Guide},
+    "textures": {"recover": Recover, "inpaint": Inpaint, "relight": Relight},
+    "results": {"report": Report, "view": View, "export": Export, "compare": Compare},
+    "many captures": {"batch": Batch, "bench": Bench},
+}
+COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 Command: Any = Union[  # noqa: UP007 - of a tuple
     tuple(Annotated[each, tyro.conf.subcommand(name)] for name, each in COMMANDS.items())
 ]
-DESCRIPTION = "What photographs say about the reflectance of an object, and how much."
+DESCRIPTION = "Uncertainty of the reflectance of each texel, estimated from photographs."
 LONGEST = 200  # letters of a path in a sentence
 ROOM = "make room, or write to another disk"
 REMEDIES = {
@@ -82,12 +85,15 @@ def _run(arguments: Sequence[str]) -> int:
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[LogLines()])
     warnings.showwarning = _show_warning
     try:
-        asked = not {"-h", "--help"}.isdisjoint(arguments)
-        with reflowed_help(Command) if asked else nullcontext():
-            command: Any = tyro.cli(
-                Command, prog="svu", description=DESCRIPTION, args=repeat_known(arguments),
-                config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands), registry=REGISTRY,
-            )  # fmt: skip
+        if not {"-h", "--help"}.isdisjoint(arguments):
+            name = arguments[0]
+            known = name in COMMANDS
+            print(command_help(name, COMMANDS[name]) if known else overview(GROUPS, DESCRIPTION))
+            return 0
+        command: Any = tyro.cli(
+            Command, prog="svu", description=DESCRIPTION, args=repeat_known(arguments),
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands), registry=REGISTRY,
+        )  # fmt: skip
         _require_working_folder()
         require_start()
         if command.uses_matplotlib and getattr(command, "pictures", True):

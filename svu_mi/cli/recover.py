@@ -31,48 +31,49 @@ From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
 
 @dataclass(frozen=True, kw_only=True)
 class Recover(CaptureCommand, ResultCommand):
-    """Recover base colour, roughness and metallic textures from photographs.
+    """Recover base colour, roughness and metallic textures.
 
-    Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
+    Writes the textures as EXR, recovered.xml (a Mitsuba scene with them), coverage.exr,
     entropy.exr, uncertainty.exr (standard deviations and 90 % intervals), recovery.png, relit.png,
-    losses.csv and run.json; with --draws, textures that are as likely. --resume continues an
-    interrupted run.
+    losses.csv and run.json; with --draws, posterior samples of the textures.
     """
 
     command, keep = "recover", CHECKPOINT
+    first = "scene output resolution light images method preset sharing draws resume"
     light: opt.GivenLight = None
     output: opt.Output = Path("out/textures")
     resolution: opt.Resolution = (512,)
     method: Literal["sh", "path", "sh+path"] = "sh"
-    """sh: a reflection model, in seconds; path: Mitsuba's path tracer in a loop; sh+path: the
-    path tracer, from what sh has found."""
+    """sh: direct light, in seconds; path: Mitsuba's path tracer in a loop, with indirect light, in
+    minutes; sh+path: one epoch of path after sh."""
     preset: Literal["default", "paper", "coefficients", "spectrum", "polish", "paper_polish"] = (
         "default"
     )
-    """paper: losses, rates and regularizers as printed; coefficients and spectrum: its other losses
-    of sh; polish and paper_polish: only the one epoch of path that sh+path ends with."""
+    """paper: the published losses and rates; coefficients, spectrum: its other losses of sh;
+    polish, paper_polish: the last epoch of sh+path alone."""
     sharing: bool = False
-    """Learn from all texels which materials the object has, and share that with uncertain ones;
-    with the paper's presets, Eq. 14 and 15 as printed."""
+    """Learn a prior from all texels, for objects of few materials; Eq. 14 and 15 with the presets
+    of the paper."""
     tv: float | None = None
-    """Weight of total variation; more is smoother."""
+    """Weight of total variation, at least 0; more is smoother (default: from the preset)."""
     epochs: float | None = None
-    """How often path uses every pixel."""
+    """Number of times that path uses each pixel, more than 0 (default: from the preset)."""
     steps: int | None = None
-    """Gradient steps of sh."""
+    """Gradient steps of sh, at least 1 (default: from the preset)."""
     parameters: Parameters = NAMES
-    """Textures to recover; the others keep their initial values."""
+    """Textures to recover; the others keep their initial values (see --start)."""
     initial: From = None
-    """Folder with base_color.exr, roughness.exr and metallic.exr to start from."""
+    """Folder of the initial base_color.exr, roughness.exr and metallic.exr (default: posterior
+    means for sh; 0.5 for path and the presets of the paper)."""
     resume: bool = False
-    """Continue from the checkpoint in the output folder."""
+    """Continue an interrupted run from its checkpoint in the output folder."""
     checkpoint_seconds: float = 30.0
-    """Seconds between two checkpoints."""
+    """Seconds between two checkpoints, at least 0."""
     drawn: Drawn = 0
-    """Draw so many textures that explain the photographs about as well, into draws/ and draws.png:
-    svu relight takes them."""
+    """Number of posterior samples of the textures, in [0, 1000], written to draws/ and draws.png;
+    svu relight needs about 16."""
     seed: int = 0
-    """Seed of the batches and paths of path, and of the draws."""
+    """Random seed of path and of the draws, at least 0."""
     pictures: opt.Pictures = True
 
     def work(self, progress: Progress, place: Claim) -> list[str]:

@@ -28,30 +28,32 @@ Poses = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 
 @dataclass(frozen=True, kw_only=True)
 class Relight(CaptureCommand, ResultCommand):
-    """Show the object in its recovered textures under another light, and how sure every pixel is.
+    """Render recovered textures under another light, with uncertainty.
 
-    Renders the textures and the draws beside them (svu recover --draws 16) with the same random
-    numbers. Writes a PNG and an EXR per view (the picture; mean and standard deviation of every
-    pixel over the draws), relight.png and run.json.
+    Renders the textures and their posterior samples (svu recover --draws 16) with the same random
+    numbers. Writes a PNG and an EXR per view (the image; mean and standard deviation of each
+    pixel over the samples), relight.png and run.json.
     """
 
     command = "relight"
+    first = "scene recovered output environment sensors views side spp overwrite"
     output: opt.Output = Path("out/relit")
     recovered: From
-    """Folder that svu recover --draws wrote."""
+    """Folder written by svu recover --draws N."""
     environment: Map = None
-    """The light: a lat-long map (EXR or HDR; top +Y, centre +Z); by default that of the capture."""
+    """Environment map, a lat-long EXR or HDR file (top +Y, centre +Z) (default: the light of the
+    capture)."""
     sensors: Poses = None
-    """Where from: poses of a transforms.json, capture.json or Mitsuba XML file; by default some of
-    the photographs' own, far apart."""
+    """Poses of a transforms.json, capture.json or Mitsuba XML file (default: --views poses of the
+    photographs)."""
     views: int = 3
-    """How many of the photographs' poses, without --sensors."""
+    """Number of poses of the photographs, far apart, without --sensors; at least 1."""
     side: int = 512
-    """Pixels of the longer side of a picture; larger films are made smaller."""
+    """Maximum of the longer side of an image in pixels, in [1, 8192]; larger films are reduced."""
     spp: int = 16
-    """Samples per pixel, rounded to a square."""
+    """Samples per pixel, rounded to a square; more reduce noise."""
     seed: int = 0
-    """Seed of the samples."""
+    """Random seed, at least 0."""
     pictures: opt.Pictures = True
 
     def check(self) -> None:

@@ -20,24 +20,26 @@ from svu_mi.core.validation import require_spp, require_views
 
 @dataclass(frozen=True, kw_only=True)
 class Render(BaseCommand):
-    """Render every sensor of a scene into a capture folder.
+    """Render the sensors of a Mitsuba scene to a capture folder.
 
-    Unlike the mitsuba program, it knows the plugins of svu_mi.
+    Unlike the mitsuba program, it supports the plugins of svu_mi.
     """
 
     uses_matplotlib = False
+    first = "scene output views resolution spp define shape seed resume overwrite"
     source: SceneOptions
     output: Output = Path("capture")
     overwrite: Overwrite = False
     spp: int = 64
-    """Samples per pixel."""
+    """Samples per pixel; more reduce noise."""
     seed: int = 0
+    """Random seed, at least 0."""
     views: int | None = None
-    """Place this many sensors on a sphere around the object instead of the scene's own."""
+    """Number of sensors to place on a sphere around the object (default: the scene's sensors)."""
     resolution: Size = (512,)
-    """Film of those sensors: pixels per side, or width and height."""
+    """Film size of --views sensors in pixels: one number, or width and height."""
     resume: bool = False
-    """Continue with the views that an interrupted run has left in the output folder."""
+    """Continue an interrupted run: keep the views in the output folder."""
 
     def run(self, console: Console) -> int:
         """Render the views."""

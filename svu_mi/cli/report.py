@@ -22,26 +22,27 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".html", ".htm")
 SIDE = 256  # texels: as many as the maps on the page have pixels
-Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="The page.")]
+Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="Page to write.")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report(EstimateCommand):
-    """Write what photographs say as one HTML file, with all pictures inside.
+    """Write the results as one HTML page with all images included.
 
-    Photographs, entropy on a turntable, maps, probabilities, errors of views, settings, times and
-    versions: readable without a network, and without knowing the method. Textures of --recovered
-    are compared with the photographs.
+    Contains photographs, entropy on a turntable, maps, probabilities, residuals per view,
+    settings, times and versions; readable offline. Textures of --recovered are compared with the
+    photographs.
     """
 
+    first = "scene output recovered resolution light images title overwrite"
     recovered: opt.Recovered = None
     resolution: opt.Size = ()
-    """Texels per side, or width and height; by default those of --recovered, else 256, as many as
-    the maps on the page have pixels. The other commands take 512."""
+    """Texels per side, or width and height (default: those of --recovered; otherwise 256, the size
+    of the maps on the page)."""
     output: Page = Path("report.html")
     overwrite: opt.Overwrite = False
     title: str | None = None
-    """Title of the page; by default the name of the photographs' folder."""
+    """Title of the page (default: name of the folder of photographs)."""
 
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""

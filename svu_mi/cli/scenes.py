@@ -22,15 +22,16 @@ NEEDS = {"object": "-D object=FOLDER -D environment=FILE"}
 
 @dataclass(frozen=True, kw_only=True)
 class Scenes:
-    """List the scenes that come with svu_mi, or copy one, with all it needs.
+    """List the included scenes, or copy one with its files.
 
-    Each has 24 sensors, and takes -D light=NAME and -D resolution=PIXELS; the lights are studio,
-    overcast, clear and window.
+    Each scene has 24 sensors and the parameters -D resolution=PIXELS and -D light=studio, overcast,
+    clear or window.
     """
 
     uses_matplotlib: ClassVar[bool] = False
+    first: ClassVar[str] = "name output"
     name: Name = ""
-    """Scene to copy; without a name all are listed."""
+    """Scene to copy (default: list all)."""
     output: Output = Path("scenes")
     verbose: Verbose = False
 

@@ -26,14 +26,24 @@ if TYPE_CHECKING:
 UNITS = {"K": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # bytes
 SPECULAR = "specular"  # Ks, of the paper's power spectra
 
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the results.")]
+Output = Annotated[
+    Path, tyro.conf.arg(aliases=["-o"], metavar="FOLDER", help="Folder of the results.")
+]
 Overwrite = Annotated[
-    bool, tyro.conf.arg(help="Write where anything else lies, which is kept as NAME.before.")
+    bool,
+    tyro.conf.arg(
+        help="Write to a folder that contains other files, which is kept as NAME.before."
+    ),
 ]
 Scene = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE.xml")]
 Defines = Annotated[
     tuple[str, ...],
-    tyro.conf.arg(aliases=["-D"], metavar="KEY=VALUE", help="Scene parameter; can be repeated."),
+    tyro.conf.arg(
+        aliases=["-D"],
+        metavar="KEY=VALUE",
+        help="Value of a $parameter of the "
+        "scene, such as light=window; repeatable (default: the scene's own).",
+    ),
     tyro.conf.UseAppendAction,
 ]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
@@ -42,26 +52,32 @@ Missing = Literal["refuse", "leave-out"]
 Size = Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIZE | WIDTH HEIGHT")]
 Resolution = Annotated[
     tuple[int, ...],
-    tyro.conf.arg(metavar="SIZE | WIDTH HEIGHT", help="Texels per side, or width and height."),
+    tyro.conf.arg(
+        metavar="SIZE | WIDTH HEIGHT",
+        help="Texels per side, or width and "
+        "height. Time and memory are proportional to the number of texels.",
+    ),
 ]
-Samples = Annotated[int, tyro.conf.arg(help="Samples per pixel, with --render.")]
-Pictures = Annotated[bool, tyro.conf.arg(help="Draw PNG pictures of the results, too.")]
+Samples = Annotated[int, tyro.conf.arg(help="Samples per pixel with --render; more reduce noise.")]
+Pictures = Annotated[bool, tyro.conf.arg(help="Draw PNG pictures of the results.")]
 Recovered = Annotated[
     Path | None,
-    tyro.conf.arg(metavar="FOLDER", help="Folder that svu recover wrote, to show its textures."),
+    tyro.conf.arg(
+        metavar="FOLDER",
+        help="Folder written by svu recover, whose textures are shown (default: none).",
+    ),
 ]
 GivenLight = Annotated[
     Path | None,
     tyro.conf.arg(
         metavar="FOLDER | MAP",
-        help="The light: a folder that svu light wrote, or a lat-long map (EXR or HDR; top +Y, "
-        "centre +Z), in the place of the scene's own. Without any, it is found in the photographs, "
-        "and kept beside them in the folder light.",
+        help="Environment map: folder written by svu light, or lat-long EXR or HDR, top +Y, centre "
+        "+Z (default: that of the scene; estimated if it has none).",
     ),
 ]
 Known = Annotated[
     tuple[str, ...],
-    tyro.conf.arg(metavar="NAME=VALUE | scene", help_behavior_hint="(can be repeated)"),
+    tyro.conf.arg(metavar="NAME=VALUE | scene"),
     tyro.conf.UseAppendAction,
 ]
 
@@ -71,10 +87,10 @@ class SceneOptions:
     """The scene and its photographs."""
 
     scene: Scene
-    """Mitsuba scene with one sensor per photograph, or a capture folder."""
+    """Capture folder, or Mitsuba scene with one sensor per photograph."""
     define: Defines = ()
     shape: str | None = None
-    """Id of the object, if the scene has several."""
+    """Id of the object; needed if the scene contains several shapes (default: the only one)."""
 
     def defines(self) -> dict[str, str]:
         """Return the -D words as a dictionary."""
@@ -90,17 +106,16 @@ class PhotographOptions:
     """The photographs."""
 
     images: Folder = None
-    """Folder with the photographs: view_0000.exr, ... or named by the ids of their sensors, or as
-    many as there are sensors, in the order of their names."""
+    """Folder of the photographs, named view_0000.exr, ... or by sensor ids, or one per sensor in
+    alphabetical order (default: the folder of the scene)."""
     missing: Missing = "refuse"
-    """What to do if sensors have no photograph: leave-out goes on with the others."""
+    """Sensors without a photograph: refuse stops, leave-out continues with the other sensors."""
     gains: Literal["given", "estimate"] = "given"
-    """estimate: find exposure and white balance of each photograph, where these are not recorded;
-    photographs that do not fit the others are named, and left out."""
+    """Exposure and white balance: as recorded, or estimated per photograph and channel, for
+    automatic cameras; inconsistent photographs are excluded."""
     memory: Memory = ""
-    """Memory that photographs may take, such as 4G; beyond it they lie in a file in TMPDIR (or
-    /var/tmp) while the command runs. By default half of what is free, or nothing if all else needs
-    the room."""
+    """Memory for photographs, such as 4G or 800M; those beyond it are kept in a temporary file in
+    TMPDIR (default: half of the free memory)."""
 
     @property
     def bytes(self) -> float | None:
@@ -118,9 +133,9 @@ class RenderOptions:
     """Photographs that are rendered, and the mesh."""
 
     render: bool = False
-    """Render the scene instead of reading photographs."""
+    """Render the photographs from the scene instead of reading them."""
     unwrap: bool = False
-    """Lay out new UVs even if the mesh has some."""
+    """Compute new UVs even if the mesh has some, for instance if its UVs overlap."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,13 +165,14 @@ class EstimateOptions:
     """How the posterior is estimated."""
 
     method: Literal["angular", "spectrum"] = "angular"
-    """angular: compare radiance, by statistics of all views; spectrum: compare power spectra."""
+    """angular: compare radiance in all views; spectrum: compare power spectra as in the paper,
+    for instance to reproduce it."""
     preset: Literal["default", "fixed", "fast", "paper"] = "default"
-    """paper: the published method as printed, the SH model (angular) or power spectra, which need
-    it."""
+    """paper: the published method; fast: less accurate, grey; fixed (angular only): noise of 8 %
+    of the mean radiance instead of estimated noise."""
     known: Known = ()
-    """Parameters that are known, such as metallic=0: they are not estimated. "scene" stands for
-    those that are constant in the scene's own material."""
+    """Value of a parameter that is not estimated, such as metallic=0; scene: all that are constant
+    in the scene's material. Repeatable (default: all are estimated)."""
 
     @property
     def model(self) -> str:

@@ -17,19 +17,20 @@ SIDE = 512  # texels
 
 @dataclass(frozen=True, kw_only=True)
 class View(EstimateCommand):
-    """Look at entropy, textures and photographs on the object, in a browser.
+    """Show entropy, textures and photographs on the mesh in a browser.
 
-    Click a texel for its posterior and a camera to look through it; Ctrl-C stops. Needs
+    Click a texel to see its posterior, or a camera to take its view. Ctrl-C stops. Needs
     pip install 'svu_mi[viewer]'.
     """
 
+    first = "scene recovered resolution light images port up"
     recovered: opt.Recovered = None
     resolution: opt.Size = ()
-    """Texels per side, or width and height; by default those of --recovered, else 512."""
+    """Texels per side, or width and height (default: those of --recovered; otherwise 512)."""
     port: int = 8080
-    """Port of the page on this machine; the next free one if it is in use."""
+    """Port of the page on this machine, in [1, 65535]; the next free one if it is in use."""
     up: Literal["y", "z"] | None = None
-    """Axis of the world that points up; by default that of the cameras."""
+    """Up axis of the world (default: inferred from the cameras)."""
 
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""

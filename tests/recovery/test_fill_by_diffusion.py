@@ -373,7 +373,7 @@ def test_the_command_refuses_before_any_work(tmp_path, capsys, monkeypatch) -> N
     words = "inpaint", tmp_path / "none", "--recovered", tmp_path / "none", "-o", out
     said = {
         "no model_index.json": ("--model", tmp_path),
-        "has no effect without --model": ("--steps", 20),
+        "have no effect without --model": ("--steps", 20),
         "pip install 'svu_mi[diffusion]'": ("--model", folder_of(tmp_path / "model")),
     }
     for sentence, more in said.items():

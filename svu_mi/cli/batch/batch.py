@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli.base_command import BaseCommand, interruptible
-from svu_mi.cli.shared_options import Output, parse_size, require_range
+from svu_mi.cli.shared_options import Output, Size, parse_size, require_range
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.progress import Progress
@@ -24,33 +24,38 @@ if TYPE_CHECKING:
 Address = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
 FAILED = 1  # exit status if a capture failed
 StepName = Literal["entropy", "recover", "report", "export"]
+Steps = Annotated[
+    tuple[StepName, ...], tyro.conf.arg(metavar="{entropy,recover,report,export} ...")
+]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(BaseCommand):
-    """Estimate, recover, report and export many captures; one page shows all of them.
+    """Process many captures, with an overview page.
 
-    Every capture gets a folder with entropy, recovered, report.html and asset. One that fails is a
-    row of the page with its sentence; the others go on. The same command goes on after an
-    interruption, and makes again what has changed. Exit status 1 if a capture failed.
+    Each capture gets a folder with entropy, recovered, report.html and asset. The page lists
+    failed captures with their errors; the others continue. Run the same command again to continue
+    after an interruption, and to update changed captures. Exit status 1 if a capture failed.
     """
 
     uses_matplotlib: ClassVar[bool] = False
+    first = "captures output steps resolution preset workers scheduler"
     captures: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER | LIST.csv")]
-    """Folder of capture folders; or a table with the column capture, and those of name, resolution,
-    preset, light, images and shape that are needed."""
+    """Folder of capture folders; or a table with the column capture and optional columns name,
+    resolution, preset, light, images and shape."""
     output: Output = Path("out/batch")
-    steps: tuple[StepName, ...] = ("entropy", "recover", "report", "export")
-    """What to do; export needs recover."""
+    steps: Steps = ("entropy", "recover", "report", "export")
+    """Commands to run on each capture; export needs recover."""
     workers: int = 1
-    """Captures at a time, which share threads and memory."""
+    """Captures processed at the same time, at least 1, which share threads and memory."""
     scheduler: Address = ""
-    """Address of a Dask scheduler, such as tcp://10.0.0.5:8786, whose workers take a capture at a
-    time each; they see the same files. By default everything runs here."""
-    resolution: tuple[int, ...] = ()
-    """Texels per side, or width and height, of captures that the list does not say it of."""
+    """Dask scheduler, such as tcp://10.0.0.5:8786; each worker processes one capture at a time and
+    needs access to the same files (default: this machine)."""
+    resolution: Size = ()
+    """Texels per side, or width and height, of captures without it in the list (default: that of
+    each command)."""
     preset: Literal["default", "fixed", "fast", "paper"] | None = None
-    """Preset of entropy and report, of captures that the list does not say it of."""
+    """Preset of entropy and report, of captures without it in the list (default: default)."""
 
     def run(self, console: Console) -> int:
         """Work on all captures, and write the page after each."""
