@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+from pathlib import Path
 from typing import Any, get_args
 
 import svu_mi  # first: it finds a usable LLVM
@@ -24,7 +25,8 @@ os.environ["COLUMNS"] = "100"  # width of the help texts
 project, version = "svu_mi", svu_mi.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.doctest", "sphinx.ext.viewcode"]
 root_doc = "README"
-include_patterns = ["*.md", "notebooks/*.md", "notebooks/*.rst", "notebooks/*.ipynb"]
+include_patterns = ["*.md", *(f"notebooks/{kind}" for kind in ("*.md", "*.rst", "*.ipynb")),
+                    "notebooks/benchmarks/*.md", "notebooks/design/*.md"]  # fmt: skip
 exclude_patterns = [".*", "build", "dist", "out", "scenes", "svu_mi", "tests"]
 nb_execution_mode = "off"  # notebooks are stored executed
 myst_heading_anchors = 4
@@ -85,6 +87,11 @@ BENCHMARKS
 ```
 ```{toctree}
 :hidden:
+:caption: Benchmarks
+STUDIES
+```
+```{toctree}
+:hidden:
 :caption: Notebooks
 notebooks/entropy
 notebooks/guidance
@@ -103,6 +110,11 @@ notebooks/plugins
 CONTRIBUTING
 CHANGELOG
 SECURITY
+```
+```{toctree}
+:hidden:
+:caption: Reasons of defaults
+DESIGN
 ```
 """
 
@@ -136,10 +148,17 @@ def help_of(command: str) -> str:
     return text.getvalue()
 
 
+def pages_of(folder: str) -> str:
+    """Return the pages of a folder of ``notebooks``, a line each."""
+    paths = sorted((Path(__file__).parent / folder).glob("*.md"))
+    return "\n".join(f"notebooks/{folder}/{path.stem}" for path in paths)
+
+
 def complete(app: Sphinx, page: str, source: list[str]) -> None:
     """Add the table of contents to the README, and help texts to the page of commands."""
     if page == root_doc:
-        source[0] += CONTENTS
+        source[0] += CONTENTS.replace("STUDIES", pages_of("benchmarks")).replace(
+            "DESIGN", pages_of("design"))  # fmt: skip
     if page == "notebooks/commands":
         names = [each.__metadata__[0].name for each in get_args(Command)]
         source[0] += "".join(f"\n## svu {n}\n\n```text\n{help_of(n)}```\n" for n in names)

@@ -215,7 +215,7 @@ class Experiment:
             OutputError: the folder cannot be written.
         """
         failures = Failures()
-        record: Record = {"cells": [], "failed": failures.records, "versions": 0,
+        record: Record = {"cells": [], "failed": failures.records, "code": [],
                           "quick": bench.quick}  # fmt: skip
         codes: set[str] = set()
         for subject in self.subjects:
@@ -223,7 +223,7 @@ class Experiment:
                 case_record = self._case(bench, subject, failures, codes)
                 if case_record is not None:
                     record["cells"].append(case_record)
-            record["versions"] = len(codes)
+            record["code"] = sorted(codes)
             if report is not None and record["cells"]:
                 report(record)
         if not record["cells"] and failures.first is not None:

@@ -170,20 +170,26 @@ def bars(record: Record) -> list[Bar]:
     entropies = [row["entropy"] for row in rows]
     holds = _mean(_holds(row) for row in rows)
     at_least = {
-        "light: mean correlation": (_mean(row["correlation"] for row in rows), 0.88),
-        "light: correlation in the worst glossy cell": (min(glossy, default=1.0), 0.7),
-        "brightest direction within 15 degrees": (_mean(angles), 0.7),
-        "entropy: mean correlation": (_mean(entropies), 0.8),
-        "entropy: correlation in the worst cell": (min(entropies), 0.55),
-        "scale is in its 90 % interval": (_mean(row["inside"] for row in scales), 0.8),
-        "90 % intervals hold the truth, at least": (holds, 0.78),
+        "correlation of the environment map, mean": (
+            _mean(row["correlation"] for row in rows),
+            0.88,
+        ),
+        "correlation of the environment map, worst glossy case": (min(glossy, default=1.0), 0.7),
+        "brightest direction within 15 degrees, share of cases": (_mean(angles), 0.7),
+        "correlation of the entropy, mean": (_mean(entropies), 0.8),
+        "correlation of the entropy, worst case": (min(entropies), 0.55),
+        "scale inside its 90 % interval, share of cases": (
+            _mean(row["inside"] for row in scales),
+            0.8,
+        ),
+        "90 % intervals that contain the truth, at least": (holds, 0.78),
     }
     at_most = {
-        **{f"{name}: dB lost on average": (_mean(_lost(name)(row) for row in rows), most)
+        **{f"{name}: PSNR lost on average (dB)": (_mean(_lost(name)(row) for row in rows), most)
            for name, most in (("roughness", 1.5), ("metallic", 1.5), ("base_color", 3.0))},
-        "median width of the scale's interval":
+        "90 % interval of the scale, upper over lower end, median":
             (float(np.median([row["wide"] for row in scales])), 2.0),
-        "90 % intervals hold the truth, at most": (holds, 0.95),
+        "90 % intervals that contain the truth, at most": (holds, 0.95),
     }  # fmt: skip
     return [
         *(Bar(what, value, limit, least=True) for what, (value, limit) in at_least.items()),

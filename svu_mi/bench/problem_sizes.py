@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -101,6 +102,15 @@ class ProblemSizes:
     stride: int = 1
     recovery: RecoverySizes = field(default_factory=RecoverySizes)
     guidance: GuidanceSizes = field(default_factory=GuidanceSizes)
+
+    @classmethod
+    def read(cls, values: Mapping[str, Any]) -> ProblemSizes:
+        """Return the sizes that a JSON file contains."""
+        parts = {"recovery": RecoverySizes, "guidance": GuidanceSizes}
+        read = {name: part(**{key: tuple(value) if isinstance(value, list) else value
+                              for key, value in values[name].items()})
+                for name, part in parts.items()}  # fmt: skip
+        return cls(**{**values, **read})
 
     @property
     def shared(self) -> dict[str, Any]:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Mapping, Sequence
+import json
+import os
+import platform
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -14,6 +18,7 @@ from svu_mi.bench.cases import Case
 from svu_mi.bench.compared_estimators import VARIANTS, Variant
 from svu_mi.bench.experiment import BenchRun, Experiment, Record
 from svu_mi.bench.markdown import Bar, bar_table, left_out, save
+from svu_mi.bench.problem_sizes import ProblemSizes
 from svu_mi.core.io.files import prepare_folder, write_text
 from svu_mi.core.validation import require_known
 from svu_mi.errors import OptionError
@@ -102,12 +107,20 @@ class Study:
             OutputError: the folder cannot be written.
         """
 
-        def whole(measured: Record) -> Record:
-            record = self.summary({**measured, "sizes": bench.sizes})
-            return {**record, "bars": [bar.record() for bar in self.bars(record)]}
+        def finish(measured: Record) -> Record:
+            return self.finish({**measured, "sizes": bench.sizes})
 
-        tell = report and (lambda measured: report(whole(measured)))
-        return whole(self.experiment(bench, selection).run(bench, tell))
+        tell = report and (lambda measured: report(finish(measured)))
+        return finish(self.experiment(bench, selection).run(bench, tell))
+
+    def finish(self, measured: Record) -> Record:
+        """Return a record with the entries of ``summary`` and with ``bars``.
+
+        Args:
+            measured: result of ``Experiment.run``, with ``sizes``.
+        """
+        record = self.summary(measured)
+        return {**record, "bars": [bar.record() for bar in self.bars(record)]}
 
     def markdown(self, record: Record) -> str:
         """Return all tables of a record."""
@@ -115,8 +128,8 @@ class Study:
             f"# {self.title}", *bar_table(record["bars"], record["quick"], self.note),
             *self.tables(record), *left_out("Left out", record),
         ]  # fmt: skip
-        if record["versions"] > 1:
-            parts.append(f"Figures of {record['versions']} versions of the code.")
+        if len(record["code"]) > 1:
+            parts.append(f"Figures of {len(record['code'])} versions of the code.")
         return "\n\n".join(parts)
 
 
@@ -125,12 +138,29 @@ def provenance_record(command: str) -> Record:
     return {
         "command": command,
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "environment": environment_record(),
+        "environment": {**environment_record(), "cpu": cpu_name(), "memory_gib": memory_gib()},
     }
 
 
+def cpu_name() -> str:
+    """Return the name of the CPU; an empty string if the system does not provide it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(": ")[2] for line in lines if line.startswith("model name")), "")
+
+
+def memory_gib() -> float | None:
+    """Return the size of the main memory in GiB; None if the system does not provide it."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
+    except (AttributeError, OSError, ValueError):
+        return None
+
+
 def provenance(record: Record) -> str:
-    """Return a sentence on command, date and environment."""
+    """Return a sentence with command, date and environment."""
     place = record["environment"]
     versions = place["versions"]
     return (
@@ -147,73 +177,108 @@ def study_of(name: str) -> Study:
 
 def run_bench(
     bench: BenchRun, names: Sequence[str], selection: Selection, command: str = ""
-) -> dict[str, Any]:
-    """Run benchmarks, one after another, and write bench.json, bench.md and the plots.
+) -> dict[str, Record]:
+    """Run benchmarks in turn, and write STUDY.json of each, bench.md and the plots.
 
-    Tables of all that is known so far are written after each case.
+    All files but the plots are updated after each case.
 
     Args:
-        bench: where and how.
-        names: of ``BENCHMARKS``.
-        selection: what of them is run.
-        command: as the user gave it, for the record.
+        bench: Folder, sizes and options of the run.
+        names: Names in ``BENCHMARKS``.
+        selection: Cases and rows.
+        command: Command line of the user, for the records.
 
     Returns:
-        What bench.json holds: how it was run, ``settings``, and a record by name
-        (``Study.run``).
+        Records by name, with the content of their files: ``study``, ``command``, ``date``,
+        ``environment``, and the entries of ``Study.run``.
 
     Raises:
-        OptionError: an unknown benchmark, or no case.
-        SvuError: that of the first case of a benchmark, if all its cases failed.
-        OutputError: the folder cannot be written.
+        OptionError: Unknown benchmark, or no case.
+        SvuError: Error of the first case, if all cases of a benchmark failed.
+        OutputError: The folder cannot be written.
     """
     require_known(names, BENCHMARKS, "benchmark")
     chosen = {name: study_of(name) for name in names}
     places = {study.runs_on for study in chosen.values()}
     if not selection.cases and "cases" in places:
-        raise OptionError("There is no object and light to run; change --objects or --lights.")
+        raise OptionError("No object and light selected; change --objects or --lights.")
     if selection.capture is None and "capture" in places:
-        raise OptionError("There is no capture to run on; give its folder.")
+        raise OptionError("No capture given; add its folder to the command.")
     prepare_folder(bench.folder)
-    record = {**provenance_record(command), "settings": bench.sizes}
-    studies: dict[str, Study] = {}
+    records: dict[str, Record] = {}
     for name, study in chosen.items():
-        studies[name] = study
+        about = {"study": name, **_provenance_of(bench, name, command)}
 
-        def report(measured: Record, name: str = name) -> None:
-            record[name] = measured
-            write(bench, record, studies)
+        def report(measured: Record, about: Record = about) -> None:
+            records[about["study"]] = {**about, **measured}
+            write(bench, records)
 
         report(study.run(bench, selection, report))
-        draw(bench, record, studies)
-    return record
+        draw(bench, records)
+    return records
 
 
-def write(bench: BenchRun, record: Record, studies: dict[str, Study]) -> None:
-    """Write bench.json and bench.md with the results so far."""
-    write_manifest(bench.folder / "bench.json", record)
+def _provenance_of(bench: BenchRun, name: str, command: str) -> Record:
+    """Return the provenance of a study; stored results keep that of their file."""
+    new, path = provenance_record(command), bench.folder / f"{name}.json"
+    if not (bench.stored and path.is_file()):
+        return new
+    old = json.loads(path.read_text(encoding="utf-8"))
+    return {key: old.get(key, value) for key, value in new.items()}
+
+
+def write(bench: BenchRun, records: dict[str, Record]) -> None:
+    """Write STUDY.json of each study and bench.md with the results so far."""
+    studies = {name: study_of(name) for name in records}
     shared = any(s.runs_on == "cases" and not s.own_sizes for s in studies.values())
-    sizes = [_sizes(bench)] if shared else []
-    parts = ["# Benchmark", provenance(record), *sizes]
-    parts += [study.markdown(record[name]) for name, study in studies.items() if name in record]
-    write_text(bench.folder / "bench.md", "\n\n".join(parts))
+    parts = ["# Benchmark", *([_sizes(bench.sizes)] if shared else [])]
     for name, study in studies.items():
-        for file, write_file in study.files.items() if name in record else ():
-            write_file(bench.folder / file, record[name])
+        record = without_folders(records[name])
+        write_manifest(bench.folder / f"{name}.json", record)
+        parts += [study.markdown(record), provenance(record)]
+        for file, write_file in study.files.items():
+            write_file(bench.folder / file, record)
+    write_text(bench.folder / "bench.md", "\n\n".join(parts))
 
 
-def draw(bench: BenchRun, record: Record, studies: dict[str, Study]) -> None:
-    """Draw the plots of all benchmarks with results; some show several of them."""
-    finished = {name: record[name] for name in studies if record[name]["cells"]}
+def read_record(path: Path) -> Record:
+    """Read a record from its STUDY.json; its summary and bars are computed again."""
+    record: Record = json.loads(path.read_text(encoding="utf-8"))
+    sizes = ProblemSizes.read(record["sizes"])
+    return study_of(record["study"]).finish({**record, "sizes": sizes})
+
+
+FOLDERS = re.compile(r"(?<![\w./])/(?:[^/\s'\":;,]+/)*(?=[^/\s])")  # of absolute paths
+
+
+def without_folders(value: Any) -> Any:
+    """Return a record in whose texts absolute paths are replaced by the names of the files."""
+    if isinstance(value, str):
+        return FOLDERS.sub("", value)
+    if isinstance(value, list):
+        return [without_folders(item) for item in value]
+    if isinstance(value, dict):
+        return {key: without_folders(item) for key, item in value.items()}
+    return value
+
+
+def draw(bench: BenchRun, records: dict[str, Record]) -> None:
+    """Draw the plots of all studies with results."""
     with bench.progress.stage("Drawing plots"):
-        for name in finished:
-            for file, plot in studies[name].plots.items():
-                if (figure := plot(finished)) is not None:
-                    save(figure, bench.folder, file)
+        for file, figure in figures(records):
+            save(figure, bench.folder, file)
 
 
-def _sizes(bench: BenchRun) -> str:
-    size = bench.sizes
+def figures(records: dict[str, Record]) -> Iterator[tuple[str, Figure]]:
+    """Yield the plots of all studies with results, by file name; some combine several studies."""
+    finished = {name: record for name, record in records.items() if record["cells"]}
+    for name in finished:
+        for file, plot in study_of(name).plots.items():
+            if (figure := plot(finished)) is not None:
+                yield file, figure
+
+
+def _sizes(size: ProblemSizes) -> str:
     return (
         f"{size.views} photographs of {size.film} x {size.film} with {size.spp} samples per "
         f"pixel, {size.texels} x {size.texels} texels, reference on {size.reference_texels} "

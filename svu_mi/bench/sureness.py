@@ -205,16 +205,17 @@ def find_bars(record: Record) -> list[Bar]:
         parts = [row[part] for row in rows if part in row]
         for name in NAMES if parts else ():
             values = [one["held"][name] for one in parts]
-            bars.append(Bar(f"{part}: {name}, mean over cells", float(np.mean(values)), least,
-                            least=True))  # fmt: skip
+            title = f"{part}: {name}, intervals that contain the truth"
+            bars.append(Bar(f"{title}, at least", float(np.mean(values)), least, least=True))
             if part == "textures":
                 bars += [
-                    Bar(f"{part}: {name}, mean over cells", float(np.mean(values)), HIGHEST),
-                    Bar(f"{part}: {name}, worst cell", min(values), WORST, least=True),
+                    Bar(f"{title}, at most", float(np.mean(values)), HIGHEST),
+                    Bar(f"{title}, worst case", min(values), WORST, least=True),
                 ]
         if part == "textures" and parts:
             mean = float(np.mean([one["spearman"] for one in parts]))
-            bars.append(Bar("textures: Spearman of sd and error", mean, 0.68, least=True))
+            bars.append(Bar("textures: Spearman of standard deviation and error", mean, 0.68,
+                            least=True))  # fmt: skip
     filled = [row["filled"] for row in rows if "filled" in row]
     bars += _bars_of_filling(filled) if filled else []
     pictures = [row["pictures"] for row in rows if "pictures" in row]
@@ -222,9 +223,19 @@ def find_bars(record: Record) -> list[Bar]:
         value = {name: float(np.mean([one[name] for one in pictures]))
                  for name in ("held", "spearman")}  # fmt: skip
         bars += [
-            Bar("pictures: Spearman of sd and error", value["spearman"], 0.6, least=True),
-            Bar("pictures: within 1.64 sd", value["held"], 0.80, least=True),
-            Bar("pictures: within 1.64 sd", value["held"], 0.97),
+            Bar(
+                "pictures: Spearman of standard deviation and error",
+                value["spearman"],
+                0.6,
+                least=True,
+            ),
+            Bar(
+                "pictures: pixels within 1.64 standard deviations, at least",
+                value["held"],
+                0.80,
+                least=True,
+            ),
+            Bar("pictures: pixels within 1.64 standard deviations, at most", value["held"], 0.97),
         ]
     return bars
 
@@ -234,12 +245,14 @@ def _bars_of_filling(filled: Sequence[Record]) -> list[Bar]:
     repeating = [gain for gain, one in zip(gains, filled, strict=True) if one["repeats"]]
     held = float(np.mean([list(one["held"].values()) for one in filled]))
     bars = [
-        Bar("filled: texture PSNR over spreading, worst cell", min(gains), -0.1, "dB", True),
-        Bar("filled: intervals hold", held, 0.80, least=True),
-        Bar("filled: intervals hold", held, 0.97),
+        Bar(
+            "filled: PSNR above spreading from the border, worst case", min(gains), -0.1, "dB", True
+        ),
+        Bar("filled: intervals that contain the truth, at least", held, 0.80, least=True),
+        Bar("filled: intervals that contain the truth, at most", held, 0.97),
     ]
     if repeating:
-        title = "filled: texture PSNR over spreading, mean of objects that repeat"
+        title = "filled: PSNR above spreading from the border, mean of repetitive objects"
         bars.insert(0, Bar(title, float(np.mean(repeating)), 2.0, "dB", True))
     return bars
 

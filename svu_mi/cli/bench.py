@@ -37,7 +37,7 @@ Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 class Bench(BaseCommand):
     """Measure accuracy, calibration and speed.
 
-    Writes bench.json, bench.md and plots. Run the same command again to continue an interrupted
+    Writes STUDY.json, bench.md and plots. Run the same command again to continue an interrupted
     run.
     """
 
@@ -71,7 +71,7 @@ class Bench(BaseCommand):
         """Run the benchmarks."""
         from svu_mi.bench.experiment import BenchRun
         from svu_mi.bench.problem_sizes import FULL, QUICK
-        from svu_mi.bench.study import run_bench, study_of
+        from svu_mi.bench.study import run_bench, study_of, without_folders
         from svu_mi.core.io.files import prepare_folder
         from svu_mi.core.validation import require_known
 
@@ -82,7 +82,8 @@ class Bench(BaseCommand):
         chosen = ALL if self.what == "all" else (self.what,)
         studies = {name: study_of(name) for name in chosen}
         on_cases = any(study.runs_on == "cases" for study in studies.values())
-        command = shlex.join(["svu", *sys.argv[1:]])
+        words = [word for word in sys.argv[1:] if word not in ("--stored", "--keep", "--fresh")]
+        command = without_folders(shlex.join(["svu", *words]))
         bench = BenchRun(
             self.output, QUICK if self.quick else FULL, Progress(console), quick=self.quick,
             fresh=self.fresh, keep=self.keep, stored=self.stored,

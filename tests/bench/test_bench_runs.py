@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -23,7 +24,7 @@ from svu_mi.bench.problem_sizes import GuidanceSizes, ProblemSizes, RecoverySize
 from svu_mi.bench.recovery import RelightingScorer, TextureScorer, next_light_case
 from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER, SH_PATH
 from svu_mi.bench.recovery.recovery_tables import find_bars
-from svu_mi.bench.study import Selection, run_bench
+from svu_mi.bench.study import Selection, read_record, run_bench, study_of
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.evaluation.image_metrics import CEILING_DB
 from svu_mi.geometry.texels import texels
@@ -72,16 +73,23 @@ def capture(finished):
 # --- the whole ----------------------------------------------------------------------------
 
 
-def test_figures_tables_and_plots_are_written(finished):
+def test_figures_tables_and_plots_are_written(finished, root):
     bench, record = finished
     assert {path.name for path in bench.folder.glob("*.*")} == {
-        "bench.json", "bench.md", "time_error.png", "scatter.png", "sparsification.png",
-        "scaling.png", "recovery.png", "guidance.png",
+        *(f"{name}.json" for name in ON_SCENES), "bench.md", "time_error.png", "scatter.png",
+        "sparsification.png", "scaling.png", "recovery.png", "guidance.png",
     }  # fmt: skip
-    written = json.loads((bench.folder / "bench.json").read_text())
-    assert written["command"] == "svu b" and set(ON_SCENES) <= set(written)
-    assert written["environment"]["versions"]["mitsuba"] == mi.__version__
-    assert written["accuracy"]["summary"] == record["accuracy"]["summary"]
+    for name in ON_SCENES:
+        path = bench.folder / f"{name}.json"
+        written = json.loads(path.read_text())
+        assert written["study"] == name and written["command"] == "svu b"
+        assert written["environment"]["versions"]["mitsuba"] == mi.__version__
+        assert len(written["code"]) == 1 and written["cells"] == record[name]["cells"]
+        assert str(bench.folder.parent) not in path.read_text()
+        assert study_of(name).markdown(read_record(path)) == study_of(name).markdown(record[name])
+    script = runpy.run_path(str(root / "notebooks" / "write_benchmarks.py"))
+    text = script["overview"](script["read_all"](bench.folder))
+    assert f"| `{LABEL}` |" in text and "`svu b` (cases: 1" in text and "1 objects" not in text
     text = (bench.folder / "bench.md").read_text()
     words = (*(row.label for row in METHODS), *STRATEGIES, LABEL, "brightness", "number of views",
              "vase / window", "90%", "(extrapolated)", "paired t-test", "Quick sizes")  # fmt: skip

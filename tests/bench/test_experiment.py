@@ -23,7 +23,7 @@ from svu_mi.bench.experiment import BenchRun, Experiment
 from svu_mi.bench.markdown import Bar, bar_table
 from svu_mi.bench.problem_sizes import ProblemSizes
 from svu_mi.bench.result_cache import Store, key_of
-from svu_mi.bench.study import Selection, Study, run_bench
+from svu_mi.bench.study import Selection, Study, run_bench, without_folders
 from svu_mi.capture.scene import load_scene
 from svu_mi.cli.main import main
 from svu_mi.core.progress import Progress
@@ -90,7 +90,7 @@ def test_every_row_of_every_cell_is_measured_and_told(bench):
         {"word": "abba", "rows": {"a": {"count": 2}, "b": {"count": 2}}},
         {"word": "bar", "rows": {"a": {"count": 1}, "b": {"count": 1}}},
     ]
-    assert reports == [1, 2] and record["versions"] == 1 and record["failed"] == []
+    assert reports == [1, 2] and len(record["code"]) == 1 and record["failed"] == []
     assert measured == [["head", "a", "b"]] * 2
 
 
@@ -117,7 +117,7 @@ def test_results_of_another_version_are_taken_up_only_if_asked_for(bench, monkey
         record, measured = run_words(replace(bench, **how), "abba", letters="ab")
         assert measured == [[]] and len(record["cells"]) == 1
     record, measured = run_words(replace(bench, keep=True), "abba", letters="abc")
-    assert measured == [["c"]] and record["versions"] == 2
+    assert measured == [["c"]] and len(record["code"]) == 2
     assert run_words(bench, "abba")[1] == [["head", "a", "b"]]
     record, measured = run_words(replace(bench, stored=True), "abba", "bar", letters="abd")
     assert measured == [[], []] and list(record["cells"][0]["rows"]) == ["a", "b"]
@@ -131,7 +131,7 @@ def test_what_cannot_be_measured_is_told_and_left_out(bench):
     with pytest.warns(SvuWarning, match="the word bar is left out"), pytest.raises(SceneError):
         run_words(bench, "bar", letters="a.", whole=True)
     study = Study(title="Words", experiment=None, tables=lambda _: ["none"])
-    text = study.markdown({**record, "bars": [], "versions": 3})
+    text = study.markdown({**record, "bars": [], "code": ["a", "b", "c"]})
     assert "| the word abba: . | a dot |" in text and "3 versions of the code" in text
 
 
@@ -351,3 +351,12 @@ def test_a_bar_holds_on_its_own_side():
     text = "\n".join(bar_table([Bar("time", 3.0, 2.0, "s").record()], quick=True))
     assert "| time | 3 s | <= 2 s | **no** |" in text and "Quick sizes" in text
     assert bar_table([]) == []
+
+
+def test_folders_of_a_machine_stay_out_of_records():
+    case = {"cell": "vase / window", "reason": "/tmp/a b/mesh.ply: not a mesh", "value": 1.5}
+    record = {"command": "svu bench orb --data '/home/me/orb' -o /tmp/out", "cells": [case]}
+    assert without_folders(record) == {
+        "command": "svu bench orb --data 'orb' -o out",
+        "cells": [{**case, "reason": "a b/mesh.ply: not a mesh"}],
+    }

@@ -374,7 +374,7 @@ def test_recovered_textures_are_far_better_than_grey(record):
 
 
 def test_everything_is_written(record, folder):
-    stored = json.loads((folder / "bench.json").read_text())["orb"]
+    stored = json.loads((folder / "orb.json").read_text())
     assert stored["cells"][0]["name"] == FIRST
     with (folder / "orb.csv").open(encoding="utf-8") as stream:
         lines = list(csv.DictReader(stream))

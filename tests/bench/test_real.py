@@ -92,7 +92,7 @@ def measured(imported: Path) -> Path:
 
 @pytest.mark.slow
 def test_photographs_of_a_phone_are_predicted_from_each_other(measured):
-    (case,) = json.loads((measured / "bench.json").read_text())["real"]["cells"]
+    (case,) = json.loads((measured / "real.json").read_text())["cells"]
     rows = case["rows"]
     assert (case["photographs"], case["left_out"]) == (VIEWS, VIEWS // 4)
     assert case["odd"] == [f"IMG_{SPOILT:04d}.jpg"]
@@ -117,7 +117,7 @@ def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, cap
 
 
 def test_without_a_capture_there_is_nothing_to_run(tmp_path):
-    with pytest.raises(OptionError, match="no capture to run on"):
+    with pytest.raises(OptionError, match="No capture given"):
         run_bench(
             BenchRun(tmp_path / "out"), ["real"], Selection(cases=own_cases(["vase"], ["window"]))
         )

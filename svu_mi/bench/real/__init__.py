@@ -237,10 +237,10 @@ def find_bars(record: Record) -> list[Bar]:
         return []
     holds = ours["holds"]["0.9"]
     return [
-        Bar("R^2 of left-out photographs, over texel means", ours["r2"] - means["r2"], MARGIN,
+        Bar("R^2 of held-out photographs, above texel means", ours["r2"] - means["r2"], MARGIN,
             least=True),
-        Bar("90 % intervals of left-out pixels hold", holds, HOLDS[0], least=True),
-        Bar("90 % intervals of left-out pixels hold", holds, HOLDS[1]),
+        Bar("90 % intervals that contain held-out pixels, at least", holds, HOLDS[0], least=True),
+        Bar("90 % intervals that contain held-out pixels, at most", holds, HOLDS[1]),
     ]  # fmt: skip
 
 

@@ -298,15 +298,20 @@ def find_bars(record: Record) -> list[Bar]:
     """Return the bars of run times."""
     bars = []
     for case in record["cells"]:
-        bars.append(Bar("gather over bare ray_test", case["rows"]["gather"]["ratio"], RATIO_BAR,
-                        least=True))  # fmt: skip
+        bars.append(Bar("rays per second of the visibility pass over bare ray_test",
+                        case["rows"]["gather"]["ratio"], RATIO_BAR, least=True))  # fmt: skip
         for method, figures in case["rows"]["whole_way"].items():
             name, cold = f"files to entropy.exr, {method}", figures["cold"]
             memory = (cold["peak_mib"] or 0.0) / cold["formula_mib"]
             bars += [
-                Bar(f"{name}, warm", figures["warm"]["seconds"]["median"], WARM_BAR_S, "s"),
-                Bar(f"{name}, cold, with imports", cold["process_seconds"], COLD_BAR_S, "s"),
-                Bar(f"{name}: resident memory over the formula", memory, MEMORY_BAR),
+                Bar(
+                    f"{name}: compiled kernels",
+                    figures["warm"]["seconds"]["median"],
+                    WARM_BAR_S,
+                    "s",
+                ),
+                Bar(f"{name}: new process, no kernels", cold["process_seconds"], COLD_BAR_S, "s"),
+                Bar(f"{name}: peak memory over the formula", memory, MEMORY_BAR),
             ]
     return bars
 
