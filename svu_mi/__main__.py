@@ -1,7 +1,37 @@
-"""``python -m svu_mi`` is ``svu``."""
+"""Entry point of ``svu`` and ``python -m svu_mi``."""
 
+import os
+import signal
 import sys
+from contextlib import suppress
+from typing import Any
 
-from svu_mi.cli.main import main
 
-sys.exit(main())
+def main() -> int:
+    """Run ``svu``; Ctrl-C ends it in one line, also while modules are imported."""
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if usual:
+        signal.signal(signal.SIGINT, _stop)
+    from svu_mi.cli.main import main as run
+
+    try:
+        if usual:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        return run()
+    except KeyboardInterrupt:
+        return _interrupted()
+
+
+def _stop(*_: Any) -> None:
+    """End the process at once: an exception would leave a traceback of the import system."""
+    os._exit(_interrupted())
+
+
+def _interrupted() -> int:
+    with suppress(OSError):  # stderr may be closed
+        os.write(2, b"svu: interrupted\n")
+    return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -8,6 +8,7 @@ import io
 import logging
 import os
 import pty
+import signal
 import subprocess
 import sys
 import warnings
@@ -281,3 +282,16 @@ def test_an_error_says_the_same_to_both_but_for_the_call():
     assert SvuError("estimate(): the prior is bad.").shell == "the prior is bad."
     both = OptionError("Use trust=True.", shell="Use --trust.")
     assert (str(both), both.shell) == ("Use trust=True.", "Use --trust.")
+
+
+@pytest.mark.parametrize("module", ["svu_mi.cli", "tyro", "rich.console", "svu_mi.cli.guide"])
+def test_interrupt_during_imports_is_one_line(module):
+    words = [sys.executable, "-X", "importtime", "-m", "svu_mi", "--help"]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        for line in process.stderr:  # one per import, when it ends
+            if line.split()[-1] == module.encode():
+                process.send_signal(signal.SIGINT)
+                break
+        rest = [line for line in process.stderr.read().splitlines() if b"import time:" not in line]
+    assert (process.returncode, rest) == (130, [b"svu: interrupted"])
