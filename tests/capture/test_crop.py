@@ -184,8 +184,8 @@ def test_more_files_than_a_process_may_open_by_default_are_opened():
     pytest.importorskip("resource")
     done = python("-c", MANY_FILES)
     assert done.returncode == 1, done.stderr
-    said = r"Photographs in files need \d+ open files, ulimit -n allows \d+; raise it, or give "
-    assert re.fullmatch(said + r"--memory more\.\n", done.stderr), done.stderr
+    said = r"Photographs in files need \d+ open files, but ulimit -n allows \d+; raise it, or "
+    assert re.fullmatch(said + r"increase --memory\.\n", done.stderr), done.stderr
 
 
 def test_the_command_takes_memory(shot, tmp_path, capsys):

@@ -108,7 +108,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     write_exr(path, {"Y": np.ones((2, 2))})
     before = path.read_bytes()
     monkeypatch.setattr(exr, "_read_channels", lambda _: ({"Y": np.zeros((2, 2), "f4")}, {}))
-    with pytest.raises(OutputError, match="channel Y did not survive"):
+    with pytest.raises(OutputError, match="channel Y differs after read-back"):
         write_exr(path, {"Y": np.full((2, 2), 2.0)})
     with pytest.raises(ZeroDivisionError), replacing(path) as temporary:
         temporary.write_text("half a fi")
@@ -124,14 +124,14 @@ def test_places_that_cannot_be_written_are_named(tmp_path):
     (tmp_path / "file").write_text("mine")
     (tmp_path / "folder.exr").mkdir()
     for place, sentence in (
-        ("missing/a.exr", "there is no folder"),
+        ("missing/a.exr", "missing does not exist"),
         ("file/a.exr", "is not a folder"),
         ("folder.exr", "is a folder"),
         ("x" * 300 + ".exr", "too long"),
     ):
         with pytest.raises(OutputError, match=sentence):
             write_exr(tmp_path / place, {"Y": np.zeros((2, 2))})
-    for place, sentence in (("file", "is a file"), ("file/sub", "cannot be made")):
+    for place, sentence in (("file", "is a file"), ("file/sub", "cannot be created")):
         with pytest.raises(OutputError, match=sentence) as caught:
             prepare_folder(tmp_path / place)
         assert str(tmp_path / place) in str(caught.value)

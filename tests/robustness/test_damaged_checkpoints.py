@@ -58,7 +58,7 @@ def liar(path, shape):
 def test_a_packed_file_is_refused_before_it_is_unpacked(path):
     def refused():
         with pytest.raises(
-            OutputError, match="damaged .one of its arrays is packed in an unknown way.; remove"
+            OutputError, match="damaged .one of its arrays has an unknown compression.; remove"
         ):
             load(path)
 

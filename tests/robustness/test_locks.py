@@ -121,7 +121,7 @@ def test_a_draft_that_a_stranger_has_laid_is_not_followed(tmp_path, out, lay):
     (tmp_path / "keys").mkdir()
     (tmp_path / "keys" / "key").write_text("mine")
     lay(tmp_path / f".out{DRAFT}")
-    with pytest.raises(OutputError, match="no folder can be made beside it"):
+    with pytest.raises(OutputError, match="svu cannot create its temporary folder next to it"):
         write(out, "n", ("a",))
     assert names(tmp_path) == [f".out{DRAFT}", "keys"] and names(tmp_path / "keys") == ["key"]
 
@@ -139,4 +139,4 @@ def test_results_are_written_where_locks_do_not_work(out, monkeypatch):
     )
     write(out, "o", ("a",))
     write(out, "n", ("a",))
-    assert contents(out)["a"] == "n" and "locks do not work there" in said[0]
+    assert contents(out)["a"] == "n" and "locks are not supported there" in said[0]

@@ -1,1 +1,1 @@
-"""Files: EXR, npz, digests, and folders of results with one writer at a time."""
+"""Files: EXR, NPZ, JSON, digests, and result folders with one writer at a time."""

@@ -1,9 +1,8 @@
-"""The one EXR reader and writer.
+"""Reader and writer of EXR files.
 
-Two facts about OpenEXR-python 3.5 make this module necessary: it writes arrays that are
-not C-contiguous (a channel slice, a flip, a transpose) as garbage without an error, and it
-prints on stdout and stderr before it raises. Every file is therefore written from
-contiguous copies, read back and compared before it takes its final name.
+OpenEXR-python 3.5 writes arrays that are not C-contiguous (slices, flips, transposes) as garbage
+without an error, and prints on stdout and stderr before it raises. Every file is therefore written
+from contiguous copies, read back and compared before it gets its final name.
 """
 
 from __future__ import annotations
@@ -22,14 +21,14 @@ from svu_mi.core.validation import require_memory
 from svu_mi.errors import CaptureError, OutputError, ShapeError
 
 MAGIC = b"\x76\x2f\x31\x01"
-GROUPS = ("RGBA", "RGB")  # last part of a channel name that stands for several channels
+GROUPS = ("RGBA", "RGB")  # last parts of channel names that stand for several channels
 INT_LIMIT = 2**31
 MAX_SIDE = 2**17  # pixels
-MAX_CHANNELS = 1024  # of a part; Blender's most passes make a tenth
+MAX_CHANNELS = 1024  # per part; Blender with all passes writes about 100
 READ_BYTES = 8  # per value: as stored, and as float32
 DEEP = (OpenEXR.deepscanline, OpenEXR.deeptile)
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of red, green, blue, white
-SAME = 5e-3  # of chromaticities: what rounding makes of them
+SAME = 5e-3  # tolerance of chromaticities, for rounding
 
 
 def write_exr(
@@ -39,21 +38,21 @@ def write_exr(
     *,
     half: bool = False,
 ) -> None:
-    """Write a single-part scanline EXR, atomically, and compare what was written bit by bit.
+    """Write a single-part scanline EXR atomically, and verify it bit by bit.
 
     Args:
-        path: the file; an existing one is replaced only when the new one is complete.
+        path: path of the file. An existing file is replaced when the new one is complete.
         channels: real arrays of one size by channel name: (H, W) or (H, W, 1) for ``R``,
             ``Y``, ``layer.R``, ...; (H, W, 3) for ``RGB`` and (H, W, 4) for ``RGBA`` (also
             ``layer.RGB``), stored as single channels. Any memory layout, any real type.
-        attributes: extra header entries beside those of ``files.stamped``; numbers are stored as
-            32-bit int or float.
-        half: store half floats (magnitudes up to 65504) instead of float32.
+        attributes: header entries in addition to the marks of ``files.stamped``; numbers are
+            stored as 32-bit int or float.
+        half: True for half floats (magnitudes up to 65504), False for float32.
 
     Raises:
         ShapeError: no channel, or channels that are not images of one size.
-        OutputError: values that are not numbers, NaN, infinite or too large; attributes that
-            an EXR cannot hold; or a failed write, which leaves an older file as it was.
+        OutputError: values that are not finite numbers or too large; attributes of an invalid
+            type; or a failed write, which keeps an older file.
     """
     path = Path(path)
     planes = _planes(path, channels, np.float16 if half else np.float32)
@@ -71,18 +70,18 @@ def write_exr(
             raise OutputError(f"{path}: cannot be written ({error}).") from error
         for name, plane in planes.items():
             if written[name].dtype != plane.dtype or written[name].tobytes() != plane.tobytes():
-                raise OutputError(f"{path}: channel {name} did not survive writing; not kept.")
+                raise OutputError(f"{path}: channel {name} differs after read-back; discarded.")
 
 
 @dataclass(frozen=True)
 class Header:
-    """What the first part of an EXR says of itself.
+    """Header of the first part of an EXR.
 
     Attributes:
-        size: (width, height) of its data window, the pixels that it has.
-        cropped: whether these are others than those that are to be shown.
-        foreign: whether its red, green, blue or white are not those of Rec. 709.
-        attributes: entries that are text or numbers, by name.
+        size: (width, height) of the data window, the stored pixels.
+        cropped: True if the data window differs from the display window.
+        foreign: True if the chromaticities differ from Rec. 709.
+        attributes: text and numbers by name.
     """
 
     size: tuple[int, int]
@@ -92,16 +91,16 @@ class Header:
 
 
 def read_header(path: str | Path) -> Header:
-    """Read what an EXR says of itself, and hold it against the file and the machine.
+    """Read the header of an EXR, and compare its sizes with the file and the free memory.
 
     Raises:
-        CaptureError: the file is missing, not an EXR, damaged or deep, or promises more pixels than
-            it, or this machine's memory, can hold.
+        CaptureError: the file is missing, not an EXR, damaged or deep; or the header declares more
+            pixels than the file or the memory can contain.
     """
     path = Path(path)
     _check_magic(path)
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:  # which prints nothing
+        with OpenEXR.File(str(path), header_only=True) as file:  # prints nothing
             parts = [dict(part.header) for part in file.parts]
         first = parts[0]
         windows = [np.array(part["dataWindow"], np.int64) for part in parts]
@@ -119,46 +118,46 @@ def read_header(path: str | Path) -> Header:
 
 
 def _require_sane(path: Path, sizes: Sequence[tuple[int, int]], counts: Sequence[int]) -> None:
-    """Refuse parts, all of which the binding reads, that the file or the memory cannot hold."""
+    """Check channel counts and sizes of all parts, since the binding reads all of them."""
     if max(counts) > MAX_CHANNELS:
         raise CaptureError(
-            f"{path}: has {max(counts)} channels, more than {MAX_CHANNELS}; export its colours "
-            "only."
+            f"{path}: has {max(counts)} channels, more than {MAX_CHANNELS}; export only "
+            "its colours."
         )
     values = sum(w * h * count for (w, h), count in zip(sizes, counts, strict=True))
     is_size = all(0 < side <= MAX_SIDE for size in sizes for side in size)
     if not (is_size and may_hold(path, values * 2)):
         raise CaptureError(
-            f"{path}: the header says {sizes[0][0]} x {sizes[0][1]} pixels, more than a file of "
-            f"{path.stat().st_size} bytes can hold; export it again."
+            f"{path}: the header declares {sizes[0][0]} x {sizes[0][1]} pixels, too many for a "
+            f"file of {path.stat().st_size} bytes; export it again."
         )
     require_memory(
-        values * READ_BYTES, f"{path}: {values} values", "export its colours only, or smaller",
+        values * READ_BYTES, f"{path}: {values} values", "export only its colours, or fewer pixels",
         CaptureError,
     )  # fmt: skip
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
-    """Read the first part of an EXR; several threads may do so at a time.
+    """Read the first part of an EXR; thread-safe.
 
     Returns:
         (H, W) float32 arrays by channel name, such as ``R``, ``G``, ``B``, ``A``, ``Y``, in
-        the file's data window. NaN and infinite values are passed on.
+        the data window. NaN and infinite values are kept.
 
     Raises:
-        CaptureError: as ``read_header``, or the pixels are damaged or subsampled.
+        CaptureError: an error of ``read_header``, or damaged or subsampled pixels.
     """
     return read_pixels(Path(path), read_header(path))
 
 
 def read_pixels(path: Path, header: Header) -> dict[str, np.ndarray]:
-    """Read the first part of an EXR whose header was read (see ``read_exr``).
+    """Read the first part of an EXR with a given header (see ``read_exr``).
 
     Raises:
-        CaptureError: as ``read_exr``, or it is another file than the header's by now.
+        CaptureError: an error of ``read_exr``, or a file that changed after its header was read.
     """
     channels, attributes = _read_channels(path)
-    if repr(attributes) != repr(header.attributes):  # NaN does not differ from itself
+    if repr(attributes) != repr(header.attributes):  # repr, because NaN != NaN
         raise CaptureError(f"{path}: changed while it was being read; read it again.")
     return {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
 
@@ -202,7 +201,7 @@ def _split(path: Path, name: str, image: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _attributes(path: Path, given: Mapping[str, Any]) -> dict[str, str | int | float]:
-    """Keep what the binding writes faithfully; it aborts or forgets other values."""
+    """Return attributes as Python values; refuse those on which the binding aborts."""
     kept: dict[str, str | int | float] = {}
     for name, value in given.items():
         plain = value.item() if isinstance(value, np.generic) else value
@@ -229,7 +228,7 @@ def _check_magic(path: Path) -> None:
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read ({error.strerror}).") from error
     if magic != MAGIC:
-        what = "an empty file" if not magic else "not an EXR file, whatever its name says"
+        what = "an empty file" if not magic else "not an EXR file, despite its name"
         raise CaptureError(f"{path}: {what}; export it again.")
 
 
@@ -237,7 +236,7 @@ def _read_channels(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str | i
     """Return (H, W) arrays of the first part, in the types stored, and its attributes."""
     try:
         with quiet, OpenEXR.File(str(path), separate_channels=True) as file:
-            # Damaged pixels end in a file without parts or channels, not in an exception.
+            # Damaged pixels may yield a file without parts or channels instead of an exception.
             channels = dict(file.parts[0].channels)
             pixels = {name: np.asarray(channel.pixels) for name, channel in channels.items()}
             attributes = _plain(file.parts[0].header)

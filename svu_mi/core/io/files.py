@@ -1,4 +1,4 @@
-"""Files: folders that can be written, results that are whole or not there, JSON that is read."""
+"""Writable folders, atomic replacement of files, marks in headers, JSON, open-file limits."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ try:
 except ImportError:  # Windows
     fcntl = resource = None  # type: ignore[assignment]
 
-MAX_RATIO, FREE = 2000, 2**26  # no codec packs more; bytes that are harmless anyway
-OURS = ".svu-"  # in the names of temporary files and folders, which are hidden
-STEM = 100  # letters of a name that its temporary name has, too: names have an end
+MAX_RATIO, FREE = 2000, 2**26  # largest compression ratio; bytes that are always accepted
+OURS = ".svu-"  # part of the names of hidden temporary files and folders
+STEM = 100  # letters of a name in its temporary name, as file systems limit its length
 
 _stamp: ContextVar[Mapping[str, str] | None] = ContextVar("stamp", default=None)
 
 
 def prepare_folder(folder: str | Path) -> Path:
-    """Make a folder for results and check that files can be written there.
+    """Create a result folder and check that files can be written there.
 
-    Worth calling before a long run: it fails in a millisecond.
+    The check takes a millisecond, so that long runs need not fail at their end.
 
     Raises:
-        OutputError: it cannot be made, is a file, or is not writable.
+        OutputError: the folder cannot be created, is a file, or is not writable.
     """
     folder = Path(folder)
     try:
@@ -42,10 +42,10 @@ def prepare_folder(folder: str | Path) -> Path:
         raise OutputError(f"{folder}: is a file, not a folder; choose another folder.") from error
     except OSError as error:
         raise OutputError(
-            f"{folder}: the folder cannot be made ({error.strerror}); choose another folder."
+            f"{folder}: the folder cannot be created ({error.strerror}); choose another folder."
         ) from error
     try:
-        # Permissions do not tell: root, read-only mounts and quotas are known by trying.
+        # Try it: permission bits do not cover root, read-only mounts and quotas.
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise OutputError(
@@ -57,17 +57,16 @@ def prepare_folder(folder: str | Path) -> Path:
 
 @contextlib.contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a new, empty temporary file that becomes ``path`` when the block succeeds.
+    """Yield a new, empty temporary file that replaces ``path`` if the block succeeds.
 
-    Every writer of this package goes through here, so a reader never meets half a file: the
-    temporary one lies in the same folder, replaces ``path`` in one step, and is removed if
-    the block raises.
+    All writers of this package use it, so that no reader sees a partial file. The temporary file
+    is in the same folder, replaces ``path`` in one step, and is removed if the block raises.
 
     Raises:
         OutputError: the folder is missing or not writable, or ``path`` is a folder.
     """
     path = Path(path)
-    # The suffix stays last: writers such as matplotlib go by it.
+    # The suffix stays last: matplotlib and others infer the format from it.
     unique = f"{secrets.token_hex(4)}{OURS}tmp"
     temporary = path.with_name(f".{path.stem[:STEM]}.{unique}{path.suffix[:STEM]}")
     descriptor = None
@@ -89,10 +88,10 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def clear_temporaries(folder: Path) -> None:
-    """Remove the temporary files that killed processes have left in a folder."""
+    """Remove temporary files of killed processes from a folder."""
     for path in folder.glob(f".*{OURS}tmp*"):
         with contextlib.suppress(OSError):
-            # A stranger's link is not followed, and a pipe not waited for.
+            # The file may be foreign: do not follow links, nor wait for a pipe.
             descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
             with os.fdopen(descriptor):
                 if _lock(descriptor):
@@ -100,22 +99,22 @@ def clear_temporaries(folder: Path) -> None:
 
 
 def is_temporary(name: str) -> bool:
-    """Return whether a file or folder is a hidden one of svu."""
+    """Return whether a name is that of a hidden temporary file or folder of svu."""
     return name.startswith(".") and OURS in name
 
 
 def _lock(descriptor: int) -> bool:
-    """Lock an open file until its process ends; return whether no other one holds it."""
+    """Lock an open file until it is closed; return False if that is not possible."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (OSError, AttributeError):  # or there are no locks
+    except (OSError, AttributeError):  # locked elsewhere, or no lock support
         return False
     return True
 
 
 @contextlib.contextmanager
 def stamped(marks: Mapping[str, str]) -> Iterator[None]:
-    """Put marks into the header of every EXR, PLY and scene file that is written in the block.
+    """Add marks to the headers of EXR, PLY and scene files that are written in the block.
 
     Args:
         marks: text by name, such as the id of the run; one line of plain letters each.
@@ -128,40 +127,40 @@ def stamped(marks: Mapping[str, str]) -> Iterator[None]:
 
 
 def stamp() -> Mapping[str, str]:
-    """Return the marks of what is being written; none outside of ``stamped``."""
+    """Return the marks of the enclosing ``stamped`` block; empty outside of one."""
     return _stamp.get() or {}
 
 
 def mark_text() -> str:
-    """Return the marks as ``name=text name=text``, for formats that have comments only."""
+    """Return the marks as ``name=text name=text``, for formats with comments only."""
     return " ".join(f"{name}={text}" for name, text in stamp().items())
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text file with a line break at its end, whole or not at all.
+    """Write a text file and a final line break, atomically.
 
     Raises:
-        OutputError: as ``replacing``.
+        OutputError: an error of ``replacing``.
     """
     with replacing(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def write_json(path: str | Path, record: Any) -> None:
-    """Write a JSON file (errors as ``write_text``)."""
+    """Write a JSON file with ``write_text``."""
     write_text(path, json.dumps(record, indent=1))
 
 
 def _reason(path: Path, error: OSError) -> str:
     if not path.parent.exists():
-        return f"there is no folder {path.parent}"
+        return f"the folder {path.parent} does not exist"
     if not path.parent.is_dir():
         return f"{path.parent} is not a folder"
     return error.strerror or type(error).__name__
 
 
 def may_hold(path: Path, size: int) -> bool:
-    """Whether a packed file can unpack to so many bytes; one that cannot is damaged, or a trap."""
+    """Return whether a compressed file can contain ``size`` bytes; if not, it is damaged."""
     return size <= max(FREE, MAX_RATIO * path.stat().st_size)
 
 
@@ -169,16 +168,18 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Raises:
-        CaptureError: it cannot be read, or is not JSON.
+        CaptureError: the file cannot be read, or is not JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))  # Windows' tools write a mark first
+        return json.loads(
+            path.read_text(encoding="utf-8-sig")
+        )  # Windows tools write a byte-order mark
     except (OSError, ValueError, RecursionError) as error:
         raise CaptureError(f"{path}: not a readable JSON file ({excerpt(error)}).") from error
 
 
 def require_files(more: int) -> None:
-    """Let this process open so many more files; a system's default is 1024 in all, or 256."""
+    """Raise this process's limit of open files (usually 256 or 1024) if ``more`` need it."""
     if resource is None:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -188,13 +189,13 @@ def require_files(more: int) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (count, hard))
     except (OSError, ValueError) as error:
         raise CaptureError(
-            f"Photographs in files need {count} open files, ulimit -n allows {soft}; raise it, or "
-            "give --memory more."
+            f"Photographs in files need {count} open files, but ulimit -n allows {soft}; raise it, "
+            "or increase --memory."
         ) from error
 
 
 def _open_files(most: int) -> int:
-    """Return how many files this process has open; ``most`` where there is none left to ask by."""
+    """Return the number of open files of this process; ``most`` if it cannot be counted."""
     try:
         return len(os.listdir("/dev/fd"))
     except OSError:

@@ -1,8 +1,8 @@
-"""The exchange of two folders in one step, and the lock of the folder that is being written.
+"""Atomic exchange of two folders, and the lock of a result folder.
 
-The draft of a result is ``.NAME.svu-draft`` beside it; whoever writes the result holds a lock on
-the draft. Where the system cannot exchange two folders in one step, the older one is called
-``.NAME.svu-older`` between two renames, and the next access restores it.
+The draft of a result is the hidden folder ``.NAME.svu-draft`` next to it; its writer holds a lock
+on the draft. If the system cannot exchange two folders in one step, the older one is called
+``.NAME.svu-older`` between two renames. If a crash falls between them, the next access restores it.
 """
 
 from __future__ import annotations
@@ -25,38 +25,38 @@ except ImportError:  # Windows
 
 log = logging.getLogger(__name__)
 
-DRAFT, OLDER = ".svu-draft", ".svu-older"  # ends of hidden names beside a result's folder
-PATIENCE = 10.0  # seconds that a reader waits for a folder that is between two renames
-PAUSE = 0.05  # seconds between two tries to lock
+DRAFT, OLDER = ".svu-draft", ".svu-older"  # suffixes of hidden names next to a result folder
+PATIENCE = 10.0  # seconds that a reader waits for a folder between two renames
+PAUSE = 0.05  # seconds between two attempts to lock
 NO_EXCHANGE = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
-RENAME_EXCHANGE, AT_FDCWD = 2, -100  # of Linux
+RENAME_EXCHANGE, AT_FDCWD = 2, -100  # constants of Linux
 
 
 def beside(target: Path, end: str) -> Path:
-    """Return a hidden name beside a folder."""
+    """Return the hidden path ``.NAME`` + ``end`` next to ``target``."""
     return target.with_name(f".{target.name}{end}")
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder itself, not a link to one."""
+    """Return whether a path is a folder, and not a link."""
     return path.is_dir() and not path.is_symlink()
 
 
 @contextlib.contextmanager
 def locked(target: Path, wait: float = 0) -> Iterator[Path]:
-    """Make the draft of a folder or file, and keep other processes and threads from it.
+    """Create the draft of a folder or file, and lock it for this thread.
 
     The lock ends with the process. An empty draft is removed at the end.
 
     Args:
-        target: a folder or a file, which need not exist; no link.
+        target: path of a folder or file, which need not exist; not a link.
         wait: seconds to wait for another writer.
 
     Yields:
-        The draft, with what a killed process may have left in it.
+        Path of the draft, which may contain files of a killed process.
 
     Raises:
-        OutputError: another writer is at work, or the draft cannot be made.
+        OutputError: another writer holds the lock, or the draft cannot be created.
     """
     draft = beside(target, DRAFT)
     descriptor = _acquire(draft, target, wait)
@@ -65,14 +65,14 @@ def locked(target: Path, wait: float = 0) -> Iterator[Path]:
         _settle(target)
         yield draft
     finally:
-        if is_at(own, draft):  # it may have been exchanged, and another writer at work
+        if is_at(own, draft):  # else exchanged; another writer may use the name
             with contextlib.suppress(OSError):
                 draft.rmdir()
         os.close(descriptor)
 
 
 def _acquire(draft: Path, target: Path, wait: float) -> int:
-    """Return the descriptor of a draft that is locked and still has its name."""
+    """Return the descriptor of a locked draft that still has its name."""
     deadline = time.monotonic() + wait
     while True:
         try:
@@ -83,14 +83,14 @@ def _acquire(draft: Path, target: Path, wait: float) -> int:
             if isinstance(error, FileNotFoundError) and draft.parent.is_dir():
                 continue  # another writer has just removed it
             raise OutputError(
-                f"{target}: no folder can be made beside it ({error.strerror or error}), where svu "
-                "puts a result together; choose a folder further down, or change the permissions "
-                f"of {target.parent}."
+                f"{target}: svu cannot create its temporary folder next to it "
+                f"({error.strerror or error}); choose a folder further down, or change the "
+                f"permissions of {target.parent}."
             ) from error
         taken = not _lock(descriptor, target)
         if not taken and (fcntl is None or is_at(os.fstat(descriptor), draft)):
             return descriptor
-        os.close(descriptor)  # locked by another one, or exchanged or removed by it
+        os.close(descriptor)  # locked, exchanged or removed by another writer
         if taken and time.monotonic() >= deadline:
             raise OutputError(
                 f"{target}: another svu is writing there; wait for it, or choose another folder."
@@ -101,12 +101,12 @@ def _acquire(draft: Path, target: Path, wait: float) -> int:
 def _open(folder: Path) -> int:
     if fcntl is None:
         return os.open(os.devnull, os.O_RDONLY)
-    # It may be a stranger's: a link is not followed.
+    # The folder may be foreign: do not follow a link.
     return os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
 
 
 def _lock(descriptor: int, target: Path, *, wait: bool = False) -> bool:
-    """Lock a folder; return whether no other process holds it."""
+    """Lock a folder; return False if another process holds the lock."""
     if fcntl is None:
         return True
     try:
@@ -114,12 +114,14 @@ def _lock(descriptor: int, target: Path, *, wait: bool = False) -> bool:
     except BlockingIOError:
         return False
     except OSError:
-        log.warning("%s: locks do not work there; let only one run write to it.", target)
+        log.warning(
+            "%s: file locks are not supported there; run only one writer at a time.", target
+        )
     return True
 
 
 def is_at(status: os.stat_result, path: Path) -> bool:
-    """Return whether a path names the file or folder that has this status."""
+    """Return whether ``path`` is the file or folder with this status."""
     try:
         return os.path.samestat(status, path.lstat())
     except OSError:
@@ -133,8 +135,8 @@ def exchanged(new: Path, target: Path) -> Iterator[None]:
     In the block, the older folder has the name of the new one, and is locked.
 
     Args:
-        new: a folder beside the target.
-        target: a folder, which need not exist.
+        new: path of a folder next to the target.
+        target: path of the final folder, which need not exist.
     """
     if not os.path.lexists(target):
         new.rename(target)
@@ -154,7 +156,7 @@ def exchanged(new: Path, target: Path) -> Iterator[None]:
 
 
 def _exchange(first: Path, second: Path) -> bool:
-    """Exchange two names in one step; return False where the system cannot."""
+    """Exchange two names in one step; return False if the system cannot."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):  # not Linux, or a libc without it
@@ -169,12 +171,12 @@ def _exchange(first: Path, second: Path) -> bool:
 
 
 def restore(folder: str | os.PathLike[str]) -> None:
-    """Restore a folder if a kill fell between the two renames of its exchange.
+    """Restore a folder whose writer was killed between the two renames of an exchange.
 
-    Every reader of a result calls this first; it costs one look at the folder.
+    Every reader of a result calls this first; it costs one or two file system calls.
 
     Raises:
-        OutputError: the older folder is there, but cannot be renamed.
+        OutputError: the older folder exists, but cannot be renamed.
     """
     target = Path(os.path.realpath(folder))
     if not os.path.lexists(target) and is_folder(beside(target, OLDER)):
@@ -183,13 +185,13 @@ def restore(folder: str | os.PathLike[str]) -> None:
 
 
 def _settle(target: Path) -> None:
-    """Give the older folder its name back, or another one where a new folder has it."""
+    """Rename the older folder to its name, or to an unused name if a new folder exists."""
     older = beside(target, OLDER)
     if is_folder(older):
         older.rename(unused_name(target) if os.path.lexists(target) else target)
 
 
 def unused_name(path: Path) -> Path:
-    """Return a free name for an older folder or file: ``NAME.before``, ``NAME.before1``, ..."""
+    """Return an unused name for an older folder or file: ``NAME.before``, ``NAME.before1``, ..."""
     names = (path.with_name(f"{path.name}.before{number or ''}") for number in range(10**6))
     return next(name for name in names if not os.path.lexists(name))

@@ -10,27 +10,27 @@ from typing import Any
 
 import numpy as np
 
-LETTERS = 32  # hexadecimal, of a digest
+LETTERS = 32  # hexadecimal digits of a digest
 
 
 class Key:
-    """A digest (SHA-256) over a sequence of values; arrays with their type and shape."""
+    """SHA-256 digest of a sequence of values, including types and shapes of arrays."""
 
     def __init__(self, *values: Any) -> None:
         self._hash = hashlib.sha256()  # processors have instructions for it
         self.add(*values)
 
     def add(self, *values: Any) -> None:
-        """Add arrays, numbers, text, None, and lists, dictionaries and dataclasses of these.
+        """Add arrays, numbers, text, None, or lists, dictionaries and dataclasses of these.
 
         Raises:
-            TypeError: a value of another type, whose text might be its address.
+            TypeError: a value of another type, whose ``repr`` may contain its address.
         """
         for value in values:
             self._add(value)
 
     def digest(self) -> str:
-        """Return the key as a hexadecimal string."""
+        """Return the digest as 32 hexadecimal digits."""
         return self._hash.hexdigest()[:LETTERS]
 
     def _add(self, value: Any) -> None:
@@ -58,15 +58,15 @@ class Key:
 
 
 def digest_of(content: bytes) -> str:
-    """Return the digest of the content of a file: 32 hexadecimal digits."""
+    """Return the BLAKE2b digest of ``content``: 32 hexadecimal digits."""
     return hashlib.blake2b(content, digest_size=LETTERS // 2).hexdigest()
 
 
 def digest_of_file(path: Path) -> str:
-    """Return the digest of a file.
+    """Return the BLAKE2b digest of a file: 32 hexadecimal digits.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     with path.open("rb") as stream:
         new = hashlib.blake2b(digest_size=LETTERS // 2)

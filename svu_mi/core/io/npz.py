@@ -1,11 +1,11 @@
-"""Named arrays in one file that is complete or missing, read with bounds.
+"""Named arrays in an NPZ file: atomic writes, and reads with limited sizes.
 
     write_arrays("state.npz", {"step": np.array(3), "values/roughness": texture})
     read_arrays("state.npz")["step"]
 
-It is an ``.npz`` archive that NumPy reads, too. Nothing in it is packed, so it never takes more
-memory than disk, and it holds a digest of all that was written. ``.npy`` and ``.npz`` files of
-other programs are read here as well: tables of numbers up to a size, never pickled objects.
+NumPy can read the file, too. It is not compressed, so that reading takes no more memory than the
+size of the file, and it contains a digest of its arrays. NPY and NPZ files of other programs can be
+read, too: arrays of numbers up to a given size, no pickled objects.
 """
 
 from __future__ import annotations
@@ -29,25 +29,26 @@ from svu_mi.errors import excerpt
 
 DIGEST = "digest"
 ANY = re.compile("(?s).*")
-LARGEST = 3.4e38  # of single precision
+LARGEST = 3.4e38  # largest single-precision number
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; others unpack more than is asked
+PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; others ignore limits of size
 
 
 def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
-    """Write arrays, numbers or text by name, with a digest; never half of them."""
+    """Write arrays, numbers or text by name, with a digest, atomically."""
     content = {name: np.asarray(value) for name, value in arrays.items()}
     with replacing(path) as temporary:
         np.savez(temporary, **content, **{DIGEST: np.array(_digest(content))})  # type: ignore[arg-type]
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Read all that ``write_arrays`` has written.
+    """Read a file of ``write_arrays``; check its sizes before, and its digest after.
 
-    Every size is compared with that of the file before anything is read.
+    Raises:
+        ValueError: the file cannot be read, or is damaged.
     """
     with _opened(path) as file, zipfile.ZipFile(file) as archive:
-        # What is packed, or overlaps, may take more memory than disk.
+        # Compressed or overlapping members could take more memory than the file.
         members = _members(archive, ANY, (zipfile.ZIP_STORED,), path.stat().st_size)
         content = {name: _array(archive.read(member)) for name, member in members.items()}
     digest = content.pop(DIGEST, None)
@@ -57,12 +58,12 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 class Field(NamedTuple):
-    """Type, shape and range of an array of a file.
+    """Type, shape and range of an array in a file.
 
     Attributes:
-        kind: letters of NumPy's kinds that it may have; or a type such as ``f4``.
-        shape: length of each axis, or a name that stands for the same length everywhere.
-        low, high: range of numbers, NaN excluded; None for any.
+        kind: accepted letters of ``dtype.kind``, or one type such as ``f4``.
+        shape: length of each axis, or a name; axes of one name have the same length.
+        low, high: range of the numbers, which excludes NaN; None for any.
     """
 
     kind: str
@@ -72,7 +73,7 @@ class Field(NamedTuple):
 
 
 def require_schema(arrays: Mapping[str, np.ndarray], schema: Mapping[str, Field]) -> None:
-    """Refuse arrays other than those of a schema."""
+    """Raise ValueError unless names, types, shapes and ranges match a schema."""
     other = sorted(set(schema) ^ set(arrays))
     if other:
         what = "lacks" if other[0] in schema else "has an unknown array"
@@ -96,25 +97,28 @@ def read_foreign_array(path: Path, largest: int) -> np.ndarray:
     """Read an ``.npy`` file of another program of at most ``largest`` bytes.
 
     Returns:
-        float64 of any shape; NaN and infinity are kept.
+        float64 array of any shape; NaN and infinity are kept.
 
     Raises:
-        ValueError: it cannot be read, is larger, or holds anything but real numbers.
+        ValueError: the file cannot be read, is larger, or contains anything but real numbers.
     """
     with _opened(path, largest) as file:
         return _numbers(file.read())
 
 
 def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> dict[str, np.ndarray]:
-    """Read the arrays of an ``.npz`` file of another program whose whole names match a pattern.
+    """Read arrays of an ``.npz`` file of another program.
 
-    Packed or not, they may have ``largest`` bytes together, and so may the file.
+    Args:
+        path: path of the file.
+        wanted: pattern of the whole names of the arrays.
+        largest: limit of bytes, of the file and of the uncompressed arrays together.
 
     Returns:
-        float64 of any shape, by name; NaN and infinity are kept.
+        float64 arrays of any shape by name; NaN and infinity are kept.
 
     Raises:
-        ValueError: as ``read_foreign_array``.
+        ValueError: an error of ``read_foreign_array``.
     """
     with _opened(path, largest) as file, zipfile.ZipFile(file) as archive:
         members = _members(archive, wanted, PACKINGS, largest)
@@ -123,20 +127,20 @@ def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> di
 
 @contextlib.contextmanager
 def _opened(path: Path, largest: float = math.inf) -> Iterator[BinaryIO]:
-    """Open a file; whatever fails while it is read becomes a ValueError of a few words."""
-    if not path.is_file():  # a pipe would wait for ever
+    """Open a file; turn all errors of the block into a ValueError with a short reason."""
+    if not path.is_file():  # a pipe would block
         raise ValueError("it is not a file")
     try:
         if path.stat().st_size > largest:
             raise ValueError(f"it has more than {largest} bytes")
         with path.open("rb") as file:
             yield file
-    except Exception as error:  # a broken archive or header fails in any way that parsers can
+    except Exception as error:  # parsers of damaged files raise any type
         raise ValueError(excerpt(error) or type(error).__name__) from error
 
 
 def _numbers(data: bytes) -> np.ndarray:
-    """Return real numbers as float64; what NumPy has to say about old headers is not shown."""
+    """Return real numbers as float64, without NumPy's warnings about old headers."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         array = _array(data)
@@ -148,12 +152,12 @@ def _numbers(data: bytes) -> np.ndarray:
 def _members(
     archive: zipfile.ZipFile, wanted: re.Pattern[str], packings: Sequence[int], largest: int
 ) -> dict[str, zipfile.ZipInfo]:
-    """Return the arrays whose whole names match, by name; refuse other packings and sizes."""
+    """Return the arrays with matching names; check their compression and total size."""
     named = [(m.filename.removesuffix(".npy"), m) for m in archive.infolist()]
     named = [(name, member) for name, member in named if wanted.fullmatch(name)]
     members = dict(named)
     if any(member.compress_type not in packings for _, member in named):
-        raise ValueError("one of its arrays is packed in an unknown way")
+        raise ValueError("one of its arrays has an unknown compression")
     if sum(member.file_size for _, member in named) > largest:
         raise ValueError(f"its arrays have more than {largest} bytes")
     if len(members) < len(named):
@@ -162,7 +166,7 @@ def _members(
 
 
 def _array(data: bytes) -> np.ndarray:
-    """Read one array; its header may promise no more than there is."""
+    """Decode an array after comparing its header with the number of bytes."""
     stream = io.BytesIO(data)
     version = npy.read_magic(stream)
     if version not in HEADERS:
