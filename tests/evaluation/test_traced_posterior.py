@@ -526,7 +526,7 @@ def test_bad_options_are_refused_in_a_sentence(capture, layout, changes, sentenc
 
 def test_nothing_seen_and_nothing_bright_are_refused(capture, layout):
     nothing = tuple(np.zeros((48, 48), bool) for _ in capture.images)
-    with pytest.raises(CaptureError, match="No texel of 'ball' is visible"):
+    with pytest.raises(CaptureError, match="No texel of 'ball' is seen"):
         reference_posterior(replace(capture, masks=nothing), layout, 5, 2)
     black = tuple(np.zeros_like(image) for image in capture.images)
     with pytest.raises(CaptureError, match="is black"):
