@@ -1,4 +1,4 @@
-"""``guidance.png``: one page with the proposed photographs and their information gain."""
+"""``guidance.png``: page with the proposed photographs and their information gain."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 SIZE = (18.0, 11.2)  # inches
-HEADING = "Which photograph to take next"
-# Of the map of directions and the two plots: left, right, bottom and top, in parts of the page.
+HEADING = "Proposed views for the next photographs"
+# Direction map, expected entropy, ranking: left, right, bottom, top as fractions of the page.
 PLACES = ((LEFT, 0.473, 0.51, 0.865), (0.535, 0.73, 0.545, 0.875), (0.79, RIGHT, 0.545, 0.875))
-LINE, LINES = 12, 9  # points from one number to the next above it, and how many there are at most
-SHOWN = 5  # proposals that are drawn on the object
-WHITE = 0.99  # part of the positive gains of texels that colours do not clip
-CROWDED = 0.04  # part of the candidates within which two numbers would overlap
+LINE, LINES = 12, 9  # points between stacked rank numbers, and their largest number
+SHOWN = 5  # proposals drawn on the object
+WHITE = 0.99  # quantile of the positive gains at the upper end of the colours
+CROWDED = 0.04  # smallest distance of two numbers side by side, as a fraction of the candidates
 
 
 def proposal_views(capture: Capture, guidance: Guidance) -> list[ObjectView]:
@@ -49,9 +49,10 @@ def write_guidance_overview(
     capture: Capture, estimate: Estimate, guidance: Guidance, maps: np.ndarray,
     looks: Sequence[ObjectView], path: str | Path, up: tuple[float, float, float] = UP,
 ) -> None:  # fmt: skip
-    """Draw directions, ranking and the views of proposed cameras: 1800 x 1120 pixels.
+    """Draw directions, ranking and the proposed views (1800 x 1120 pixels).
 
-    ``maps`` are ``Guidance.gain_maps()``, ``looks`` ``proposal_views``; ``up`` is the map's top.
+    ``maps`` is ``Guidance.gain_maps()``, ``looks`` is ``proposal_views()``; ``up`` is the top of
+    the direction map.
     """
     entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
     everywhere, empty = fully_seen(guidance.texels), np.zeros(guidance.texels.count, np.float32)
@@ -65,7 +66,7 @@ def write_guidance_overview(
                      row="entropy so far" if rank == 1 else ""))
         for rank, (look, one) in enumerate(zip(looks, shown, strict=False), 1)
     ]  # fmt: skip
-    sights.append(("", partial(_draw_texture, estimate=estimate, words="entropy of every texel")))
+    sights.append(("", partial(_draw_texture, estimate=estimate, words="entropy, texture space")))
     sights += [None] * (SHOWN - len(shown))
     sights += [
         ("", partial(_draw_view, look=look, colors=map_colors(everywhere, gains, **scale),
@@ -73,12 +74,12 @@ def write_guidance_overview(
         for k, (look, gains, one) in enumerate(zip(looks, maps, shown, strict=False))
     ]  # fmt: skip
     gained = partial(_draw_texture, estimate=everywhere, values=first, **scale)
-    sights.append(("", partial(gained, words="gain by proposal 1")))
+    sights.append(("", partial(gained, words="gain of proposal 1")))
     plots: list[Panel] = [
         ("", partial(_directions, capture=capture, guidance=guidance, up=up)),
-        ("Mean entropy of all texels, now and expected",
+        ("Mean entropy of all texels: present and expected",
          partial(draw_expected, capture=capture, guidance=guidance)),
-        ("All candidates as the next photograph", partial(draw_ranking, guidance=guidance)),
+        ("Gain of all candidates", partial(draw_ranking, guidance=guidance)),
     ]  # fmt: skip
     blocks = [Block(panels=[plot], box=box) for plot, box in zip(plots, PLACES, strict=True)]
     blocks.append(Block(
@@ -102,7 +103,7 @@ def _draw_view(
 
 
 def _draw_texture(axes: Axes, estimate: Any, words: str, **options: Any) -> None:
-    """Draw a map in texture space, with the colour bar of the pictures."""
+    """Draw a map in texture space, with the colour bar of the row."""
     drawn = draw_map(axes, estimate, **options)
     style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
     style.caption(axes, words)
@@ -118,9 +119,9 @@ def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str
         f"preset {estimate.preset.name}",
         f"by {options.strategy}",
         f"{sum(capture.used)} photographs",
-        f"{reachable} of {guidance.candidates.count} candidates can be reached",
+        f"{reachable} of {guidance.candidates.count} candidates reachable",
         f"{width} × {height} texels, {grouped(looked_at)} of "
-        f"{grouped(guidance.texels.count)} looked at",
+        f"{grouped(guidance.texels.count)} evaluated",
     ]
 
 
@@ -128,15 +129,15 @@ def _directions(
     axes: Axes, capture: Capture, guidance: Guidance, up: tuple[float, float, float]
 ) -> None:
     colors = draw_directions(axes, capture, guidance, up=up)
-    style.title(axes, "Directions from which the object can be photographed", pad=34)
+    style.title(axes, "Directions of photographs and candidates", pad=34)
     label = f"as the next photograph: {TABLE[guidance.options.strategy].unit}"
     style.color_bar(axes, colors, label, (0.2, -0.06, 0.6, 0.028))
 
 
 def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
-    """Draw the mean entropy against the number of photographs: current and expected.
+    """Draw the mean entropy against the number of photographs: present and expected.
 
-    Without a forecast, there is nothing to draw but today's.
+    Strategies without a forecast show the present value only.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -145,7 +146,7 @@ def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
     values = values[np.isfinite(values)]
     axes.plot(np.arange(len(values)) + first, values, "-", color=INK, lw=1.6, zorder=1)
     axes.scatter([first], values[:1], 42, c=INK, zorder=2,
-                 label=f"of these photographs: {guidance.entropy:.3f}")  # fmt: skip
+                 label=f"present: {guidance.entropy:.3f}")  # fmt: skip
     for rank, value in enumerate(values[1:], 1):
         draw_numbered(axes, first + rank, value, rank, "white", 210)
     room = max(0.12 * float(np.ptp(values)), 0.01)
@@ -160,7 +161,7 @@ def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
 
 
 def draw_ranking(axes: Axes, guidance: Guidance) -> None:
-    """Draw the gains of all candidates that can be reached, the best first."""
+    """Draw the scores of all reachable candidates, best first."""
     from matplotlib.ticker import MaxNLocator
 
     order = guidance.ranking
@@ -179,8 +180,8 @@ def draw_ranking(axes: Axes, guidance: Guidance) -> None:
     axes.set(xlim=(0.25, len(order) + 0.75), ylim=(low, top))
     axes.axhline(0, color=RULE, lw=1)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-    what = "gain" if guidance.options.strategy == "entropy" else "worth"
-    style.labels(axes, "candidates, the best first", what, 9.5)
+    what = "gain" if guidance.options.strategy == "entropy" else "score"
+    style.labels(axes, "candidates, best first", what, 9.5)
     style.minimal_axes(axes)
 
 
@@ -193,9 +194,9 @@ def information_gain_limit(maps: np.ndarray) -> float:
 def information_gain_picture(
     capture: Capture, guidance: Guidance, proposal: int, maps: np.ndarray
 ) -> np.ndarray:
-    """Render the information gain from a proposed camera, (h, w, 4), grey where it is 0.
+    """Render the information gain from a proposed camera, (h, w, 4); grey where it is 0.
 
-    ``maps`` (proposals, T) of ``Guidance.gain_maps`` have one scale of colours.
+    ``maps`` (proposals, T) is ``Guidance.gain_maps()``; all proposals share its colour scale.
     """
     look = ObjectView.at(object_only_scene(capture), _enlarged(guidance.proposals[proposal].sensor))
     return information_gain_pictures(
@@ -206,7 +207,7 @@ def information_gain_picture(
 def information_gain_pictures(
     looks: Sequence[ObjectView], guidance: Guidance, maps: np.ndarray, limit: float
 ) -> list[np.ndarray]:
-    """Return information gains as seen from proposed cameras (see ``information_gain_picture``)."""
+    """Render information gains from proposed cameras (see ``information_gain_picture``)."""
     everywhere, scale = fully_seen(guidance.texels), information_gain_colors()
     return [
         look.painted(map_colors(everywhere, gains, limits=(0, limit), colormap=scale))
@@ -224,10 +225,9 @@ def information_gain_colors() -> Colormap:
 def _labels(
     order: np.ndarray, gains: np.ndarray, proposals: Sequence[Proposal]
 ) -> Iterator[tuple[int, float, int, int]]:
-    """Yield the position of each proposal's number: place, height, rank, line above it.
+    """Yield place, height, rank and line of each proposal's number above its bar.
 
-    Crowded numbers stand one above the other, over the highest bar among theirs; of more than
-    nine, only the first are given.
+    Close numbers are stacked in lines over the highest of their bars, at most nine lines.
     """
     rank_of = {proposal.candidate: rank for rank, proposal in enumerate(proposals, 1)}
     last, line, height = -np.inf, 0, 0.0
@@ -242,7 +242,7 @@ def _labels(
 
 
 def _enlarged(sensor: Any) -> Any:
-    """Return the sensor with a film of at least ``SIDE`` pixels."""
+    """Return the sensor with a film of at least ``SIDE`` pixels on its longer side."""
     return resized_sensor(sensor, -(-SIDE // max(film_size(sensor))))
 
 

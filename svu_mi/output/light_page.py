@@ -1,4 +1,4 @@
-"""Files of ``svu light``: the estimated light, its uncertainty, and ``light.png``."""
+"""Files of ``svu light``: estimated light, its uncertainty, and ``light.png``."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 PAGE = "light.png"
-HEADING = "The light that was found in the photographs"
-WIDTH, ROW, REST = 16.0, 5.0, 1.4  # inches: a row of panels, and what is above and below all
-GREY = 0.18  # how bright the middle is drawn
-DARK = 1e-3  # part of the mean radiance below which all is black
-UNCERTAIN = 1.5  # standard deviation of the logarithm at the upper end of its scale
+HEADING = "Light estimated from the photographs"
+WIDTH, ROW, REST = 16.0, 5.0, 1.4  # inches: page width, height of a row, margins
+GREY = 0.18  # screen value (linear) of the geometric mean radiance
+DARK = 1e-3  # lower bound of radiance, relative to the mean
+UNCERTAIN = 1.5  # upper end of the scale of log standard deviations
 AXIS = ((0.0, "-Z"), (0.25, "+X"), (0.5, "+Z"), (0.75, "-X"), (1.0, "-Z"))
 
 
@@ -51,8 +51,8 @@ def write_light(
 ) -> None:
     """Write ``light.exr``, ``light.npz``, ``light.png`` and ``light.json``.
 
-    ``used`` are the options of the search, ``against`` the likeness to the capture's own light, and
-    ``timings`` seconds per stage.
+    ``used`` contains the options of the estimate, ``against`` the comparison with the capture's own
+    light, and ``timings`` seconds per stage.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -78,7 +78,7 @@ def write_light_page(
 ) -> None:
     """Draw radiance, its logarithm, standard deviation and ``known`` as lat-long maps.
 
-    With ``against`` the capture's own light is drawn, too.
+    ``against`` adds the capture's own light.
     """
     truth, shape = None, estimate.radiance.shape
     if against is not None:
@@ -91,10 +91,10 @@ def write_light_page(
     panels += [
         ("Standard deviation of the logarithm of radiance", partial(
             _draw_scaled, values=estimate.sd, limits=(0, UNCERTAIN), colormap=style.VIEWS_COLORMAP,
-            label="0.1 is 10 %; the scale of all included")),
-        ("What the photographs tell", partial(
+            label="0.1 is 10 %; includes the common scale")),
+        ("Fraction determined by the photographs", partial(
             _draw_scaled, values=estimate.known, limits=(0, 1), colormap=style.COLORMAP,
-            label="0 = what was assumed before, 1 = all")),
+            label="0 = prior only, 1 = fully determined")),
     ]  # fmt: skip
     rows = len(panels) // 2
     height = ROW * rows + REST
@@ -104,21 +104,20 @@ def write_light_page(
 
 
 def _radiance_panels(title: str, radiance: np.ndarray, tone: ToneCurve) -> list[Panel]:
-    """Return panels of a map (H, W, 3): in screen colours, and its logarithm."""
+    """Return panels of a map (H, W, 3): tone-mapped, and as logarithm."""
     return [
         (title, partial(_draw_colors, colors=tone.colors(radiance))),
-        (f"{title}, by powers of two", partial(
+        (f"{title}, log scale", partial(
             _draw_scaled, values=tone.stops(radiance), limits=tone.limits, colormap=style.COLORMAP,
-            label="0 is what is drawn in middle grey")),
+            label="powers of two, relative to middle grey")),
     ]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class ToneCurve:
-    """Tone mapping of radiance for dark parts and lamps at once (Reinhard's curve).
+    """Reinhard's tone curve, which shows dark parts and lamps together.
 
-    ``middle`` is drawn in middle grey; ``limits`` are the ends of the scale of powers of two,
-    relative to it.
+    ``middle`` is the radiance of middle grey; ``limits`` is the range of log2 relative to it.
     """
 
     middle: float
@@ -128,7 +127,7 @@ class ToneCurve:
     def of(cls, radiance: np.ndarray) -> ToneCurve:
         """Return the curve for a map (H, W, 3)."""
         grey = radiance.mean(axis=-1)
-        grey = np.maximum(grey, max(DARK * grey.mean(), 1e-30))  # black is not far darker than dark
+        grey = np.maximum(grey, max(DARK * grey.mean(), 1e-30))  # limits the log of black
         middle = float(np.exp(np.log(grey).mean()))
         low, high = np.log2(np.quantile(grey, (0, 1)) / middle)
         return cls(middle, (min(float(low), -1.0), max(float(high), 1.0)))
@@ -142,12 +141,12 @@ class ToneCurve:
         return np.asarray(srgb(np.clip(shrunk, 0, 1)))
 
     def stops(self, radiance: np.ndarray) -> np.ndarray:
-        """Return the brightness (H, W) of a map in powers of two above the middle."""
+        """Return log2 of a map's brightness relative to the middle, (H, W)."""
         return np.log2(np.maximum(radiance.mean(axis=-1), 1e-30) / self.middle)
 
 
 def light_colors(radiance: np.ndarray) -> np.ndarray:
-    """Return a map of radiance (H, W, 3) as screen colours."""
+    """Return radiance (H, W, 3) as screen colours."""
     return ToneCurve.of(radiance).colors(radiance)
 
 
@@ -163,11 +162,11 @@ def known_colors(estimate: LightEstimate) -> np.ndarray:
 
 def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str]:
     low, high = estimate.scale_interval
-    scale = f"base colours known up to a factor of {low.mean():.2f} to {high.mean():.2f}"
+    scale = f"base colours uncertain by a factor of {low.mean():.2f} to {high.mean():.2f}"
     notes = [
-        f"{plain_percent(estimate.known_part)} known", f"{estimate.texels} texels",
+        f"{plain_percent(estimate.known_part)} determined", f"{estimate.texels} texels",
         scale if estimate.scale_sd.any() else "brightness given",
-        "turns with the camera" if estimate.moves else "stands still",
+        "turns with the camera" if estimate.moves else "fixed in the world",
     ]  # fmt: skip
     if against is not None:
         notes.append(f"correlation with the capture's own light {against.correlation:.2f}")

@@ -1,4 +1,4 @@
-"""Views of the object: the choice of sensors, windows of pictures, and the upward direction."""
+"""Views of the object: choice of sensors, crop windows, upward direction."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.guidance.strategies import farthest
 
-MARGIN = 0.06  # around the object, in parts of its size
-Window = tuple[float, float, float, float]  # left, right, top, bottom, in parts of a picture
+MARGIN = 0.06  # around the object, relative to its size
+Window = tuple[float, float, float, float]  # left, right, top, bottom, as fractions of the image
 UP = (0.0, 1.0, 0.0)
-STEEP = 0.3  # length of the cameras' mean upward direction below which they say nothing
-NEAR_AXIS = 0.9  # cosine from which an axis of the world is meant
+STEEP = 0.3  # shortest mean upward vector of the cameras that defines a direction
+NEAR_AXIS = 0.9  # cosine above which a direction is snapped to an axis
 
 Axis = Literal["y", "z"]
 DIRECTION: dict[Axis, tuple[float, float, float]] = {"y": UP, "z": (0.0, 0.0, 1.0)}
@@ -24,10 +24,10 @@ DIRECTION: dict[Axis, tuple[float, float, float]] = {"y": UP, "z": (0.0, 0.0, 1.
 def distant_views(
     capture: Any, seen_per_view: Sequence[int] | None = None, count: int = 2
 ) -> list[int]:
-    """Return ``count`` used sensors: the one that sees most texels, and those farthest from it.
+    """Return up to ``count`` used sensors that look from different directions.
 
-    Indices into ``capture.sensors``, fewer if there are fewer. Each is the farthest in direction
-    from all before it.
+    The first one sees most texels (without counts: the first used one). Each further one has the
+    largest angle to all before it. Values are indices into ``capture.sensors``.
     """
     used = [index for index, used in enumerate(capture.used) if used]
     if len(used) < 2:
@@ -41,9 +41,9 @@ def distant_views(
 
 
 def object_window(alpha: np.ndarray) -> Window:
-    """Return the window of an object with a margin, given where it is (H, W).
+    """Return the window around the object with a margin, from its opacity (H, W).
 
-    Square in pixels where the image allows; the whole image if the object is not in it.
+    Square in pixels if the image is large enough; the whole image if the object is not visible.
     """
     height, width = alpha.shape
     rows, columns = np.flatnonzero(alpha.any(axis=1)), np.flatnonzero(alpha.any(axis=0))
@@ -56,7 +56,7 @@ def object_window(alpha: np.ndarray) -> Window:
 
 
 def crop(image: np.ndarray, window: Window) -> np.ndarray:
-    """Cut a window out of an (H, W, ...) image."""
+    """Crop an (H, W, ...) image to a window."""
     height, width = image.shape[:2]
     left, right = int(window[0] * width), int(np.ceil(window[1] * width))
     top, bottom = int(window[2] * height), int(np.ceil(window[3] * height))
@@ -78,24 +78,24 @@ def up_direction(capture: Any) -> np.ndarray:
 def front_and_right(
     capture: Any, center: np.ndarray, up: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return directions (3,) to the front (the first photograph) and to the right."""
+    """Return the directions (3,) to the first photograph's camera, made horizontal, and right."""
     sensors = capture.used_sensors or capture.sensors
     right, _, front = viewing_frame(up, directions_of(sensors[:1], center)[0])
     return front, right
 
 
 def viewing_frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Return unit vectors right, up and front (3, 3) of an object seen from its front.
+    """Return the unit vectors right, up and front of an object, (3, 3).
 
     Args:
-        up: (3,), of any length but 0.
-        ahead: (3,) unit vector, which is in front, or above or below that.
+        up: (3,) upward direction, any length except 0.
+        ahead: (3,) unit vector whose horizontal part is the front; if vertical, an axis is used.
     """
     up = up / np.linalg.norm(up)
     for front in (ahead, np.eye(3)[2], np.eye(3)[0]):
         front = front - (front @ up) * up
         length = np.linalg.norm(front)
-        if length > 1e-3:  # else it is up, or down
+        if length > 1e-3:  # not vertical
             break
     front = front / length
     return np.stack([np.cross(up, front), up, front])
@@ -104,8 +104,8 @@ def viewing_frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 def up_of_poses(poses: np.ndarray) -> np.ndarray:
     """Return the upward direction (3,) of poses (V, 4, 4), camera to world.
 
-    It is their mean upward direction, or the world's axis next to it; +Y if they are turned
-    in all ways, or if there are none.
+    The mean upward direction, snapped to a world axis if close; +Y if the cameras have no common
+    direction, or without poses.
     """
     mean = poses[:, :3, 1].mean(axis=0) if len(poses) else np.zeros(3)
     length = np.linalg.norm(mean)
@@ -118,5 +118,5 @@ def up_of_poses(poses: np.ndarray) -> np.ndarray:
 
 
 def nearest_axis(up: np.ndarray) -> Axis:
-    """Return the axis, ``z`` or ``y``, that is closest to an upward direction."""
+    """Return the world axis, ``z`` or ``y``, closest to an upward direction."""
     return "z" if up @ DIRECTION["z"] > NEAR_AXIS else "y"

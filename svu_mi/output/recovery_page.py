@@ -1,4 +1,4 @@
-"""``recovery.png``: one page with the recovered textures and their errors per view."""
+"""``recovery.png``: page with recovered textures and the errors of their renders."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ SIZE = (18.0, 10.2)  # inches
 HEADING = "Reflectance recovered from the photographs"
 TITLES = tuple(label_of(name).capitalize() for name in NAMES)
 GREYS = "grey: never seen"
-WIDEST_SD = 0.3  # at the upper end of the colours; an even prior's is 0.29, that of metals 0.46
-SMOOTH = 50  # losses are averaged over this part of the steps
+WIDEST_SD = 0.3  # upper end of the scale; the uniform prior has 0.29, the prior of metallic 0.46
+SMOOTH = 50  # losses are averaged over 1/50 of the steps
 
 
 def write_recovery_overview(
@@ -44,9 +44,9 @@ def write_recovery_overview(
     estimate: Estimate | None = None,
     field: TextureField | None = None,
 ) -> None:
-    """Draw textures, their uncertainty, losses and comparisons on a page of 1800 x 1020 pixels.
+    """Draw textures, uncertainty, losses and render comparisons (1800 x 1020 pixels).
 
-    Of an ``estimate`` the entropy is drawn, and standard deviations if there is no ``field``.
+    ``estimate`` provides the entropy and, without ``field``, the standard deviations.
     """
     scene = object_only_scene(capture)
     objects: list[Panel | None] = []
@@ -84,7 +84,7 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
 
 
 def _maps(recovery: Recovery, estimate: Estimate | None, field: TextureField | None) -> list[Panel]:
-    """Return the textures, their standard deviations and the entropy, in the texture's layout."""
+    """Return panels of textures, standard deviations and entropy, in texture space."""
     inside, everywhere = recovery.texels.inside(), fully_seen(recovery.texels)
     color = np.where(inside[..., None], srgb(np.clip(recovery.image("base_color"), 0, 1)), OUTSIDE)
     panels: list[Panel] = [(TITLES[0], partial(_texture, image=color))]
@@ -110,7 +110,7 @@ def _texture(axes: Axes, image: np.ndarray) -> None:
 
 
 def _scaled(axes: Axes, estimate: Any, **options: Any) -> None:
-    """Draw a map, narrow as it is, or say that there is none."""
+    """Draw a map at full width; without an estimate, write "not estimated"."""
     if estimate is None:
         _empty(axes, "not estimated")
     else:
@@ -131,10 +131,10 @@ def _losses(axes: Axes, losses: np.ndarray) -> None:
 
 
 def _comparison_panels(comparison: RenderComparison) -> list[Panel]:
-    """A photograph, what the textures make of it, and the difference."""
+    """Return panels of a photograph, its render and their difference."""
     error = comparison.mean_difference
     titles = (
-        f"Photograph {comparison.view}", "Rendered as recovered",
+        f"Photograph {comparison.view}", "Rendered with recovered textures",
         "Difference" if error is None else f"Difference, mean {error:.3f}",
     )  # fmt: skip
     images = comparison.cropped()
@@ -145,8 +145,8 @@ def _comparison_panels(comparison: RenderComparison) -> list[Panel]:
 def _other_panels(
     look: ObjectView, recovery: Recovery, comparison: RenderComparison, estimate: Estimate | None
 ) -> list[Panel | None]:
-    """Return the other light, entropy and coverage on the object."""
-    coverage, made = np.array(recovery.coverage), cast(Any, recovery)  # has texels and coverage
+    """Return panels of the relit object, its entropy and its coverage."""
+    coverage, made = np.array(recovery.coverage), cast(Any, recovery)  # used like an estimate
     limits = (0, max(float(coverage.max(initial=0)), 1.0))
     views = map_colors(made, coverage, limits=limits, colormap=VIEWS_COLORMAP)
     return [

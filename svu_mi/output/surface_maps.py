@@ -1,4 +1,4 @@
-"""Maps on an object's surface: values, their colours and descriptions."""
+"""Maps on the object's surface: values, colour scales, descriptions."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField
 
-ENDS = {"specular": ("0: no gloss", "1: mirror of all light")}  # Ks of a ``ParameterGrid``
+ENDS = {"specular": ("0: no reflection", "1: mirror")}  # Ks of a ``ParameterGrid``
 ENDS |= {p.name: p.end_labels for p in PARAMETERS.values()}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """Colours of numbers from 0 to ``high``, and words for both ends."""
+    """Colour scale of numbers from 0 to ``high``, with labels of both ends."""
 
     colormap: str = COLORMAP
     high: float = 1
@@ -34,20 +34,20 @@ class Scale:
     ends: tuple[str, str]
 
 
-ENTROPY = Scale(label=ENTROPY_ENDS, ends=("one material left", "nothing known"))
+ENTROPY = Scale(label=ENTROPY_ENDS, ends=("certain", "no information"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceMap:
-    """A value of every texel.
+    """Map with a value for every texel.
 
     Attributes:
-        name: what it is.
-        sentence: what it means.
-        estimate: which texels there are and which are seen; None if the values are a texture.
-        values: returns numbers (T,), or (T, 3), whose mean counts; without a scale linear colours
-            (T, 3). Of a texture (H, W, 1) or (H, W, 3).
-        scale: how numbers become colours; None if they are colours.
+        name: Name of the map.
+        sentence: Description for pages.
+        estimate: Estimate with texels and coverage; None if the values are a texture.
+        values: Function that returns numbers (T,), or (T, 3), which are averaged; without a scale
+            linear colours (T, 3). For a texture (H, W, 1) or (H, W, 3).
+        scale: Colour scale; None if the values are colours.
     """
 
     name: str
@@ -60,9 +60,9 @@ class SurfaceMap:
         """Return screen colours (H, W, 3), float32 in [0, 1]; row 0 is v = 0.
 
         Args:
-            gutter: texels that charts grow by.
-            unseen: what texels that no view sees look like where there is no scale, which tells
-                grey from its colours: one colour, or a picture (H, W, 3).
+            gutter: Dilation of the charts in texels.
+            unseen: Colour (3,) or image (H, W, 3) for unseen texels of maps without a scale, in
+                which grey may be a value.
         """
         values = np.array(self.values(), np.float32)
         if self.estimate is None:
@@ -84,10 +84,10 @@ def surface_maps(
     intervals: Intervals | None = None,
     field: TextureField | None = None,
 ) -> dict[str, SurfaceMap]:
-    """Return all maps by name; their colours are computed on request.
+    """Return all maps by name; colours are computed on request.
 
-    Entropy, coverage, the most probable parameters, half the width of their intervals, and the
-    entropy of their marginals; and recovered textures, of the same resolution.
+    Entropy, coverage, most probable parameters, interval half-widths, marginal entropies, and
+    recovered textures (of the same resolution) with their uncertainty.
     """
     intervals = intervals or Intervals(estimate.posterior)
     unknown = open_axes(estimate)
@@ -98,7 +98,7 @@ def surface_maps(
         SurfaceMap(
             name=f"entropy of {label_of(name)}", estimate=estimate,
             values=partial(estimate.posterior.marginal_entropy, name), scale=ENTROPY,
-            sentence=f"What the photographs leave open of {label_of(name)}.",
+            sentence=f"Entropy of {label_of(name)} alone, relative to its prior.",
         )
         for name in unknown
     ]  # fmt: skip
@@ -110,13 +110,13 @@ def surface_maps(
 
 
 def entropy_maps(estimate: Estimate) -> list[SurfaceMap]:
-    """Return maps of the entropy and of the coverage."""
+    """Return the maps of entropy and coverage."""
     result = EstimateArrays.of(estimate)
     most = result.max_views
     return [
         SurfaceMap(
             name="entropy", estimate=estimate, values=lambda: result.entropy, scale=ENTROPY,
-            sentence="What the photographs leave open of all parameters together.",
+            sentence="Joint entropy of all parameters, relative to the prior.",
         ),
         SurfaceMap(
             name="coverage", estimate=estimate, values=lambda: result.coverage,
@@ -124,21 +124,21 @@ def entropy_maps(estimate: Estimate) -> list[SurfaceMap]:
                 colormap=VIEWS_COLORMAP, high=most, label="views that see the texel",
                 ends=("no photograph", f"{most} photographs"),
             ),
-            sentence="How many photographs see each point; being seen often does not make it "
-            "known.",
+            sentence="Number of photographs that see each point. Many photographs do not imply low "
+            "entropy.",
         ),
     ]  # fmt: skip
 
 
 def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
-    """Return the map of a parameter of the most probable material."""
+    """Return the map of a parameter's most probable value."""
     scale: Scale | None = Scale(colormap=VALUES_COLORMAP, label=label_of(name), ends=ENDS[name])
-    sentence = "Of the material that explains the photographs best."
+    sentence = "Value that explains the photographs best."
     if name == "base_color" and estimate.posterior.channels == 3:
         scale = None
-        sentence = "The colour that explains the photographs best; chequered where unseen."
+        sentence = "Colour that explains the photographs best; chequered where unseen."
     elif name == "base_color":
-        sentence = "Brightness of the material that explains the photographs best."
+        sentence = "Brightness that explains the photographs best."
     return SurfaceMap(
         name=f"most probable {label_of(name)}", sentence=sentence, estimate=estimate,
         values=lambda: estimate.posterior.map()[name], scale=scale,
@@ -146,34 +146,34 @@ def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
 
 
 def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceMap:
-    """Return the map of half the width of a parameter's interval."""
+    """Return the map of a parameter's interval half-width."""
     half = f"half the width of the {100 * intervals.mass:g} % interval"
     several = name == "base_color" and estimate.posterior.channels == 3
-    widest = "; of the three channels, the least known" if several else ""
+    widest = ", of the widest channel" if several else ""
     return SurfaceMap(
         name=f"uncertainty of {label_of(name)}", estimate=estimate,
         values=lambda: intervals.half_width(name),
         scale=Scale(high=WIDEST, label=half, ends=("±0", f"±{WIDEST:g} and more")),
-        sentence=f"Half the width of its {100 * intervals.mass:g} % interval{widest}. Settled is "
-        f"±{TOLERANCE:g}, the darkest sixth of these colours.",
+        sentence=f"Half-width of the {100 * intervals.mass:g} % interval{widest}. Points count as "
+        f"determined up to ±{TOLERANCE:g}, the darkest sixth of the colours.",
     )  # fmt: skip
 
 
 def recovered_maps(textures: Textures) -> list[SurfaceMap]:
-    """Return recovered textures as maps."""
+    """Return the maps of recovered textures."""
     return [
         SurfaceMap(
             name=f"recovered {label_of(name)}", estimate=None, values=partial(np.array, tensor),
             scale=None if name == "base_color" else
             Scale(colormap=VALUES_COLORMAP, label=label_of(name), ends=ENDS[name]),
-            sentence="The recovered texture, also where nothing was seen.",
+            sentence="Recovered texture; values of unseen points are interpolated.",
         )
         for name, tensor in textures.items()
     ]  # fmt: skip
 
 
 def field_maps(field: TextureField, estimate: Estimate) -> list[SurfaceMap]:
-    """Return maps of how sure recovered textures are: half the widths of their intervals."""
+    """Return maps of the interval half-widths of recovered textures."""
 
     def half_width(name: str) -> np.ndarray:
         low, high = field.interval(name, INTERVAL_MASS)
@@ -185,8 +185,8 @@ def field_maps(field: TextureField, estimate: Estimate) -> list[SurfaceMap]:
             name=f"uncertainty of recovered {label_of(name)}", estimate=estimate,
             values=partial(half_width, name),
             scale=Scale(high=WIDEST, label=label, ends=("±0", f"±{WIDEST:g} and more")),
-            sentence="Of the recovered texture, which neighbours make surer than a point is by "
-            "itself, but for errors that they have in common.",
+            sentence="Half-width of the recovered texture's interval. It is smaller than "
+            "for a single point, because independent errors of neighbours average out.",
         )
         for name in field.names
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Reading and writing of recovered textures (EXR) and ``recovered.xml``."""
+"""Recovered textures (EXR) and their scene ``recovered.xml``: reading and writing."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from svu_mi.recovery.svbrdf_textures import Textures
 FILES = {name: f"{name}.exr" for name in NAMES}
 SCENE, ASSETS = "recovered.xml", "assets"
 MESH = f"{ASSETS}/mesh.ply"
-KINDS = (".exr", ".png")  # of textures of others
+KINDS = (".exr", ".png")  # accepted from other programs
 
 
 def write_textures(
@@ -42,8 +42,8 @@ def write_textures(
 ) -> None:
     """Write ``base_color.exr`` (R, G, B), ``roughness.exr`` and ``metallic.exr`` (Y).
 
-    Linear values in [0, 1]; row 0 is v = 0. Texels outside the charts are written as they
-    are: ``lay_out`` has filled them with their neighbours.
+    Linear values in [0, 1]; row 0 is v = 0. Texels outside the charts are expected to be filled
+    with their neighbours (``lay_out``).
 
     Raises:
         OutputError: a file cannot be written, or a value is NaN or infinite.
@@ -62,12 +62,12 @@ def write_scene(
     *,
     attributes: Mapping[str, str | int | float] | None = None,
 ) -> Path:
-    """Write the capture's scene with the object in recovered textures; return its path.
+    """Write the capture's scene with recovered textures; return the path of ``recovered.xml``.
 
-    The file loads with ``mitsuba.load_file`` alone and has the object with the UVs of its
-    texels, all other shapes, the light, and one sensor per photograph (``view_0000``, ...).
-    Beside it lie the textures, and in ``assets`` the meshes and the map of the light; all
-    file names are relative, so the folder can be moved. ``-D spp=N`` sets samples per pixel.
+    ``mitsuba.load_file`` loads it without svu_mi. It contains the object with the texels' UVs, all
+    other shapes, the light, and one sensor per photograph (``view_0000``, ...). Textures are in the
+    same folder, meshes and the environment map in ``assets``. File names are relative, so the
+    folder can be moved. ``-D spp=N`` sets samples per pixel.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -94,14 +94,14 @@ def object_node(
     name: str, mesh: MeshArrays, folder: Path, *, file: str = MESH,
     textures: Mapping[str, str] = FILES, two_sided: bool = False,
 ) -> Any:  # fmt: skip
-    """Return an object in textures as a node of a scene in ``folder``, and write its mesh there."""
+    """Write a mesh to ``folder`` and return its scene node with textures."""
     node = scene_xml.mesh(mesh, folder, file, name)
     node.append(scene_xml.principled(name, textures, two_sided=two_sided))
     return node
 
 
 def recovery_settings(folder: str | Path) -> dict[str, Any]:
-    """Return ``Recovery.settings`` from the record of a folder; empty without a record."""
+    """Return ``Recovery.settings`` from a folder's ``run.json``; empty if it cannot be read."""
     try:
         return dict(read_json(Path(folder) / RECORD)["settings"]["used"])
     except (OSError, SvuError, KeyError, TypeError, ValueError):
@@ -109,13 +109,13 @@ def recovery_settings(folder: str | Path) -> dict[str, Any]:
 
 
 def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
-    """Read the three files of ``write_textures``, from any program.
+    """Read the three files of ``write_textures``.
 
-    Roughness and metallic may also have the one channel R, or three equal ones.
+    Roughness and metallic may also have the channel R, or three equal channels.
 
     Raises:
-        CaptureError: one is missing, damaged, of another size or has other channels, holds a value
-            outside [0, 1], or (unless ``one_run`` is False) is of another run than the others.
+        CaptureError: a file is missing or damaged, has other channels, another size or values
+            outside [0, 1], or comes from another run than the others (unless ``one_run`` is False).
     """
     folder = Path(folder)
     restore(folder)
@@ -131,9 +131,9 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
 
 
 def require_textures_of(capture: Capture, folder: str | Path) -> None:
-    """Refuse textures that were recovered over another mesh, as far as their record says.
+    """Raise an error if ``run.json`` shows that textures belong to another mesh.
 
-    Those of another capture of the mesh are used, with a warning.
+    Textures from another capture of the same mesh cause a warning.
     """
     folder = Path(folder)
     run, key = marks_of(folder / FILES["base_color"])
@@ -141,8 +141,8 @@ def require_textures_of(capture: Capture, folder: str | Path) -> None:
     mesh = mesh_of(folder / RECORD, run)
     if mesh and mesh != mesh_key(capture.mesh):
         raise CaptureError(
-            f"{folder}: these textures were recovered over another mesh than that of {label}, or "
-            "over other UVs; give those that svu recover wrote about this capture."
+            f"{folder}: these textures belong to another mesh or other UVs than {label}; give a "
+            "folder that svu recover wrote for this capture."
         )
     if key and key != capture_key(capture):
         warnings.warn(
@@ -154,18 +154,18 @@ def require_textures_of(capture: Capture, folder: str | Path) -> None:
 
 
 def find_textures(folder: Path) -> dict[str, Path]:
-    """Return the textures of a folder, whoever wrote them, by parameter: EXR before PNG."""
+    """Return the texture files of a folder by parameter, EXR before PNG."""
     files = {name: [folder / f"{name}{kind}" for kind in KINDS] for name in NAMES}
     return {name: file for name in NAMES for file in reversed(files[name]) if file.is_file()}
 
 
 def read_texture(path: Path, name: str) -> tuple[np.ndarray, str]:
-    """Read a texture: EXR, which is linear, or PNG, in which base colour is in sRGB.
+    """Read a texture from EXR (linear) or PNG (base colour in sRGB).
 
-    Returns (H, W, C) float32 in [0, 1], and a sentence on how it was read, which may be empty.
+    Returns (H, W, C) float32 in [0, 1], and a note on the conversion, which may be empty.
 
     Raises:
-        CaptureError: it is damaged, has other channels, or holds values outside [0, 1] or NaN.
+        CaptureError: the file is damaged, has other channels, or values outside [0, 1] or NaN.
     """
     if path.suffix.lower() == ".exr":
         return _read_exr_texture(path, CHANNELS[name]), ""
@@ -196,7 +196,7 @@ def _read_exr_texture(path: Path, count: int) -> np.ndarray:
 
 
 def _single_channel(path: Path, planes: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the one channel (H, W, 1) that all planes are."""
+    """Return the first plane (H, W, 1); raise an error if the planes differ."""
     if not all(np.array_equal(planes[0], plane) for plane in planes):
-        raise CaptureError(f"{path}: a grey texture with unequal channels; export one channel.")
+        raise CaptureError(f"{path}: a grey texture has unequal channels; export one channel.")
     return planes[0][..., None]

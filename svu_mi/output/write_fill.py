@@ -1,4 +1,4 @@
-"""Files of ``svu inpaint``: filled textures, their overview, and summary sentences."""
+"""Files of ``svu inpaint``: filled textures, overview page, summary sentences."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 MASK, PAGE = "filled.exr", "filled.png"
-LIKE = "What nobody saw, filled by what it is like"
-INVENTED = "What nobody knows, filled by {}"
+LIKE = "Uncertain texels, filled from similar ones"
+INVENTED = "Uncertain texels, filled by {}"
 CELL = 3.2  # inches
 
 
@@ -45,7 +45,7 @@ def write_filled(
 ) -> None:  # fmt: skip
     """Write textures, ``recovered.xml``, ``uncertainty.exr``, ``filled.exr`` and ``run.json``.
 
-    ``before`` are the textures that were filled; with ``pictures`` ``filled.png``, too.
+    ``before`` contains the textures before filling. ``pictures`` adds ``filled.png``.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -72,25 +72,26 @@ def write_filled(
 
 
 def fill_sentences(result: Filled) -> Iterator[str]:
-    """Yield sentences on the share of filled texels and the methods."""
+    """Yield sentences on the share of filled texels, methods and errors."""
     part = result.filled.mean() if len(result.filled) else 0.0
     if not result.filled.any():
-        yield "Every texel is seen, and surely enough; nothing was filled."
+        yield "All texels are seen with low uncertainty; nothing was filled."
         return
     yield f"{percent(part)} of the texels filled."
     if result.invented is not None:
         yield from _invented_sentences(result.invented, result)
     for name in result.field.names:
         yield (
-            f"{label_of(name).capitalize()}: {result.likeness[name]}, off by "
-            f"{result.errors[name]:.2f} (rms) where that was tried on what was seen."
+            f"{label_of(name).capitalize()}: {result.likeness[name]}, RMS error "
+            f"{result.errors[name]:.2f} in a test on seen texels."
         )
 
 
 def _invented_sentences(model: ModelReport, result: Filled) -> Iterator[str]:
-    """Yield sentences on a model: share of texels, and error next to that of likeness."""
+    """Yield sentences on a generative model: share of texels, and errors next to likeness."""
     part = model.reached.sum() / result.filled.sum()
-    yield f"{percent(part)} of these by {model.model}; licence of its weights: {model.licence}."
+    by = f"by {model.model}; licence of its weights: {model.licence}"
+    yield f"{percent(part)} of the filled texels {by}."
     for answer in model.answers:
         number = len(answer.pictures)
         kind = {"photographs": "photograph", "renders": "render"}[answer.source]
@@ -99,15 +100,15 @@ def _invented_sentences(model: ModelReport, result: Filled) -> Iterator[str]:
             for name, error in answer.errors.items()
         )
         yield (
-            f"In {number} {kind}{'' if number == 1 else 's'}. Off, where that was tried on what "
-            f"was seen, by (in brackets: likeness, there): {off} (rms)."
+            f"From {number} {kind}{'' if number == 1 else 's'}. RMS error in a test on seen texels "
+            f"(in brackets: filling from similar texels): {off}."
         )
     if model.reached.sum() < result.filled.sum():
-        yield "What no picture shows well is filled by likeness:"
+        yield "Texels that no picture shows well are filled from similar ones:"
 
 
 def _model_record(model: ModelReport) -> dict[str, Any]:
-    """Return the record of a model for ``run.json``."""
+    """Return the record of a generative model for ``run.json``."""
     answers = [
         {"source": answer.source, "pictures": list(answer.pictures),
          "reached": int(answer.reached.sum()), "errors": answer.errors,
@@ -118,16 +119,16 @@ def _model_record(model: ModelReport) -> dict[str, Any]:
 
 
 def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Path) -> None:
-    """Draw every parameter before and after filling, facing most of the filled texels."""
+    """Draw every parameter before and after filling, from the view with most filled texels."""
     rows = ("before", "after", "standard deviation")
     model, texels = result.invented, before.texels
     heading = LIKE if model is None else INVENTED.format(model.model)
     look = ObjectView.at(object_only_scene(capture), capture.sensors[_best_sensor(capture, result)])
     everywhere = fully_seen(texels)
     mask = partial(draw_map, estimate=everywhere, colormap=style.GREY)
-    masks = {"before": ("Filled, in the texture", partial(mask, values=result.filled))}
+    masks = {"before": ("Filled texels", partial(mask, values=result.filled))}
     if model is not None:
-        masks["after"] = ("By the model, in the texture", partial(mask, values=model.reached))
+        masks["after"] = ("Filled by the model", partial(mask, values=model.reached))
     panels: list[Panel | None] = []
     for row in rows:
         for name in NAMES:
@@ -149,7 +150,7 @@ def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Pat
 
 
 def _best_sensor(capture: Capture, result: Filled) -> int:
-    """Return the sensor that faces the most filled texels."""
+    """Return the sensor that most filled texels face."""
     texels = result.field.texels
     position, normal = (np.array(x)[:, result.filled] for x in (texels.position, texels.normal))
     eyes = [to_world(sensor)[:3, 3] for sensor in capture.sensors]

@@ -255,7 +255,7 @@ def test_sentences_name_the_model_and_how_far_off_it_was(by_quarter) -> None:
     filled, _ = by_quarter
     said = " ".join(fill_sentences(filled))
     assert "by the truth; licence of its weights: none." in said
-    assert "photograph" in said and "In 3 renders." in said and "likeness" in said
+    assert "photograph" in said and "From 3 renders." in said and "similar texels" in said
 
 
 @pytest.mark.slow

@@ -108,7 +108,7 @@ def test_textures_of_another_mesh_are_refused(made, result, tmp_path, capsys, mo
     scene = write_scene(tmp_path, uvs=0.5 * ball().uvs)
     other = ("--render", "--spp", 1, "-o", tmp_path / "other.html")
     assert fails(capsys, command, scene, "--recovered", result, *other).startswith(
-        f"svu: {result}: these textures were recovered over another mesh than that of "
+        f"svu: {result}: these textures belong to another mesh or other UVs than "
     )
     (tmp_path / "anybody").mkdir()
     write_textures(lettered(16, 16), tmp_path / "anybody")
