@@ -425,7 +425,7 @@ def test_a_worker_of_a_cluster_works_on_one_capture_at_a_time(tmp_path, monkeypa
 
 def test_an_index_without_any_result_is_written(tmp_path):
     write_index(tmp_path, [], waiting=3)
-    assert "0 of 3 captures are done, 3 are to come" in (tmp_path / "index.html").read_text()
+    assert "0 of 3 captures are finished, 3 waiting" in (tmp_path / "index.html").read_text()
 
 
 def maps(out: Path) -> dict[str, bytes]:

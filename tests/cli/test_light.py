@@ -230,7 +230,7 @@ def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
     assert said.out.count("Using the light found before in ") == 4
     assert "come from another capture" not in said.err  # textures and report are of one
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "<h2>The light was found in the photographs</h2>" in page
+    assert "<h2>Estimated light</h2>" in page
     assert 'alt="Radiance of the light"' in page
     runs = [record(tmp_path / name) for name in ("entropy", "textures", "next")]
     assert len({one["written"]["capture"] for one in runs}) == 1

@@ -127,7 +127,7 @@ def test_numbers_are_those_of_the_estimate(text, estimate):
     mean = float(np.array(estimate.entropy)[seen].mean())
     assert re.search(rf"<dt>Mean entropy</dt><dd>{mean:.2f}<", text)
     assert re.search(r"<dt>Photographs used</dt><dd>4<small>of 5</small>", text)
-    assert "All switches of the preset" in text and "llvm_ad_rgb" in text and mi.__version__ in text
+    assert "All options of the preset" in text and "llvm_ad_rgb" in text and mi.__version__ in text
     assert "Gathering statistics" in section(text, "record")
 
 
@@ -186,11 +186,11 @@ def test_known_parameters_are_listed_by_intervals(estimate, page, monkeypatch):
     assert len(set(told)) == 3
     lead = re.sub("<[^>]*>", "", re.search('<p class="lead">(.*?)</p>', text)[1])
     assert lead.startswith(
-        f"4 photographs settle roughness on {told[0]}, metallic on {told[1]} and base colour on "
-        f"{told[2]} of the surface seen, and all of them on {told[0]}."
+        f"4 photographs determine roughness on {told[0]}, metallic on {told[1]} and base colour on "
+        f"{told[2]} of the visible surface, and all of them on {told[0]}."
     )
     assert text.count('<div class="parts"') == 3
-    assert f"{told[1]} settled, half known to ±0." in text
+    assert f"{told[1]} determined; median ±0." in text
 
 
 def test_nothing_is_settled_by_its_entropy(capture, estimate, table):
@@ -225,7 +225,7 @@ def test_names_and_warnings_are_escaped(text):
 def test_photographs_say_what_is_wrong_with_them(text):
     photographs = section(text, "photographs")
     assert "4 unusable pixels" in photographs and "exposure × 0.25" in photographs
-    left_out = photographs[photographs.index("Left out: 1") :]
+    left_out = photographs[photographs.index("Not used: 1") :]
     assert "entirely black" in left_out and "view_0004.exr" in left_out
 
 
@@ -322,16 +322,16 @@ def test_a_texel_that_no_frame_shows_has_no_ring(estimate, table):
 def test_nothing_seen_is_said(capture, estimate, page):
     few = replace(capture, used=(False,) * VIEWS, warnings=())
     text = page(few, blind(estimate))
-    assert "No point of the surface is seen" in text and "No photograph was used" in text
-    assert "There is nothing to compare" in text and "Left out: 5" in text
-    assert "settle" not in text.lower() and 'class="bars"' not in text
+    assert "No point of the surface is visible" in text and "No photograph was used" in text
+    assert "There is nothing to compare" in text and "Not used: 5" in text
+    assert "determine" not in text.lower() and 'class="bars"' not in text
     assert "nan" not in re.sub(r"data:image/[^\"]*", "", text).lower()
 
 
 def test_one_view_of_the_method_as_printed(capture, estimate, page):
     one = replace(capture, used=(True,) + (False,) * (VIEWS - 1), masks=(None,) * VIEWS)
     text = page(one, svu.estimate(one, estimate.texels, "spectrum", "paper"))
-    assert "1 photograph settles roughness on" in text and "It does not show" in text
+    assert "1 photograph determines roughness on" in text and "It does not show" in text
     assert "specular consist of whole cells of the grid, up to 0.14 wide" in text
     assert "Most probable specular" in text and "base colour" not in section(text, "maps")
     assert "--recovered FOLDER" in section(text, "errors")

@@ -141,8 +141,8 @@ def test_an_unseen_texel_is_grey_and_has_the_prior(capture, known, picker):
     unseen = int(np.flatnonzero(np.array(known.coverage) == 0)[0])
     pick = picker.describe(unseen)
     assert not pick.summaries
-    assert "seen by none of 4 views" in texel_markdown(capture, pick)
-    assert "nothing is known" in texel_markdown(capture, pick)
+    assert "not seen by any of 4 views" in texel_markdown(capture, pick)
+    assert "* no information" in texel_markdown(capture, pick)
     for name in ("entropy", "coverage", "most probable base colour", "entropy of metallic"):
         colors = surface_maps(known)[name].colors(np.inf)
         assert np.allclose(colors[pick.row, pick.column], (0.55, 0.55, 0.58))

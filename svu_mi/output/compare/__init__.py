@@ -1,1 +1,1 @@
-"""``svu compare``: differences between two results about one object, as numbers and a page."""
+"""``svu compare``: differences between two results for one object, as numbers and a page."""

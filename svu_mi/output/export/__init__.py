@@ -1,1 +1,1 @@
-"""Results as assets of other programs: GLB, MaterialX, PNG, packed textures."""
+"""Export of results for other programs: GLB, MaterialX, Mitsuba XML, EXR and PNG."""

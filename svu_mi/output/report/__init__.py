@@ -1,1 +1,1 @@
-"""``report.html``: one page about a capture and what it says, to send."""
+"""``report.html``: self-contained page with a capture and its estimate."""

@@ -1,4 +1,4 @@
-"""``report.html``: a self-contained page about a capture and its estimate."""
+"""``report.html``: self-contained page with a capture and its estimate."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import field_of_textures
 
 TEMPLATE = "report.html"
-FRAMES, SIDE = 12, 400  # of the turntable; pixels
-WARNINGS = 12  # that are shown at once
+FRAMES, SIDE = 12, 400  # number of turntable frames, pixels per side
+WARNINGS = 12  # number shown before "more"
 
 
 def write_report(
@@ -52,25 +52,30 @@ def write_report(
 ) -> IntervalSummary:
     """Write an estimate as one self-contained HTML page.
 
-    It opens without a network, in any browser. Of many photographs some are shown and rendered,
-    evenly through their order, so that page and time stay small.
+    The page opens in any browser without a network. Captures with many photographs show and render
+    an even subset, so that size and time stay small.
 
     Args:
-        capture: the ``Capture``.
-        estimate: its ``Estimate``; nothing need have been seen.
-        path: the HTML file. What is there and is no unchanged report is kept under another name,
+        capture: Capture of the estimate.
+        estimate: Estimate to show; may have no visible texel.
+        path: Path of the HTML file. An existing file that is not an unchanged report is renamed to
             ``NAME.before.EXT``, with a warning.
-        textures: recovered from the photographs, such as ``recover(...).textures``; they are shown,
-            and each photograph is compared with what they predict.
-        title: of the page; by default the name of the capture's folder.
-        settings: what the caller was asked for (command-line options).
-        progress: called with (parts done, parts in all).
+        textures: Recovered textures, such as ``recover(...).textures``, to show and to render for
+            comparison with the photographs.
+        title: Title of the page; default: the name of the capture's folder.
+        settings: Settings of the caller to list, such as command-line options.
+        progress: Callback with (finished parts, all parts).
 
     Returns:
-        The intervals that the page summarises.
+        Summary of the intervals on the page.
 
     Raises:
         OutputError: the file cannot be written.
+
+    Example:
+        >>> summary = svu.write_report(capture, estimate, "report.html", title="Vase")
+        >>> sorted(summary.known_part)
+        ['base_color', 'metallic', 'roughness']
     """
     report = progress or Stage().update
     result, table = EstimateArrays.of(estimate), Turntable.around(capture, FRAMES, SIDE)
@@ -97,7 +102,7 @@ def _pictures(
     capture: Capture, estimate: Estimate, textures: Textures | None, table: Turntable,
     intervals: Intervals, report: Callable[[int, int], None],
 ) -> dict[str, Any]:  # fmt: skip
-    """Return thumbnails, maps, textures and errors for the template."""
+    """Return thumbnails, maps, textures and errors as variables of the template."""
     thumbnails, left_out = report_pictures.thumbnails(capture, estimate)
     frames = list(report_pictures.turntable_pictures(table, estimate))
     report(1, 5)
@@ -112,7 +117,7 @@ def _pictures(
     examples = list(report_plots.example_texels(table, estimate, result, intervals.mass, turned))
     report(4, 5)
     warnings = list(capture.warnings)
-    if capture.source is not None:  # pages are shared
+    if capture.source is not None:  # remove local paths: pages are shared
         warnings = [sentence.replace(f"{capture.source}{os.sep}", "") for sentence in warnings]
     return {
         "count": capture.count, "used": sum(capture.used), "thumbnails": thumbnails,
@@ -127,7 +132,7 @@ def _pictures(
 
 
 def _light(capture: Capture) -> dict[str, Any] | None:
-    """Return maps and sentences of estimated light, None for given light."""
+    """Return maps and sentences of estimated light; None if the light was given."""
     light = capture.found_light
     if light is None:
         return None
@@ -150,7 +155,7 @@ def _summary(
     capture: Capture, estimate: Estimate, result: EstimateArrays, intervals: Intervals,
     summary: IntervalSummary, table: Turntable,
 ) -> dict[str, Any]:  # fmt: skip
-    """Numbers for the head of the page, and words for them."""
+    """Return the variables of the page's head."""
     seen = result.entropy[result.seen]
     views = float(np.median(result.coverage[result.seen])) if len(seen) else 0
     width, height = estimate.texels.resolution
@@ -173,7 +178,7 @@ def _summary(
             ("Points of the surface", grouped(len(result.seen)),
              f"in a texture of {width} × {height}"),
             ("Seen", percent(summary.seen_part),
-             f"of the surface; a point seen is in {views:g} photographs (median)"),
+             f"of the surface; in {views:g} photographs each (median)"),
             ("Mean entropy", f"{seen.mean():.2f}" if len(seen) else "–",
              f"of the points seen: {style.ENTROPY_ENDS}"),
         ],
@@ -183,7 +188,7 @@ def _summary(
 
 
 def _settings(capture: Capture, estimate: Estimate) -> dict[str, Any]:
-    """Return the settings of the estimate as rows of a table."""
+    """Return the settings of the estimate as table rows."""
     preset = dataclasses.asdict(estimate.preset)
     width, height = estimate.texels.resolution
     sizes = sorted({f"{image.shape[1]} × {image.shape[0]}" for image in capture.images})
@@ -202,7 +207,7 @@ def _settings(capture: Capture, estimate: Estimate) -> dict[str, Any]:
 
 
 def _environment(timings: Mapping[str, float]) -> dict[str, Any]:
-    """Return times, versions and machine as rows of a table."""
+    """Return times, versions and machine as table rows."""
     environment = environment_record()
     machine = {
         "Platform": environment["platform"], "Mitsuba variant": environment["variant"],
@@ -219,14 +224,14 @@ def _environment(timings: Mapping[str, float]) -> dict[str, Any]:
 
 
 def _setting_text(value: Any) -> str:
-    """Format a setting; of a path only its name, since pages are shared."""
+    """Format a setting; paths are reduced to their name, because pages are shared."""
     if isinstance(value, Path):
         return value.name or str(value)
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, tuple | list):
         return ", ".join(map(_setting_text, value)) or "–"
-    if isinstance(value, str) and "=" in value:  # of -D
+    if isinstance(value, str) and "=" in value:  # value of -D
         key, _, text = value.partition("=")
         return f"{key}={_setting_text(Path(text)) if text else ''}"
     return "–" if value is None else str(value)

@@ -1,4 +1,4 @@
-"""Pictures of a report: photographs, the object on a turntable, maps, errors of renders."""
+"""Pictures of a report: photographs, turntable, maps, errors of renders."""
 
 from __future__ import annotations
 
@@ -35,28 +35,28 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-SHOWN = 60  # photographs in a report; of more, every other, or fewer
-FIRST = 12  # of them that are shown without asking
+SHOWN = 60  # largest number of photographs in a report
+FIRST = 12  # photographs outside the collapsed part
 SHOWN_LEFT_OUT = 12
-OVERSAMPLED = 4  # pixels that a thumbnail's is averaged over, along each side
-MAP_SIDE = 256  # pixels of a texture; a page shows it a little larger
-CHECKS, LIGHT, DARK = 24, 0.72, 0.5  # fields across a texture and greys of what was not seen
+OVERSAMPLED = 4  # subsampling keeps this many pixels per thumbnail pixel and axis
+MAP_SIDE = 256  # pixels of a texture's longer side
+CHECKS, LIGHT, DARK = 24, 0.72, 0.5  # chequers across a texture, and their two greys
 
-COMPARED = 30  # most views that are rendered
-ERROR_SIDE = 64  # pixels of renders that only errors are taken of
-SAMPLES = 36  # per pixel: with fewer, their noise would be most of the error
-SHOWN_SIDE, SHOWN_SAMPLES = 224, 16  # of renders that are shown, and no errors taken of
-CHART_WIDTH = 900  # of the chart
+COMPARED = 30  # largest number of rendered views
+ERROR_SIDE = 64  # pixels of renders for error values
+SAMPLES = 36  # per pixel, for error values: the noise must be below the error
+SHOWN_SIDE, SHOWN_SAMPLES = 224, 16  # pixels and samples of renders that are shown
+CHART_WIDTH = 900  # pixels
 
-MapPictures = tuple[SurfaceMap, PageImage, PageImage]  # a map, on the object and as a texture
+MapPictures = tuple[SurfaceMap, PageImage, PageImage]  # map, on the object, as a texture
 
 
 def thumbnails(
     capture: Capture, estimate: Estimate
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return photographs that were used, and some that were left out.
+    """Return thumbnails of used photographs and of some unused ones.
 
-    ``first`` are those that are shown without asking.
+    ``first`` marks those outside the collapsed part of the page.
     """
     used = [view for view in range(capture.count) if capture.used[view]]
     left_out = [view for view in range(capture.count) if not capture.used[view]]
@@ -84,16 +84,16 @@ def thumbnails(
 
 
 def subsample(views_: Sequence[int], most: int) -> list[int]:
-    """Return at most ``most`` views, evenly spaced, with the first and the last."""
+    """Return at most ``most`` views, evenly spaced, including the first and the last."""
     return [views_[k] for k in evenly_spaced(len(views_), most)]
 
 
 def _thumbnail(capture: Capture, view: int) -> np.ndarray:
-    """Return a photograph at the size of a thumbnail, exposed for its object."""
+    """Return a photograph at thumbnail size, exposed for the object."""
     image, mask = capture.images[view], capture.masks[view]
-    step = max(max(image.shape[:2]) // (OVERSAMPLED * THUMBNAIL), 1)  # for large ones' sake
+    step = max(max(image.shape[:2]) // (OVERSAMPLED * THUMBNAIL), 1)  # limits the cost
     image, mask = image[::step, ::step], None if mask is None else mask[::step, ::step]
-    # By whole pixels, which takes no time; what is left to do, Pillow does.
+    # Average whole blocks, which is fast; Pillow does the remaining reduction.
     step = max(max(image.shape[:2]) // THUMBNAIL, 1)
     across, down = (min(step, size) for size in image.shape[1::-1])
     small = block_means(image, across, down)
@@ -103,17 +103,17 @@ def _thumbnail(capture: Capture, view: int) -> np.ndarray:
 
 
 def _why_left_out(image: np.ndarray) -> str:
-    """Return why a photograph may not have been used."""
+    """Return a possible reason why a photograph is unused."""
     usable = image[np.isfinite(image).all(axis=2)]
     if usable.size == 0:
         return "no photograph, or no usable pixel"
-    return "entirely black" if usable.max() <= 0 else "left out: on request, or unlike the others"
+    return "entirely black" if usable.max() <= 0 else "excluded on request, or unlike the others"
 
 
 def turntable_pictures(
     table: Turntable, estimate: Estimate
 ) -> Iterator[tuple[PageImage, str, str]]:
-    """Yield pictures of the entropy on the turntable, with descriptions and captions."""
+    """Yield turntable pictures of the entropy, with alternative texts and captions."""
     colors = map_colors(estimate)
     for number in range(len(table.sensors)):
         angle = f"{360 * number / len(table.sensors):.0f}°"
@@ -122,7 +122,7 @@ def turntable_pictures(
 
 
 def map_pictures(table: Turntable, estimate: Estimate, intervals: Intervals) -> list[MapPictures]:
-    """Return maps of entropy and coverage, and of each open parameter, if any texel is seen."""
+    """Return pictures of entropy, coverage and, if any texel is seen, each open parameter."""
     shown = surface_maps.entropy_maps(estimate)
     for name in open_axes(estimate) if is_seen(estimate).any() else ():
         shown += [
@@ -135,7 +135,7 @@ def map_pictures(table: Turntable, estimate: Estimate, intervals: Intervals) -> 
 def texture_maps(
     table: Turntable, estimate: Estimate, textures: Textures, field: TextureField | None = None
 ) -> list[MapPictures]:
-    """Return recovered textures as maps, and their uncertainty if there is a field."""
+    """Return pictures of recovered textures, and of their uncertainty if ``field`` is given."""
     inside = estimate.texels.inside()
     if textures.resolution != estimate.texels.resolution:
         inside = np.ones(textures.resolution[::-1], bool)
@@ -147,11 +147,11 @@ def texture_maps(
 def light_maps(light: LightEstimate) -> list[tuple[str, str, PageImage]]:
     """Return names, sentences and pictures of estimated light."""
     maps = (
-        ("Radiance", "Lat-long map: the top is +Y, the centre +Z.", light_colors(light.radiance)),
-        ("Standard deviation", "Of the logarithm of radiance: black is certain, and what is "
-         "yellow may be several times brighter or darker.", deviation_colors(light)),
-        ("What the photographs tell", "Yellow: nearly all; blue: what was assumed before, as no "
-         "glossy part of the object mirrors that direction.", known_colors(light)),
+        ("Radiance", "Lat-long map: top +Y, centre +Z.", light_colors(light.radiance)),
+        ("Standard deviation", "Of the logarithm of radiance. Black: certain; yellow: may be "
+         "several times brighter or darker.", deviation_colors(light)),
+        ("Fraction determined", "Yellow: by the photographs; blue: by the prior, because no glossy "
+         "part of the object mirrors that direction.", known_colors(light)),
     )  # fmt: skip
     return [(name, sentence, embedded_png(colors)) for name, sentence, colors in maps]
 
@@ -168,7 +168,7 @@ def _chequers(estimate: Estimate) -> np.ndarray:
 def _pictures(
     table: Turntable, shown: Iterable[SurfaceMap], inside: np.ndarray, **options: Any
 ) -> list[MapPictures]:
-    """Draw maps in ``SurfaceMap.colors`` of some options, opaque where there is surface."""
+    """Render maps with the options of ``SurfaceMap.colors``; textures are opaque in charts."""
     drawn = []
     for one in shown:
         colors = one.colors(**options)
@@ -178,10 +178,10 @@ def _pictures(
 
 
 def render_errors(capture: Capture, textures: Textures, grey: bool) -> dict[str, Any] | None:
-    """Compare renders in textures with the photographs; only brightness if ``grey``.
+    """Compare renders with recovered textures and photographs; brightness only if ``grey``.
 
-    Mean differences of views that are spread evenly over their order, as sentences have them, and
-    pictures of the best, a typical and the worst; None if no photograph shows the object.
+    Returns mean differences of an even subset of views, their chart, and pictures of the best,
+    median and worst view. None if no photograph shows the object.
     """
     used = [view for view in range(capture.count) if capture.used[view]]
     compared = _compare(capture, textures, subsample(used, COMPARED), grey, (ERROR_SIDE, SAMPLES))
@@ -202,7 +202,7 @@ def render_errors(capture: Capture, textures: Textures, grey: bool) -> dict[str,
 
 
 def most_probable_textures(estimate: Any) -> Textures | None:
-    """Return the most probable materials as textures, if they are Mitsuba's ``principled``."""
+    """Return the most probable parameters as textures; None unless they are ``principled``."""
     best = {name: np.array(values) for name, values in estimate.posterior.map().items()}
     if set(best) != set(NAMES):
         return None
@@ -224,7 +224,7 @@ def _chart(values: np.ndarray, rows: list[tuple[str, str]]) -> Plot:
 def _compare(
     capture: Capture, textures: Textures, chosen: list[int], grey: bool, size: tuple[int, int]
 ) -> list[RenderComparison]:
-    """Compare views in pictures of some size: pixels of their longer side, and samples of each."""
+    """Compare views; ``size`` is the longer side in pixels and the samples per pixel."""
     side, spp = size
     compared = rerender.compare_renders(capture, textures, chosen, spp, side, relit=False)
 

@@ -1,4 +1,4 @@
-"""Plots of a report: histogram of the entropy, marginals of all texels and of single ones."""
+"""Plots of a report: entropy histogram, mean marginals, marginals of single texels."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from svu_mi.output.panels import bar_edges
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.style import css_colors
 
-BINS = 25  # of the histogram
-TOPS = (0.2, 0.3, 0.5, 1.0)  # of axes of probability
+BINS = 25  # bars of the histogram
+TOPS = (0.2, 0.3, 0.5, 1.0)  # possible upper ends of probability axes
 CHANNEL_STYLES = ("red", "green", "blue")
-# Texels to look at: names, and the part of all seen texels that have a lower entropy.
+# Example texels: name, and quantile of the entropy of seen texels.
 EXAMPLES = (("Low entropy", 0.01), ("Median entropy", 0.5), ("High entropy", 0.99))
-ALIKE = 200  # texels of about that entropy, of which the one that is shown best is taken
-LEFT, RIGHT, TOP, BOTTOM = 44, 8, 10, 26  # margins, where the words of the axes are
-GAP = 0.12  # between bars, in parts of one
+ALIKE = 200  # texels of similar entropy from which the most visible one is chosen
+LEFT, RIGHT, TOP, BOTTOM = 44, 8, 10, 26  # margins for axis labels, in pixels
+GAP = 0.12  # gap between bars, relative to a bar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,15 +37,15 @@ class Plot:
     """Bars and lines in pixels of an SVG.
 
     Attributes:
-        alt: alternative text.
-        edges: (N + 1,) borders of the bars, increasing.
-        heights: (N,) of the bars; empty for lines alone.
-        labels: (N,) words that appear when a bar is pointed at.
-        colors: (N,) of the bars; empty for the page's own.
-        lines: style of ``page.css`` (``red``, ``prior``, ...), x and y of each.
-        top: value at the upper end.
-        x_ticks: values and what to write below them.
-        y_ticks: the same, on the left.
+        alt: Alternative text.
+        edges: (N + 1,) increasing edges of the bars.
+        heights: (N,) values of the bars; empty for lines only.
+        labels: (N,) tooltips of the bars.
+        colors: (N,) colours of the bars; empty for the page's colour.
+        lines: Style of ``page.css`` (``red``, ``prior``, ...), x and y of each line.
+        top: Value at the upper end.
+        x_ticks: Values and labels of the x axis.
+        y_ticks: Values and labels of the y axis.
     """
 
     alt: str
@@ -62,7 +62,7 @@ class Plot:
 
     @property
     def box(self) -> tuple[float, float, float]:
-        """Left and right end of the bars, and their floor."""
+        """Left end, right end and lower end of the bars in pixels."""
         return LEFT, self.width - RIGHT, self.height - BOTTOM
 
     def x(self, value: float) -> float:
@@ -84,7 +84,7 @@ class Plot:
                    "height": round(self.box[2] - y, 2)}  # fmt: skip
 
     def polylines(self) -> Iterator[tuple[str, str]]:
-        """Yield style and points of each line, as SVG has them."""
+        """Yield style and SVG points of each line."""
         for style, across, up in self.lines:
             yield (
                 style,
@@ -93,7 +93,7 @@ class Plot:
 
 
 def entropy_histogram(result: EstimateArrays) -> Plot | None:
-    """Return the histogram of the entropy, None if nothing is seen."""
+    """Return the histogram of the entropy; None if no texel is seen."""
     values = result.entropy[result.seen]
     if len(values) == 0:
         return None
@@ -110,7 +110,7 @@ def entropy_histogram(result: EstimateArrays) -> Plot | None:
 
 
 def marginal_plots(estimate: Any, result: EstimateArrays) -> Iterator[tuple[str, Plot]]:
-    """Yield the mean marginal of each open parameter, over all texels seen, if there are any."""
+    """Yield the mean marginal of each open parameter over seen texels, if there are any."""
     if not result.seen.any():
         return
     of_all, of_lowest = mean_marginals(estimate, result)
@@ -125,9 +125,9 @@ def example_texels(
     mass: float,
     frames: list[PageImage],
 ) -> Iterator[dict[str, Any]]:
-    """Yield texels of low, median and high entropy, if any is seen, with their marginals.
+    """Yield seen texels of low, median and high entropy with their marginals.
 
-    ``x`` and ``y`` is their place in ``picture``, in percent, if a frame shows them.
+    ``x`` and ``y`` are the position in ``picture`` in percent, if a frame shows the texel.
     """
     seen = np.flatnonzero(result.seen)
     order = seen[np.argsort(result.entropy[seen], kind="stable")]
@@ -153,7 +153,7 @@ def example_texels(
 
 
 def _interval_text(intervals: Intervals, name: str) -> str:
-    """Return the interval of a single texel: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
+    """Return the interval of one texel: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
     low, high = (end[0] for end in intervals.ends(name))
     texts = [f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True)]
     return texts[0] if len(texts) == 1 else ", ".join(map(" ".join, zip("RGB", texts, strict=True)))

@@ -1,4 +1,4 @@
-"""Renders of the object on a turntable, and positions of texels in them."""
+"""Renders of the object on a turntable, and projection of texels into them."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from svu_mi.output import object_views
 from svu_mi.output.object_views import front_and_right, up_direction
 
 ELEVATION = 20.0  # degrees
-FOV, ROOM = 30.0, 1.02  # degrees; distance, relative to where the bounding sphere just fits
-BORDER = 0.01  # left around the object, in parts of the film
-EMPTY = 0.02  # coverage of a pixel below which its colour means nothing
-EDGE = 2  # pixels of the silhouette that take their colour from within
-LIFT = 1e-3  # of rays above the surface, in parts of the object's extent
+FOV, ROOM = 30.0, 1.02  # degrees; distance relative to a bounding sphere that just fits
+BORDER = 0.01  # margin around the object, relative to the film
+EMPTY = 0.02  # lower bound of opacity that colours are divided by
+EDGE = 2  # pixels of the silhouette that take the colour of the interior
+LIFT = 1e-3  # offset of rays from the surface, relative to the object's extent
 
 
 @dataclass(frozen=True)
 class Turntable:
-    """Sensors in a ring around an object, slightly above it.
+    """Sensors on a ring around an object, slightly above it.
 
-    The first is where the first photograph was taken. All frames are cut to the same ``window``, so
-    that the object does not jump as it turns. ``up`` is a (3,) unit vector.
+    The first one looks from the direction of the first photograph. All frames share a crop
+    ``window``, so that the object does not move between frames. ``up`` is a (3,) unit vector.
     """
 
     scene: Any
@@ -42,7 +42,7 @@ class Turntable:
 
     @classmethod
     def around(cls, capture: Capture, count: int, side: int) -> Turntable:
-        """Place sensors around the ``mesh`` of a capture, with films of ``side`` pixels."""
+        """Place ``count`` sensors around a capture's ``mesh``, with films of ``side`` pixels."""
         center, radius = bounding_sphere(capture.mesh)
         distance = ROOM * radius / np.sin(np.radians(FOV) / 2)
         up = up_direction(capture)
@@ -65,22 +65,22 @@ class Turntable:
         return cls(object_only_scene(capture), tuple(sensors), window, up)
 
     def frame(self, texture: np.ndarray, number: int) -> np.ndarray:
-        """Render a texture (H, W, 3) of screen colours on the object, as sensor ``number`` sees it.
+        """Render a texture (H, W, 3) of screen colours on the object, from sensor ``number``.
 
-        Returns (h, w, 4) screen colours and opacity, cut to ``window``.
+        Returns (h, w, 4) screen colours and opacity, cropped to ``window``.
         """
         image = ObjectView.of(self.scene, self.sensors[number]).painted(texture)
         alpha = image[..., 3:]
-        # Over white it is c = a x + 1 - a; a page may be dark.
+        # Undo the white background, x = a c + 1 - a: the page may be dark.
         color = np.clip((image[..., :3] + alpha - 1) / np.maximum(alpha, EMPTY), 0, 1)
-        # Colour and coverage are sampled apart, so that a silhouette keeps some of the white.
+        # Replace silhouette colours: colour and opacity have different samples, so white remains.
         color = dilate(color, image[..., 3] == 1, EDGE)
         return object_views.crop(np.dstack([color, alpha]), self.window)
 
     def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
-        """Return the best visible one of some texels (t,): its index, frame, x and y.
+        """Return the most frontal visible texel of some (t,): its index, frame, x and y.
 
-        x and y are from the left and the top, in parts of the frame. None if no frame shows any.
+        x and y are fractions of the frame from the left and the top. None if none is visible.
         """
         points = np.array(texels.position).T[chosen]
         normals = np.array(texels.normal).T[chosen]
@@ -100,12 +100,12 @@ class Turntable:
         return int(chosen[k]), number, (x - left) / (right - left), (y - top) / (bottom - top)
 
     def _free(self, points: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        # Owned: NumPy's memory may begin anywhere, and where it does is part of a kernel.
+        # Copied by to_drjit: the alignment of NumPy's memory would be part of the kernel.
         ray = mi.Ray3f(to_drjit(mi.Point3f, points.T), to_drjit(mi.Vector3f, offset.T))
         ray.maxt = mi.Float(1.0)
         return ~np.array(self.scene.ray_test(ray))
 
 
 def _places(points: np.ndarray, sensor: Any) -> np.ndarray:
-    """Project points (N, 3) into a sensor: (N, 2) from the left and the top, in [0, 1]."""
+    """Project points (N, 3) into a sensor: (N, 2) from left and top, as fractions of the film."""
     return projected(sensor, points)[0] / film_size(sensor)

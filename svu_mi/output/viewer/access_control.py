@@ -1,13 +1,13 @@
-"""viser's server with access control: only a browser with the secret address is answered.
+"""Access control for viser's server: only the secret address is answered.
 
-A server on 127.0.0.1 is open to every program of this machine, and to every page that a browser
-shows: scripts may open WebSockets to any address, and a name of theirs may suddenly mean 127.0.0.1
-(DNS rebinding). So each request must have a secret as the first part of its path, which viser's
-page keeps when it derives the WebSocket's address from its own; a ``Host`` of this machine; and
-the same ``Origin``, if the browser sends one.
+Every program on the machine, and every web page in its browser, can reach a server on 127.0.0.1:
+scripts may open WebSockets to any address, and their host name may be rebound to 127.0.0.1 (DNS
+rebinding). A request therefore needs a secret as the first part of its path, a ``Host`` of this
+machine and, if the browser sends one, the matching ``Origin``. viser's page derives the address of
+its WebSocket from its own address and so keeps the secret.
 
-viser has no option for this. The arguments that it passes to ``websockets`` are changed on the
-way, and the server is stopped if it then answers a request without the secret.
+viser has no option for this, so its arguments to ``websockets`` are replaced. The server is
+stopped if it still answers a request without the secret.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from urllib.parse import urlsplit
 
 from svu_mi.errors import OptionError, SvuEnvironmentError
 
-HOST = "127.0.0.1"  # no other machine
-NAMES = (HOST, "localhost")  # of this machine; the port may be another one, through SSH
+HOST = "127.0.0.1"  # not reachable from other machines
+NAMES = (HOST, "localhost")  # accepted host names; the port may differ with SSH forwarding
 REFUSAL = "Open the whole address that the viewer has printed.\n"
-PRIVATE = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}  # the address is secret
-SECONDS = 5.0  # for an answer from this machine
+PRIVATE = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}  # protects the secret
+SECONDS = 5.0  # timeout of the self-test
 
 _patching = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Guard:
-    """Lets requests through that know the secret and come from the page itself.
+    """Filter of requests: accepts those with the secret path that come from the page itself.
 
     Attributes:
-        secret: first part of the path of every request.
+        secret: First part of the path of every request.
     """
 
     secret: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
 
     def allows(self, path: str, hosts: list[str], origins: list[str]) -> bool:
-        """Return whether to answer a request by its path and headers ``Host`` and ``Origin``."""
+        """Check a request by its path and its headers ``Host`` and ``Origin``."""
         first = (path.partition("?")[0].split("/") + [""])[1]
         return (
             secrets.compare_digest(first.encode(errors="replace"), self.secret.encode())
@@ -57,11 +57,11 @@ class Guard:
         )
 
     def without_secret(self, path: str) -> str:
-        """Return a path without the secret."""
+        """Return the path without the secret."""
         return "/" + path.removeprefix(f"/{self.secret}").removeprefix("/")
 
     def process_request(self, then: Callable[..., Any] | None) -> Callable[..., Any]:
-        """Return a ``process_request`` of ``websockets`` that asks this guard before another."""
+        """Return a ``process_request`` of ``websockets`` that calls ``then`` for valid requests."""
 
         def guarded(connection: Any, request: Any) -> Any:
             headers = request.headers
@@ -79,7 +79,7 @@ class Guard:
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
-        """Guard the servers that viser starts meanwhile; ``is_closed`` tells whether it worked."""
+        """Guard all servers that viser starts in this context; verify with ``is_closed``."""
         from websockets.asyncio import server
 
         serve = server.serve
@@ -98,17 +98,17 @@ class Guard:
 
 
 def host_name(host: str) -> str | None:
-    """Return the name in a header ``Host`` without the port, None if it is malformed."""
+    """Return the name in a ``Host`` header without the port; None if malformed."""
     try:
         parts = urlsplit(f"//{host}")
-        _ = parts.port  # ValueError: no number
+        _ = parts.port  # raises a ValueError if it is not a number
     except ValueError:
         return None
     return parts.hostname if parts.netloc == host and "@" not in host else None
 
 
 def is_closed(port: int) -> bool:
-    """Return whether a server of this machine refuses a page and a WebSocket to a stranger."""
+    """Check that a local server refuses a page and a WebSocket without the secret."""
     key = base64.b64encode(secrets.token_bytes(16)).decode()
     handshake = {
         "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
@@ -118,7 +118,7 @@ def is_closed(port: int) -> bool:
 
 
 def _answer(port: int, headers: dict[str, str]) -> int:
-    """Return the status with which ``/`` is answered, 0 if it is not."""
+    """Return the HTTP status of a request for ``/``; 0 without an answer."""
     connection = http.client.HTTPConnection(HOST, port, timeout=SECONDS)
     with contextlib.closing(connection):
         try:
@@ -129,10 +129,10 @@ def _answer(port: int, headers: dict[str, str]) -> int:
 
 
 def require_viser() -> Any:
-    """Return the module viser.
+    """Import and return viser.
 
     Raises:
-        SvuEnvironmentError: it is not installed.
+        SvuEnvironmentError: viser is not installed.
     """
     try:
         import viser
@@ -144,21 +144,23 @@ def require_viser() -> Any:
 
 
 def require_port(port: int) -> None:
-    """Refuse an invalid port with an ``OptionError``."""
+    """Raise an ``OptionError`` if the port is invalid."""
     if not 0 <= port < 65536:
         raise OptionError(f"--port must be 0 to 65535, got {port}.")
 
 
 def serve(port: int) -> tuple[Any, str]:
-    """Return a ``ViserServer`` and its secret address; the next free port is used, any if 0.
+    """Start a ``ViserServer``; return it and its secret address.
+
+    If the port is in use, the next free one is taken; 0 takes any free port.
 
     Raises:
-        SvuEnvironmentError: viser is not installed, or this version of it cannot be guarded.
-        OptionError: not a port.
+        SvuEnvironmentError: viser is not installed, or its version cannot be protected.
+        OptionError: the port is invalid.
     """
     require_port(port)
     viser = require_viser()
-    # A browser that goes away in the middle is nothing to log.
+    # Browsers that disconnect would otherwise be logged as errors.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
     guard = Guard()
     with _silence(), guard.installed():
@@ -166,8 +168,8 @@ def serve(port: int) -> tuple[Any, str]:
     if not is_closed(server.get_port()):
         stop(server)
         raise SvuEnvironmentError(
-            f"The viewer cannot be protected from other pages and programs with viser "
-            f"{viser.__version__}: pip install 'svu_mi[viewer]'."
+            "The viewer cannot be protected from other programs and web pages with viser "
+            f"{viser.__version__}; run pip install 'svu_mi[viewer]'."
         )
     return server, f"http://{HOST}:{server.get_port()}/{guard.secret}/"
 
@@ -180,6 +182,6 @@ def stop(server: Any) -> None:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """Keep viser from printing."""
+    """Suppress viser's output."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

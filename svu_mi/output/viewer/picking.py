@@ -1,4 +1,4 @@
-"""Picking of texels by rays, and their posteriors as text and pictures."""
+"""Picking of texels with rays, and their posteriors as text and plots."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 
 WIDTH, DPI = 3.6, 160  # inches
-NO_BREAK, DASH = "\u00a0", "\u2060–\u2060"  # a space and a dash at which no line breaks
-NAMED = 4  # cameras that are named; the others are counted
+NO_BREAK, DASH = "\u00a0", "\u2060–\u2060"  # space and dash without line break
+NAMED = 4  # largest number of cameras listed by name
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pick:
-    """One texel and its posterior.
+    """Texel and its posterior.
 
     Attributes:
-        texel: its number, from 0 to T - 1.
-        column: of the texture.
-        row: of the texture; row 0 is v = 0.
-        position: (3,) float64, the texel's centre in world space.
-        entropy: in [0, 1].
-        seen_by: indices of the sensors that see it.
-        summaries: by parameter the most probable value, the mean, and both ends of the interval,
-            of one or three channels; empty if no sensor sees the texel.
-        mass: probability of the intervals.
+        texel: Index, 0 to T - 1.
+        column: Column in the texture.
+        row: Row in the texture; row 0 is v = 0.
+        position: (3,) float64, centre in world space.
+        entropy: Normalised entropy, in [0, 1].
+        seen_by: Indices of the sensors that see the texel.
+        summaries: Most probable value, mean, and both ends of the interval by parameter, with one
+            or three channels; empty if the texel is unseen.
+        mass: Probability of the intervals.
     """
 
     texel: int
@@ -56,7 +56,7 @@ class Pick:
 
 
 class Picker:
-    """Finds texels on the surface of a capture's object; nothing else in the scene is hit."""
+    """Finds texels by rays; only the object can be hit, no other shape."""
 
     def __init__(
         self, capture: Capture, estimate: Estimate, intervals: Intervals | None = None
@@ -67,11 +67,11 @@ class Picker:
         self._scene = object_only_scene(capture)
 
     def pick(self, origin: Any, direction: Any) -> Pick | None:
-        """Return the texel that a ray hits first, None if it misses the object.
+        """Return the first texel that a ray hits; None if it misses the object.
 
-        Where a chart is too narrow for a texel's centre, it is the nearest one in the texture.
+        In charts too narrow for a texel centre, it is the nearest texel in the texture.
         """
-        # Arrays, not numbers: these would be compiled into a new kernel for every ray.
+        # Arrays: Dr.Jit would compile literal numbers into a new kernel for every ray.
         start, towards = (np.array(v, np.float32)[:, None] for v in (origin, direction))
         ray = mi.Ray3f(to_drjit(mi.Point3f, start), dr.normalize(to_drjit(mi.Vector3f, towards)))
         hit = self._scene.ray_intersect(ray)
@@ -86,11 +86,11 @@ class Picker:
         """Return a texel and its posterior.
 
         Raises:
-            OptionError: there is no such texel.
+            OptionError: ``texel`` is out of range.
         """
         texels = self._estimate.texels
         if not 0 <= texel < texels.count:
-            raise OptionError(f"The texel must be 0 to {texels.count - 1}, got {texel}.")
+            raise OptionError(f"texel must be 0 to {texels.count - 1}, got {texel}.")
         column, row = column_and_row(self._estimate, texel)
         seen_by = self._seen_by(texel)
         return Pick(
@@ -113,9 +113,7 @@ class Picker:
     def _seen_by(self, texel: int) -> tuple[int, ...]:
         observed = self._estimate.observed
         if observed is None:
-            raise OptionError(
-                "The estimate does not know its views; use what svu.estimate() returns."
-            )
+            raise OptionError("The estimate has no views; use the result of svu.estimate().")
         used = np.flatnonzero(self._capture.used)
         view = dr.arange(mi.UInt32, len(used))
         seen = observed.visibility.bits.test(view, to_drjit(mi.UInt32, np.full(len(used), texel)))
@@ -123,7 +121,7 @@ class Picker:
 
 
 def nearest_texel(texels: Texels) -> np.ndarray:
-    """Return (H, W) int64: the number of the texel there, or of the nearest one in the texture."""
+    """Return the index of the nearest texel in the texture for every pixel, (H, W) int64."""
     width, height = texels.resolution
     numbers = texels.to_image(np.arange(texels.count), -1)
     return dilate(numbers, texels.inside(), float(np.hypot(width, height)))
@@ -134,12 +132,12 @@ def texel_markdown(capture: Capture, pick: Pick) -> str:
     lines = [f"**Texel {pick.column}, {pick.row}** (column, row), number {pick.texel}", ""]
     lines += [f"* entropy **{pick.entropy:.3f}**", f"* {_seen_by(capture, pick)}"]
     if not pick.summaries:
-        return "\n".join([*lines, "* nothing is known"])
+        return "\n".join([*lines, "* no information: the posterior is the prior"])
     return "\n".join([*lines, "", *_table(pick)])
 
 
 def _table(pick: Pick) -> list[str]:
-    """Mean, interval and most probable value of each parameter, as lines of a Markdown table."""
+    """Return mean, interval and most probable value of each parameter as a Markdown table."""
     lines = [f"| | mean | {100 * pick.mass:g} % interval | most probable |", "|-|-|-|-|"]
     for name, values in pick.summaries.items():
         channels = (" R", " G", " B") if len(values[0]) == 3 else ("",)
@@ -152,17 +150,17 @@ def _table(pick: Pick) -> list[str]:
 def _seen_by(capture: Capture, pick: Pick) -> str:
     count = len(pick.seen_by)
     if not count:
-        return f"seen by none of {sum(capture.used)} views"
+        return f"not seen by any of {sum(capture.used)} views"
     names = [capture.names[view] for view in pick.seen_by[:NAMED]]
     more = [f"and {count - NAMED} more"] if count > NAMED else []
     return f"seen by **{count}** of {sum(capture.used)} views: {', '.join([*names, *more])}"
 
 
 def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None) -> np.ndarray:
-    """Draw the marginals of a texel, one below the other, and mark its recovered values.
+    """Draw the marginals of a texel below each other, and mark its recovered values.
 
     Returns:
-        (h, w, 3) uint8.
+        (h, w, 3) uint8 image.
     """
     names = list(open_axes(estimate))
     figure = new_figure(WIDTH, 1.25 * len(names), DPI, layout="constrained")
@@ -173,7 +171,7 @@ def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None)
         axes.xaxis.label.set_size(9)
         value = None if recovered is None else getattr(recovered, name, None)
         if value is not None:
-            # Of a colour the mean, as of the marginals.
+            # Mean over channels, as in the marginals.
             axes.axvline(np.array(value)[pick.row, pick.column].mean(), color=MARK, lw=2)
             axes.plot([], [], color=MARK, lw=2, label="recovered")
             style.legend(axes, 8, handlelength=1)

@@ -1,7 +1,7 @@
-"""The viewer: an object and all that is known of it, in a browser.
+"""Viewer: an object with its maps, cameras and posterior in a browser.
 
-viser serves a page to 127.0.0.1 from threads of its own. What a user does there becomes a task in
-a queue, and one thread works it off: nothing of Dr.Jit runs anywhere else, and Ctrl-C ends it.
+viser serves a page on 127.0.0.1 from its own threads. User input becomes a task in a queue that one
+thread processes, so that Dr.Jit runs in a single thread and Ctrl-C ends the viewer.
 """
 
 from __future__ import annotations
@@ -36,33 +36,33 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import field_of_textures
 
-HOME = (2.2, 1.2, 0.8)  # in front, to the right and above, in radii: the first look at the object
-NOWHERE = "anywhere"
+HOME = (2.2, 1.2, 0.8)  # initial camera: front, right, up, in radii from the centre
+NOWHERE = "anywhere"  # menu entry for a free camera
 THUMBNAIL, PHOTOGRAPH = 160, 1024  # pixels of the longer side
 CAMERA, SEEING = (70, 70, 80), tuple(round(255 * c) for c in MARK)  # colours of frusta
-CAMERA_SIZE = 0.12  # in parts of the object's radius
-SHADE = 0.75  # brightness of what faces down, so that shapes are seen
-PATIENCE = 0.5  # seconds between looks for Ctrl-C, which some systems do not tell a waiting queue
+CAMERA_SIZE = 0.12  # relative to the object's radius
+SHADE = 0.75  # brightness of downward faces, which makes shapes visible
+PATIENCE = 0.5  # seconds; a blocking wait would ignore Ctrl-C on some systems
 
 
 class Viewer:
-    """A page with an object, its cameras and its posterior; open from when it is made.
+    """Page with an object, its cameras and its posterior; the constructor opens it.
 
     Attributes:
-        url: of the page; its path is a secret, without which nothing is answered.
-        picked: the texel clicked last, if any.
+        url: Secret address of the page; other requests are refused.
+        picked: Last clicked texel, or None.
 
     Args:
-        capture: the ``Capture``.
-        estimate: its ``Estimate``, as ``svu.estimate`` returns it.
-        recovered: textures to look at, of the same resolution.
-        port: of the page; the next free one if it is taken, any free one if it is 0.
-        up: axis of the world that points upwards; None is as the cameras have it.
+        capture: Capture of the estimate.
+        estimate: Estimate returned by ``svu.estimate``.
+        recovered: Recovered textures to show, of the same resolution.
+        port: Port of the page; if in use, the next free one; 0 takes any free port.
+        up: Upward axis of the world; default: derived from the cameras.
 
     Raises:
-        SvuEnvironmentError: viser is not installed, or cannot be guarded (see ``serve``).
-        OptionError: no port.
-        ShapeError: textures of another resolution.
+        SvuEnvironmentError: viser is not installed, or cannot be protected (see ``serve``).
+        OptionError: the port is invalid.
+        ShapeError: the textures have another resolution.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Viewer:
         port: int = 8080,
         up: Axis | None = None,
     ) -> None:
-        require_viser()  # before any work
+        require_viser()  # fail early
         self._capture, self._estimate, self._recovered = capture, estimate, recovered
         intervals = Intervals(estimate.posterior)
         field = None if recovered is None else field_of_textures(recovered, estimate, capture.mesh)
@@ -86,7 +86,7 @@ class Viewer:
         self._up = up_direction(capture) if up is None else np.array(DIRECTION[up])
         front, right = front_and_right(capture, self._center, self._up)
         self._home = np.array(HOME) @ [front, right, self._up]
-        # Compile and compute now what the first click needs.
+        # Compile the kernels of the first click now.
         self._picker.pick(self._center, self._up)
         if (seen := np.flatnonzero(is_seen(estimate))).size:
             self._picker.describe(int(seen[0]))
@@ -100,7 +100,7 @@ class Viewer:
         self.show("entropy")
 
     def run(self) -> None:
-        """Do what the page asks for, until Ctrl-C."""
+        """Process user input until Ctrl-C."""
         try:
             while True:
                 self.work(PATIENCE)
@@ -110,7 +110,7 @@ class Viewer:
             self.stop()
 
     def work(self, seconds: float) -> bool:
-        """Do the next thing that the page asks for; return whether there was one in that time."""
+        """Process the next user input; return False if ``seconds`` pass without one."""
         try:
             task = self._tasks.get(timeout=seconds)
         except queue.Empty:
@@ -123,10 +123,10 @@ class Viewer:
         stop(self._server)
 
     def show(self, name: str) -> None:
-        """Show a map on the object; ``maps`` names them."""
+        """Show a map of ``maps`` on the object."""
         if name not in self._shown:
             self._status.content = f"Computing *{name}* ..."
-            # Charts reach over all that is outside, so that no seam shows.
+            # Dilate without limit, so that seams are invisible.
             mesh = textured_mesh(self._capture.mesh, self._maps[name].colors(np.inf))
             self._shown[name] = self._server.scene.add_mesh_trimesh(f"/object/{name}", mesh)
             self._status.content = self._heading()
@@ -140,15 +140,16 @@ class Viewer:
 
     @property
     def maps(self) -> tuple[str, ...]:
-        """Names of all that can be shown."""
+        """Names of the maps."""
         return tuple(self._maps)
 
     def look_through(self, view: int | None, client: Any | None = None) -> None:
-        """Go to a camera and see its photograph over the object; None leaves it.
+        """Move to a camera and show its photograph over the object; None returns to a free view.
 
-        In the browser ``client``, in all by default.
+        Without ``client``, all browsers move.
         """
-        if self._view is not None and view != self._view:  # its large picture is of no use there
+        # Replace the large image of the previous camera by a thumbnail.
+        if self._view is not None and view != self._view:
             self._frusta[self._view].image = frustum(self._capture, self._view, THUMBNAIL).image
         self._view = view
         self._through.value = NOWHERE if view is None else self._capture.names[view]
@@ -159,7 +160,7 @@ class Viewer:
             self._move(browser.camera, camera)
 
     def pick(self, origin: Any, direction: Any) -> None:
-        """Show what is known of the texel that a ray hits; nothing changes if it hits none."""
+        """Show the posterior of the texel that a ray hits; ignore a ray that misses."""
         pick = self._picker.pick(origin, direction)
         if pick is None:
             return
@@ -205,9 +206,9 @@ class Viewer:
             self._plot = gui.add_image(draw_scale(None), format="png", visible=False)
 
     def _heading(self) -> str:
-        # The page takes more than Markdown for its own: an id in braces would be run.
+        # obj_name removes braces: viser would execute an id in braces.
         seen = is_seen(self._estimate)
-        entropy = np.array(self._estimate.entropy)  # where nothing is seen, that of the prior
+        entropy = np.array(self._estimate.entropy)
         mean = (entropy[seen] if seen.any() else entropy).mean()
         return (
             f"**{obj_name(self._capture.shape.id())}**: {sum(self._capture.used)} views, "
@@ -216,11 +217,11 @@ class Viewer:
         )
 
     def _listen(self) -> None:
-        """Turn events into tasks; coroutines, because viser runs those in order."""
+        """Turn events into tasks; coroutines, because viser runs coroutines in order."""
 
         def later(work: Callable[[Any], None]) -> Callable[[Any], Any]:
             async def put(event: Any) -> None:
-                if event.client is not None:  # else it was set here
+                if event.client is not None:  # ignore changes by this program
                     self._tasks.put(lambda: work(event))
 
             return put
@@ -230,7 +231,7 @@ class Viewer:
         for widget in (self._cameras, self._size):
             widget.on_update(later(lambda _: self._update_frusta()))
         self._opacity.on_update(later(lambda _: self._fade()))
-        self._taken: tuple[float, float] | None = None  # where a click went to a frustum
+        self._taken: tuple[float, float] | None = None  # last click handled by a frustum
         self._server.scene.on_click()(later(self._click))
         for view, handle in enumerate(self._frusta):
             handle.on_click(later(partial(self._enter, view)))
@@ -244,7 +245,7 @@ class Viewer:
             self.pick(event.ray_origin, event.ray_direction)
 
     def _enter(self, view: int, event: Any) -> None:
-        if view != self._view:  # else it was meant for what is behind the photograph
+        if view != self._view:  # clicks on the shown photograph are meant for the object
             self._taken = event.screen_pos
             self.look_through(view, event.client)
 
@@ -260,7 +261,7 @@ class Viewer:
         )  # fmt: skip
 
     def _update_frusta(self) -> None:
-        """Only the camera that is looked through is left; those that see the texel are red."""
+        """Hide other cameras while one is shown; colour the cameras that see the texel."""
         seeing = self.picked.seen_by if self.picked else ()
         for view, handle in enumerate(self._frusta):
             handle.visible = self._cameras.value if self._view is None else view == self._view
@@ -275,7 +276,7 @@ class Viewer:
             self._frusta[self._view].image = (image * opacity).astype(np.uint8)
 
     def _move(self, camera: Any, to: Frustum | None) -> None:
-        """Look from a camera, with a window that may be narrower than its picture; or go home."""
+        """Move a browser's camera to a frustum, with its whole picture visible; None: go home."""
         if to is None:
             home = self._server.initial_camera
             camera.position, camera.look_at, camera.fov = home.position, home.look_at, home.fov

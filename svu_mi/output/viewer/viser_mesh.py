@@ -1,9 +1,9 @@
 """Object and cameras for viser's page: a textured mesh, and frusta with photographs.
 
-three.js, which renders that page, sends everything through a fit of the ACES filmic curve (S.
-Hill, BakingLab, as in three.js's ``tonemapping_pars_fragment``). It is undone here, so that a
-colour on the object can be compared with the colour bar beside it, or with a photograph.
-Frusta are in OpenCV's axes: +X right, +Y down, +Z forward.
+three.js, which renders the page, applies a fit of the ACES filmic curve to all colours (S. Hill,
+BakingLab, as in three.js's ``tonemapping_pars_fragment``). Textures are multiplied by the inverse
+curve, so that object, colour bar and photographs have the same colours. Frusta use OpenCV's axes:
++X right, +Y down, +Z forward.
 """
 
 from __future__ import annotations
@@ -23,9 +23,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import film_size, focal_length, principal_point
 from svu_mi.capture.tonemap import tone_mapped
 
-LIGHT_STRENGTH = (
-    4.0  # light by which a texture is multiplied: white needs more than a texture can hold
-)
+LIGHT_STRENGTH = 4.0  # factor of texture colours: white needs more than a texture value of 1
 EXPOSURE = 0.6
 TO_ACES = np.array([
     [0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777],
@@ -40,7 +38,7 @@ B, C, D, E, F = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
 def textured_mesh(mesh: Any, colors: np.ndarray) -> Any:
     """Return an ``mi.Mesh`` with UVs as a ``trimesh.Trimesh``.
 
-    ``colors`` (H, W, 3) are those that it appears in under white light of ``LIGHT_STRENGTH``.
+    ``colors`` (H, W, 3) are its screen colours under white light of ``LIGHT_STRENGTH``.
     """
     source = meshes.arrays(mesh)
     assert source.uvs is not None
@@ -48,22 +46,22 @@ def textured_mesh(mesh: Any, colors: np.ndarray) -> Any:
         baseColorTexture=Image.fromarray(material_colors(colors)), metallicFactor=0.0,
         roughnessFactor=1.0, doubleSided=True,
     )  # fmt: skip
-    # trimesh turns V over when it writes glTF, whose v = 0 is the image's top row.
+    # trimesh flips V when it writes glTF, whose v = 0 is the top row of an image.
     uvs = meshes.flipped_v(source.uvs)
     visual = trimesh.visual.TextureVisuals(uv=uvs, material=material)
     return trimesh.Trimesh(source.positions, source.faces, visual=visual, process=False)
 
 
 def material_colors(colors: np.ndarray) -> np.ndarray:
-    """Return uint8 colours of a rough material that under the light appears in screen colours."""
+    """Return the uint8 material colours that produce screen colours under the light."""
     return quantized(srgb(before_tone_mapping(decoded(colors))))
 
 
 def before_tone_mapping(linear: np.ndarray) -> np.ndarray:
-    """Return the texture that appears in linear colours (..., 3) under ``LIGHT_STRENGTH``.
+    """Return the texture that produces linear colours (..., 3) under ``LIGHT_STRENGTH``.
 
-    The most saturated colours are out of the curve's reach; they come out a little paler, and
-    white a little grey.
+    The curve cannot reach the most saturated colours, which become slightly paler, or white, which
+    becomes slightly grey.
     """
     curve = np.clip(linear @ np.linalg.inv(FROM_ACES).T, 0, 1)
     a, b, c = 1 - D * curve, B - E * curve, -(C + F * curve)
@@ -73,15 +71,15 @@ def before_tone_mapping(linear: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Frustum:
-    """A camera whose optical axis goes through the centre of its picture.
+    """Camera whose optical axis passes through the centre of its picture.
 
     Attributes:
         rotation: (3, 3) float64, camera to world.
         position: (3,) float64, in world space.
-        fov: opening angle over the picture's height, in radians.
-        aspect: the picture's width over its height.
-        image: (h, w, 4) uint8, the photograph in screen colours. Where the principal point is
-            not its centre, it is widened by transparent pixels until it is.
+        fov: Vertical field of view of the picture in radians.
+        aspect: Width divided by height of the picture.
+        image: (h, w, 4) uint8, photograph in screen colours, padded with transparent pixels until
+            the principal point is its centre.
     """
 
     rotation: np.ndarray
@@ -92,12 +90,12 @@ class Frustum:
 
 
 def frustum(capture: Capture, view: int, side: int) -> Frustum:
-    """Return a camera with its photograph, exposed for the object and at most ``side`` wide."""
+    """Return a camera with its photograph, exposed for the object, at most ``side`` pixels wide."""
     sensor = capture.sensors[view]
     pose = to_world(sensor) @ OPENCV
     width, height = film_size(sensor)
     x, y = principal_point(sensor)
-    half = np.array([max(x, width - x), max(y, height - y)])  # of the widened picture
+    half = np.array([max(x, width - x), max(y, height - y)])  # of the padded picture
     screen = tone_mapped(capture.images[view], capture.masks[view])
     small = Image.fromarray(quantized(screen))
     small.thumbnail((side, side))
@@ -105,7 +103,7 @@ def frustum(capture: Capture, view: int, side: int) -> Frustum:
     before = np.rint((half - (x, y)) * scale).astype(int)
     canvas = Image.new("RGBA", tuple(np.rint(2 * half * scale).astype(int).tolist()))
     canvas.paste(small, tuple(before.tolist()))
-    extent = canvas.size / scale  # of whole pixels
+    extent = canvas.size / scale  # rounded to whole pixels
     return Frustum(
         rotation=pose[:3, :3], position=pose[:3, 3],
         fov=float(2 * np.arctan(extent[1] / 2 / focal_length(sensor))),
