@@ -20,8 +20,7 @@ class Bits:
 
     Attributes:
         words: (ceil(N / 32) S,) UInt32: bit n % 32 of word (n // 32) S + s is bit n of lane s.
-        stride: Opaque UInt32, number of lanes S.
-        last: Opaque UInt32, N - 1.
+        stride, last: Opaque UInt32, S and N - 1.
     """
 
     words: Any

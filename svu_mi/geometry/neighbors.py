@@ -76,8 +76,7 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     """Find the neighbours of each texel on the surface, also across seams.
 
     Texels adjacent in the UV map are neighbours, unless they are over two texels apart in space or
-    have opposite normals. At chart edges, the position is extrapolated by one texel, and the
-    nearest texel is used. Without ``mesh``, only the UV map is used.
+    have opposite normals. At chart edges, the texel nearest to the extrapolated position is used.
     """
     right, down = _grid_pairs(texels)
     if mesh is None:

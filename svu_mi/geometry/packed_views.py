@@ -41,9 +41,7 @@ class Views(Films):
         pixels: (3 P,) Float, radiance, interleaved RGB; shares the capture's memory if possible.
             None without photographs.
         usable: (P,) Bool, True for interior pixels with valid radiance. None with an ``outline``.
-        count: Opaque UInt32, number of views V.
-        number: Number of views V.
-        scene: The ``mi.Scene``.
+        count, number: Number of views V, as opaque UInt32 and as int.
         grey: True if R = G = B in all usable pixels (relative tolerance 1e-6).
         clipped: Partly saturated pixels; None if no channel is saturated.
         rounding: First step and slope of each channel (``Rounding``), two (3 V,) Float; 0 for
@@ -77,10 +75,7 @@ class ClippedPixels:
 
 
 def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
-    """Pack the used views of a capture for kernels, and find their usable pixels.
-
-    ``silhouettes=True`` accepts all valid pixels inside the masks, not only interior pixels.
-    """
+    """Pack the used views of a capture; ``silhouettes`` accepts all valid pixels in the masks."""
     kept = [index for index in range(capture.count) if capture.used[index]]
     if not kept:
         raise CaptureError(
@@ -131,13 +126,8 @@ def pack_sensors(
 ) -> Views:  # fmt: skip
     """Pack sensors without photographs; silhouette pixels are unusable.
 
-    Args:
-        scene: ``mi.Scene`` for occlusion tests.
-        target: The object, an ``mi.Mesh``.
-        sensors: V perspective sensors.
-        largest: Maximal film size in pixels; larger films are scaled down, which makes silhouettes
-            wider.
-        later: True tests silhouettes lazily, by ``Views.outline``.
+    Films above ``largest`` pixels per side are scaled down, which makes silhouettes wider.
+    ``later=True`` tests silhouettes lazily, by ``Views.outline``.
     """
     poses = [_Pose.of(scaled_sensor(sensor, largest)) for sensor in sensors]
     sizes = np.array([pose.size for pose in poses], np.int64).reshape(-1, 2)
@@ -237,13 +227,11 @@ class _Pixels:
 
 @dataclass(frozen=True)
 class _Pose:
-    """Parameters of one sensor for kernels.
+    """Parameters of one sensor for kernels; see ``Views``.
 
     Attributes:
-        size: (width, height) in pixels.
         camera: (16,) float64, see ``Views.cameras``.
         rays: (24,) float32, see ``ray_floats``.
-        angle: Radians between neighbouring pixels at the film's centre.
     """
 
     size: tuple[int, int]

@@ -1,4 +1,4 @@
-"""From a point to its pixels: projection, interpolation, and the mean over a texel."""
+"""Pixel look-ups of surface points: projection, interpolation, and the mean over a texel."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import mitsuba as mi
 
 from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views
 
-SPACING = 1.5  # pixels between look-ups, each of which averages about as many
-MOST_TAPS = 8  # per side of a texel
+SPACING = 1.5  # pixels between look-ups; about the width of a bilinear filter
+MOST_TAPS = 8  # look-ups per side of a texel
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:
-    """Return a colour of 3 channels, or of 1, as that many: one is the mean of three."""
+    """Return a colour as a list of ``channels`` values; one channel is the mean of three."""
     values = list(color)
     return values if len(values) == channels else [sum(values) / len(values)]
 
 
 @dataclass(frozen=True)
 class Camera:
-    """One view in registers: see ``Views``.
+    """Parameters of one view in registers (see ``Views``).
 
     Attributes:
         x, y, w: Vector4f, rows of the projection.
         offset: UInt32, index of the photograph's first pixel.
-        least: Color3f, lower bound of saturated channels; None if nothing is saturated.
+        least: Color3f, lower bounds of saturated channels; None without saturated pixels.
     """
 
     x: Any
@@ -42,7 +42,7 @@ class Camera:
 
 
 def read_camera(views: Views, view: Any) -> Camera:
-    """Read a view by its number, UInt32."""
+    """Gather the parameters of a view by its index (UInt32)."""
     floats = [
         dr.gather(mi.Float, views.cameras, view * CAMERA_FLOATS + k) for k in range(CAMERA_FLOATS)
     ]
@@ -61,7 +61,7 @@ def read_camera(views: Views, view: Any) -> Camera:
 
 @dataclass(frozen=True)
 class Taps:
-    """The four pixels around a projected point, their bilinear weights, and film bounds."""
+    """Four pixels around a projected point, bilinear weights, and a flag for points on the film."""
 
     pixels: list[Any]
     weights: list[Any]
@@ -69,7 +69,7 @@ class Taps:
 
 
 def _project(camera: Camera, position: Any) -> tuple[Any, Any, Any, Any]:
-    """Pixel coordinates, 0 at the first centre; 1 / depth; whether in front of the camera."""
+    """Return x and y in pixels (0 at the first centre), 1 / depth, and True if in front."""
     point = mi.Vector4f(position.x, position.y, position.z, 1)
     depth = dr.dot(camera.w, point)
     in_front = depth > camera.near
@@ -80,13 +80,13 @@ def _project(camera: Camera, position: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def taps_at(camera: Camera, position: Any) -> Taps:
-    """Return the pixels around a point of the surface."""
+    """Return the bilinear look-up of a surface point."""
     x, y, _, in_front = _project(camera, position)
     return Taps(*_bilinear(camera, x, y), in_front & on_film(camera, x, y))
 
 
 def on_film(camera: Camera, x: Any, y: Any) -> Any:
-    """Return whether a point of the film lies between the centres of four pixels."""
+    """Return whether a film position is between the centres of four pixels."""
     left, top = dr.floor(x), dr.floor(y)
     return (
         (left >= 0)
@@ -97,18 +97,18 @@ def on_film(camera: Camera, x: Any, y: Any) -> Any:
 
 
 def black() -> Any:
-    """No radiance: Color3f."""
+    """Return zero radiance, Color3f."""
     return dr.zeros(mi.Color3f)
 
 
 def interpolate(views: Views, pixels: list[Any], weights: list[Any], active: Any = True) -> Any:
-    """Interpolate between four pixels; without any photograph there is no light."""
+    """Interpolate radiance between four pixels, Color3f; 0 without photographs."""
     total = black()
     if views.pixels is None:
         return total
     for pixel, weight in zip(pixels, weights, strict=True):
         value = dr.gather(mi.Color3f, views.pixels, pixel, active)
-        # A kernel that rounds a position differently may touch a pixel that is not usable.
+        # Unusable pixels (NaN) are possible, because kernels may round positions differently.
         total += weight * dr.select(dr.isfinite(value), value, 0)
     return total
 
@@ -117,10 +117,11 @@ def mean_over_texel(
     views: Views, camera: Camera, position: Any, sides: tuple[Any, Any] | None, seen: Any, *,
     clipped: bool = False,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Return mean radiance (Color3f) and grey variance of the pixels under a texel.
+    """Return mean radiance (Color3f) and grey variance (Float) of the pixels under a texel.
 
-    ``clipped`` adds their saturated fraction, Color3f. Unusable pixels do not count; if all are
-    unusable, the centre is read. A texel smaller than a pixel is one bilinear look-up.
+    Unusable pixels are ignored; if all are unusable, the centre is read. A texel smaller than a
+    pixel needs one bilinear look-up. ``clipped`` uses saturated channels as lower bounds, and also
+    returns their fraction (Color3f).
     """
     if views.pixels is None:
         return black(), mi.Float(0), *([black()] if clipped else [])
@@ -134,7 +135,7 @@ def mean_over_texel(
         v = (mi.Float(tap - row * columns) + 0.5) / steps[1] - 0.5
         px = x + u * spans[0][0] + v * spans[1][0]
         py = y + u * spans[0][1] + v * spans[1][1]
-        # Beyond the film there is nothing to read; alone in the middle there is.
+        # A single look-up is always on the film.
         inside = (number == 1) | on_film(camera, px, py)
         pixels, weights = _bilinear(camera, px, py)
         for pixel, w in zip(pixels, weights, strict=True):
@@ -144,7 +145,7 @@ def mean_over_texel(
                 color, over = _at_least(views, camera, pixel, color)
                 usable |= dr.max(over) > 0
             w = dr.select(inside & usable, w, 0)
-            # Not usable is also what holds no radiance, and NaN times 0 is NaN.
+            # Unusable pixels may be NaN, and NaN times 0 is NaN.
             color = dr.select(w > 0, color, 0)
             weight += w
             total += w * color
@@ -165,7 +166,7 @@ def mean_over_texel(
 def _cover(
     camera: Camera, position: Any, sides: tuple[Any, Any] | None
 ) -> tuple[Any, Any, list[Any], list[Any]]:
-    """Return a texel's middle on the film, its two sides there, and the look-ups along each."""
+    """Project a texel: x and y of its centre, its two sides, and the look-ups per side."""
     x, y, scale, _ = _project(camera, position)
     spans = [(mi.Float(0), mi.Float(0))] * 2
     if sides is not None:
@@ -175,7 +176,7 @@ def _cover(
 
 
 def _at_least(views: Views, camera: Camera, pixel: Any, color: Any) -> tuple[Any, Any]:
-    """Return a pixel whose clipped channels are as dark as they may be, and 1 for those."""
+    """Replace clipped channels by their lower bounds; also return their mask (1 or 0), Color3f."""
     assert views.clipped is not None and camera.least is not None
     bits = mi.UInt32(dr.gather(type(views.clipped.channels), views.clipped.channels, pixel))
     over = [(bits & (1 << c)) > 0 for c in range(3)]
@@ -187,7 +188,7 @@ def _at_least(views: Views, camera: Camera, pixel: Any, color: Any) -> tuple[Any
 
 
 def _span(camera: Camera, side: Any, x: Any, y: Any, scale: Any) -> tuple[Any, Any]:
-    """Project a vector at a point: pixels (Floats), to first order."""
+    """Project a short vector at a point to first order: x and y in pixels."""
     vector = mi.Vector4f(side.x, side.y, side.z, 0)
     depth = dr.dot(camera.w, vector)
     return (
@@ -197,7 +198,7 @@ def _span(camera: Camera, side: Any, x: Any, y: Any, scale: Any) -> tuple[Any, A
 
 
 def _bilinear(camera: Camera, x: Any, y: Any) -> tuple[list[Any], list[Any]]:
-    """Return the four pixels around a point and their weights, clamped to the film."""
+    """Return indices and weights of the four pixels around a film position, which is clamped."""
     x = dr.clip(x, 0, mi.Float(camera.width) - 1)
     y = dr.clip(y, 0, mi.Float(camera.height) - 1)
     left = dr.minimum(mi.UInt32(x), dr.maximum(camera.width, 2) - 2)

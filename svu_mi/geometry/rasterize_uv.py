@@ -1,7 +1,7 @@
-"""Rasterise UV triangles: the face and number of faces at each texel centre; extend textures.
+"""Rasterisation of UV triangles, and dilation of textures beyond UV charts.
 
-One lane per face walks its bounding box. Double precision edge functions of one canonical direction
-and the top-left rule assign a centre on a shared edge to one face: counts above 1 are overlaps.
+One lane per face loops over its bounding box. Edge functions are exactly antisymmetric, and with
+the top-left rule a texel centre on a shared edge belongs to one face: counts above 1 are overlaps.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from svu_mi.errors import OptionError, ShapeError
 
 
 def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the last face at every texel centre, -1 for none, and counts: (H * W,) int64."""
+    """Return last face (-1 without any) and number of faces per texel centre, (H * W,) int64."""
     width, height = resolution
     if len(uvs) == 0:
         empty = np.zeros(width * height, np.int64)
@@ -28,7 +28,7 @@ def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray,
         (to_drjit(mi.Float64, uvs[:, k, 0] * width), to_drjit(mi.Float64, uvs[:, k, 1] * height))
         for k in range(3)
     ]
-    # Plus one, so that zero means no face.
+    # Face index plus one; zero means no face.
     owner = dr.zeros(mi.UInt32, width * height)
     count = dr.zeros(mi.UInt32, width * height)
     _walk(corners, dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height), owner, count)
@@ -56,7 +56,7 @@ def _walk(corners: list[Any], width: Any, height: Any, owner: Any, count: Any) -
 
 
 def _span(values: list[Any], size: Any) -> tuple[Any, Any]:
-    """First and last texel whose centre can lie between the smallest and largest value."""
+    """Return first and last texel whose centre can be between the smallest and largest value."""
     low = dr.minimum(dr.minimum(values[0], values[1]), values[2])
     high = dr.maximum(dr.maximum(values[0], values[1]), values[2])
     first = dr.maximum(mi.Int32(dr.ceil(low - 0.5)), 0)
@@ -65,7 +65,7 @@ def _span(values: list[Any], size: Any) -> tuple[Any, Any]:
 
 
 def _edge(a: Any, b: Any, x: Any, y: Any) -> Any:
-    """Twice the signed area of (a, b, point); exactly antisymmetric in a and b."""
+    """Return twice the signed area of (a, b, point), exactly antisymmetric in a and b."""
     swap = (b[0] < a[0]) | ((b[0] == a[0]) & (b[1] < a[1]))
     ax, ay = dr.select(swap, b[0], a[0]), dr.select(swap, b[1], a[1])
     bx, by = dr.select(swap, a[0], b[0]), dr.select(swap, a[1], b[1])
@@ -79,17 +79,17 @@ def _inside(corners: list[Any], sign: Any, x: Any, y: Any) -> Any:
         a, b = corners[k], corners[(k + 1) % 3]
         area = sign * _edge(a, b, x, y)
         dx, dy = sign * (b[0] - a[0]), sign * (b[1] - a[1])
-        # On an edge, exactly one of its two directions is a "top or left" one.
+        # Of the two directions of an edge, exactly one is "top or left".
         top_left = (dy > 0) | ((dy == 0) & (dx < 0))
         inside &= (area > 0) | ((area == 0) & top_left)
     return inside
 
 
-NARROW = 8  # texels: wider gutters may be most of the image, and are asked for once
+NARROW = 8  # texels; wider gutters are not cached, because they may fill most of the image
 
 
 def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
-    """Return a copy of an image, invalid texels near valid ones filled with the nearest value."""
+    """Return a copy of an image; fill invalid texels up to ``texels`` away from a valid one."""
     image, valid = np.asarray(image), np.asarray(valid, bool)
     if image.ndim not in (2, 3) or valid.shape != image.shape[:2]:
         raise ShapeError(
@@ -103,21 +103,21 @@ def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
         place, source = _of_mask(np.packbits(valid).tobytes(), valid.shape, texels)
     else:
         place, source = _gutter(valid, texels)
-    flat = filled.reshape(valid.size, *image.shape[2:])  # a view: the copy is contiguous
+    flat = filled.reshape(valid.size, *image.shape[2:])  # a view, because the copy is contiguous
     flat[place] = flat[source]
     return filled
 
 
-@lru_cache(maxsize=2)  # of maps that are written, and of pictures
+@lru_cache(maxsize=2)  # one layout for maps, one for images
 def _of_mask(packed: bytes, shape: tuple[int, int], texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``_gutter``, cached by the content of a layout."""
+    """Return ``_gutter`` of a packed mask, cached."""
     bits = np.unpackbits(np.frombuffer(packed, np.uint8), count=shape[0] * shape[1])
     return _gutter(bits.view(bool).reshape(shape), texels)
 
 
 def _gutter(valid: np.ndarray, texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places (G,) of a gutter in the flat image, and where each takes its value from."""
-    if not valid.any() or valid.all():  # without any, every distance would be to nowhere
+    """Return flat indices of the texels to fill, (G,), and of their nearest valid texels, (G,)."""
+    if not valid.any() or valid.all():  # distances are undefined without a valid texel
         return np.empty(0, np.intp), np.empty(0, np.intp)
     distance, (row, column) = scipy.ndimage.distance_transform_edt(~valid, return_indices=True)
     place = np.flatnonzero(~valid & (distance <= texels))

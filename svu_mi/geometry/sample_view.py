@@ -1,7 +1,7 @@
-"""Samples of one view at one texel, within a symbolic loop over views.
+"""Samples of a view at texels, inside of a symbolic loop over views.
 
-``sample_view`` tests visibility; ``sample_visible`` reads the pixels of a visible texel. Consumers
-(SH fit, statistics) trace them once: samples stay in registers, without a (texel x view) array.
+``sample_view`` traces visibility; ``sample_visible`` reads the pixels of visible texels. Samples
+stay in registers: no array has an entry per texel and view.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from svu_mi.geometry.pixel_footprint import (
 )
 from svu_mi.geometry.texels import Texels
 
-RAY_OFFSET = 2e-5  # of the scene's extent: leaves the surface at every scale of the mesh
-RAY_END = 1e-4  # part of the way to the camera left out at its far end
-MIN_COSINE = 1e-3  # more grazing than this, neither pixel nor ray means the texel
+RAY_OFFSET = 2e-5  # distance of ray origins from the surface, relative to the mesh's extent
+RAY_END = 1e-4  # fraction of the ray that is cut off at the camera
+MIN_COSINE = 1e-3  # smallest cosine of a visible texel; below, pixels and rays are unreliable
 
 
 @dataclass(frozen=True)
 class TexelLanes:
-    """Texels of a kernel launch, in lanes.
+    """Texels of a kernel launch, one per lane.
 
     Attributes:
-        offset: Float, opaque: distance of ray origins from the surface.
-        texel: UInt32, number among all texels; None for all, in order.
-        sides: two Vector3f, world space; None for points.
+        offset: Opaque Float, distance of ray origins from the surface.
+        texel: UInt32, index among all texels; None if lanes are all texels in order.
+        sides: Sides of the texel, two Vector3f in world space; None for points.
     """
 
     position: Any
@@ -47,7 +47,7 @@ class TexelLanes:
 
     @staticmethod
     def of(texels: Texels, selection: Any | None = None) -> TexelLanes:
-        """Take all texels, or those of a UInt32 array of their indices."""
+        """Make lanes of all texels, or of a selection (UInt32 indices)."""
 
         def take(values: Any) -> Any:
             return values if selection is None else dr.gather(type(values), values, selection)
@@ -56,14 +56,14 @@ class TexelLanes:
             position=take(texels.position),
             normal=take(texels.normal),
             geometric_normal=take(texels.geometric_normal),
-            # Far from the origin, less than the step between coordinates is not an offset at all.
+            # Far from the origin, an offset below the rounding step would have no effect.
             offset=dr.opaque(mi.Float, max(RAY_OFFSET * texels.extent, 2 * texels.step)),
             texel=selection,
             sides=(take(texels.sides[0]), take(texels.sides[1])),
         )
 
     def at(self, lane: Any) -> TexelLanes:
-        """Take the texels of lanes (UInt32), any number of times."""
+        """Gather lanes by their indices (UInt32), which may repeat."""
 
         def take(values: Any) -> Any:
             return dr.gather(type(values), values, lane)
@@ -79,12 +79,12 @@ class TexelLanes:
 
     @property
     def index(self) -> Any:
-        """UInt32, number of each lane among all texels."""
+        """Index of each lane's texel among all texels, UInt32."""
         return dr.arange(mi.UInt32, self.count) if self.texel is None else self.texel
 
     @property
     def lane(self) -> Any:
-        """UInt32, number of each lane in the launch."""
+        """Index of each lane in the launch, UInt32."""
         return dr.arange(mi.UInt32, self.count)
 
     @property
@@ -98,12 +98,12 @@ class ViewSample:
     """One sample per lane.
 
     Attributes:
-        direction: unit Vector3f to the camera, world space.
-        cosine: Float, of direction and shading normal; 0 where not seen.
-        radiance: Color3f; 0 where not seen.
-        contrast: Float, variance of the averaged pixels, squared radiance; 0 where not seen.
-        clipped: in the visibility pass Bool, seen only through saturated pixels; in the gather pass
-            Color3f, saturated fraction. None if nothing is saturated, or not requested.
+        direction: Unit Vector3f to the camera, world space.
+        cosine: Float, cosine between direction and shading normal; 0 if not visible.
+        radiance: Color3f; 0 if not visible.
+        contrast: Float, variance of the averaged pixels in squared radiance; 0 if not visible.
+        clipped: Visibility pass: Bool, visible only through saturated pixels. Gather pass:
+            Color3f, saturated fraction. None without saturated pixels or if not requested.
     """
 
     direction: Any
@@ -115,10 +115,10 @@ class ViewSample:
 
 
 def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = False) -> ViewSample:
-    """Sample one view at every texel; rays are traced after the cheaper tests.
+    """Sample one view at each texel; test visibility by a ray.
 
-    A texel is seen if it faces the camera (both normals), its pixels are usable, and no geometry
-    occludes it.
+    A texel is visible if both normals face the camera, its pixels are usable, and no geometry
+    occludes it. Rays are traced only if the other tests pass, or in all lanes if ``dense``.
     """
     camera = read_camera(views, view)
     to_camera = camera.position - surface.position
@@ -135,8 +135,8 @@ def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = F
     def reach(
         start: Any, way: tuple[Any, Any], pixels: list[Any], weights: list[Any], seen: Any
     ) -> tuple[Any, ...]:
-        """Look the pixels up and trace visibility, for lanes that face the camera."""
-        shown = seen  # clipped or not; never changed in place, which would change both
+        """Test the pixels and trace a ray, for lanes that face the camera."""
+        shown = seen  # also through clipped pixels; in-place changes would affect both
         for pixel in pixels if views.outline is None else ():
             usable = dr.gather(mi.Bool, views.usable, pixel, shown)
             seen = seen & usable
@@ -146,7 +146,7 @@ def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = F
                 channels = views.clipped.channels
                 usable = usable | (dr.gather(type(channels), channels, pixel, shown) > 0)
                 shown = shown & usable
-        # Neighbouring texels look at one camera: packets stay together, which is 10 % faster.
+        # Rays of neighbouring texels converge at one camera: coherent packets are 10 % faster.
         ray = mi.Ray3f(start, *way, 0.0, [])
         free = ~views.scene.ray_test(ray, coherent=True, active=needs_work(shown, dense))
         seen = seen & free
@@ -155,7 +155,7 @@ def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = F
         radiance = dr.select(seen, interpolate(views, pixels, weights, seen), 0)
         return radiance, seen, *([] if views.clipped is None else [shown & free & ~seen])
 
-    # Mitsuba's own spawn_ray offset has an absolute part, which drowns small meshes.
+    # The offset of Mitsuba's spawn_ray has an absolute part, which is too large for small meshes.
     start = surface.position + surface.offset * surface.geometric_normal
     radiance, seen, *clipped = dr.if_stmt(
         args=(start, (direction, distance * (1 - RAY_END)), taps.pixels, taps.weights, seen),
@@ -175,7 +175,7 @@ def mirror_direction(normal: Any, direction: Any) -> Any:
 
 
 def needs_work(seen: Any, dense: bool) -> Any:
-    """Return which lanes have work to do: all, if dense."""
+    """Return the lanes (Bool) to process: visible ones, or all if ``dense``."""
     return mi.Bool(True) if dense else seen
 
 
@@ -183,7 +183,7 @@ def sample_visible(
     views: Views, surface: TexelLanes, view: Any, seen: Any, *, dense: bool = False,
     clipped: bool = False,
 ) -> ViewSample:  # fmt: skip
-    """Sample visible texels, without rays; ``clipped``: saturated pixels as lower bounds."""
+    """Sample texels of known visibility; ``clipped`` uses saturated channels as lower bounds."""
 
     def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
         camera = read_camera(views, view)
@@ -210,7 +210,7 @@ def over_views(
     *,
     dense: bool = False,
 ) -> Any:
-    """Fold ``consume(observation, view, *state)`` over all views in one symbolic loop."""
+    """Fold ``consume(sample, view, *state)`` over all views in one symbolic loop."""
 
     def body(view: Any, *state: Any) -> tuple[Any, ...]:
         return (view + 1, *consume(sample_view(views, surface, view, dense=dense), view, *state))
@@ -219,7 +219,7 @@ def over_views(
 
 
 def fold(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
-    """Fold ``body``, which returns the next number and state, over [start, end) symbolically."""
+    """Loop symbolically from ``start`` to ``end``: ``number, *state = body(number, *state)``."""
     return dr.while_loop(
         state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body
     )[1:]

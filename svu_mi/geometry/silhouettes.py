@@ -1,9 +1,9 @@
-"""Interior pixels: those that show one continuous piece of the object.
+"""Interior pixels, which show one continuous part of the object; silhouette pixels do not.
 
-A pixel is interior if rays through its four corners hit the object, at distances that a smooth
-surface explains; silhouette pixels mix two radiances. Rays of many views share a launch. A tile is
-a square of TILE x TILE pixel corners; the 16 lanes of a packet are 4 x 4 neighbouring corners.
-Only tiles within the object's projected bounding box and the photograph's mask are traced.
+A pixel is interior if rays through its four corners hit the object at distances that are consistent
+with a smooth surface. Rays of many views share a kernel launch. A tile is a square of TILE x TILE
+pixel corners; the 16 lanes of a packet are 4 x 4 neighbouring corners. Only tiles within the
+object's projected bounding box and the photograph's mask are traced.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from svu_mi.capture.film_rays import film_ray
 from svu_mi.capture.mesh import face_normals
 from svu_mi.core.arrays import to_drjit
 
-TILE = 32  # corners per side, a power of two: lanes of a kernel are split into tiles by shifts
-MARGIN = 1  # pixels around the projected box: its projection is rounded
-SLOPE_MARGIN = 3.0  # how much steeper than its tangent plane a smooth surface may look
-MIN_COSINE = 0.05  # grazing surfaces recede at most as fast as this cosine says
+TILE = 32  # corners per side; a power of two, because lanes are split by bit shifts
+MARGIN = 1  # pixels around the projected bounding box, for rounding errors
+SLOPE_MARGIN = 3.0  # largest slope of a smooth surface, relative to its tangent plane
+MIN_COSINE = 0.05  # lower bound of the cosine, which limits slopes at grazing angles
 BLOCK = 1024  # tiles per launch: 1 M rays, 8 MiB
 
 
@@ -33,7 +33,7 @@ class Films:
     """Pixel layout of V views, and the rays through the pixels.
 
     Attributes:
-        offset: (V,) UInt32, index of each first pixel.
+        offset: (V,) UInt32, index of each view's first pixel.
         angle: (V,) Float, radians between neighbouring pixels at the film's centre.
         rays: (V * 24,) Float, see ``ray_floats``.
     """
@@ -47,17 +47,17 @@ class Films:
 
 @dataclass(frozen=True)
 class Outline:
-    """Silhouettes of an object in V views, traced where queried."""
+    """Lazy test of interior pixels: silhouettes of an object in V views, traced on request."""
 
     target: Any
     films: Films
 
     def encloses(self, scene: Any, view: Any, pixel: Any, active: Any) -> Any:
-        """Return whether four pixels, 2 x 2, are interior: nine rays through their corners."""
+        """Return whether 2 x 2 pixels (``pixel`` and its neighbours) are interior, by nine rays."""
         films = self.films
         width = dr.gather(mi.UInt32, films.width, view)
         place = pixel - dr.gather(mi.UInt32, films.offset, view)
-        row = place // dr.maximum(width, 1)  # inactive lanes have 0, and division by it ends all
+        row = place // dr.maximum(width, 1)  # the width is 0 in inactive lanes
         column = place - row * width
 
         def corner(i: int, j: int) -> tuple[Any, Any]:
@@ -81,7 +81,7 @@ def find_tiles(
     bounds: np.ndarray,
     masks: Sequence[np.ndarray | None],
 ) -> np.ndarray:
-    """Return disjoint tiles of V views, (N, 3) uint32: view, column, row of the first pixel."""
+    """Return tiles that may contain the object, (N, 3) uint32: view, first column, first row."""
     windows = _windows(projections, near, sizes, bounds)
     of_views = [
         _tiles_of(view, window, mask)
@@ -93,20 +93,20 @@ def find_tiles(
 def _windows(
     projections: np.ndarray, near: np.ndarray, sizes: np.ndarray, bounds: np.ndarray
 ) -> np.ndarray:
-    """Return (V, 2, 2) int: first pixel and end of the box's projection, each (x, y)."""
+    """Return bounds of the projected box, (V, 2, 2) int64: first pixel and end, each (x, y)."""
     corners = np.stack(np.meshgrid(*bounds.T, [1.0], indexing="ij"), axis=-1).reshape(8, 4)
     points = np.einsum("vij,cj->vci", projections, corners)
     in_front = (points[..., 2] > near[:, None]).all(axis=1)
     depth = np.where(in_front[:, None], points[..., 2], 1.0)
     pixels = points[..., :2] / depth[..., None]
-    # A box that reaches behind the camera can be anywhere on the film.
+    # The projection of a box that is partly behind the camera is unbounded.
     first = np.where(in_front[:, None], np.floor(pixels.min(axis=1)) - MARGIN, 0)
     end = np.where(in_front[:, None], np.ceil(pixels.max(axis=1)) + MARGIN, sizes)
     return np.clip(np.stack([first, end], axis=1), 0, sizes[:, None]).astype(np.int64)
 
 
 def _tiles_of(view: int, window: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
-    """Return (N, 3) uint32, the tiles of one view."""
+    """Return the tiles of one view, (N, 3) uint32."""
     (left, top), (right, bottom) = window
     columns, rows = np.arange(left, right, TILE - 1), np.arange(top, bottom, TILE - 1)
     if not (columns.size and rows.size):
@@ -121,7 +121,7 @@ def _tiles_of(view: int, window: np.ndarray, mask: np.ndarray | None) -> np.ndar
 
 
 def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterator[tuple[Any, Any]]:
-    """Yield pixels of the tiles (UInt32), each once, and whether they are interior (Bool)."""
+    """Yield indices of the tiles' pixels (UInt32, each once), and interior flags (Bool)."""
     for start in range(0, len(tiles), BLOCK):
         block = tiles[start : start + BLOCK]
         table = to_drjit(mi.UInt32, np.pad(block, ((0, 0), (0, 1))).ravel())
@@ -139,17 +139,17 @@ def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterat
         angle = SLOPE_MARGIN * dr.gather(mi.Float, films.angle, view, pixel)
         index = dr.gather(mi.UInt32, films.offset, view, pixel) + y * width + x
         yield index, _is_smooth(hit, corners, angle, pixel)
-        del hit  # before the next block is traced
+        del hit  # frees memory before the next block
 
 
 def _corner(lane: Any) -> tuple[Any, Any]:
-    """Return column and row of a lane's corner in its tile."""
+    """Return column and row of a lane's pixel corner in its tile."""
     high = TILE - 4
     return (lane & 3) | ((lane >> 2) & high), ((lane >> 2) & 3) | ((lane >> 5) & high)
 
 
 def _lane(lane: Any, column: Any, row: Any) -> Any:
-    """Return the lane of another corner in a lane's tile: ``_corner`` the other way."""
+    """Return the lane of another corner in the same tile; inverse of ``_corner``."""
     high = TILE - 4
     first = lane - (lane & (TILE * TILE - 1))
     low_bits = (column & 3) | ((row & 3) << 2)
@@ -157,20 +157,19 @@ def _lane(lane: Any, column: Any, row: Any) -> Any:
 
 
 def _trace(scene: Any, target: Any, ray: Any, active: Any) -> tuple[Any, Any]:
-    """Return the distance along a ray to the target and the slope that it is met at."""
+    """Return distance along a ray to the target (infinite for a miss), and tan(ray, normal)."""
     hit = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
-    # Opaque: as a literal, every scene would get a kernel of its own.
+    # Opaque: a literal would recompile the kernel for every scene.
     on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))
-    # A full intersection would ask every kind of shape that is alive: another kernel for each.
+    # A full intersection would compile code for every existing type of shape.
     normal = face_normals(target, hit.prim_index, on_target)
     cosine = dr.maximum(dr.abs(dr.dot(normal, ray.d)), MIN_COSINE)
     slope = dr.safe_sqrt(1 - dr.square(cosine)) / cosine
-    # A corner off the object is infinitely far away: no slope explains it.
     return dr.select(on_target, hit.t, dr.inf), slope
 
 
 def _is_smooth(hit: tuple[Any, Any], corners: list[Any], angle: Any, pixel: Any) -> Any:
-    """Return whether a pixel's corners lie on one surface, as far as their slopes allow."""
+    """Return whether a pixel's corners are on one smooth surface, by distances and slopes."""
     distance, slope = hit
     near, far = _extremes([dr.gather(mi.Float, distance, corner, pixel) for corner in corners])
     depth, reach = far - near, angle * far
@@ -181,12 +180,12 @@ def _is_smooth(hit: tuple[Any, Any], corners: list[Any], angle: Any, pixel: Any)
         slopes = [dr.gather(mi.Float, slope, corner, steep) for corner in corners]
         return _is_explained(depth, reach, _extremes(slopes)[0])
 
-    # Most pixels are nearly level: only the others look their slopes up.
+    # Most pixels have almost equal distances; only the others need slopes.
     return on_object & dr.if_stmt((steep, corners), steep, explained, lambda *_: mi.Bool(True))
 
 
 def _is_explained(depth: Any, reach: Any, slope: Any) -> Any:
-    """Return whether corners may differ so much in depth on one surface that is met at a slope."""
+    """Return whether a depth difference is consistent with a surface of the given slope."""
     return depth <= reach * (0.5 + slope)
 
 

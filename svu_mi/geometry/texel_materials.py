@@ -16,21 +16,21 @@ from svu_mi.parameters import CHANNELS
 
 
 def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
-    """Return the target's BSDF parameters at texels by name: (T, 3) linear, or (T,) float64."""
+    """Return the BSDF parameters of the target at texels by name, (T, 3) linear or (T,) float64."""
     label = f"Shape '{capture.shape.id()}'"
     if capture.mesh is not capture.shape:
         raise SceneError(
-            f"{label} was unwrapped, so its texels do not match its textures; give it UVs "
-            "of its own."
+            f"{label} was unwrapped, so its texels do not match its textures; give the mesh "
+            "the UVs of the textures."
         )
     bsdf = capture.shape.bsdf()
     if not is_principled(bsdf):
-        raise SceneError(f"{label} has no principled BSDF, so its parameters are unknown.")
+        raise SceneError(f"{label} has no principled BSDF; its parameters are unknown.")
     si = dr.zeros(mi.SurfaceInteraction3f, texels.count)
     si.uv = texels.uv
     parameters = {}
     for name, values in principled_attributes(bsdf, si).items():
-        # A uniform texture gives one value for all.
+        # A constant texture returns a single value.
         columns = [
             np.broadcast_to(np.array(x, np.float64).ravel(), (texels.count,)) for x in values
         ]
@@ -39,7 +39,7 @@ def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
 
 
 def principled_attributes(bsdf: Any, si: Any, active: Any = True) -> dict[str, list[Any]]:
-    """Evaluate all parameters of a ``principled`` BSDF, by name: a Float for every channel."""
+    """Evaluate the parameters of a ``principled`` BSDF, by name: one Float per channel."""
     return {
         name: list(bsdf.eval_attribute(name, si, active)) if channels > 1
         else [bsdf.eval_attribute_1(name, si, active)]

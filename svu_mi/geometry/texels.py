@@ -18,31 +18,40 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.geometry.rasterize_uv import rasterize
 
-OVERLAP_LIMIT = 0.05  # part of the covered texels; below it they are left out, above refused
-OUTSIDE_LIMIT = 1e-3  # part of the faces that may lie outside the unit square
+OVERLAP_LIMIT = 0.05  # largest fraction of overlapping texels, which are omitted
+OUTSIDE_LIMIT = 1e-3  # largest fraction of faces outside the unit square
 MAX_RESOLUTION = 16384
-CHUNK = 2**20  # texels that are interpolated at a time; double precision takes 500 bytes of each
-COARSEST = 1e-4  # part of a mesh's extent that coordinates must resolve
+CHUNK = 2**20  # texels interpolated at once, at 500 bytes each
+COARSEST = 1e-4  # largest rounding step of coordinates, relative to the mesh's extent
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Texels:
-    """The T texels whose centre lies on the surface, neighbours next to each other.
+    """The T texels whose centre is on the surface, sorted along a Morton curve.
 
     Attributes:
-        resolution: (W, H) of the texel grid.
+        resolution: Size (W, H) of the texel grid.
         index: (T,) UInt32, flat row-major texel index (row 0 is v = 0).
-        face: (T,) UInt32, the face of the mesh under the texel.
-        position: (T,) Point3f, world space, strictly inside its face.
+        face: (T,) UInt32, index of the face under the texel.
+        position: (T,) Point3f, world space, strictly inside the face.
         normal: (T,) Normal3f, unit shading normal.
-        geometric_normal: (T,) Normal3f, unit face normal, on the shading normal's side.
-        uv: (T,) Point2f, the texel's centre.
-        footprint: (T,) Float, side of the texel's square on the surface, in world units.
-        sides: two (T,) Vector3f, from one edge of the texel to the other along u and v.
-        overlapping: number of texels left out because several faces claim them.
-        degenerate: number of texels left out because their face has no area in space.
-        extent: diagonal of the mesh's bounding box, in world units.
-        step: between neighbouring single precision coordinates, where these are largest.
+        geometric_normal: (T,) Normal3f, unit face normal, on the side of the shading normal.
+        uv: (T,) Point2f, centre of the texel.
+        footprint: (T,) Float, square root of the texel's area on the surface, in world units.
+        sides: Two (T,) Vector3f, sides of the texel along u and v in world space.
+        overlapping: Number of omitted texels that several faces cover.
+        degenerate: Number of omitted texels whose face has no area.
+        extent: Diagonal of the mesh's bounding box, in world units.
+        step: Rounding step of the largest coordinate in single precision.
+
+    Example:
+        >>> texels.resolution, texels.overlapping
+        ((64, 64), 0)
+        >>> image = texels.to_image(texels.footprint)
+        >>> image.shape
+        (64, 64)
+        >>> int((image > 0).sum()) == texels.count
+        True
     """
 
     resolution: tuple[int, int]
@@ -70,32 +79,32 @@ class Texels:
 
     @property
     def layout(self) -> TexelLayout:
-        """Where they are in the texture, without Dr.Jit."""
+        """Layout of the texels in the texture, without Dr.Jit."""
         return TexelLayout(self.resolution, np.array(self.index))
 
     def to_image(self, values: Any, fill: float = 0.0) -> np.ndarray:
-        """Lay per-texel values out as a texture.
+        """Convert per-texel values to an image.
 
         Args:
             values: (T,) or (T, C), array or tensor.
-            fill: value of texels outside the charts.
+            fill: Value outside the charts.
 
         Returns:
-            (H, W) or (H, W, C) array of the values' type, row 0 at v = 0.
+            (H, W) or (H, W, C) array of the same type, row 0 at v = 0.
 
         Raises:
-            ShapeError: the number of values is not T.
+            ShapeError: The number of values is not T.
         """
         return self.layout.to_image(values, fill)
 
     def inside(self) -> np.ndarray:
-        """Return (H, W) bool: True where there is a texel."""
+        """Return the mask of the charts, (H, W) bool."""
         return self.layout.inside()
 
 
 @dataclass(frozen=True)
 class TexelLayout:
-    """Layout of T texels in a texture, without Dr.Jit: usable in any thread."""
+    """Layout of T texels in a texture, without Dr.Jit, for use in any thread."""
 
     resolution: tuple[int, int]
     index: np.ndarray
@@ -106,7 +115,7 @@ class TexelLayout:
         return len(self.index)
 
     def to_image(self, values: Any, fill: float = 0.0) -> np.ndarray:
-        """Lay values out as ``Texels.to_image`` does."""
+        """Convert per-texel values to an image (see ``Texels.to_image``)."""
         flat = np.array(values)
         if flat.ndim == 0 or len(flat) != self.count:
             raise ShapeError(
@@ -119,20 +128,27 @@ class TexelLayout:
         return image.reshape(height, width, *flat.shape[1:])
 
     def inside(self) -> np.ndarray:
-        """Return (H, W) bool: True where there is a texel."""
+        """Return the mask of the charts, (H, W) bool."""
         return self.to_image(np.ones(self.count, bool), False)
 
 
 def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
-    """Lay a texel grid over a mesh's UV charts.
+    """Rasterise the UV charts of a mesh into texels.
 
     Args:
-        mesh: an ``mi.Mesh`` with UVs in the unit square, or the capture whose ``mesh`` is meant.
-        resolution: texels per side, or (width, height).
+        mesh: An ``mi.Mesh`` with UVs in the unit square, or a capture (for its ``mesh``).
+        resolution: Texels per side, or (width, height).
 
     Raises:
-        OptionError: the resolution is not positive or too large, or neither mesh nor capture.
-        MeshError: no UVs, UVs outside [0, 1], charts that overlap, or none at all.
+        OptionError: ``mesh`` has the wrong type, or the resolution is not in [1, 16384].
+        MeshError: UVs are missing, outside [0, 1] or overlapping, or no texel is covered.
+
+    Example:
+        >>> svu.texels(capture.mesh, (64, 32)).resolution
+        (64, 32)
+        >>> grid = svu.texels(capture, 16)
+        >>> 0 < grid.count <= 256
+        True
     """
     require_variant()
     width, height = size_of(resolution)
@@ -152,22 +168,22 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
         raise MeshError(f"{name} is not a triangle mesh; convert it to a PLY or OBJ mesh with UVs.")
     if not has_uvs(mesh):
         raise MeshError(
-            f"{name} has no UVs, so it has no texels; load it with svu.load_capture (which "
-            "unwraps it) and use capture.mesh."
+            f"{name} has no UVs; load it with svu.load_capture, which unwraps it, and use "
+            "capture.mesh."
         )
     source = arrays(mesh)
     if len(source.positions) and _step(source) > COARSEST * _extent(source):
         raise MeshError(
-            f"{name} is {_extent(source):g} wide, but single precision coordinates are "
-            f"{_step(source):g} apart at its position; move the scene closer to the origin."
+            f"{name} is {_extent(source):g} units wide, but single precision resolves only "
+            f"{_step(source):g} at its position; move the scene closer to the origin."
         )
     owner, count = rasterize(_unit_square(source, name)[source.faces], (width, height))
     overlapping = int((count > 1).sum())
     covered = int((count > 0).sum())
     if overlapping > OVERLAP_LIMIT * covered:
         raise _mesh_error(
-            f"{name} has overlapping UV charts: {overlapping} of {covered} texels lie on "
-            "several surface points; {}, or lay out UVs without overlap."
+            f"{name} has overlapping UV charts: {overlapping} of {covered} texels are "
+            "covered by several faces; {}, or lay out UVs without overlap."
         )
     single = np.flatnonzero(count == 1)
     face_area = _face_normals(source)[1]
@@ -175,8 +191,8 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
     kept = single[~flat]
     if len(kept) == 0:
         raise MeshError(
-            f"{name}: no texel centre of a {width} x {height} grid lies on a chart; "
-            "raise the resolution or check the UVs."
+            f"{name}: no texel centre of a {width} x {height} grid is on a chart; "
+            "increase the resolution or check the UVs."
         )
     kept = kept[np.argsort(_morton(kept % width, kept // width), kind="stable")]
     return _surface_points(source, kept, owner[kept], (width, height), overlapping, int(flat.sum()))
@@ -191,7 +207,7 @@ def _step(source: MeshArrays) -> float:
 
 
 def size_of(resolution: Any) -> tuple[int, int]:
-    """Return (width, height) from an int or two of them, NumPy's own included."""
+    """Return (width, height) from one or two integers, also of NumPy types."""
     try:
         sides = resolution if np.iterable(resolution) else (resolution, resolution)
         width, height = (operator.index(side) for side in sides)
@@ -203,7 +219,7 @@ def size_of(resolution: Any) -> tuple[int, int]:
 
 
 def _unit_square(source: MeshArrays, name: str) -> np.ndarray:
-    """Return the UVs, after refusing those that leave the unit square."""
+    """Return the UVs; raise if they are not finite or outside the unit square."""
     assert source.uvs is not None
     if not np.isfinite(source.uvs).all():
         raise MeshError(f"{name} has UVs that are NaN or infinite; lay them out again.")
@@ -218,7 +234,7 @@ def _unit_square(source: MeshArrays, name: str) -> np.ndarray:
 
 
 def _mesh_error(words: str) -> MeshError:
-    """Return an error whose remedy, at {}, is to lay out new UVs."""
+    """Return an error whose ``{}`` is replaced by the remedy, to compute new UVs."""
     return MeshError(
         words.replace("{}", "use load_capture(unwrap=True)"),
         shell=words.replace("{}", "use --unwrap"),
@@ -226,14 +242,14 @@ def _mesh_error(words: str) -> MeshError:
 
 
 def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Return (F, 3) unit normals by the winding and (F,) areas."""
+    """Return unit normals of faces by their winding, (F, 3), and areas, (F,)."""
     cross = source.crosses
     length = np.linalg.norm(cross, axis=1)
     return unit_vectors(cross), length / 2
 
 
 def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Interleave the bits of x and y: neighbours in the order are neighbours in the map."""
+    """Interleave the bits of x and y (Morton code), so that sorted texels are close in the map."""
     code = np.zeros(x.shape, np.int64)
     for bit in range(int(max(x.max(initial=0), y.max(initial=0))).bit_length()):
         code |= ((x >> bit) & 1) << (2 * bit) | ((y >> bit) & 1) << (2 * bit + 1)
@@ -241,14 +257,14 @@ def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 POINTS = dict(position=3, normal=3, geometric_normal=3, uv=2, footprint=1, along_u=3, along_v=3)
-"""Components of what is interpolated; see ``Texels``."""
+"""Number of components of each interpolated attribute of ``Texels``."""
 
 
 def _surface_points(
     source: MeshArrays, index: np.ndarray, face: np.ndarray, resolution: tuple[int, int],
     overlapping: int, degenerate: int,
 ) -> Texels:  # fmt: skip
-    """Interpolate the mesh at texel centres, in double precision, some at a time."""
+    """Interpolate the mesh at texel centres, in double precision and in chunks."""
     faces = _face_normals(source)
     points = {name: np.empty((n, len(index)), np.float32) for name, n in POINTS.items()}
     for first in range(0, len(index), CHUNK):
@@ -276,7 +292,7 @@ def _interpolated(
     source: MeshArrays, faces: tuple[np.ndarray, np.ndarray], index: np.ndarray, face: np.ndarray,
     resolution: tuple[int, int],
 ) -> Iterator[tuple[str, np.ndarray]]:  # fmt: skip
-    """Yield the values (t, components) of texels by name; ``faces`` are normals and areas."""
+    """Yield name and values (t, components) of attributes; ``faces`` are normals and areas."""
     assert source.uvs is not None
     (width, height), (normals, areas) = resolution, faces
     uv = np.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], axis=-1)
@@ -286,7 +302,7 @@ def _interpolated(
     if source.normals is not None:
         smooth = np.einsum("tk,tki->ti", weights, source.normals[source.faces[face]])
         length = np.linalg.norm(smooth, axis=1, keepdims=True)
-        # Opposite vertex normals cancel; the face's own normal is what is left.
+        # Opposite vertex normals cancel; use the face normal instead.
         normal = np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), geometric)
     side = np.sign(np.einsum("ti,ti->t", geometric, normal))
     edges = corner_uv[:, 1:] - corner_uv[:, :1]
@@ -306,12 +322,12 @@ def _interpolated(
 
 
 def barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return (T, 3) weights of points (T, 2) in UV triangles (T, 3, 2)."""
+    """Return barycentric coordinates (T, 3) of points (T, 2) in UV triangles (T, 3, 2)."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = point - corners[:, 0]
     area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     second = (p[:, 0] * b[:, 1] - p[:, 1] * b[:, 0]) / area
     third = (a[:, 0] * p[:, 1] - a[:, 1] * p[:, 0]) / area
-    # Rounding can leave a centre on an edge outside by 1e-17; rays must start inside.
+    # Rounding may put a centre on an edge outside by 1e-17; rays must start inside.
     weights = np.clip(np.stack([1 - second - third, second, third], axis=-1), 1e-6, None)
     return weights / weights.sum(axis=1, keepdims=True)

@@ -24,7 +24,7 @@ from svu_mi.geometry.sample_view import (
     sample_visible,
 )
 
-GLARE = 1e3  # medians of all texels, beyond which one does not add to the mean radiance
+GLARE = 1e3  # upper limit of a texel's radiance in the mean, in medians of all texels
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,13 @@ class Visibility:
     """Visibility of T texels in V views.
 
     Attributes:
-        coverage: (T,) UInt32, number of views of each texel.
-        total: (T,) Float64, sum of grey (channel mean) radiance over those views.
-        per_view: (V,) int64, number of texels of each view.
-        bits: of V views and T texels: visible.
-        order: (N,) UInt32, the views of a pass.
-        clipped: of V views and T texels: visible only with saturated pixels; None if none are.
+        coverage: (T,) UInt32, number of views in which each texel is visible.
+        total: (T,) Float64, sum of grey (channel mean) radiance over these views.
+        per_view: (V,) int64, number of visible texels in each view.
+        bits: Visibility bits of V views and T texels.
+        order: (N,) UInt32, views that a pass loops over.
+        dense: True processes all lanes, without skipping invisible pairs.
+        clipped: Bits of texels visible only through saturated pixels; None without any.
     """
 
     coverage: Any
@@ -51,19 +52,19 @@ class Visibility:
 
     @cached_property
     def scale(self) -> float:
-        """Mean grey radiance over all visible (texel, view) samples; 0 without any."""
+        """Mean grey radiance over all visible pairs of texel and view; 0 without any."""
         return mean_radiance(self.coverage.numpy(), self.total.numpy())
 
     @cached_property
     def clipped_coverage(self) -> np.ndarray | int:
-        """(T,) uint32, number of views that see each texel only with saturated pixels; or 0."""
+        """Number of views with saturated pixels only, per texel: (T,) uint32; 0 without any."""
         return 0 if self.clipped is None else np.asarray(self.clipped.count(), np.uint32)
 
     def sample(
         self, views: Views, surface: TexelLanes, slot: Any, *, clipped: bool = False,
         among: Bits | None = None,
     ) -> ViewSample:  # fmt: skip
-        """Sample the view ``order[slot]``; ``among``: a bit per slot and lane."""
+        """Sample the view ``order[slot]``; ``among`` has visibility bits by slot and lane."""
         view = dr.gather(mi.UInt32, self.order, slot)
         if among is not None:
             seen = among.test(slot, surface.lane)
@@ -76,17 +77,14 @@ class Visibility:
         return sample_visible(views, surface, view, seen, dense=self.dense, clipped=True)
 
     def needs_work(self, seen: Any) -> Any:
-        """Return which lanes have work to do, Bool."""
+        """Return the lanes (Bool) to process: visible ones, or all if ``dense``."""
         return needs_work(seen, self.dense)
 
     def over_views(
         self, views: Views, surface: TexelLanes, consume: Callable[..., Any],
         state: tuple[Any, ...], *, clipped: bool = False, among: Bits | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Loop over ``order`` symbolically; return the last state of ``consume``.
-
-        ``consume(observation, slot, *state)`` is traced once; the options are those of ``sample``.
-        """
+        """Fold ``consume(sample, slot, *state)`` over ``order`` symbolically; see ``sample``."""
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
             seen = self.sample(views, surface, slot, clipped=clipped, among=among)
@@ -96,7 +94,7 @@ class Visibility:
 
 
 def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
-    """Return the mean grey radiance of all samples, or 0; texels above 1000 medians are clamped."""
+    """Return the mean grey radiance of all samples, or 0; each texel is clamped to 1000 medians."""
     samples, total = np.asarray(coverage, np.float64), np.asarray(total, np.float64)
     lit = total > 0
     if not lit.any():
@@ -108,16 +106,19 @@ def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
 def trace_visibility(
     views: Views, surface: TexelLanes, *, skip_blind: bool = True, skip_pairs: bool = True
 ) -> Visibility:
-    """Trace the visibility of all texels in all views, and sum their radiance, in one pass."""
+    """Trace the visibility of all texels in all views, and sum their radiance, in one pass.
+
+    ``skip_blind`` omits views without visible texels from later passes.
+    """
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
-    clipped_per_view = dr.zeros(mi.UInt32, max(views.number, 1))  # of clipped pixels
+    clipped_per_view = dr.zeros(mi.UInt32, max(views.number, 1))
     bits = Bits.clear(views.number, surface.count)
     clipped = None if views.clipped is None else Bits.clear(views.number, surface.count)
 
     def count(seen: ViewSample, view: Any, coverage: Any, total: Any) -> tuple[Any, Any]:
         seen_here = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
-        # The default mode bakes the number of views into the kernel; all lanes of a packet
-        # add to one view, which this mode sums up first.
+        # The default mode compiles the number of views into the kernel. In this mode, the lanes
+        # of a packet, which add to one view, are summed first.
         dr.scatter_add(per_view, seen_here, view, seen.seen, dr.ReduceMode.Local)
         bits.set(view, surface.lane, seen.seen)
         if clipped is not None:
