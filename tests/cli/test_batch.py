@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -299,6 +301,40 @@ def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch
     assert outcomes["full"].done == ("entropy", "recover") and outcomes["full"].steps_run == 2
     assert "capture.json: not a readable JSON" in outcomes["odd"].sentence
     assert not outcomes["good"].sentence and outcomes["good"].steps_run == len(STEPS)
+
+
+@pytest.mark.parametrize("number", ["1e999", "1" + "0" * 400, "NaN", "-1", '"3"', "[]", "true"])
+def test_damaged_records_are_made_again(shelf_of, tmp_path, number):
+    runner, item = BatchRunner(output=tmp_path / "out"), BatchItem("a", shelf_of("a") / "a")
+    assert runner.work(item, Made()).steps_run == len(STEPS)
+    record = tmp_path / "out" / "a" / "batch.json"
+    text = re.sub(r'"seconds": [\d.e-]+', f'"seconds": {number}', record.read_text())
+    record.write_text(text)
+    run_record = tmp_path / "out" / "a" / "entropy" / "run.json"
+    figures = '"intervals": {"seen_part": X, "all_known_part": 0.5}, "mean_entropy_of_seen": 0.5'
+    run_record.write_text(f'{{"result": {{{figures.replace("X", number)}}}}}')
+    outcome = runner.work(item, Made())
+    assert outcome.sentence == "" and math.isfinite(outcome.seconds)
+    assert outcome.figures == {}
+
+
+@pytest.mark.slow
+def test_captures_with_names_of_options_are_captures(shelf_of, tmp_path, monkeypatch):
+    os.rename(shelf_of("a") / "a", tmp_path / "--help")
+    monkeypatch.chdir(tmp_path)
+    items = read_list(table(Path(), "capture,name", "--help,a"))
+    runner = BatchRunner(output=Path("-o"), steps=["entropy"], options={"resolution": "8"})
+    outcome = runner.work(items[0], CommandPool())
+    assert outcome.sentence == "" and (Path("-o") / "a" / "entropy" / "entropy.exr").is_file()
+
+
+def test_a_step_without_its_result_is_not_done(shelf_of, tmp_path, monkeypatch):
+    item, commands = BatchItem("a", shelf_of("a") / "a"), Made()
+    runner = BatchRunner(output=tmp_path / "out", steps=["entropy"])
+    monkeypatch.setattr(commands, "run", lambda _: ProcessResult(0, "", 1))
+    outcome = runner.work(item, commands)
+    assert outcome.sentence == "entropy: ended with status 0, without a result"
+    assert not outcome.done and not read_done(outcome.folder)
 
 
 def test_a_file_that_vanishes_while_it_is_looked_at_is_a_row(shelf_of, tmp_path, monkeypatch):

@@ -20,7 +20,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from svu_mi.cli.batch.capture_list import PATHS, BatchItem
-from svu_mi.cli.batch.steps import STEPS, command_words, inputs_key, read_done, step_key, write_done
+from svu_mi.cli.batch.steps import (
+    STEPS,
+    command_words,
+    in_range,
+    inputs_key,
+    read_done,
+    step_key,
+    write_done,
+)
 from svu_mi.core.io.files import prepare_folder, read_json
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.memory import free_memory
@@ -177,8 +185,8 @@ class BatchRunner:
                 left = folder / step.checkpoint if step.checkpoint else None
                 start = time.perf_counter()
                 ended = _run_command(commands, [*words, *self.words], left)
-                if ended.status:
-                    said = ended.message or f"ended with status {ended.status}"
+                if ended.status or not (folder / step.proof).is_file():
+                    said = ended.message or f"ended with status {ended.status}, without a result"
                     yield replace(outcome, sentence=f"{step.command}: {said}")
                     return
                 seconds = round(time.perf_counter() - start, 2)
@@ -328,6 +336,6 @@ def _figures_of(folder: Path) -> dict[str, float]:
             "seen": intervals["seen_part"], "entropy": result["mean_entropy_of_seen"],
             "known": intervals["all_known_part"],
         }  # fmt: skip
-        return {name: float(value) for name, value in values.items()}
+        return {name: in_range(value, 1.0) for name, value in values.items()}
     except (OSError, SvuError, ValueError, TypeError, KeyError):
         return {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -56,10 +57,12 @@ STEPS = {
 
 def command_words(step: Step, item: BatchItem, folder: Path, steps: Sequence[str]) -> list[str]:
     """Return the words of a command."""
-    recovered, output = str(folder / STEPS["recover"].output), str(folder / step.output)
+    recovered, output = (
+        path_word(folder / STEPS[name].output) for name in ("recover", step.command)
+    )
     if step.command == "export":
         return ["export", recovered, "-o", output]
-    words = [step.command, str(item.capture), "-o", output]
+    words = [step.command, path_word(item.capture), "-o", output]
     for name in step.options:
         if name == "resolution" and name in item.options:
             words += [f"--{name}", *item.options[name].split()]
@@ -68,6 +71,11 @@ def command_words(step: Step, item: BatchItem, folder: Path, steps: Sequence[str
     if step.command == "report" and "recover" in steps:
         words += ["--recovered", recovered]
     return words
+
+
+def path_word(path: Path) -> str:
+    """Return a path as a word of a command that is never taken for an option."""
+    return f"./{path}" if str(path).startswith("-") else str(path)
 
 
 def step_key(words: Sequence[str], before: str) -> str:
@@ -98,12 +106,19 @@ def read_done(folder: Path) -> dict[str, dict[str, Any]]:
     """Read key, seconds and peak memory of the steps that are done, by name; empty if damaged."""
     try:
         return {
-            name: {"key": str(step["key"]), "seconds": float(step["seconds"]),
-                   "peak_bytes": int(step["peak_bytes"])}
+            name: {"key": str(step["key"]), "seconds": in_range(step["seconds"]),
+                   "peak_bytes": int(in_range(step["peak_bytes"]))}
             for name, step in read_json(folder / DONE)["steps"].items()
         }  # fmt: skip
     except (OSError, SvuError, ValueError, TypeError, KeyError, AttributeError):
         return {}
+
+
+def in_range(value: Any, high: float = sys.float_info.max) -> float:
+    """Return a number of a record as a float in [0, high]; ValueError for others and NaN."""
+    if type(value) not in (int, float) or not 0 <= value <= high:
+        raise ValueError(f"{value!r} is not in [0, {high}]")
+    return float(value)
 
 
 def write_done(folder: Path, steps: dict[str, dict[str, Any]]) -> None:
