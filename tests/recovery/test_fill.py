@@ -356,7 +356,7 @@ def test_all_seen_and_none_seen(banded: SimpleNamespace) -> None:
     field = banded.field
     whole = fill(field, np.ones(field.texels.count, bool))
     assert whole.field is field and not whole.filled.any()
-    with pytest.raises(CaptureError, match=r"^0 of \d+ texels are seen: too few"):
+    with pytest.raises(CaptureError, match=r"^0 of \d+ texels are seen, too few"):
         fill(field, np.zeros(field.texels.count, bool))
 
 
@@ -384,7 +384,7 @@ def test_what_cannot_be_filled_is_said(banded: SimpleNamespace) -> None:
     for above in (0.0, -1.0, np.nan):
         with pytest.raises(OptionError, match="above must be positive"):
             fill(field, seen, above)
-    with pytest.raises(CaptureError, match="too few texels are seen surely enough"):
+    with pytest.raises(CaptureError, match="too few texels have standard deviations below"):
         fill(field, seen, above=1e-6)
 
 

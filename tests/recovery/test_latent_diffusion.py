@@ -180,12 +180,12 @@ def test_a_run_that_is_interrupted_leaves_the_older_result(
 
 
 @pytest.mark.parametrize("spoil, sentence", [
-    ("channels", "its U-Net has 16 channels in and 12 out, not 12 and 8"),
+    ("channels", "its U-Net has 16 input and 12 output channels instead of 12 and 8"),
     ("weights", "cannot be used as Marigold"),
     ("tokenizer", "cannot be used as Marigold"),
     ("scheduler", "cannot be used as Marigold"),
     ("config", "cannot be used as Marigold"),
-    ("pickled", "are pickled, could run any code, and are not opened"),
+    ("pickled", "are pickled and could run any code, so they are not opened"),
 ])  # fmt: skip
 def test_broken_folders_are_refused(folders, tmp_path, spoil: str, sentence: str) -> None:
     folder = tmp_path / "weights"

@@ -1,4 +1,4 @@
-"""Predictions of unknown texels: total-variation inpainting, symmetry, and weighted means."""
+"""Predictions of unknown texels by total variation and symmetry, and their weighted mean."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from svu_mi.recovery.inpaint.texel_hierarchy import TexelGraph
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 MEAN_WEIGHTS = {"from the border": 1e-5, "cautiously from the border": 1e-2}
-"""By title, the weight of the mean of all known texels in a hole, as a precision in units of their
-variance: the larger, the less far values spread from the border."""
-EDGE_ROUNDS = 2  # rounds with links by the last result: edges continue into a hole
-START_NEIGHBORS = 8  # known texels whose mean a texel of a hole starts from
+"""By title: precision of the prior at unknown texels, whose mean is the mean of known texels,
+relative to 1 / their variance. Larger values let borders spread less far into a hole."""
+EDGE_ROUNDS = 2  # rounds with links updated from the last result, which continue edges into holes
+START_NEIGHBORS = 8  # nearest known texels whose weighted mean is the initial value
 
 
 def tv_predictions(
     graph: TexelGraph, titles: Container[str] = MEAN_WEIGHTS
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield total-variation inpaintings (N, T) by lagged diffusivity [Vogel and Oman 1996].
+    """Yield titles and total-variation inpaintings (N, T).
 
-    Links have equal strengths first, then are weak across edges of the last result. Pieces without
-    known texels get the mean of all. Of many texels, groups are filled first.
+    Lagged diffusivity [Vogel and Oman 1996]: links have equal weights first; later rounds weaken
+    them across edges of the last result. Pieces without known texels get the mean of all. Large
+    maps are filled from coarse to fine.
     """
     known, values, weights = graph.known, graph.values, graph.weights
     mean = np.average(values[:, known], axis=1, weights=weights[:, known])[:, None]
@@ -43,7 +44,7 @@ def tv_predictions(
 def _initial_values(
     graph: TexelGraph, titles: Container[str], border: np.ndarray, mean: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray, bool]]:
-    """Yield titles, start values (N, T), and whether these have edges within holes."""
+    """Yield title, initial values (N, T), and whether these have edges within holes."""
     if graph.is_large:
         groups, owner = graph.halved
         for title, coarse in tv_predictions(groups, titles):
@@ -69,7 +70,7 @@ TITLES = (*MEAN_WEIGHTS, *(predictor.title for predictor in PREDICTORS))
 
 
 def weighted_mean(graph: TexelGraph, weights: Weights) -> np.ndarray:
-    """Return weighted means of the predictions of unknown texels, (N, T), 0 elsewhere."""
+    """Return weighted means of all predictions at unknown texels, (N, T); 0 at known ones."""
     titles = {title for each in weights.values() for title, weight in each.items() if weight > 0}
     unknown, mean = np.flatnonzero(~graph.known), np.zeros_like(graph.values)
     for title, predicted in predictions(graph, unknown, titles):
@@ -82,7 +83,7 @@ def weighted_mean(graph: TexelGraph, weights: Weights) -> np.ndarray:
 def predictions(
     graph: TexelGraph, wanted: np.ndarray, titles: Container[str] = TITLES
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the title and the values (N, w) of each predictor at ``wanted`` texels."""
+    """Yield title and values (N, w) of each predictor at w ``wanted`` texels."""
     for title, values in tv_predictions(graph, titles):
         yield title, values[:, wanted]
     predictors = [predictor for predictor in PREDICTORS if predictor.title in titles]

@@ -1,18 +1,20 @@
 """Cross-validation of predictors on held-out parts of the surface.
 
-Each parameter has its own weights. With e_g the RMS error of predictor g on a hidden part, all
-predictions are averaged with weights
+Each parameter has its own weights. With e_g the RMS error of predictor g on a held-out part and e_*
+the error of the best predictor there, predictions are averaged with weights
 
-    w_g ~ 1 / mean over parts of ((e_g^2 + e^2) / (that of the best predictor there + e^2)),
+    w_g ~ 1 / mean over parts of ((e_g^2 + e^2) / (e_*^2 + e^2)),
 
-to m (e: the least standard deviation of a prediction); and the total-variation inpaintings alone
-to s. Texels of a part are weighted to be as far from known texels as those to be filled
-[Shimodaira 2000], because hidden parts are deeper. The filled value is s + a (m - s),
-with the largest share a by which no part gets worse than by s alone,
+where e is the least standard deviation of a prediction. The result is m for all predictors, and s
+for total-variation inpaintings alone. Texels of a part get importance weights [Shimodaira 2000], so
+that their distances to known texels are distributed as for unknown texels.
+
+The filled value is s + a (m - s), with the largest share a <= 1 for which no part has a larger
+error than with s alone (up to a tolerance t):
 
     a = min over parts of (h + sqrt(h^2 + t^2 d)) / d,    h = <s s> - <s m>,  d = <(s - m) (s - m)>,
 
-at most 1, where <> are means of products of errors, and t^2 is an invisible difference.
+where <> is the mean product of errors.
 """
 
 from __future__ import annotations
@@ -34,10 +36,10 @@ DIVISIONS = 2  # divisions of the surface into FEWEST_PARTS
 
 
 def holdout_masks(graph: TexelGraph) -> list[np.ndarray]:
-    """Return masks (T,) of known texels to hold out, shaped like what cameras miss.
+    """Return masks (T,) of known texels to hold out, shaped like typical unseen regions.
 
-    Each has similar normals (of a flat object, lies on one side) and is about as large as the
-    unknown part, so that it is as far from known texels.
+    Texels of a mask have similar normals (or, on a flat object, lie on one side of its centre). Its
+    size is about the number of unknown texels.
     """
     point, normal = graph.pieces.point, graph.pieces.normal
     side = point / np.maximum(np.linalg.norm(point, axis=1, keepdims=True), 1e-9)
@@ -45,7 +47,7 @@ def holdout_masks(graph: TexelGraph) -> list[np.ndarray]:
 
 
 def _divided(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
-    """Return masks of seen texels with similar unit vectors (T, 3)."""
+    """Return masks of seen texels, clustered by unit vectors (T, 3)."""
     number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST_PARTS, MOST_PARTS))
     masks: list[np.ndarray] = []
     for seed in range(DIVISIONS if number == FEWEST_PARTS else 1):
@@ -72,11 +74,11 @@ def _cluster_directions(unit: np.ndarray, number: int, seed: int) -> np.ndarray:
     return np.asarray((unit @ centres.T).argmax(axis=1))
 
 
-TRIAL_TEXELS = 3000  # texels of a part on which predictors are compared
-MOST_DISTANCES = 2**16  # texels whose distance is measured, at most
-DISTANCE_BINS = 5  # groups of texels by their distance to known ones
-RARE = 0.01  # least part of the texels that a group counts as
-TOLERANCE = 1e-4  # t
+TRIAL_TEXELS = 3000  # sample of a held-out part
+MOST_DISTANCES = 2**16  # maximum number of distances to compute
+DISTANCE_BINS = 5  # bins of the distance to known texels
+RARE = 0.01  # lower limit of a bin's fraction of texels, to limit weights
+TOLERANCE = 1e-4  # t, an invisible difference
 
 
 @dataclass(frozen=True)
@@ -84,8 +86,8 @@ class HoldoutErrors:
     """Errors of all predictors on a held-out part.
 
     Attributes:
-        errors: (G, N, w).
-        weights: (w,) of the part's texels, which sum to one.
+        errors: (G, N, w) errors of G predictors for N values of w texels.
+        weights: (w,) importance weights of the texels, with sum 1.
     """
 
     errors: np.ndarray
@@ -93,7 +95,7 @@ class HoldoutErrors:
 
     @staticmethod
     def of(graph: TexelGraph, hidden: np.ndarray, far: np.ndarray) -> HoldoutErrors:
-        """Compute the errors of all predictors on ``hidden`` texels (T,)."""
+        """Compute errors on ``hidden`` texels (T,); ``far``: distances of unknown texels."""
         training, texels = graph.with_hidden(hidden), np.flatnonzero(hidden)
         texels = texels[intervals.subsample(np.arange(len(texels)), TRIAL_TEXELS)]
         true = graph.single[:, texels]
@@ -101,21 +103,23 @@ class HoldoutErrors:
         return HoldoutErrors(errors, importance_weights(far, distances_to_known(training, texels)))
 
     def products(self, rows: slice) -> np.ndarray:
-        """Return means of products of errors of two predictors, (C, G, G)."""
+        """Return mean products of the errors of two predictors, (C, G, G)."""
         off = self.errors[:, rows].transpose(1, 0, 2)
         return np.asarray((off * self.weights) @ off.transpose(0, 2, 1))
 
 
 def distances_to_known(graph: TexelGraph, texels: np.ndarray) -> np.ndarray:
-    """Return distances (w,) of texels to the nearest known one, of a subset if there are many."""
+    """Return distances (w,) to the nearest known texel, of a sample of many ``texels``."""
     point = graph.pieces.point
     tree = scipy.spatial.cKDTree(point[graph.known])
     return np.asarray(tree.query(point[intervals.subsample(texels, MOST_DISTANCES)], workers=-1)[0])
 
 
 def importance_weights(target: np.ndarray, sampled: np.ndarray) -> np.ndarray:
-    """Return weights of ``sampled`` distances (w,) that give them the distribution of ``target``,
-    whose largest values are clipped."""
+    """Return weights of ``sampled`` distances (w,) that reproduce the distribution of ``target``.
+
+    Target distances beyond the last bin of ``sampled`` are clipped.
+    """
     target = np.minimum(target, np.quantile(sampled, 1 - 1 / DISTANCE_BINS))
     edges = np.quantile(target, np.linspace(0, 1, DISTANCE_BINS + 1)[1:-1])
     groups = np.digitize(sampled, edges)
@@ -127,10 +131,10 @@ def importance_weights(target: np.ndarray, sampled: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PredictorErrors:
-    """Covariances of the predictors' errors of one parameter.
+    """Error covariances of all predictors for one parameter.
 
     Attributes:
-        products: (P, C, G, G) of errors, of P parts and C channels.
+        products: (P, C, G, G) mean products of errors, for P parts and C channels.
     """
 
     products: np.ndarray
@@ -145,30 +149,30 @@ class PredictorErrors:
 
     @cached_property
     def all_weights(self) -> np.ndarray:
-        """(G,), weights of the predictors in m."""
+        """Weights of all predictors in m, (G,)."""
         return self._weights(np.arange(len(TITLES)))
 
     @cached_property
     def tv_weights(self) -> np.ndarray:
-        """(G,), weights of the predictors in s."""
+        """Weights of all predictors in s, (G,)."""
         return self._weights(np.arange(len(MEAN_WEIGHTS)))
 
     @cached_property
     def share(self) -> float:
-        """a."""
+        """Share a of m in the filled value."""
         difference = self.tv_weights - self.all_weights
         h, d = self._means @ difference @ self.tv_weights, self._means @ difference @ difference
         d = np.maximum(d, TOLERANCE**2)
         return float(min(((h + np.sqrt(h**2 + TOLERANCE**2 * d)) / d).min(), 1))
 
     def weights(self, max_share: float = 1.0) -> dict[str, float]:
-        """Return the weight of each predictor, by title."""
+        """Return the weight of each predictor, by title, with a share of at most ``max_share``."""
         share = min(self.share, max_share)
         weights = self.tv_weights + share * (self.all_weights - self.tv_weights)
         return dict(zip(TITLES, weights.tolist(), strict=True))
 
     def squares(self, weights: Mapping[str, float]) -> np.ndarray:
-        """Return mean squared errors (P, C) of the weighted mean."""
+        """Return mean squared errors (P, C) of a weighted mean of predictors."""
         used = np.array([weights[title] for title in TITLES])
         return np.asarray(self.products @ used @ used)
 

@@ -1,8 +1,8 @@
 """Filling of unseen texels by symmetry and total variation, with standard deviations.
 
-No predictor is right for all objects. So a texel gets the weighted mean of all of them
-(``combine_predictors``), for each parameter separately; cross-validation on seen parts of the
-surface, hidden in turn, gives the weights and the error of that mean (``cross_validation``).
+A filled texel is the weighted mean of all predictors (``combine_predictors``), because none suits
+all objects. Cross-validation on seen parts of the surface gives weights per parameter, and the
+error of the mean (``cross_validation``).
 """
 
 from __future__ import annotations
@@ -35,16 +35,22 @@ def fill(
     """Fill unseen texels and, with ``above``, uncertain ones.
 
     Args:
-        field: recovered textures and their standard deviations.
-        seen: (T,) bool, texels that a photograph shows.
-        above: standard deviation of any parameter above which a seen texel is filled, too, by the
-            precision-weighted mean of its value and the prediction.
-        progress: displays the progress.
+        field: Recovered textures with standard deviations.
+        seen: (T,) bool, True for texels that a photograph shows.
+        above: Limit of standard deviations, > 0. A seen texel with a larger one in any parameter
+            gets the precision-weighted mean of its value and the prediction.
+        progress: Display of the stage.
 
     Raises:
-        CaptureError: nothing is seen, or nothing surely enough, or too little to guess from.
-        ShapeError: flags of other texels.
+        CaptureError: Too few texels are seen, or certain enough, for cross-validation.
+        ShapeError: The shape of ``seen`` is not (T,).
         OptionError: ``above`` is not positive.
+
+    Example:
+        >>> field = svu.texture_field(recovery, mesh=capture.mesh)
+        >>> filled = svu.fill(field, recovery.coverage > 0)
+        >>> filled.textures.resolution, sorted(filled.errors)
+        ((64, 64), ['base_color', 'metallic', 'roughness'])
     """
     shown = np.asarray(seen).astype(bool)
     if shown.shape != (field.texels.count,):
@@ -57,20 +63,20 @@ def fill(
     seen = shown & (field.sds <= above).all(axis=0)
     if seen.any() and seen.all():
         return Filled(field, ~seen, {name: {} for name in NAMES}, {name: 0.0 for name in NAMES})
-    with (progress or Progress()).stage("Looking for likeness") as stage:
+    with (progress or Progress()).stage("Comparing predictors") as stage:
         graph = TexelGraph.of(field, seen)
         masks = holdout_masks(graph.coarsest) if seen.any() else []
         if not masks and (above == inf or shown.sum() < 2):
             raise CaptureError(
-                f"{shown.sum()} of {len(shown)} texels are seen: too few to fill the others by; "
+                f"{shown.sum()} of {len(shown)} texels are seen, too few to fill the others; "
                 "add photographs of the object."
             )
         if not masks:
             raise CaptureError(
-                "fill(): too few texels are seen surely enough to fill others by; allow more "
-                "(above=).",
-                shell="Too few texels are seen surely enough to fill others by; give a larger "
-                "--above.",
+                "fill(): too few texels have standard deviations below the limit to fill the "
+                "others; increase above=.",
+                shell="Too few texels have standard deviations below the limit to fill the "
+                "others; increase --above.",
             )
         errors = _predictor_errors(field, graph, masks, stage)
         max_share = errors[DECIDES].share if DECIDES in errors else 1.0
@@ -81,7 +87,7 @@ def fill(
 def _predictor_errors(
     field: TextureField, graph: TexelGraph, masks: Sequence[np.ndarray], stage: Stage
 ) -> dict[str, PredictorErrors]:
-    """Return the errors of all predictors of every recovered parameter."""
+    """Return the errors of all predictors, by recovered parameter."""
     distances, trials = distances_to_known(graph, np.flatnonzero(~graph.known)), []
     for done, hidden in enumerate(masks):
         stage.update(done, len(masks) + 1)
@@ -93,7 +99,7 @@ def _predictor_errors(
 def _fused(
     fusion: Fusion, graph: TexelGraph, judged: Mapping[str, PredictorErrors], weights: Weights
 ) -> Filled:
-    """Fuse unknown texels with the weighted means of all predictors."""
+    """Fuse unknown texels with weighted means of the predictors."""
     predicted, spread = weighted_mean(graph, weights), variance_of(fusion.field, graph.known)
     errors = {name: 0.0 for name in NAMES}
     for name, each in judged.items():
@@ -105,12 +111,12 @@ def _fused(
 
 
 def variance_of(field: TextureField, known: np.ndarray) -> np.ndarray:
-    """Return the variance (N, 1) of known texels (T,), a bound on the error at unseen ones."""
+    """Return the variance (N, 1) of ``known`` texels (T,), the least variance of predictions."""
     return np.asarray(field.values[:, known].var(axis=1, keepdims=True))
 
 
 def filled_values(graph: TexelGraph, weights: Weights) -> np.ndarray:
-    """Return all values (N, T), with unknown texels predicted by given weights."""
+    """Return all values (N, T), with weighted mean predictions at unknown texels."""
     values, predicted = graph.values.copy(), weighted_mean(graph, weights)
     for name, of_parameter in weights.items():
         if of_parameter:

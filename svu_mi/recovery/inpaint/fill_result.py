@@ -14,21 +14,20 @@ from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 ImageSource = Literal["photographs", "renders"]
 Weights = Mapping[str, Mapping[str, float]]
-"""Weight of each predictor, by parameter and title; of a parameter they sum to one."""
-TOP_PREDICTORS = 3  # predictors with the largest weights, which are named
+"""Weight of each predictor, by parameter and title. Weights of a parameter sum to 1."""
+TOP_PREDICTORS = 3  # predictors in a summary
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Result of a diffusion model on pictures of one kind.
+    """Result of a diffusion model on images of one kind.
 
     Attributes:
-        source: of the pictures: ``photographs`` of texels that they do not determine, or
-            ``renders`` of what none shows.
-        pictures: names of the views, in the order in which the model was asked about them.
-        reached: (T,) bool, texels that have got their values from it.
-        errors: root mean square error on hidden parts, by parameter.
-        likeness: the same of filling by likeness, at the same texels.
+        source: Kind of images: ``photographs`` for uncertain texels, ``renders`` for unseen ones.
+        pictures: Names of the views, in order of inference.
+        reached: (T,) bool, texels with values of the model.
+        errors: RMS error of the model on held-out parts, by parameter.
+        likeness: RMS error of filling by symmetry at the same texels, by parameter.
     """
 
     source: ImageSource
@@ -40,13 +39,13 @@ class Answer:
 
 @dataclass(frozen=True)
 class ModelReport:
-    """Contribution of a diffusion model.
+    """Contribution of a diffusion model to filled textures.
 
     Attributes:
-        model: for people.
-        licence: of its weights, for people.
-        answers: by kind of picture, of those that there was something to ask about.
-        reached: (T,) bool, texels that have got their values from it.
+        model: Title of the model.
+        licence: Licence of its weights.
+        answers: Results by kind of images, only of kinds that were needed.
+        reached: (T,) bool, texels with values of the model.
     """
 
     model: str
@@ -57,17 +56,21 @@ class ModelReport:
 
 @dataclass(frozen=True)
 class Filled:
-    """Textures without holes.
+    """Filled textures.
 
     Attributes:
-        field: the textures, and how sure they are; where they were filled, no standard deviation
-            gets smaller before values are clipped to [0, 1].
-        filled: (T,) bool, texels that were filled.
-        weights: how much each likeness, and what spreads from the border, counts in what a
-            parameter was filled with; nothing for what was not recovered, or if nothing was filled.
-        errors: root mean square error of that on hidden parts, by parameter.
-        invented: what a model has made of texels (``fill_by_diffusion``), instead of likeness; None
-            if none was asked.
+        field: Textures with standard deviations; filling never reduces these before clipping.
+        filled: (T,) bool, True for filled texels.
+        weights: Weights of the predictors, by parameter and title; empty for parameters that were
+            not recovered, and if no texel was filled.
+        errors: RMS error of the predictions on held-out parts, by parameter.
+        invented: Contribution of a diffusion model (``fill_by_diffusion``), or None.
+
+    Example:
+        >>> field = svu.texture_field(recovery, mesh=capture.mesh)
+        >>> filled = svu.fill(field, recovery.coverage > 0)
+        >>> filled.filled.shape == (texels.count,), filled.invented is None
+        (True, True)
     """
 
     field: TextureField
@@ -78,7 +81,7 @@ class Filled:
 
     @property
     def likeness(self) -> dict[str, str]:
-        """Largest weights by parameter: ``turned about y 41 %, ...``."""
+        """Summary of the largest weights, by parameter: ``turned about y 41 %, ...``."""
         summaries = {}
         for name, weights in self.weights.items():
             top = sorted(weights.items(), key=lambda item: -item[1])[:TOP_PREDICTORS]
@@ -87,7 +90,7 @@ class Filled:
 
     @property
     def textures(self) -> Textures:
-        """The textures."""
+        """Textures of ``field``."""
         return self.field.textures
 
 
@@ -98,35 +101,35 @@ class Fusion:
     """Precision-weighted fusion of texels with predictions.
 
     Attributes:
-        field: the textures as they were.
-        shown: (T,) bool, texels that a photograph shows; others have no values of their own.
-        values: (N, T), current.
-        least: (N, T) standard deviations, never less than before.
+        field: Textures before filling.
+        shown: (T,) bool, texels that a photograph shows; predictions replace all others.
+        values: (N, T), fused values.
+        least: (N, T), lower limits of standard deviations before clipping.
     """
 
     def __init__(
         self, field: TextureField, shown: np.ndarray, start: TextureField | None = None
     ) -> None:
-        """Start from the field itself, or from a filled one."""
+        """Start with the values of ``start``, such as a filled field, or of ``field``."""
         start = field if start is None else start
         self.field, self.shown = field, shown
         self.values, self.least = start.values.copy(), start.width.copy()
 
     def fuse(self, name: str, at: np.ndarray, predicted: np.ndarray, sd: np.ndarray) -> None:
-        """Fuse texels ``at`` (T,) with predictions, weighted by precisions."""
+        """Fuse texels where ``at`` (T,) is True with predictions of standard deviation ``sd``."""
         rows = self.field.rows(name)
         sd = np.maximum(sd, LEAST_SD)
         precision = np.where(self.shown, 1 / np.maximum(self.field.sds[rows], LEAST_SD) ** 2, 0)
         total = precision * self.field.values[rows] + predicted / sd**2
         values = np.where(at, total / (precision + 1 / sd**2), self.values[rows])
-        # Texels that a photograph shows do not get more certain.
+        # Predictions do not reduce the standard deviation of seen texels.
         least = clipped_normal.width_of(values, np.broadcast_to(sd, values.shape))
         least = np.maximum(least, self.field.width[rows])
         self.least[rows] = np.where(at & ~self.shown, least, self.least[rows])
         self.values[rows] = values
 
     def fused_field(self, filled: np.ndarray) -> TextureField:
-        """Return the field with ``filled`` texels, (T,) bool."""
+        """Return the field with fused values and standard deviations."""
         field = self.field
         laid = field.to_textures(self.values)
         textures = field.textures.but(**{name: laid[name] for name in field.names})

@@ -1,8 +1,8 @@
-"""Predictors of unknown texels: the same piece, height, radius, mirror image or repetition.
+"""Predictors of unknown texels by pieces, rotational and mirror symmetry, and repetition.
 
-Objects are turned, cast in two halves, put together from pieces of one material each, and painted
-in bands and patterns that repeat around them. Each ``SymmetryPredictor`` averages the known texels
-that match another one; ``cross_validation`` measures its errors.
+Manufactured objects are often turned or moulded, assembled from pieces of one material each, or
+painted with bands and repeated patterns. Each ``SymmetryPredictor`` averages known texels that
+match an unknown one under one such assumption. ``cross_validation`` measures its errors.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Kind = Literal[
 ]  # fmt: skip
 Axis = tuple[float, float, float]
 X, Y, Z = AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-CHUNK = 2**15  # texels predicted at a time
-FEWEST = 12  # known texels of a piece, to predict others of it
-BEND = 0.3  # distance that normals at right angles count as, along the surface
-TURN = 0.1  # the same, around an axis
+CHUNK = 2**15  # texels per chunk of predictions
+FEWEST = 12  # least number of known texels for predictions within a piece
+BEND = 0.3  # scale of normals relative to positions (in extents), kind "near"
+TURN = 0.1  # scale of normals relative to height and radius, kind "turned"
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class KnnSettings:
     """k-nearest-neighbour settings of a predictor.
 
     Attributes:
-        nearest: number of neighbours.
-        bandwidth: of the Gaussian weights, relative to the distance of the farthest.
-        farthest: largest distance of a match, in parts of the object's extent.
-        inside: whether neighbours are of the same piece.
+        nearest: Number of neighbours.
+        bandwidth: Bandwidth of Gaussian weights, relative to the distance of the last neighbour.
+        farthest: Maximum distance of the first neighbour, in extents of the object.
+        inside: True to restrict neighbours to the same piece.
     """
 
     nearest: int
@@ -64,12 +64,12 @@ TITLE_FORMATS: dict[Kind, str] = {
 
 @dataclass(frozen=True)
 class KnownTexels:
-    """Known texels, from which others are predicted.
+    """Known texels, the training data of predictors.
 
     Attributes:
-        texels: (k,) their indices.
-        values: (N, k).
-        weights: (N, k), precisions.
+        texels: (k,) texel numbers.
+        values: (N, k) values of the parameters.
+        weights: (N, k) precisions.
     """
 
     texels: np.ndarray
@@ -78,7 +78,7 @@ class KnownTexels:
 
     @cached_property
     def mean(self) -> np.ndarray:
-        """(N, 1), of all."""
+        """Weighted mean of all known texels, (N, 1)."""
         return np.average(self.values, axis=1, weights=self.weights)[:, None]
 
 
@@ -87,14 +87,13 @@ class SymmetryPredictor:
     """Predictor by one kind of symmetry.
 
     Attributes:
-        kind: ``all``, and ``piece``: of the same connected piece of the surface, means;
-            ``near``: close by, and facing the same way;
-            ``level``: as high along the axis;
-            ``turned``: at the same height and radius, facing the same way as seen from the axis;
-            ``turned piece``: at the same height and radius of its piece;
-            ``mirrored``; ``repeated``: turned by a whole number of steps.
-        axis: (3,) through the middle of the object, or of the piece; normal of the mirror.
-        count: steps of a whole turn.
+        kind: Texels to average: ``all``; ``piece``: the same connected piece of the surface;
+            ``near``: similar position and normal; ``level``: similar height along the axis;
+            ``turned``: similar height, radius and normal relative to the axis; ``turned piece``:
+            similar height and radius relative to the axis of the piece; ``mirrored``: similar
+            position after reflection; ``repeated``: similar position after rotation.
+        axis: Axis through the centre of the object or piece; normal of the mirror plane.
+        count: Number of repetitions per turn.
     """
 
     kind: Kind
@@ -103,17 +102,17 @@ class SymmetryPredictor:
 
     @property
     def title(self) -> str:
-        """Title to print: ``turned about y``, ``repeated 6 times about y``."""
+        """Title, such as ``turned about y`` or ``repeated 6 times about y``."""
         return TITLE_FORMATS[self.kind].format("xyz"[int(np.argmax(self.axis))], self.count)
 
     def predict(
         self, pieces: Pieces, examples: KnownTexels, wanted: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return values (N, w) of texels from those that match, and where any does."""
+        """Return predictions (N, w) of w texels, and a mask (w,) of texels with a match."""
         if self.kind == "piece":
             return _piece_means(pieces.piece, examples, wanted)
         features, has_match = self._features(pieces), np.ones(len(wanted), bool)
-        # All features are equal.
+        # Also the mean of all texels if all features are equal.
         if self.kind == "all" or not np.ptp(features[examples.texels], axis=0).any():
             return np.repeat(examples.mean, len(wanted), axis=1), has_match
         values, settings = np.empty((len(examples.values), len(wanted))), KNN_SETTINGS[self.kind]
@@ -127,7 +126,7 @@ class SymmetryPredictor:
         return values, has_match
 
     def _features(self, pieces: Pieces) -> np.ndarray:
-        """Return the features (T, d) in which neighbours are searched."""
+        """Return the features (T, d) of the nearest-neighbour search."""
         axis, points = np.asarray(self.axis), pieces.point
         if self.kind == "near":
             return pieces.separated(np.concatenate([points, BEND * pieces.normal], axis=1))
@@ -142,7 +141,7 @@ class SymmetryPredictor:
     def _queries(
         self, pieces: Pieces, features: np.ndarray, wanted: np.ndarray
     ) -> Iterator[np.ndarray]:
-        """Yield query points of texels."""
+        """Yield query features of ``wanted`` texels, once per repetition."""
         axis, points = np.asarray(self.axis), pieces.point[wanted]
         if self.kind == "mirrored":
             yield points - 2 * (points @ axis)[:, None] * axis
@@ -158,7 +157,7 @@ class SymmetryPredictor:
 def _knn_means(
     rule: KnnSettings, tree: scipy.spatial.cKDTree, known: KnownTexels, places: Iterable[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted means of the neighbours of query points, and where there are any."""
+    """Return weighted means of the nearest neighbours, and a mask of queries with a match."""
     count, parts = min(rule.nearest, len(known.texels)), []
     for points in places:
         distance, index = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
@@ -175,7 +174,7 @@ def _knn_means(
 
 
 def _radial(points: np.ndarray, axis: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:
-    """Return height and radius of points, and the same two of normals, in columns."""
+    """Return height and radius of points, and axial and radial components of normals."""
     along = points @ axis
     across = points - along[:, None] * axis
     radius = np.linalg.norm(across, axis=1)
@@ -186,7 +185,7 @@ def _radial(points: np.ndarray, axis: np.ndarray, normal: np.ndarray | None = No
 
 
 def _piece_sizes(piece: np.ndarray, texels: np.ndarray) -> np.ndarray:
-    """Return the number of texels of each piece."""
+    """Return the number of ``texels`` in each piece."""
     return np.bincount(piece[texels], minlength=int(piece.max()) + 1)
 
 
@@ -202,7 +201,7 @@ def _piece_means(
 
 
 NEAR_PREDICTOR = SymmetryPredictor("near")
-REPETITIONS = (2, 3, 4, 6)  # of patterns: others are rare, and cost as much to search
+REPETITIONS = (2, 3, 4, 6)  # the most frequent ones; each costs a search
 PREDICTORS = (
     SymmetryPredictor("all"), SymmetryPredictor("piece"), NEAR_PREDICTOR,
     *(SymmetryPredictor(kind, axis) for kind in ("level", "turned", "turned piece", "mirrored")

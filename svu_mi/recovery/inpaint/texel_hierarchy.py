@@ -1,4 +1,4 @@
-"""Texels to fill: positions, connected pieces, known values, and coarser groups."""
+"""Texel graph for filling: positions, connected pieces, known values, and coarser levels."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from svu_mi.recovery.inpaint.fill_result import LEAST_SD
 from svu_mi.recovery.uncertainty.gmrf import GROUPING_LIMIT, Smoother
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-PIECE_DISTANCE = 1e3  # added distance between pieces, in extents of the object
+PIECE_DISTANCE = 1e3  # distance between pieces in feature space, in extents of the object
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """T texels of an object.
+    """Positions, normals and connected pieces of T texels.
 
     Attributes:
-        point: (T, 3) about the middle of its bounding box, in units of its diagonal.
-        normal: (T, 3) unit.
-        piece: (T,) int64, which connected piece of the surface each is of.
+        point: (T, 3) positions relative to the bounding box centre, in units of its diagonal.
+        normal: (T, 3) unit normals.
+        piece: (T,) int64, number of the connected piece of the surface.
     """
 
     point: np.ndarray
@@ -35,54 +35,53 @@ class Pieces:
 
     @staticmethod
     def of(texels: Texels, around: Sequence[Any]) -> Pieces:
-        """Collect texels and their neighbours (``Neighbors.around``)."""
+        """Find the pieces of texels by their neighbours (``Neighbors.around``)."""
         position, normal = (np.array(x, np.float64).T for x in (texels.position, texels.normal))
         return Pieces(normalized_points(position), normal, connected_components(around))
 
     @cached_property
     def middle(self) -> np.ndarray:
-        """(T, 3), the middle of the bounding box of each texel's piece."""
+        """Bounding box centre of each texel's piece, (T, 3)."""
         order = np.argsort(self.piece, kind="stable")
         starts = np.flatnonzero(np.diff(self.piece[order], prepend=-1))
         low, high = (end.reduceat(self.point[order], starts) for end in (np.minimum, np.maximum))
         return np.asarray((low + high)[self.piece] / 2)
 
     def grouped(self, owner: np.ndarray) -> Pieces:
-        """Return groups of texels of one piece each, by the group (T,) that every texel is of."""
+        """Return means of groups of texels, given the group (T,) of each texel."""
         point, normal = (group_sums(table.T, owner).T for table in (self.point, self.normal))
         first = np.unique(owner, return_index=True)[1]
         size = np.bincount(owner)[:, None]
         return Pieces(point / size, unit_vectors(normal), self.piece[first])
 
     def separated(self, places: np.ndarray) -> np.ndarray:
-        """Return features (T, d + 1) with another column that separates pieces."""
+        """Append a column to features (T, d) that separates pieces."""
         return np.concatenate([places, PIECE_DISTANCE * self.piece[:, None]], axis=1)
 
 
 def normalized_points(points: np.ndarray) -> np.ndarray:
-    """Return points (T, 3) about the middle of their bounding box, in units of its diagonal."""
+    """Return points (T, 3) relative to their bounding box centre, in units of its diagonal."""
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float(np.linalg.norm(high - low)) or 1.0
     return np.asarray((points - (low + high) / 2) / extent)
 
 
-MOST_TEXELS = 2**16  # texels for cross-validation: of more, groups of neighbours
+MOST_TEXELS = 2**16  # limit for cross-validation, which uses groups of more texels
 
 
 @dataclass(frozen=True)
 class TexelGraph:
-    """T texels, or groups of them, some of which have known values.
+    """Graph of T nodes, texels or groups of texels. Some have known values.
 
     Attributes:
-        values: (N, T), of groups their mean.
-        weights: (N, T), precisions of these, where they are known.
-        single: (N, T), the values of one texel of each group: errors are those of texels, whose
-            values differ by more than those of means.
-        known: (T,) bool; values of others are ignored.
-        size: (T,), number of texels of each.
+        values: (N, T), mean values of the nodes.
+        weights: (N, T), precisions of the values.
+        single: (N, T), values of one texel per node, for errors of texels instead of means.
+        known: (T,) bool, True for known values; others are ignored.
+        size: (T,), number of texels per node.
         square: (T, 2) int64, row and column in the map.
-        pieces: where they lie.
-        smoother: the links between them.
+        pieces: Positions, normals and pieces of the nodes.
+        smoother: Links between the nodes.
     """
 
     values: np.ndarray
@@ -96,7 +95,7 @@ class TexelGraph:
 
     @staticmethod
     def of(field: TextureField, known: np.ndarray) -> TexelGraph:
-        """Collect the texels of a field, with those ``known``, (T,) bool."""
+        """Create the graph of a field's texels."""
         weights = 1 / np.maximum(field.deviation, LEAST_SD) ** 2
         square = texel_squares(field.texels)
         pieces = Pieces.of(field.texels, field.smoother.around)
@@ -111,22 +110,22 @@ class TexelGraph:
 
     @property
     def count(self) -> int:
-        """T."""
+        """Number of nodes, T."""
         return len(self.known)
 
     @property
     def is_large(self) -> bool:
-        """Whether there are too many texels and fewer groups (not if known ones are scattered)."""
+        """True if there are more than MOST_TEXELS, and groups reduce their number."""
         return self.count > MOST_TEXELS and self.halved[0].count < GROUPING_LIMIT * self.count
 
     @property
     def coarsest(self) -> TexelGraph:
-        """Coarser groups, repeatedly, until there are not too many."""
+        """First coarser graph that is not large."""
         return self.halved[0].coarsest if self.is_large else self
 
     @cached_property
     def halved(self) -> tuple[TexelGraph, np.ndarray]:
-        """Groups of 2 x 2 neighbours, all known or none, and the group (T,) of each texel."""
+        """Graph of 2 x 2 groups, each all known or all unknown; and the group (T,) of each node."""
         square, own = self.square // 2, np.arange(self.count)
         alike = np.concatenate([square, self.known[:, None]], axis=1)
         columns = [np.array(column, np.int64) for column in self.smoother.around]

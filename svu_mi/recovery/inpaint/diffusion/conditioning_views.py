@@ -1,11 +1,8 @@
-"""Views that condition a diffusion model, and the transfer of its maps to texels.
+"""Input views of a diffusion model, and the transfer of its maps to texels.
 
-Of texels that photographs show, but do not determine, the pictures are these photographs: they
-have the evidence that the paper gives the model, too. A texel that no photograph shows needs
-another view, of which there is no photograph. What stands in its place is a render of the
-textures as they are filled so far, in the light of the capture: a model that is trained on
-photographs gets a picture of the kind that it knows, with true shading around what it has to
-invent, and nothing in it that the photographs have not said.
+Uncertain texels use the photographs that show them, as in the paper. Unseen texels use renders of
+the textures filled so far, under the capture's light. Renders resemble the photographs that models
+are trained on, and contain no other information than the photographs.
 """
 
 from __future__ import annotations
@@ -33,24 +30,23 @@ from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 CANDIDATES = 100  # candidate views on a sphere
-STEEPEST = 0.3  # cosine to the camera, below which a view does not show a texel well
-COVERED_TEXELS = 2**16  # texels by which views are chosen, at most
-LEAST_ADDED = 0.01  # least part of the holes that a view adds
-SPP = 64  # of a render
-MARGIN = 0.06  # around it, in parts of its size
-KNOWN_PIXEL = 0.999  # known part above which a pixel counts as known
+STEEPEST = 0.3  # least cosine between normal and camera direction of well visible texels
+COVERED_TEXELS = 2**16  # maximum sample of texels for the choice of views
+LEAST_ADDED = 0.01  # least fraction of holes that a further view must add
+SPP = 64  # samples per pixel of a render
+MARGIN = 0.06  # around the object, relative to its size
+KNOWN_PIXEL = 0.999  # least known fraction of a pixel that counts as known
 
 
 @dataclass(frozen=True)
 class ConditioningViews:
-    """Candidate views of one kind: photographs, or renders.
+    """Candidate views, either photographs or renders.
 
     Attributes:
-        capture: the ``Capture``.
-        field: whose textures are filled.
-        side: pixels of the longer side of a picture, at most.
-        photographs: numbers of the sensors whose photographs are the pictures; None for renders,
-            from everywhere around the object.
+        capture: Capture with scene and photographs.
+        field: Textures to fill.
+        side: Maximum number of pixels of the longer side of an image.
+        photographs: Numbers of the photographs to use; None for renders from all around.
     """
 
     capture: Capture
@@ -67,13 +63,13 @@ class ConditioningViews:
         return tuple(capture.sensors[view] for view in self.photographs)
 
     def name(self, place: int) -> str:
-        """Return the name of one of ``sensors``."""
+        """Return the name of candidate view ``place``."""
         if self.photographs is None:
             return str(self.sensors[place].id())
         return self.capture.names[self.photographs[place]]
 
     def choose_views(self, holes: np.ndarray, max_views: int) -> list[int]:
-        """Choose views that show the ``holes``, greedily; return their indices."""
+        """Return indices of views that cover the ``holes`` (T,), chosen greedily."""
         texels = np.flatnonzero(holes)
         texels = texels[:: -(-len(texels) // COVERED_TEXELS) or 1]
         surface = TexelLanes.of(self.field.texels, to_drjit(mi.UInt32, texels.astype(np.uint32)))
@@ -101,7 +97,7 @@ class ConditioningViews:
             shown = resized(photograph[part], film_size(sensor))
         white = white_radiance(shown, usable)
         return ModelInput(
-            # What holds no radiance is mostly what was too bright.
+            # NaN marks missing radiance, in most cases saturation: white.
             photograph=np.clip(np.nan_to_num(shown / white, nan=1.0), 0, 1).astype(np.float32),
             certain=usable & (maps.pop("known") > KNOWN_PIXEL), maps=maps, sensor=sensor,
         )  # fmt: skip
@@ -109,7 +105,7 @@ class ConditioningViews:
     def to_texels(
         self, sensor: Any, maps: Mapping[str, np.ndarray]
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return the values of texels in maps of a view, and which texels it shows well."""
+        """Return values (C, T) sampled from maps of a view, and a mask of well visible texels."""
         surface, views = TexelLanes.of(self.field.texels), self._packed(sensor)
         seen = _well_seen(views, surface, 0)
         values = {}
@@ -121,10 +117,9 @@ class ConditioningViews:
         return values, seen
 
     def _framed(self, place: int) -> tuple[Any, tuple[slice, slice]]:
-        """Return a sensor that sees a square around the object, of which a model sees more then,
-        and the rows and columns of these pixels in a photograph."""
+        """Return a sensor cropped to the object, and the crop's rows and columns."""
         sensor, rendered = self.sensors[place], self.photographs is None
-        small = scaled_sensor(sensor, LARGEST_FILM)  # as ``cover`` has looked at it
+        small = scaled_sensor(sensor, LARGEST_FILM)  # the resolution of ``choose_views``
         shown = self._usable(small)
         columns, rows = (np.flatnonzero(shown.any(axis=axis)) for axis in (0, 1))
         middle = np.array([columns[0] + columns[-1] + 1, rows[0] + rows[-1] + 1]) / 2
@@ -143,7 +138,7 @@ class ConditioningViews:
         return window, (slice(y, bottom), slice(x, right))
 
     def _usable(self, sensor: Any) -> np.ndarray:
-        """Return which pixels (h, w) of a sensor texels can use."""
+        """Return a mask (h, w) of the usable pixels of a sensor."""
         width, height = film_size(sensor)
         return np.array(self._packed(sensor).usable).reshape(height, width)
 
@@ -156,7 +151,7 @@ class ConditioningViews:
         return object_only_scene(self.capture)
 
     def _maps(self, sensor: Any, textures: Textures, known: np.ndarray) -> dict[str, np.ndarray]:
-        """Return maps of all parameters as the sensor sees them, and of what is ``known``."""
+        """Return maps of all parameters in a view, and a map ``known`` of known texels."""
         seen = ObjectView.of(self._alone, sensor)
         maps = {}
         for name in NAMES:
@@ -164,13 +159,13 @@ class ConditioningViews:
             shown = seen.values(np.broadcast_to(image, (*image.shape[:2], 3)))
             maps[name] = shown if CHANNELS[name] > 1 else shown[..., 0]
         texels = self.field.texels
-        # With a gutter, as textures have: else all seams would pass for unknown.
+        # Flags also need gutters, or seams would count as unknown.
         flags = dilate(texels.to_image(known), texels.inside(), float(np.hypot(*image.shape[:2])))
         maps["known"] = seen.values(np.repeat(flags[..., None], 3, axis=-1))[..., 0]
         return maps
 
 
 def _well_seen(views: Views, surface: TexelLanes, number: int) -> np.ndarray:
-    """Return (t,) bool, texels that a view shows at no grazing angle."""
+    """Return a mask (t,) of texels that a view shows at cosines above STEEPEST."""
     seen = sample_view(views, surface, dr.opaque(mi.UInt32, number))
     return np.array(seen.seen & (seen.cosine > dr.opaque(mi.Float, STEEPEST)))

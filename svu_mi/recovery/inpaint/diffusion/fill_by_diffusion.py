@@ -1,15 +1,13 @@
 """Filling of unknown texels by a diffusion model (Sec. 5.3 of the paper).
 
-In one view after the other, the model predicts maps that agree with certain pixels
-(``latent_diffusion.blend``); texels take their values from the first view that shows them well,
-and later views have to agree with these. Values of model and photographs are averaged, weighted by
-their precisions:
+Views are processed in sequence. In each, the model predicts maps that agree with certain pixels
+(``latent_diffusion.blend``). A texel takes its value from the first view that shows it well, and is
+certain in later views. Values of model and photographs are fused by their precisions:
 
     x = (x_p / s_p^2 + x_m / s_m^2) / (1 / s_p^2 + 1 / s_m^2)
 
-s_m is measured on the object itself: certain parts are hidden, predicted in the same way, and
-compared. What no view shows well is filled by symmetry (``fill.py``), and so are the pictures that
-the model gets where it has not been yet.
+s_m is the error on held-out certain parts of the same object. Texels that no view shows well are
+filled by symmetry (``fill.py``), which also provides the initial maps of the model.
 """
 
 from __future__ import annotations
@@ -41,9 +39,9 @@ class Task:
     """Texels to fill by a model.
 
     Attributes:
-        values: (N, T), the textures so far.
-        known: (T,) bool, texels to keep.
-        wanted: (T,) bool, texels to fill.
+        values: (N, T), present values of the textures.
+        known: (T,) bool, True for texels to keep.
+        wanted: (T,) bool, True for texels to fill.
     """
 
     values: np.ndarray
@@ -51,8 +49,8 @@ class Task:
     wanted: np.ndarray
 
 
-TRIALS = 2  # parts that are hidden, of each kind of picture
-TRIAL_VIEWS = 2  # pictures of each
+TRIALS = 2  # held-out parts per kind of images
+TRIAL_VIEWS = 2  # images per held-out part
 
 
 def fill_by_diffusion(
@@ -68,20 +66,19 @@ def fill_by_diffusion(
     """Fill unseen or uncertain texels by a diffusion model.
 
     Args:
-        capture: the photographs.
-        field: recovered textures, and how sure they are.
-        seen: (T,) bool, texels that a photograph shows.
-        model: folder of weights (``load_model``); or what stands in for a model.
-        above: standard deviation of any parameter from which on a texel that was seen is filled,
-            too (``fill``).
-        options: how the model is asked.
-        progress: shows what is going on.
+        capture: Capture with scene and photographs.
+        field: Recovered textures with standard deviations.
+        seen: (T,) bool, True for texels that a photograph shows.
+        model: Folder of weights (``load_model``), or a ``MaterialModel``.
+        above: Limit of standard deviations above which seen texels are filled (``fill``).
+        options: Number of views and steps, resolution, seed and device.
+        progress: Display of stages.
 
     Raises:
         SvuEnvironmentError: PyTorch, diffusers or transformers are not installed.
-        OptionError: the folder holds no weights that are known.
-        CaptureError: nothing is seen, or nothing surely enough, or too little to guess from.
-        ShapeError: flags of other texels.
+        OptionError: The folder does not contain weights of a supported model.
+        CaptureError: Too few texels are seen, or certain enough, for cross-validation.
+        ShapeError: The shape of ``seen`` is not (T,).
     """
     options, progress = options or DiffusionOptions(), progress or Progress()
     loaded = load_model(model, options.device) if isinstance(model, str | Path) else model
@@ -102,7 +99,7 @@ class _MultiViewInference:
     progress: Progress
 
     def filled(self, start: Filled) -> Filled:
-        """Replace a filling by symmetry where the model reaches."""
+        """Replace values filled by symmetry where the model reaches."""
         graph = TexelGraph.of(self.field, ~start.filled)
         masks = holdout_masks(graph)
         masks = masks[:: max(len(masks) // TRIALS, 1)][:TRIALS]
@@ -137,9 +134,11 @@ class _MultiViewInference:
     def _ask(
         self, source: ImageSource, views: ConditioningViews, task: Task, trials: Sequence[Task]
     ) -> tuple[Answer, np.ndarray] | None:
-        """Return the result on views of one kind and all values (N, T); None if the model reaches
-        no held-out texel, so that its error is unknown."""
-        with self.progress.stage(f"Asking the model about {source}") as stage:
+        """Return the result on views of one kind, and all values (N, T).
+
+        None if the model reaches no held-out texel: its error would be unknown.
+        """
+        with self.progress.stage(f"Running the model on {source}") as stage:
             places = [views.choose_views(trial.wanted, TRIAL_VIEWS) for trial in trials]
             chosen = views.choose_views(task.wanted, self.options.views)
             pictures = sum(map(len, places)) + len(chosen)
@@ -163,7 +162,7 @@ class _MultiViewInference:
         self, views: ConditioningViews, task: Task, places: Sequence[int], seed: Sequence[int],
         after_step: Callable[[], None],
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """Return all values (N, T) and the texels (T,) that the model reached."""
+        """Return all values (N, T), and a mask (T,) of texels that the model reached."""
         values, known, reached = task.values.copy(), task.known.copy(), np.zeros_like(task.known)
         for number, place in enumerate(places):
             seeds = np.random.SeedSequence([*seed, number]).generate_state(2)
@@ -179,7 +178,7 @@ class _MultiViewInference:
         return values, reached
 
     def _errors(self, results: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, float]:
-        """Return root mean square errors of values (N, T) in some texels (T,), by parameter."""
+        """Return RMS errors by parameter, for pairs of values (N, T) and a mask (T,)."""
         errors = [(values - self.field.values)[:, at] for values, at in results]
         means = (np.concatenate(errors, axis=1) ** 2).mean(axis=1)
         return {name: float(np.sqrt(means[self.field.rows(name)].mean())) for name in NAMES}

@@ -2,16 +2,16 @@
 
 PyTorch is imported on first use.
 
-A latent z starts as noise, and steps through the times t_1 > t_2 > ... of a schedule. At first,
-what is certain (mask M, latent x of the known map) is put back after every step, with the noise
-that belongs to that time; the last steps are the model's alone, so that no seam is left:
+A latent z starts as noise e and is denoised at times t_1 > t_2 > ... of a schedule. Certain latents
+(mask M, latent x of the known map) are restored after each step, at the noise level of the next
+time [Avrahami et al. 2023, Blended Latent Diffusion]. The last ``free`` steps omit this to avoid
+seams:
 
-    z_i = step(z_{i-1}, e(z_{i-1}, t_i), t_i)                          every step
-    z_i = M n(x, t_{i+1}) + (1 - M) z_i,   n(x, t) = a_t x + s_t e     but for the last ones
+    z_i = step(z_{i-1}, model(z_{i-1}, t_i), t_i)                      every step
+    z_i = M n(x, t_{i+1}) + (1 - M) z_i,   n(x, t) = a_t x + s_t e     except for the last ones
 
-with a_t^2 + s_t^2 = 1, and e the noise that z started as [Avrahami et al. 2023, Blended Latent
-Diffusion]. After the last time of all there is no noise: n is x itself. A model that would leave
-what is certain as it is does so in the last steps, too, because the noise is the same.
+with a_t^2 + s_t^2 = 1; after the last time, n is x. The noise e is the same throughout, so a model
+that reproduces x exactly also does so in the last steps.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ def blend(
     predict: Callable[[Any, Any], Any], schedule: Any, known: Any, certain: Any, noise: Any,
     free: int,
 ) -> Any:  # fmt: skip
-    """Return the latent that a model makes of noise, between what is certain.
+    """Denoise a latent, restoring ``known`` where ``certain`` except in the last ``free`` steps.
 
-    Arrays and tensors of any library will do. The schedule has ``times``, from noise to none;
-    ``step(latent, predicted, time)``, the latent at the next time; and
-    ``noised(clean, noise, time)``, n(x, t).
+    Works with arrays of any library. ``schedule`` needs ``times`` (descending),
+    ``step(latent, predicted, time)`` (the latent at the next time) and
+    ``noised(clean, noise, time)`` (n(x, t)).
     """
     latent, times = noise, list(schedule.times)
     for number, time in enumerate(times, 1):
@@ -55,9 +55,9 @@ class LatentDiffusion:
     """Loaded weights of a diffusion model (a ``MaterialModel``).
 
     Attributes:
-        family: which kind.
-        unet, vae, text_encoder, tokenizer, scheduler: of diffusers and transformers.
-        device: where they are, as PyTorch names it.
+        family: Family of the model, which defines inputs and outputs.
+        unet, vae, text_encoder, tokenizer, scheduler: Modules of diffusers and transformers.
+        device: PyTorch device of the modules.
     """
 
     family: Family
@@ -92,7 +92,7 @@ class LatentDiffusion:
 
         result: dict[str, np.ndarray] = {}
         with torch.inference_mode():
-            # On the CPU whatever the device is, so that all devices start from the same noise.
+            # On the CPU, so that the noise does not depend on the device.
             random = torch.Generator("cpu").manual_seed(seed)
             photograph = self._latent(self._on_screen("photograph", picture.photograph))
             certain = self._on_latents(picture.certain)
@@ -133,7 +133,7 @@ class LatentDiffusion:
         return srgb(linear) if name in self.family.encoded else linear
 
     def _stacked(self, names: Names, picture: ModelInput) -> np.ndarray:
-        """Return what is known of the parameters of one picture, (h, w, 3) in [0, 1]."""
+        """Return the input maps of one output image of the model, (h, w, 3) in [0, 1]."""
         channels = []
         for channel, name in enumerate(names):
             if name is None:
@@ -144,7 +144,7 @@ class LatentDiffusion:
         return np.stack(channels, axis=-1)
 
     def _unstacked(self, names: Names, image: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the parameters of one picture (h, w, 3), linear."""
+        """Split an output image (h, w, 3) into linear maps by parameter."""
         maps = {}
         for name in dict.fromkeys(name for name in names if name):
             first = names.index(name)
@@ -154,7 +154,7 @@ class LatentDiffusion:
         return maps
 
     def _latent(self, image: np.ndarray) -> Any:
-        """Encode (h, w, 3) in [0, 1]; edges are repeated up to a whole number of latents."""
+        """Encode an image (h, w, 3) in [0, 1], padded to a whole number of latents."""
         import torch
 
         padded = np.pad(image, [*self._padding(image.shape[:2]), (0, 0)], mode="edge")
@@ -163,7 +163,7 @@ class LatentDiffusion:
         return latent * self.vae.config.scaling_factor
 
     def _on_latents(self, certain: np.ndarray) -> Any:
-        """Return 1 for latents all of whose pixels are certain, (1, 1, h', w')."""
+        """Return a mask (1, 1, h', w') of latents whose pixels are all certain."""
         import torch
 
         factor = self._factor
@@ -178,12 +178,12 @@ class LatentDiffusion:
 
     @property
     def _factor(self) -> int:
-        """Pixels per latent, along a side."""
+        """Pixels per latent and side."""
         return int(2 ** (len(self.vae.config.block_out_channels) - 1))
 
 
 class _Schedule:
-    """The schedule of diffusers (see ``blend``)."""
+    """Adapter of a scheduler of diffusers (see ``blend``)."""
 
     def __init__(self, scheduler: Any, steps: int, device: str) -> None:
         scheduler.set_timesteps(steps, device=device)

@@ -14,33 +14,37 @@ from svu_mi.recovery.inpaint.diffusion.model_interface import Family, family_of
 
 NEEDED = ("torch", "diffusers", "transformers")
 FOLDERS = ("unet", "vae", "text_encoder")
-# What PyTorch, diffusers, transformers and safetensors raise of files that do not fit.
+# Errors that PyTorch, diffusers, transformers and safetensors raise for invalid files.
 BROKEN = (OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError, IndexError)
 
 
 def require_model(folder: str | Path) -> Family:
-    """Check a folder of weights without reading them, with the errors of ``load_model``."""
+    """Validate a folder of weights without reading them; raise the errors of ``load_model``."""
     family = family_of(folder)
     for part in FOLDERS:
         if not any((Path(folder) / part).glob("*.safetensors")):
             raise OptionError(
-                f"{Path(folder) / part}: there are no weights here as .safetensors; others, such "
-                "as .bin, are pickled, could run any code, and are not opened."
+                f"{Path(folder) / part}: contains no .safetensors file; other formats, such as "
+                ".bin, are pickled and could run any code, so they are not opened."
             )
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         raise SvuEnvironmentError(
-            f"Filling by diffusion needs {', '.join(missing)}, not installed here: pip install "
-            "'svu_mi[diffusion]'."
+            f"Filling by diffusion needs packages that are not installed: {', '.join(missing)}. "
+            "Run: pip install 'svu_mi[diffusion]'."
         )
     return family
 
 
 def load_model(folder: str | Path, device: str = "auto") -> LatentDiffusion:
-    """Read the weights of a diffusion model that estimates materials from a picture.
+    """Read the weights of a diffusion model that estimates materials from an image.
 
-    Known are Marigold (intrinsics, appearance) and RGB<->X (RGB to X). Neither comes with svu_mi;
-    each has a licence of its own, that of RGB<->X for noncommercial research only.
+    Supported models: Marigold (intrinsics, appearance) and RGB<->X (RGB to X). svu_mi contains
+    neither. The licence of RGB<->X permits noncommercial research only.
+
+    Raises:
+        SvuEnvironmentError: A package is not installed, or cannot be imported.
+        OptionError: The folder does not contain valid weights of a supported model.
     """
     folder = Path(folder)
     family = require_model(folder)
@@ -73,38 +77,38 @@ def _load_parts(folder: Path, family: Family, device: str) -> dict[str, Any]:
 
 
 def _require_channels(model: LatentDiffusion) -> None:
-    """Refuse weights with other outputs, such as Marigold's decomposition of light."""
+    """Raise a ValueError for weights with other outputs, such as Marigold's light decomposition."""
     latents = model.vae.config.latent_channels
     for run in model.family.runs:
         wanted = (len(run.maps) + 1) * latents, len(run.maps) * latents
         channels = model.unet.config.in_channels, model.unet.config.out_channels
         if wanted != channels:
             raise ValueError(
-                f"its U-Net has {channels[0]} channels in and {channels[1]} out, not {wanted[0]} "
-                f"and {wanted[1]}"
+                f"its U-Net has {channels[0]} input and {channels[1]} output channels instead of "
+                f"{wanted[0]} and {wanted[1]}"
             )
 
 
 @contextmanager
 def _readable_errors(folder: Path, family: Family) -> Iterator[None]:
-    """Translate errors of the libraries into one sentence about the folder."""
+    """Convert errors of the libraries to svu_mi errors that name the folder."""
     try:
         yield
     except ImportError as error:
         raise SvuEnvironmentError(
             f"{', '.join(NEEDED)} are installed, but cannot be imported ({excerpt(error, 160)}); "
-            "pip install -U 'svu_mi[diffusion]'."
+            "run: pip install --upgrade 'svu_mi[diffusion]'."
         ) from error
     except BROKEN as error:
         raise OptionError(
-            f"{folder}: cannot be used as {family.title} ({excerpt(error, 160)}); give the folder "
-            "as it is published."
+            f"{folder}: cannot be used as {family.title} ({excerpt(error, 160)}); pass an "
+            "unchanged copy of the published folder."
         ) from error
 
 
 @contextmanager
 def _quiet_libraries() -> Iterator[None]:
-    """Silence progress bars and advice of diffusers and transformers."""
+    """Disable progress bars and warnings of diffusers and transformers."""
     from diffusers.utils import logging as diffusers
     from transformers.utils import logging as transformers
 

@@ -1,13 +1,12 @@
-"""Diffusion models of materials: input, output, options, and known families.
+"""Diffusion models of materials: input, output, options, and supported families.
 
-All are latent diffusion models [Rombach et al. 2022] that are given a picture and denoise maps of
-its materials:
+All are latent diffusion models [Rombach et al. 2022] that denoise material maps of an image:
 
-    Marigold        one run makes albedo, and roughness and metallicity as channels of one picture;
-                    no text; photograph and albedo in sRGB [Ke et al. 2025]
-    RGB<->X         one run per map, which a text names; all in linear values [Zeng et al. 2024]
+    Marigold        one run for albedo and an image with roughness and metallic as channels;
+                    no prompt; photograph and albedo in sRGB [Ke et al. 2025]
+    RGB<->X         one run per map, selected by a prompt; all values linear [Zeng et al. 2024]
 
-None is part of svu_mi, and each has its own licence (``Family.licence``).
+svu_mi contains no weights. Each family has its own licence (``Family.licence``).
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from svu_mi.errors import OptionError, excerpt
 
 @dataclass(frozen=True)
 class ModelInput:
-    """Input of a model for one view, h x w pixels.
+    """Input of a model for one view of h x w pixels.
 
     Attributes:
-        photograph: (h, w, 3) linear, exposed so that 1 is white; in [0, 1].
-        maps: by parameter, (h, w, 3) or (h, w), in [0, 1]: what is known of it where that is
-            certain, a first guess elsewhere; 0 off the object.
-        certain: (h, w) bool, pixels that show nothing but what is known.
-        sensor: where from.
+        photograph: (h, w, 3), linear RGB in [0, 1], exposed such that 1 is white.
+        maps: Maps by parameter, (h, w, 3) or (h, w), in [0, 1]: known values where ``certain``,
+            initial guesses elsewhere; 0 in the background.
+        certain: (h, w) bool, True for pixels that show known texels only.
+        sensor: Sensor of the view.
     """
 
     photograph: np.ndarray
@@ -43,11 +42,11 @@ class ModelInput:
 
 
 class MaterialModel(Protocol):
-    """Model that completes maps of material parameters in one view."""
+    """Protocol of models that complete maps of material parameters in one view."""
 
     @property
     def title(self) -> str:
-        """Name to print."""
+        """Title of the model."""
 
     @property
     def licence(self) -> str:
@@ -55,12 +54,12 @@ class MaterialModel(Protocol):
 
     @property
     def runs(self) -> int:
-        """Denoising runs per picture."""
+        """Number of denoising runs per image."""
 
     def predict(
         self, picture: ModelInput, steps: int, free: int, seed: int, after_step: Callable[[], None]
     ) -> Mapping[str, np.ndarray]:
-        """Return maps of a picture as ``ModelInput.maps`` has them, by parameter, linear."""
+        """Return completed maps with the shapes of ``ModelInput.maps``, linear, by parameter."""
 
 
 INDEX = "model_index.json"
@@ -70,12 +69,12 @@ COLOR = ("base_color",) * 3
 
 @dataclass(frozen=True)
 class DenoisingRun:
-    """Maps that are denoised together.
+    """Denoising run, which may produce several images.
 
     Attributes:
-        text: prompt.
-        maps: of each picture, the parameters that its three channels hold; None for nothing. A
-            parameter of one value that has several channels is read from the first.
+        text: Prompt.
+        maps: Parameter of each of the three channels, per output image; None if unused. Scalar
+            parameters in several channels are read from the first.
     """
 
     text: str
@@ -84,15 +83,15 @@ class DenoisingRun:
 
 @dataclass(frozen=True)
 class Family:
-    """Models of one kind.
+    """Family of diffusion models with the same inputs and outputs.
 
     Attributes:
-        title: to print.
-        licence: of its published weights.
-        runs: what it makes.
-        photograph_first: whether the photograph's latent comes before those of the maps.
-        encoded: what is in sRGB: ``photograph``, ``base_color``; all else is linear.
-        schedule: settings of the noise schedule that its own folder does not have.
+        title: Title of the family.
+        licence: Licence of the published weights.
+        runs: Denoising runs per image.
+        photograph_first: True if the photograph's latent precedes the maps in the input.
+        encoded: Inputs and outputs in sRGB, such as ``photograph``; others are linear.
+        schedule: Settings of the noise schedule, override the published configuration.
     """
 
     title: str
@@ -103,11 +102,11 @@ class Family:
     schedule: Mapping[str, Any]
 
 
-# By the name of the pipeline that the folder says it is for.
+# By ``_class_name`` in the index of the folder.
 FAMILIES = {
     "MarigoldIntrinsicsPipeline": Family(
         title="Marigold (intrinsics, appearance)",
-        licence="see the model card in their folder (of v1.1: CreativeML Open RAIL++-M)",
+        licence="see the model card in the folder (v1.1: CreativeML Open RAIL++-M)",
         runs=(DenoisingRun("", (COLOR, ("roughness", "metallic", None))),),
         photograph_first=True,
         encoded=frozenset({"photograph", "base_color"}),
@@ -129,52 +128,55 @@ FAMILIES = {
 
 
 def family_of(folder: str | Path) -> Family:
-    """Return the family of the weights in a folder, by its index."""
+    """Return the family of the weights in a folder, identified by its index file."""
     index = Path(folder) / INDEX
     known = " or ".join(family.title for family in FAMILIES.values())
     try:
         if not index.is_file():
             raise OptionError(
-                f"{folder}: there is no {INDEX} in this folder; give the folder of the weights of "
-                f"{known}, as they are published."
+                f"{folder}: {INDEX} is missing; pass an unchanged copy of the published folder of "
+                f"{known}."
             )
         if index.stat().st_size > LARGEST_INDEX:
-            raise OptionError(f"{index}: has more than {LARGEST_INDEX} bytes, and is no index.")
+            raise OptionError(f"{index}: not an index file: larger than {LARGEST_INDEX} bytes.")
         record = json.loads(index.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise OptionError(f"{index}: cannot be read ({excerpt(error, 80)}).") from error
     name = record.get("_class_name") if isinstance(record, dict) else None
     if not isinstance(name, str) or name not in FAMILIES:
-        raise OptionError(
-            f"{index}: is for {excerpt(name, 60)}, which is not known here; give the weights of "
-            f"{known}."
-        )
+        raise OptionError(f"{index}: model {excerpt(name, 60)} is not supported; use {known}.")
     return FAMILIES[name]
 
 
 @dataclass(frozen=True, kw_only=True)
 class DiffusionOptions:
-    """Options of a diffusion model."""
+    """Options of filling by a diffusion model.
+
+    Example:
+        >>> svu.DiffusionOptions(views=4, device="cpu").steps
+        50
+    """
 
     views: int = 8
-    """Pictures that it is asked about, at most: fewer if they show all there is to fill. Of what
-    photographs show, these are photographs; of what none shows, renders."""
+    """Maximum number of images per kind (photographs of uncertain texels, renders of unseen ones),
+    1 to 100. Raise it if texels of complex objects remain filled by symmetry."""
 
     steps: int = 50
-    """Steps of the diffusion."""
+    """Number of diffusion steps, 1 to 1000. Lower it to save time, at lower quality."""
 
     free: int = 10
-    """Of these, the last ones in which what is known is not put back."""
+    """Number of last steps, 0 to ``steps``, in which known pixels are not restored. Raise it if
+    seams are visible around filled regions."""
 
     side: int = 768
-    """Pixels of the longer side of a picture, which is never larger than a photograph."""
+    """Pixels of the longer side of an image, 32 to 4096; photographs are never enlarged. Lower it
+    if memory is short."""
 
     seed: int = 0
-    """Of the noise: the same seed, the same textures."""
+    """Seed of the noise, 0 to 2^32 - 1. Change it for another plausible result."""
 
     device: str = "auto"
-    """Where the model runs, as PyTorch names it: cpu, cuda, cuda:1; auto takes a GPU if there is
-    one."""
+    """PyTorch device of the model, such as cpu, cuda or cuda:1. auto: the GPU if available."""
 
     def __post_init__(self) -> None:
         require_types(self)
