@@ -72,12 +72,12 @@ def test_a_result_is_no_capture_and_says_which_one_it_was_made_of(tmp_path, caps
     write_older(result, "recover", "run.json", ["base_color.exr"])
     words = ("entropy", result, "-o", tmp_path / "out")
     assert fails(capsys, *words) == (
-        f"svu: {result}: is a result of svu recover; give the capture it was made of."
+        f"svu: {result}: is a result of svu recover; give the capture it was computed from."
     )
     record = json.loads((result / "run.json").read_text())
     record["inputs"] = {"source": "shots/vase"}
     (result / "run.json").write_text(json.dumps(record))
-    assert fails(capsys, *words).endswith("; give the capture it was made of (shots/vase).")
+    assert fails(capsys, *words).endswith("; give the capture it was computed from (shots/vase).")
 
 
 @pytest.mark.parametrize(
@@ -91,11 +91,13 @@ def test_results_are_not_written_among_the_files_of_the_scene(tmp_path, capsys, 
     for given in ((shot,), (scene,), (scene, "--render"), (scene, "--images", shot)):
         capsys.readouterr()
         line = fails(capsys, command, *given, "-o", tmp_path)
-        assert line.startswith(f"svu: {tmp_path}: holds other files: ball.ply was not written by")
+        assert line.startswith(
+            f"svu: {tmp_path}: contains other files: ball.ply was not written by"
+        )
     line = fails(capsys, command, shot, "-o", shot)
     assert line == (
-        f"svu: {shot}: holds other files: capture.json was written by svu render; choose another "
-        "name, or --overwrite, which keeps this one as shot.before."
+        f"svu: {shot}: contains other files: capture.json was written by svu render; choose "
+        "another name, or --overwrite, which keeps this one as shot.before."
     )
     assert names(tmp_path) == before
 

@@ -38,8 +38,8 @@ def test_textures_are_looked_at_beside_those_painted_in_blender(shots):
     done("recover capture --resolution 64 -o out/textures --no-pictures", shots)
     assert svu("report capture --recovered out/entropy", shots).refusal == (
         "out/entropy: has no base_color.exr, roughness.exr, metallic.exr, so it is not a result of "
-        "svu recover but of svu entropy; run svu recover on the same capture, and give what it "
-        "writes."
+        "svu recover but of svu entropy; run svu recover on the same capture, and give its "
+        "output folder."
     )
     line = "report capture --recovered out/textures --resolution 128"
     assert svu(line, shots).refusal == (

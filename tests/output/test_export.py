@@ -120,7 +120,7 @@ def test_a_format_writes_its_files_and_replaces_an_older_export(asset, tmp_path,
 
 def test_a_folder_with_other_files_is_refused(asset, tmp_path):
     (tmp_path / "object.xml").write_text("mine")
-    with pytest.raises(OutputError, match="holds other files: object.xml"):
+    with pytest.raises(OutputError, match="contains other files: object.xml"):
         svu.export_asset(asset, tmp_path)
     assert files(tmp_path) == ["object.xml"] and (tmp_path / "object.xml").read_text() == "mine"
 

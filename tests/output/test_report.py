@@ -411,7 +411,7 @@ def test_the_command_writes_a_page(scene, tmp_path, capsys):
     assert main(words) == 2 and "--overwrite, which keeps this" in capsys.readouterr().err
     assert main([*words, "--overwrite"]) == 0
     said = capsys.readouterr().err
-    assert "no UVs" in said and "what was there is kept as page.html.before" in said
+    assert "no UVs" in said and "the older content is kept as page.html.before" in said
     text = page.read_text(encoding="utf-8")
     assert "laid out" in section(text, "skipped")  # the warning of the mesh
     assert page.with_name("page.html.before").read_text() == "mine"

@@ -209,7 +209,7 @@ def test_a_capture_that_others_have_worked_on_is_left_alone(made, tmp_path, caps
     before = {path.name: path.read_bytes() for path in shot.iterdir()}
     given = {"render": made / "a" / "scene.xml", "import": made / "none"}[command]
     line = fails(capsys, command, given, "-o", shot)
-    assert command == "import" or "holds other files" in line
+    assert command == "import" or "contains other files" in line
     assert {path.name: path.read_bytes() for path in shot.iterdir()} == before
 
 

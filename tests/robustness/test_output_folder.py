@@ -61,10 +61,10 @@ def test_a_folder_with_other_files_is_refused_or_kept(tmp_path, out, spoil):
         write(out, "o", ("a", "b"))
     spoil(out)
     before = contents(out) if not (out / "link").is_symlink() else names(out)
-    with pytest.raises(OutputError, match=r"holds other files: .*; choose another name, or"):
+    with pytest.raises(OutputError, match=r"contains other files: .*; choose another name, or"):
         write(out, "n", ("a",))
     with (
-        pytest.warns(SvuWarning, match=r"what was there is kept as out.before;"),
+        pytest.warns(SvuWarning, match=r"the older content is kept as out.before;"),
         claimed(out, "recover", overwrite=True) as place,
     ):
         write(place, "n", ("a",))
@@ -161,7 +161,7 @@ def test_the_working_directory_is_refused(tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     for place in (".", "..", tmp_path / "here"):
-        with pytest.raises(OutputError, match="holds the working directory, which cannot be exch"):
+        with pytest.raises(OutputError, match="contains the working directory and cannot be rep"):
             write(place, "n", ("a",))
     write("out", "n", ("a",))
     assert names(tmp_path / "here") == ["out"]
@@ -170,7 +170,7 @@ def test_the_working_directory_is_refused(tmp_path, monkeypatch):
 @pytest.mark.parametrize("place", ["/", "a disk"])
 def test_a_mounted_folder_is_refused(out, monkeypatch, place):
     monkeypatch.setattr(output_folder, "_mounts", lambda: {str(out)})
-    with pytest.raises(OutputError, match="cannot be exchanged with a result; choose a folder in"):
+    with pytest.raises(OutputError, match="cannot be replaced by a result; choose a folder"):
         write(Path("/") if place == "/" else out, "n", ("a",))
 
 
@@ -205,7 +205,7 @@ def test_a_page_of_others_or_an_edited_one_is_kept(tmp_path):
     page.write_text("mine")
     with pytest.raises(OutputError, match="was not written by svu report, or was changed since"):
         require_own_page(page)
-    with pytest.warns(SvuWarning, match=r"what was there is kept as report.html.before; remove"):
+    with pytest.warns(SvuWarning, match=r"the older content is kept as report.html.before; remove"):
         write_page(page, "<p>first")
     require_own_page(page)
     write_page(page, "<p>second")  # over one's own, without a word

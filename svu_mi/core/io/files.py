@@ -99,7 +99,7 @@ def clear_temporaries(folder: Path) -> None:
 
 
 def is_temporary(name: str) -> bool:
-    """Return whether a name is that of a hidden temporary file or folder of svu."""
+    """Return whether a file or folder is a temporary one of svu, by its name."""
     return name.startswith(".") and OURS in name
 
 

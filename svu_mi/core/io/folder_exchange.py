@@ -130,7 +130,7 @@ def is_at(status: os.stat_result, path: Path) -> bool:
 
 @contextlib.contextmanager
 def exchanged(new: Path, target: Path) -> Iterator[None]:
-    """Exchange two folders in one step, or rename the new one if there is no older one.
+    """Exchange two folders in one step, or rename the new one if the target is missing.
 
     In the block, the older folder has the name of the new one, and is locked.
 

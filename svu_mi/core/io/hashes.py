@@ -21,7 +21,7 @@ class Key:
         self.add(*values)
 
     def add(self, *values: Any) -> None:
-        """Add arrays, numbers, text, None, or lists, dictionaries and dataclasses of these.
+        """Add arrays, numbers, text, None, or lists, dictionaries and dataclasses of them.
 
         Raises:
             TypeError: a value of another type, whose ``repr`` may contain its address.

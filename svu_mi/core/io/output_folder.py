@@ -1,11 +1,11 @@
-"""Results that are complete: written into a draft, then exchanged with the older result.
+"""Result folders: written as a hidden draft, then exchanged with the older result in one step.
 
     with writing("out", "entropy", "run.json", capture=key) as draft:
         write_maps(estimate, draft.folder)
         write_manifest(draft.folder / "run.json", {**record, **draft.entries()})
 
-A result has its folder to itself. Commands claim the folder before their work, and pass the claim
-to the writer in place of the folder:
+Each result has its own folder. Commands claim the folder before their work, and pass the claim to
+the writer instead of the folder:
 
     with claimed("out", "entropy", overwrite=True) as place:
         write_outputs(capture, estimate, place)
@@ -31,24 +31,24 @@ from svu_mi.core.io.hashes import digest_of, digest_of_file
 from svu_mi.core.io.provenance import CAPTURE, RESULT, RUN, Entry, entries_in, files_in
 from svu_mi.errors import OutputError, SvuWarning, excerpt
 
-# What svu keeps inside of results and captures, whatever is written there: what is found or
-# rendered once. Their keys tell whether they are used.
+# Names that stay in captures and results when these are replaced: light estimates, renderings and
+# unwrapped meshes. Keys inside of them decide whether they are still valid.
 KEPT = ("light", "light-gains", "cache", "capture", "unwrapped.ply")
-CHECKPOINT = ".svu-checkpoint.npz"  # in the draft of an interrupted recovery
+CHECKPOINT = ".svu-checkpoint.npz"  # file in the draft of an interrupted recovery
 IGNORED = {".DS_Store", "Thumbs.db"}
-# At the end of a page that lies alone, without a record beside it: a digest of all before it.
+# Last line of an HTML page without a record: the digest of the text before it.
 MARK = re.compile(rb"<!-- svu:page=([0-9a-f]{32}) -->\n\Z")
 
 
 @dataclass(frozen=True)
 class Claim(os.PathLike[str]):
-    """A folder that one command writes to, from before its work until its result is there.
+    """Result folder that is reserved for one command until its result is complete.
 
     Attributes:
-        folder: as it was given.
-        target: the same, absolute and without links.
-        draft: hidden folder beside it, where files are written.
-        command: that writes them.
+        folder: path of the result folder as given by the user.
+        target: absolute path of the result folder, without links.
+        draft: path of the hidden folder next to it that receives the files.
+        command: name of the command.
     """
 
     folder: Path
@@ -60,7 +60,7 @@ class Claim(os.PathLike[str]):
         return str(self.folder)
 
     def clear(self, keep: Callable[[Path], bool] | None = None) -> None:
-        """Remove everything from the draft but what is to be kept."""
+        """Remove all files from the draft, except those for which ``keep`` returns True."""
         for path in list(self.draft.iterdir()) if self.draft.is_dir() else ():
             if keep is None or not keep(path):
                 _remove(path)
@@ -68,14 +68,14 @@ class Claim(os.PathLike[str]):
 
 @dataclass(frozen=True)
 class Draft:
-    """A result that is being written.
+    """Result that is being written.
 
     Attributes:
-        folder: where its files go, the record last.
-        target: where they will be.
+        folder: path of the folder for the files; the record is written last.
+        target: path of the final folder.
         run: id of the run, 16 hexadecimal digits.
-        command: that writes it.
-        capture: key of the capture that it is about, or empty.
+        command: name of the command.
+        capture: key of the capture; empty without one.
     """
 
     folder: Path
@@ -85,7 +85,7 @@ class Draft:
     capture: str
 
     def entries(self) -> dict[str, Any]:
-        """Return what the record says of the files; called when all others are written."""
+        """Return the record's entry about the files; call it after writing all of them."""
         files = {name: digest_of_file(self.folder / name) for name in files_in(self.folder)}
         return {RESULT: asdict(Entry(self.run, self.command, self.capture, files))}
 
@@ -94,17 +94,17 @@ class Draft:
 def claimed(
     folder: str | os.PathLike[str], command: str, *, overwrite: bool = False, keep: str = ""
 ) -> Iterator[Claim]:
-    """Keep a folder for one command, from before its work until after its result.
+    """Reserve a result folder for one command until its result is complete.
 
     Args:
-        folder: where the result will be; its parents are made. A claim is passed on.
-        command: that writes it: entropy, recover, ...
-        overwrite: accept a folder with anything else in it, which is kept as ``NAME.before``.
-        keep: pattern of the files of the draft that outlive a run that fails, to resume it.
+        folder: path of the result folder; its parents are created. A claim is yielded as it is.
+        command: name of the command, such as ``entropy``.
+        overwrite: True to accept a folder with other files, which is kept as ``NAME.before``.
+        keep: name pattern of files in the draft that are kept if the run fails, to resume it.
 
     Raises:
-        OutputError: nothing can be written there, the folder holds anything but an older result of
-            the command, or another process is at work there.
+        OutputError: the folder is not writable, contains other files than an older result of the
+            command, or another process is writing there.
     """
     if isinstance(folder, Claim):
         yield folder
@@ -120,9 +120,9 @@ def claimed(
         _prepare_parent(shown, target)
         with locked(target) as draft:
             if target.exists():
-                prepare_folder(target)  # only to see that it is a folder, and may be changed
+                prepare_folder(target)  # check that it is a writable folder
             if not overwrite and (reason := _stranger_in(target, command)):
-                raise _occupied(shown, f"holds other files: {reason}")
+                raise _occupied(shown, f"contains other files: {reason}")
             claim = Claim(shown, target, draft, command)
             _carry(draft, target)
             claim.clear(is_needed)
@@ -133,7 +133,7 @@ def claimed(
                 if is_at(own, draft):  # no result was written
                     claim.clear(is_needed)
     finally:
-        for parent in absent:  # those that nothing was put into
+        for parent in absent:  # rmdir fails if it contains a file
             with contextlib.suppress(OSError):
                 parent.rmdir()
 
@@ -142,17 +142,17 @@ def claimed(
 def writing(
     folder: str | os.PathLike[str], command: str, record: str, *, capture: str = "", run: str = ""
 ) -> Iterator[Draft]:
-    """Give a draft that becomes the result in a folder when the block succeeds.
+    """Yield a draft that becomes the result folder if the block succeeds.
 
     Args:
-        folder: where the result will be, or the claim of it.
-        command: that writes it: entropy, recover, ...
+        folder: path of the result folder, or its claim.
+        command: name of the command, such as ``entropy``.
         record: name of the JSON file that the block writes last, with ``draft.entries()``.
-        capture: key of the capture that it is about.
-        run: id of the run; drawn by default.
+        capture: key of the capture; empty without one.
+        run: id of the run; random by default.
 
     Raises:
-        OutputError: as ``claimed``, or a file cannot be written.
+        OutputError: an error of ``claimed``, or a file cannot be written.
     """
     run = run or secrets.token_hex(8)
     with claimed(folder, command) as claim:
@@ -164,7 +164,7 @@ def writing(
                 raise OutputError(f"{claim.folder / record}: was not written.")
             _put_in_place(claim)
         except OutputError as error:
-            # The user has not asked for a file in the draft.
+            # Users know the result folder, not the draft.
             sentence = str(error).replace(f"{claim.draft}{os.sep}", f"{claim.folder}{os.sep}")
             raise OutputError(sentence) from error
         except OSError as error:
@@ -175,13 +175,13 @@ def writing(
 
 
 def _put_in_place(claim: Claim) -> None:
-    """Exchange the draft with the older folder, which is removed, or kept if it is not ours."""
+    """Exchange the draft with the older folder; remove that, or keep it if it has other files."""
     draft, target = claim.draft, claim.target
     other = _stranger_in(target, claim.command)
     new = draft.rename(unused_name(target)) if other else draft
     with exchanged(new, target):  # from here on, ``new`` names the older folder
         _carry(new, target)
-        for path in target.glob(".svu-*"):  # what only a resumed run needs
+        for path in target.glob(".svu-*"):  # only needed to resume a run
             _remove(path)
         if not other:
             shutil.rmtree(draft, ignore_errors=True)
@@ -190,14 +190,14 @@ def _put_in_place(claim: Claim) -> None:
 
 
 def _carry(source: Path, target: Path) -> None:
-    """Move what is kept inside of results from one folder to another."""
+    """Move the files and folders named in ``KEPT`` from one folder to another."""
     for path in list(source.iterdir()) if source.is_dir() and target.is_dir() else ():
         if is_kept(path.name) and not os.path.lexists(target / path.name):
             path.rename(target / path.name)
 
 
 def is_kept(name: str) -> bool:
-    """Return whether svu keeps what has this name in the folder of a capture or a result."""
+    """Return whether files of this name stay when a capture or result is replaced."""
     return name.partition(".before")[0] in KEPT
 
 
@@ -209,32 +209,32 @@ def _remove(path: Path) -> None:
 
 
 def _prepare_parent(folder: Path, target: Path) -> None:
-    """Make the folder that a result and its draft lie in, and see that it can be written."""
+    """Create the parent folder of a result and its draft; check that it is writable."""
     try:
         prepare_folder(target.parent)
     except OutputError as error:
         if not target.is_dir():
             raise
         raise OutputError(
-            f"{folder}: a result is put together beside its folder, but {error}"
+            f"{folder}: a result needs a temporary folder next to it, but {error}"
         ) from error
 
 
 def _require_exchangeable(folder: Path, target: Path) -> None:
-    """Refuse a folder that cannot be renamed."""
+    """Raise OutputError if a folder cannot be renamed."""
     if Path.cwd().is_relative_to(target):
-        what = "holds the working directory"
+        what = "contains the working directory"
     elif target.is_mount() or str(target) in _mounts():
-        what = "is the top of a disk or of a mounted folder"
+        what = "is a mount point"
     else:
         return
     raise OutputError(
-        f"{folder}: {what}, which cannot be exchanged with a result; choose a folder in it."
+        f"{folder}: {what} and cannot be replaced by a result; choose a folder inside."
     )
 
 
 def _mounts() -> set[str]:
-    """Return where folders are mounted; Linux only: bind mounts are told by nothing else."""
+    """Return the mount points, including bind mounts; empty outside of Linux."""
     with contextlib.suppress(OSError):
         lines = Path("/proc/self/mountinfo").read_text(errors="replace").splitlines()
         return {line.split()[4].replace("\\040", " ") for line in lines}
@@ -242,7 +242,7 @@ def _mounts() -> set[str]:
 
 
 def _stranger_in(folder: Path, command: str) -> str:
-    """Return which file of a folder is not of an older result of a command; empty if none is."""
+    """Return why a file is not part of the command's older result; empty if all files are."""
     if not folder.exists():
         return ""
     entries = entries_in(folder)
@@ -258,7 +258,7 @@ def _stranger_in(folder: Path, command: str) -> str:
         if any(name in entry.files for entry in own.values()):
             what = f"changed since svu {command} wrote it"
         elif not writer:
-            what = f"not written by svu {command}, or by an older version of it"
+            what = f"not written by svu {command}, or by an older version"
         return f"{excerpt(name)} was {what}"
     return ""
 
@@ -273,16 +273,16 @@ def _occupied(folder: Path, reason: str) -> OutputError:
 
 
 def write_page(path: Path, page: str) -> None:
-    """Write an HTML page that has no record beside it, whole or not at all.
+    """Write an HTML page that has no record, atomically.
 
-    A page of others, or an edited one, is kept under another name, with a warning.
+    An existing page that was edited, or not written by svu, is renamed, with a warning.
 
     Args:
-        path: the HTML file.
-        page: its text, which a comment with a digest is added to.
+        path: path of the HTML file.
+        page: text of the page; a comment with its digest is appended.
 
     Raises:
-        OutputError: as ``files.replacing``.
+        OutputError: an error of ``files.replacing``.
     """
     content = (page + "\n").encode()
     with replacing(path) as temporary:
@@ -293,17 +293,13 @@ def write_page(path: Path, page: str) -> None:
 
 
 def require_own_page(path: Path) -> None:
-    """Refuse a page of others, or an edited one.
-
-    Raises:
-        OutputError: it is one.
-    """
+    """Raise OutputError if a page was edited, or not written by svu."""
     if not _is_own_page(path):
         raise _occupied(path, "was not written by svu report, or was changed since")
 
 
 def _is_own_page(path: Path) -> bool:
-    """Return whether a page is missing, or as ``write_page`` has written it."""
+    """Return whether a page is missing, or unchanged since ``write_page``."""
     if not os.path.lexists(path):
         return True
     content = path.read_bytes() if path.is_file() and not path.is_symlink() else b""
@@ -313,7 +309,7 @@ def _is_own_page(path: Path) -> bool:
 
 def _say_kept(path: Path, kept: Path) -> None:
     warnings.warn(
-        f"{path}: what was there is kept as {kept.name}; remove it when you no longer need it.",
+        f"{path}: the older content is kept as {kept.name}; remove it if you do not need it.",
         SvuWarning,
         stacklevel=6,
     )

@@ -1,8 +1,8 @@
-"""Run and capture of result files, read from records and file headers.
+"""Provenance of result files: their run and capture, from records and file headers.
 
-A record is a JSON file such as ``run.json``: its ``written`` lists the files of the run with their
-digests, so that an edited file is not taken for the run's own. EXR, PLY and scene files have the id
-of their run and the key of their capture as marks.
+A record is a JSON file such as ``run.json``. Its entry ``written`` contains the digests of the
+files of the run, which identify edited files. EXR, PLY and scene files contain marks: the id of
+their run and the key of their capture.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from svu_mi.core.io.hashes import digest_of_file
 from svu_mi.errors import CaptureError, excerpt
 
 RESULT = "written"  # key of the entry in a record
-RUN, CAPTURE = "svu:run", "svu:capture"  # marks
+RUN, CAPTURE = "svu:run", "svu:capture"  # names of marks
 LIGHT, LIGHT_RECORD = "light", "light.json"
 RUN_RECORD = "run.json"
 RECORDS = (RUN_RECORD, "asset.json", "check.json", "compare.json", LIGHT_RECORD, "capture.json")
 CAPTURES = ("render", "import")  # commands whose results are captures
-LONGEST = 1024  # letters of a name
+LONGEST = 1024  # letters of a file name
 MAX_BYTES = 2**26  # of a record
-HEAD = 4096  # bytes in which a scene file or a mesh has its marks
+HEAD = 4096  # bytes at the start of a scene file or mesh that contain its marks
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One result.
+    """Entry of a record about one result.
 
     Attributes:
         run: id of the run, as in the marks of its files.
-        command: that wrote it: render, entropy, ...
-        capture: key of the capture that it is about, empty where that is not known.
-        files: digest by name, relative to the folder, with slashes.
+        command: name of the command, such as ``entropy``.
+        capture: key of the capture; empty if unknown.
+        files: digest of each file, by its path relative to the folder, with slashes.
     """
 
     run: str
@@ -48,7 +48,7 @@ class Entry:
 
     @classmethod
     def parse(cls, value: Any) -> Entry | None:
-        """Return the entry that a record holds; None for anything that is not a valid one."""
+        """Return the entry of a JSON value; None if it is invalid."""
         try:
             entry = cls(value["run"], value["command"], value["capture"], dict(value["files"]))
         except (TypeError, KeyError, ValueError):
@@ -58,7 +58,7 @@ class Entry:
         return entry if valid else None
 
     def owns(self, folder: Path, name: str) -> bool:
-        """Return whether a file is still the one that the run wrote."""
+        """Return whether a file is unchanged since the run."""
         path = folder / name
         try:
             return (
@@ -72,7 +72,7 @@ class Entry:
 
 
 def entry_of(record: Path, command: str = "") -> Entry | None:
-    """Return the result that a record names; None if it cannot be read, or is another command's."""
+    """Return the entry of a record; None if it is unreadable or of another command."""
     try:
         short = record.is_file() and record.stat().st_size <= MAX_BYTES
         content = read_json(record) if short else {}
@@ -83,19 +83,19 @@ def entry_of(record: Path, command: str = "") -> Entry | None:
 
 
 def entries_in(folder: Path) -> dict[str, Entry]:
-    """Return the results that the records of a folder name, by the name of the record."""
+    """Return the entries of all records in a folder, by the name of the record."""
     entries = {name: entry_of(folder / name) for name in RECORDS}
     return {name: entry for name, entry in entries.items() if entry is not None}
 
 
 def is_as_written(folder: Path, record: str) -> bool:
-    """Return whether a folder has all files of its result, unchanged."""
+    """Return whether all files of a record exist and are unchanged."""
     entry = entry_of(folder / record)
     return entry is not None and all(entry.owns(folder, name) for name in entry.files)
 
 
 def is_inside(name: Any) -> bool:
-    """Return whether a text names a file below a folder, and nothing above or beside it."""
+    """Return whether a text is the relative path of a file below a folder."""
     if not isinstance(name, str) or not 0 < len(name) <= LONGEST or not name.isprintable():
         return False
     path = PurePosixPath(name)
@@ -104,9 +104,12 @@ def is_inside(name: Any) -> bool:
 
 
 def files_in(folder: Path) -> list[str]:
-    """Return the files below a folder, with slashes, but for temporary ones of svu.
+    """Return the relative paths of all files below a folder, except svu's temporary ones.
 
-    A link to a folder counts as a file. An OSError is raised if a folder cannot be read.
+    A link to a folder counts as a file.
+
+    Raises:
+        OSError: a folder cannot be read.
     """
     names = []
     for root, folders, files in os.walk(folder, onerror=_refuse):
@@ -120,10 +123,7 @@ def _refuse(error: OSError) -> None:
 
 
 def marks_of(path: Path) -> tuple[str, str]:
-    """Return the id of the run that wrote a file, and the key of its capture.
-
-    Both are empty in files of others, which may have been put there by hand.
-    """
+    """Return the marks of a file: run id and capture key; empty in files of other programs."""
     if path.suffix.lower() == ".exr":
         attributes = read_header(path).attributes
         return str(attributes.get(RUN, "")), str(attributes.get(CAPTURE, ""))
@@ -137,7 +137,7 @@ def marks_of(path: Path) -> tuple[str, str]:
 
 
 def require_one_run(folder: Path, names: Sequence[str], record: str, command: str) -> None:
-    """Refuse files of different runs."""
+    """Raise CaptureError if files come from different runs."""
     runs = {name: marks_of(folder / name)[0] for name in names}
     if (entry := entry_of(folder / record, command)) is not None:
         runs[record] = entry.run
@@ -151,39 +151,39 @@ def require_one_run(folder: Path, names: Sequence[str], record: str, command: st
 
 
 def are_of_one_capture(first: Path, second: Path) -> bool:
-    """Return whether two files are about one capture, as far as their marks say."""
+    """Return whether two files have the same capture; True if a mark is missing."""
     keys = [marks_of(path)[1] for path in (first, second)]
     return not all(keys) or keys[0] == keys[1]
 
 
 def mesh_of(record: Path, run: str) -> str:
-    """Return the digest of the mesh of a run's files; empty if the record is not that run's."""
+    """Return the mesh digest in the record of a run; empty if it is of another run."""
     entry = entry_of(record)
     known = bool(run) and entry is not None and entry.run == run
     return text_in(read_json(record), "inputs", "mesh") if known else ""
 
 
 def text_in(record: Any, *names: str) -> str:
-    """Return a text that nested JSON objects hold under names; empty if they have none."""
+    """Return a text from nested JSON objects, by keys; empty if missing."""
     for name in names:
         record = record.get(name) if isinstance(record, dict) else None
     return record if isinstance(record, str) else ""
 
 
 def require_no_result(folder: Path) -> None:
-    """Refuse a folder that was given as a capture, if it is a result of another command."""
+    """Raise CaptureError if a folder is a result that is not a capture."""
     entries = entries_in(folder)
     if others := [entry.command for entry in entries.values() if entry.command not in CAPTURES]:
         record = read_json(folder / RUN_RECORD) if RUN_RECORD in entries else None
         source = text_in(record, "inputs", "source")
         raise CaptureError(
-            f"{folder}: is a result of svu {excerpt(others[0], 40)}; give the capture it was made "
-            + (f"of ({excerpt(source, 300)})." if source else "of.")
+            f"{folder}: is a result of svu {excerpt(others[0], 40)}; give the capture it was "
+            + (f"computed from ({excerpt(source, 300)})." if source else "computed from.")
         )
 
 
 def require_recovery(folder: Path, names: Sequence[str], record: str, other: str) -> None:
-    """Refuse a folder without the files of ``svu recover``, and say what it is instead."""
+    """Raise CaptureError if a folder lacks the files ``names`` of ``svu recover``."""
     if not folder.is_dir():
         raise CaptureError(f"{folder}: no such folder; give one that svu recover wrote.")
     missing = [name for name in names if not (folder / name).is_file()]
@@ -194,11 +194,8 @@ def require_recovery(folder: Path, names: Sequence[str], record: str, other: str
     elif (folder / other).is_file():
         what = (
             "so it is not a result of svu recover but of svu entropy; run svu recover on the same "
-            "capture, and give what it writes."
+            "capture, and give its output folder."
         )
     else:
-        what = (
-            "so it is not a result of svu recover; run that first, or give the folder that it "
-            "wrote."
-        )
+        what = "so it is not a result of svu recover; run that first, or give its output folder."
     raise CaptureError(f"{folder}: has no {', '.join(missing)}, {what}")

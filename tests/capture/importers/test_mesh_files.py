@@ -591,7 +591,7 @@ def test_only_an_earlier_import_is_replaced(source, tmp_path):
     for folder in (tmp_path / "capture", tmp_path / "mine"):  # imported there, or not
         (folder / "recovered").mkdir()
         (folder / "recovered" / "notes.txt").touch()
-        with pytest.raises(OutputError, match="holds other files"):
+        with pytest.raises(OutputError, match="contains other files"):
             import_capture(source, folder)
         assert (folder / "recovered" / "notes.txt").exists()
     (tmp_path / "file").touch()

@@ -59,7 +59,7 @@ def undistort(
     place = output.resolve()
     prepare_folder(place.parent)
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise OutputError(f"{output}: holds other files; choose another folder, or empty it.")
+        raise OutputError(f"{output}: contains other files; choose another folder, or empty it.")
     with TemporaryDirectory(prefix=".svu-undistorted-", dir=place.parent) as name:
         scratch, made = Path(name), Path(name) / "made"
         made.mkdir()
