@@ -38,7 +38,8 @@ ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "notebooks" / "benchmarks"
 Record = dict[str, Any]
 Row = Sequence[str]
-DIGITS = 6  # significant ones of the copied numbers
+DIGITS = 6  # significant digits of the copied numbers
+DERIVED = ("bars", "summary")  # entries that ``read_record`` computes again
 
 
 def mean(values: Iterable[Any]) -> float:
@@ -303,7 +304,7 @@ SECTIONS = (
         "The entropy of a texel lies between 0 (parameters certain) and 1 (unknown). The reference "
         "renders each texel with every material of the grid and assumes noise of 8 % of the mean "
         "radiance, as the preset `fixed` does; `default` estimates the noise and is compared with a "
-        "reference of its own likelihood in the next table. Values are Pearson correlations over "
+        "reference of the same likelihood in the next table. Values are Pearson correlations over "
         "texels, mean over cases (worst case), and times for all texels of a 256 x 256 texture.",
         {"accuracy": agreement}, picture="time_error",
     ),
@@ -476,7 +477,7 @@ def study_page(record: Record, pictures: Iterable[str]) -> str:
 
 
 def read_all(folder: Path = FOLDER) -> dict[str, Record]:
-    """Read the records of all studies that are there, in the order of ``BENCHMARKS``."""
+    """Read the records of all measured studies, in the order of ``BENCHMARKS``."""
     paths = {name: folder / f"{name}.json" for name in BENCHMARKS}
     return {name: read_record(path) for name, path in paths.items() if path.is_file()}
 
@@ -503,7 +504,8 @@ def copy(source: Path) -> None:
     """Copy the records of a folder, without spaces and with rounded numbers."""
     for name in BENCHMARKS:
         if (source / f"{name}.json").is_file():
-            record = rounded(json.loads((source / f"{name}.json").read_text(encoding="utf-8")))
+            record = json.loads((source / f"{name}.json").read_text(encoding="utf-8"))
+            record = rounded({key: record[key] for key in record if key not in DERIVED})
             text = json.dumps(record, separators=(",", ":"), ensure_ascii=False)
             (FOLDER / f"{name}.json").write_text(f"{text}\n", encoding="utf-8")
 

@@ -28,21 +28,21 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.svbrdf_textures import Textures
 
-MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
+MARK = "bench"  # bench.json in the folder of a capture contains the key of its settings
 
 
 def capture_of(case: Case, sizes: ProblemSizes, folder: Path, progress: Progress) -> Capture:
-    """Render a case's photographs into a folder, or read them if they are there.
+    """Render the photographs of a case into a folder; read them if they exist.
 
     Args:
-        case: object and light.
-        sizes: number and size of the photographs.
-        folder: of the capture.
-        progress: shows what is going on.
+        case: Object and light.
+        sizes: Number and size of the photographs.
+        folder: Folder of the capture.
+        progress: Progress display.
 
     Raises:
-        SceneError: the scene cannot be rendered.
-        OutputError: the folder cannot be written.
+        SceneError: The scene cannot be rendered.
+        OutputError: The folder cannot be written.
     """
     key = key_of(scene_digests(case), case.defines, sizes.views, sizes.film, sizes.spp, sizes.seed)
     store = Store(folder)
@@ -61,20 +61,20 @@ def capture_of(case: Case, sizes: ProblemSizes, folder: Path, progress: Progress
 
 
 def scene_digests(case: Case) -> list[tuple[str, str]]:
-    """Return digests of the scene, of all that lies beside it, of lights and of files given."""
+    """Return names and digests of all files of the scene's folder, of lights and of defines."""
     folders = (case.scene.parent, case.scene.parent.parent / "lights")
-    beside = sorted(path for folder in folders for path in folder.rglob("*"))
+    files = sorted(path for folder in folders for path in folder.rglob("*"))
     given = map(Path, case.defines.values())
-    return [(path.name, digest_of_file(path)) for path in (*beside, *given) if path.is_file()]
+    return [(path.name, digest_of_file(path)) for path in (*files, *given) if path.is_file()]
 
 
 def even_views(capture: Capture, count: int) -> Capture:
-    """Return the capture with ``count`` of its views, evenly spread over their order."""
+    """Return the capture with ``count`` of its views, at equal steps of their order."""
     return chosen_views(capture, evenly_spaced(capture.count, count))
 
 
 def chosen_views(capture: Capture, indices: Iterable[int]) -> Capture:
-    """Return the capture with the views of these indices, in this order."""
+    """Return the capture with the views of the given indices, in that order."""
     names = ["sensors", "images", "masks", "exposures", "names", "unusable", "used"]
     names += [name for name in ("files", "clipped", "rounding") if getattr(capture, name)]
     chosen = [int(index) for index in indices]
@@ -86,11 +86,11 @@ def chosen_views(capture: Capture, indices: Iterable[int]) -> Capture:
 
 @dataclass(frozen=True)
 class TrueTextures:
-    """True textures: the scene's own material at every texel.
+    """True textures: the material of the scene at every texel.
 
     Attributes:
-        grid: T texels.
-        values: (T, C) or (T,) by parameter.
+        grid: Texels, T of them.
+        values: Values (T, C) or (T,) by parameter.
     """
 
     grid: Texels
@@ -98,20 +98,20 @@ class TrueTextures:
 
     @classmethod
     def of(cls, capture: Capture, grid: Texels) -> TrueTextures:
-        """Look it up.
+        """Evaluate the true parameters of a capture's scene.
 
         Raises:
-            SceneError: the scene does not know the true parameters.
+            SceneError: The material of the scene is not ``principled``.
         """
         known = ground_truth(capture, grid)
         return cls(grid, {name: getattr(known, name) for name in NAMES})
 
     def psnr(self, textures: Textures, where: np.ndarray) -> dict[str, float]:
-        """Return the PSNR of chosen texels, (T,) bool, by parameter and ``average``."""
+        """Return the PSNR by parameter, and ``average``, of selected texels, (T,) bool."""
         return texture_psnr(*self._both(textures, where))
 
     def error(self, textures: Textures, where: np.ndarray) -> np.ndarray:
-        """Return the mean absolute error of each chosen texel, (T,) bool."""
+        """Return the mean absolute error of each selected texel, (T,) bool."""
         return texel_error(*self._both(textures, where))
 
     def _both(self, textures: Textures, where: np.ndarray) -> list[dict[str, np.ndarray]]:
@@ -119,17 +119,17 @@ class TrueTextures:
         return [{name: x[where] for name, x in one.items()} for one in (recovered, self.values)]
 
 
-FRONT = (0.0, 0.3, 1.0)  # direction from the object to the middle of the crowded side
+FRONT = (0.0, 0.3, 1.0)  # direction from the object to the side with most views
 
 
 def capture_in_memory(scene: Any, shape: Any, sensors: Sequence[Any], images: Any) -> Capture:
-    """Return a capture without masks, whose every pixel is used.
+    """Return a capture without masks.
 
     Args:
-        scene: with the light.
-        shape: its target, which has UVs.
-        sensors: V of them.
-        images: V photographs (H, W, 3).
+        scene: Scene with the light.
+        shape: Object, with UVs.
+        sensors: Sensors of V views.
+        images: Photographs of V views, (H, W, 3) each.
     """
     count = len(sensors)
     return Capture(
@@ -145,15 +145,15 @@ def uneven_views(capture: Capture, front: int, back: int) -> Capture:
     """Return the capture with most of its views from one side.
 
     Args:
-        capture: views all around the object.
-        front: so many with the smallest angle to the front direction.
-        back: so many of the others, evenly spread over the order of that angle.
+        capture: Views all around the object.
+        front: Number of views with the smallest angle to the front direction.
+        back: Number of other views, at equal steps of the order of that angle.
 
     Raises:
-        OptionError: there are fewer views than that.
+        OptionError: The capture has fewer than ``front`` + ``back`` views.
     """
     if front + back > capture.count:
-        raise OptionError(f"There are {capture.count} views; {front} + {back} are too many.")
+        raise OptionError(f"{front} + {back} views are too many; the capture has {capture.count}.")
     order = nearest_to_front(capture)
     rest = order[front:]
     others = rest[np.linspace(0, len(rest) - 1, back + 2).round().astype(int)[1:-1]]
@@ -161,7 +161,7 @@ def uneven_views(capture: Capture, front: int, back: int) -> Capture:
 
 
 def nearest_to_front(capture: Capture) -> np.ndarray:
-    """Return the numbers of all views, by their angle to the front direction."""
+    """Return the indices of all views, sorted by their angle to the front direction."""
     origins = np.array([to_world(sensor)[:3, 3] for sensor in capture.sensors])
     directions = origins - origins.mean(axis=0)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

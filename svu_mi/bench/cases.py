@@ -1,4 +1,4 @@
-"""Cases of benchmarks: objects under lights, of svu_mi or of a folder."""
+"""Cases of benchmarks: objects under lights, from svu_mi's scenes or from a folder."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Case:
     """One object under one light.
 
     Attributes:
-        object: its name.
-        light: its name.
+        object: Name of the object.
+        light: Name of the light.
         scene: Mitsuba XML file.
-        defines: values for its parameters.
+        defines: Values of the parameters of the file.
     """
 
     object: str
@@ -48,7 +48,7 @@ class Case:
         return f"{self.object} / {self.light}"
 
 
-DIRECT = {"max_depth": "2"}  # what the reference simulates
+DIRECT = {"max_depth": "2"}  # direct light, as in the reference
 
 OWN_OBJECTS = ("vase", "knot", "spheres")
 QUICK_OBJECTS, QUICK_LIGHTS = ("vase", "knot"), ("window", "overcast")
@@ -62,7 +62,7 @@ def chosen_cases(
     *,
     quick: bool = False,
 ) -> tuple[Case, ...]:
-    """Return ``data_cases`` of a folder, ``own_cases`` without one."""
+    """Return ``data_cases`` of a folder, or ``own_cases`` without a folder."""
     if data is None:
         return own_cases(objects, lights, quick=quick)
     return data_cases(data, workspace, objects, lights)
@@ -71,15 +71,15 @@ def chosen_cases(
 def own_cases(
     objects: Sequence[str] = (), lights: Sequence[str] = (), *, quick: bool = False
 ) -> tuple[Case, ...]:
-    """Return cases of the scenes that come with svu_mi.
+    """Return cases of the scenes of svu_mi.
 
     Args:
-        objects: names among ``svu_mi.scenes.names()``; vase, knot and spheres by default.
-        lights: names among ``svu_mi.scenes.LIGHTS``; all by default.
-        quick: vase and knot under window and overcast by default.
+        objects: Names in ``svu_mi.scenes.names()``; vase, knot and spheres by default.
+        lights: Names in ``svu_mi.scenes.LIGHTS``; all by default.
+        quick: Vase and knot under window and overcast by default.
 
     Raises:
-        OptionError: an unknown name.
+        OptionError: Unknown name.
     """
     shapes = _chosen(objects, scenes.names(), QUICK_OBJECTS if quick else OWN_OBJECTS, "object")
     skies = _chosen(lights, scenes.LIGHTS, QUICK_LIGHTS if quick else scenes.LIGHTS, "light")
@@ -93,18 +93,18 @@ def own_cases(
 def data_cases(
     data: Path, workspace: Path, objects: Sequence[str] = (), lights: Sequence[str] = ()
 ) -> tuple[Case, ...]:
-    """Return cases of a folder of objects and environments.
+    """Return cases of a folder of objects and environment maps.
 
     Args:
-        data: holds objects/NAME with mesh.ply, base_color.png, roughness.png and
-            metallic.png, or objects/NAME.glb; and envmaps/NAME.exr or NAME.hdr.
-        workspace: GLB objects are converted into its ``objects``.
-        objects: names; all by default.
-        lights: names; all by default.
+        data: Folder with objects/NAME (mesh.ply, base_color.png, roughness.png and
+            metallic.png) or objects/NAME.glb, and with envmaps/NAME.exr or NAME.hdr.
+        workspace: Folder whose ``objects`` receives converted GLB files.
+        objects: Names; all by default.
+        lights: Names; all by default.
 
     Raises:
-        OptionError: a folder is missing or empty, or there is no such name.
-        MeshError: a GLB file cannot be converted.
+        OptionError: A folder is missing or empty, or a name is unknown.
+        MeshError: A GLB file cannot be converted.
     """
     known, skies = _objects(data / "objects"), _environments(data / "envmaps")
     chosen = _chosen(objects, known, tuple(known), f"object in {data / 'objects'}")
@@ -121,7 +121,7 @@ def data_cases(
 
 
 def _objects(folder: Path) -> dict[str, Path]:
-    """Return folders and GLB files by name; a folder wins."""
+    """Return folders and GLB files by name; folders take precedence."""
     _require_folder(folder, "with objects: folders with mesh.ply and textures, or .glb files")
     paths = {path.stem: path.resolve() for path in sorted(folder.glob("*.glb"))}
     for path in sorted(folder.iterdir()):
@@ -135,25 +135,25 @@ def _objects(folder: Path) -> dict[str, Path]:
     paths = dict(sorted(paths.items()))
     if not paths:
         raise OptionError(
-            f"{folder}: has no object; add folders with {', '.join(MESH_FILES)}, or .glb files."
+            f"{folder}: no object found; add folders with {', '.join(MESH_FILES)}, or .glb files."
         )
     return paths
 
 
 def _environments(folder: Path) -> dict[str, Path]:
-    """Return lat-long images by name; OpenEXR before Radiance."""
+    """Return lat-long images by name; OpenEXR takes precedence over Radiance."""
     _require_folder(folder, "with lat-long images, .exr or .hdr")
     images = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in IMAGES]
     images.sort(key=lambda path: path.suffix.lower(), reverse=True)
     paths = {path.stem: path.resolve() for path in images}
     if not paths:
-        raise OptionError(f"{folder}: has no lat-long image; add an .exr or .hdr file.")
+        raise OptionError(f"{folder}: no lat-long image found; add an .exr or .hdr file.")
     return dict(sorted(paths.items()))
 
 
-def _require_folder(folder: Path, what: str) -> None:
+def _require_folder(folder: Path, content: str) -> None:
     if not folder.is_dir():
-        raise OptionError(f"{folder}: no such folder; --data needs one {what}.")
+        raise OptionError(f"{folder}: no such folder; --data needs a folder {content}.")
 
 
 def _folder(path: Path, converted: Path) -> Path:
@@ -161,9 +161,9 @@ def _folder(path: Path, converted: Path) -> Path:
 
 
 def _chosen(
-    given: Sequence[str], known: Sequence[str] | dict[str, Path], default: Sequence[str], what: str
+    given: Sequence[str], known: Sequence[str] | dict[str, Path], default: Sequence[str], kind: str
 ) -> tuple[str, ...]:
-    require_known(given, known, what)
+    require_known(given, known, kind)
     return tuple(dict.fromkeys(given)) or tuple(default)
 
 
@@ -173,12 +173,12 @@ def convert_glb(path: Path, folder: Path) -> Path:
     The mesh is centred and scaled to a bounding radius of 1.
 
     Args:
-        path: the GLB file, with one material.
-        folder: made if missing; returned.
+        path: GLB file with one material.
+        folder: Folder of the results, created if missing; returned.
 
     Raises:
-        MeshError: unreadable, no mesh, no UVs, or several materials.
-        OutputError: the folder cannot be written.
+        MeshError: Unreadable file, no mesh, no UVs, or several materials.
+        OutputError: The folder cannot be written.
     """
     geometry = read_textured_mesh(path)
     if geometry.mesh.uvs is None:

@@ -1,4 +1,4 @@
-"""The estimators that are compared. The one file to edit when there is a new one."""
+"""Estimators that benchmarks compare; a new estimator is added here."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from svu_mi.presets import preset
 
 @dataclass(frozen=True)
 class Variant:
-    """One estimator.
+    """An estimator.
 
     Attributes:
-        label: unique; the name in tables and plots.
-        method: of ``svu_mi.pipeline.estimate``.
-        base: named preset to start from.
-        switches: fields of the preset that differ.
+        label: Name in tables and plots, unique.
+        method: Method of ``svu_mi.pipeline.estimate``.
+        base: Name of the preset.
+        switches: Fields of the preset to replace.
     """
 
     label: str
-    method: Any  # the literal type that estimate() asks for
+    method: Any  # a literal type of estimate()
     base: str
     switches: dict[str, Any] = field(default_factory=dict)
 
     @property
     def preset(self) -> Any:
-        """The preset with its switches replaced."""
+        """Preset with the switches replaced."""
         return preset(self.base, method=self.method, **self.switches)
 
     def estimate(self, capture: Capture, layout: Texels, **options: Any) -> Estimate:
@@ -38,7 +38,7 @@ class Variant:
         return estimate(capture, layout, self.method, self.preset, **options)
 
 
-# The reference assumes the noise that ``fixed`` does.
+# The reference assumes the same noise as ``fixed``.
 VARIANTS = (
     Variant("spectrum paper", "spectrum", "paper"),
     Variant("spectrum paper, relative noise", "spectrum", "paper",

@@ -1,7 +1,7 @@
 """Experiments: rows measured on cases, with finished results cached.
 
-What is finished is kept, under a key of its settings and of the code, so that an interrupted run
-goes on where it stopped; what fails is skipped with a warning.
+Results are stored under a key of their settings and of the code, so that an interrupted run
+continues where it stopped. Failed cases are skipped with a warning.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.geometry.texels import Texels, texels
 
 Record = dict[str, Any]
-HEAD = "head"  # file of what holds for all rows of a case
+HEAD = "head"  # file of the entries that all rows of a case share
 
 
 class ExperimentRow(Protocol):
@@ -32,11 +32,11 @@ class ExperimentRow(Protocol):
 
     @property
     def label(self) -> str:
-        """The name in tables and plots, unique among the rows."""
+        """Name in tables and plots, unique among the rows."""
 
 
 class Subject(Protocol):
-    """A case; it loads what it needs when a record is missing."""
+    """A case; its data are loaded when a record is missing."""
 
     @property
     def name(self) -> str:
@@ -48,13 +48,13 @@ class Subject(Protocol):
 
     @property
     def rows(self) -> Sequence[Any]:
-        """An ``ExperimentRow`` per measurement, in order."""
+        """Measurements, an ``ExperimentRow`` each."""
 
     def settings(self, row: Any | None) -> Any:
-        """Inputs of a row (None: of ``head``), as JSON; a part of its cache key."""
+        """Return the inputs of a row (None: of ``head``) as JSON; a part of its cache key."""
 
     def head(self) -> Record:
-        """Measure the entries that all rows have in common."""
+        """Measure the entries that all rows share."""
 
     def measure(self, row: Any) -> Record:
         """Measure a row."""
@@ -62,16 +62,16 @@ class Subject(Protocol):
 
 @dataclass(frozen=True)
 class BenchRun:
-    """Where and how a benchmark runs.
+    """Folder, sizes and options of a run of benchmarks.
 
     Attributes:
-        folder: of all results.
-        sizes: how large everything is.
-        progress: shows what is going on.
-        quick: whether the sizes are small ones, which bars are not meant for.
-        fresh: measure again what is finished.
-        keep: take up results of another version of the code.
-        stored: measure nothing; only gather what is there, of any version.
+        folder: Folder of all results.
+        sizes: Problem sizes.
+        progress: Progress display.
+        quick: True for small sizes, to which bars do not apply.
+        fresh: Measure finished rows again.
+        keep: Reuse results of other versions of the code.
+        stored: Gather existing results of any version without measuring.
     """
 
     folder: Path
@@ -86,13 +86,13 @@ class BenchRun:
         """Return the photographs of a case, rendered once.
 
         Args:
-            case: object and light.
-            name: of their folder.
-            **sizes: changes of ``sizes``.
+            case: Object and light.
+            name: Name of the folder of the photographs.
+            **sizes: Fields of ``sizes`` to replace.
 
         Raises:
-            SceneError: the scene cannot be rendered.
-            OutputError: the folder cannot be written.
+            SceneError: The scene cannot be rendered.
+            OutputError: The folder cannot be written.
         """
         folder = self.folder / "cells" / case.name / name
         return capture_of(case, replace(self.sizes, **sizes), folder, self.progress)
@@ -103,11 +103,11 @@ class BenchRun:
         """Return a finished record, or measure it; None if ``stored`` and missing.
 
         Args:
-            store: where it is kept.
-            name: of its file.
-            title: of what is done.
-            settings: that it depends on, beside the code.
-            measure: what is done.
+            store: Cache of the record.
+            name: File name of the record.
+            title: Title of the measurement for the progress display.
+            settings: Inputs of the measurement other than the code, as JSON.
+            measure: Returns the record.
         """
         key, code = key_of(settings), code_now()
         record = None if self.fresh else store.load(name, key)
@@ -124,8 +124,8 @@ class Measurement:
     """A row that calls a function of the subject.
 
     Attributes:
-        label: its name.
-        measure: what is measured of the subject.
+        label: Name of the row.
+        measure: Returns the record of a subject.
     """
 
     label: str
@@ -137,8 +137,8 @@ class CaseSubject:
     """An object under a light; its results depend on all shared sizes.
 
     Attributes:
-        bench: where and how.
-        case: object and light.
+        bench: Folder, sizes and options of the run.
+        case: Object and light.
     """
 
     bench: BenchRun
@@ -159,11 +159,11 @@ class CaseSubject:
         return str(self.case.scene), self.case.defines, shared, row and row.label
 
     def head(self) -> Record:
-        """Return the ``cell``."""
+        """Return ``cell``, the object and light."""
         return {"cell": self.title}
 
     def measure(self, row: Any) -> Record:
-        """Measure a part."""
+        """Measure a row."""
         return row.measure(self)
 
     @cached_property
@@ -173,12 +173,12 @@ class CaseSubject:
 
     @cached_property
     def layout(self) -> Texels:
-        """Texels of its object."""
+        """Texels of the object."""
         return texels(self.capture.mesh, self.bench.sizes.texels)
 
     @cached_property
     def truth(self) -> TrueTextures:
-        """True textures of its object."""
+        """True textures of the object."""
         return TrueTextures.of(self.capture, self.layout)
 
 
@@ -187,9 +187,9 @@ class Experiment:
     """Rows measured on cases.
 
     Attributes:
-        name: folder of finished records.
-        subjects: the cases, each let go of when it is finished.
-        whole: whether a case counts only with all of its rows.
+        name: Folder of finished records.
+        subjects: Cases; each is released when it is finished.
+        whole: Skip a case if one of its rows fails.
     """
 
     name: str
@@ -197,29 +197,27 @@ class Experiment:
     whole: bool = False
 
     def run(self, bench: BenchRun, report: Callable[[Record], None] | None = None) -> Record:
-        """Measure all unfinished rows of all cases.
-
-        What cannot be run is left out, with a warning.
+        """Measure all unfinished rows of all cases; skip failed ones with a warning.
 
         Args:
-            bench: where and how.
-            report: called with the record so far after each case.
+            bench: Folder, sizes and options of the run.
+            report: Callback with the partial record after each case.
 
         Returns:
-            ``cells``: a record each, what ``head`` says and ``rows`` by label; ``failed``: what
-            was left out (``cell``) and why (``reason``); the number of ``versions`` of the code
-            of the rest; ``quick``.
+            ``cells``: a record per case, with the entries of ``head`` and ``rows`` by label;
+            ``failed``: skipped cases (``cell``) and errors (``reason``); ``code``: digests of
+            the code of all rows; ``quick``.
 
         Raises:
-            SvuError: the first, if nothing could be run.
-            OutputError: the folder cannot be written.
+            SvuError: The first error, if all cases failed.
+            OutputError: The folder cannot be written.
         """
         failures = Failures()
         record: Record = {"cells": [], "failed": failures.records, "code": [],
                           "quick": bench.quick}  # fmt: skip
         codes: set[str] = set()
         for subject in self.subjects:
-            with failures.leave_out(subject.title):
+            with failures.skip(subject.title):
                 case_record = self._case(bench, subject, failures, codes)
                 if case_record is not None:
                     record["cells"].append(case_record)
@@ -233,7 +231,7 @@ class Experiment:
     def _case(
         self, bench: BenchRun, subject: Subject, failures: Failures, codes: set[str]
     ) -> Record | None:
-        """Return the record of a case; None without any row."""
+        """Return the record of a case; None without rows."""
         store = Store(bench.folder / self.name / subject.name)
         recall = partial(bench.recall, store)
         head = recall(HEAD, subject.title, subject.settings(None), subject.head)
@@ -243,7 +241,7 @@ class Experiment:
         for row in subject.rows:
             title = f"{subject.title}: {row.label}"
             measure = partial(subject.measure, row)
-            with failures.leave_out(title, whole=self.whole):
+            with failures.skip(title, whole=self.whole):
                 settings = subject.settings(row)
                 row_record = recall(file_name(row.label), title, settings, measure)
                 if row_record is not None:
@@ -257,28 +255,28 @@ class Failures:
     """Errors of a run so far.
 
     Attributes:
-        records: a record each, with ``cell`` and ``reason``.
-        first: what was raised first.
+        records: Records with ``cell`` and ``reason``.
+        first: First error.
     """
 
     records: list[dict[str, str]] = field(default_factory=list)
     first: SvuError | None = None
 
     @contextmanager
-    def leave_out(self, what: str, *, whole: bool = False) -> Iterator[None]:
-        """Keep an error of the block, warn, and go on after it; ``whole``: leave that to others."""
+    def skip(self, title: str, *, whole: bool = False) -> Iterator[None]:
+        """Record an error of the block and warn; re-raise it if ``whole``."""
         try:
             yield
         except SvuError as error:
             if whole:
                 raise
             self.first = self.first or error
-            self.records.append({"cell": what, "reason": str(error)})
-            warnings.warn(f"{what} is left out: {error}", SvuWarning, stacklevel=4)
+            self.records.append({"cell": title, "reason": str(error)})
+            warnings.warn(f"{title} is skipped: {error}", SvuWarning, stacklevel=4)
 
 
 def file_name(label: str) -> str:
-    """Return a label as the name of a file: ``SH + path`` is ``sh_with_path``."""
+    """Return the file name of a label: ``sh_with_path`` for ``SH + path``."""
     words = "".join(c if c.isalnum() else " " for c in label.replace("+", "with"))
     return "_".join(words.lower().split())
 

@@ -1,4 +1,4 @@
-"""Numbers, Markdown tables, bars, and how plots look."""
+"""Formats of numbers, Markdown tables, bars, and the style of plots."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ UNITS = ((86400, "d"), (3600, "h"), (60, "min"))
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """Return a rounded number, nothing for None."""
+    """Return a rounded number; an empty string for None."""
     return "" if value is None else f"{value:.{digits}f}"
 
 
 def seconds(value: float | None) -> str:
-    """Return a time in the unit that suits it, with two or three digits; nothing for None."""
+    """Return a time with two or three digits, in s, min, h or d; an empty string for None."""
     if value is None:
         return ""
     for unit, name in UNITS:
@@ -35,7 +35,7 @@ def seconds(value: float | None) -> str:
 def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Return a Markdown table."""
     lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join("| " + " | ".join(_cell(case) for case in line) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(_cell(value) for value in line) + " |" for line in lines)
 
 
 def _cell(value: object) -> str:
@@ -44,12 +44,12 @@ def _cell(value: object) -> str:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table: its head, its value in a record, and the format.
+    """A column of a table: head, value in a record, and format.
 
     Attributes:
-        head: of the column.
-        value: of a record; None leaves the case empty.
-        show: makes text of a value.
+        head: Head of the column.
+        value: Returns the value of a record; None for an empty cell.
+        show: Formats a value.
     """
 
     head: str
@@ -57,13 +57,13 @@ class Column:
     show: Callable[[Any], str] = str
 
     def text(self, record: Any) -> str:
-        """Return the case of a record."""
+        """Return the cell of a record."""
         value = self.value(record)
         return "" if value is None else self.show(value)
 
 
 def tabulate(wanted: Sequence[Column], records: Iterable[Any]) -> str:
-    """Return a Markdown table with a line per record."""
+    """Return a Markdown table with one line per record."""
     rows = [[column.text(record) for column in wanted] for record in records]
     return table([column.head for column in wanted], rows)
 
@@ -73,22 +73,22 @@ def digits(count: int) -> Callable[[float], str]:
     return lambda value: f"{value:.{count}f}"
 
 
-def left_out(title: str, record: dict[str, Any]) -> list[str]:
-    """Return a Markdown table of failures; empty without any."""
+def failed_cases(title: str, record: dict[str, Any]) -> list[str]:
+    """Return a Markdown table of failed cases; an empty list without failures."""
     rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
-    return [f"## {title}", table(("cell", "reason"), rows)] if rows else []
+    return [f"## {title}", table(("case", "reason"), rows)] if rows else []
 
 
 @dataclass(frozen=True)
 class Bar:
-    """A figure that a release has to reach.
+    """A limit that a measured value of a release has to meet.
 
     Attributes:
-        what: was measured.
-        value: measured.
-        limit: the bar.
-        unit: of both.
-        least: whether the value has to reach the limit, rather than stay below it.
+        what: Name of the value.
+        value: Measured value.
+        limit: Upper limit, or lower limit if ``least``.
+        unit: Unit of value and limit.
+        least: True for a lower limit.
     """
 
     what: str
@@ -99,34 +99,34 @@ class Bar:
 
     @property
     def holds(self) -> bool:
-        """True if the bar is met; NaN meets none."""
+        """True if the value is within the limit; False for NaN."""
         return self.value >= self.limit if self.least else self.value <= self.limit
 
     def record(self) -> dict[str, Any]:
-        """Return it for JSON."""
+        """Return the bar as JSON values."""
         return {"what": self.what, "value": self.value, "limit": self.limit, "unit": self.unit,
                 "least": self.least, "holds": self.holds}  # fmt: skip
 
 
 BAR_COLUMNS = (
-    Column("what", lambda bar: bar["what"]),
+    Column("value", lambda bar: bar["what"]),
     Column("measured", lambda bar: f"{bar['value']:.3g} {bar['unit']}".strip()),
     Column("bar", lambda bar: f"{'>=' if bar['least'] else '<='} {bar['limit']:g} {bar['unit']}"
            .strip()),
-    Column("holds", lambda bar: "yes" if bar["holds"] else "**no**"),
+    Column("met", lambda bar: "yes" if bar["holds"] else "**no**"),
 )  # fmt: skip
 
 
 def bar_table(bars: Sequence[dict[str, Any]], quick: bool = False, note: str = "") -> list[str]:
-    """Return a Markdown table of bars; empty without any.
+    """Return a Markdown table of bars; an empty list without bars.
 
     Args:
-        bars: the records.
-        quick: whether sizes were small.
-        note: of how it was measured.
+        bars: Results of ``Bar.record``.
+        quick: True for small sizes.
+        note: Description of how the bars are measured.
     """
     if quick:
-        note += " Quick sizes, which the bars are not meant for."
+        note += " Quick sizes, to which the bars do not apply."
     parts = ["## Bars", note.strip(), tabulate(BAR_COLUMNS, bars)]
     return [part for part in parts if part] if bars else []
 
@@ -140,10 +140,10 @@ TICKS = ((1e-3, "1 ms"), (1e-2, "10 ms"), (0.1, "0.1 s"), (1, "1 s"), (10, "10 s
 
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
-    """Write a figure into a folder, and return the PNG file.
+    """Write a figure into a folder; return the PNG file.
 
     Raises:
-        OutputError: the file cannot be written.
+        OutputError: The file cannot be written.
     """
     path = folder / f"{name}.png"
     save_figure(figure, path)
@@ -151,19 +151,19 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
 
 
 def page(width: float, height: float) -> Figure:
-    """Return an empty figure; sizes in inches."""
+    """Return an empty figure of a size in inches."""
     return new_figure(width, height, DPI, layout="constrained")
 
 
 def tidy(axes: Axes) -> None:
-    """Give axes the look of all plots: a grid, and no frame above and to the right."""
+    """Style axes: a grid, and no frame above and to the right."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True, color="#e6e6ea", linewidth=0.8)
     axes.set_axisbelow(True)
 
 
 def time_axis(axes: Axes, times: list[float]) -> None:
-    """Show run times on a log axis with units."""
+    """Make the horizontal axis logarithmic, with ticks of run times."""
     low, high = min(times) / 3, max(times) * 3
     axes.set_xscale("log")
     axes.set_xlim(low, high)

@@ -1,4 +1,4 @@
-"""Sizes of all benchmarks, in full and with ``--quick``."""
+"""Problem sizes of all benchmarks, full and quick."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any
 
 @dataclass(frozen=True, kw_only=True)
 class RecoverySizes:
-    """Sizes of the recovery benchmark alone; part of the keys of its results.
+    """Sizes of the recovery benchmark; part of the keys of its results.
 
     Attributes:
-        rows: labels of the rows that are run; all if there are none.
-        even_cells: at most so many cases.
-        relit_views: pictures under another light, per case.
-        relit_spp: samples per pixel of these.
-        even_views: at most so many photographs.
-        poor: most views of a texel that counts as hardly seen.
-        warm: whether kernels are compiled before a row is timed.
-        repeats: warm runs of a short row; the median counts.
-        long_s: a row that takes longer, in seconds, is timed once.
-        scale: epochs of the path tracer and steps of the descent, as a part of the defaults.
+        rows: Labels of the rows to run; empty for the usual rows.
+        even_cells: Largest number of cases.
+        relit_views: Number of pictures under another light, per case.
+        relit_spp: Samples per pixel of relit pictures.
+        even_views: Largest number of photographs.
+        poor: Largest number of views of a hardly seen texel.
+        warm: Compile kernels before a row is timed.
+        repeats: Number of timed runs of a short row; the median is used.
+        long_s: Run time in seconds above which a row is timed once.
+        scale: Factor of the default epochs of the path tracer and steps of the descent.
     """
 
     rows: tuple[str, ...] = ()
@@ -38,21 +38,21 @@ class RecoverySizes:
 
 @dataclass(frozen=True, kw_only=True)
 class GuidanceSizes:
-    """Sizes of the guidance benchmark alone; part of the keys of its results.
+    """Sizes of the guidance benchmark; part of the keys of its results.
 
     Attributes:
-        lights: at most so many lights per object.
-        texels: per side, of the textures that are recovered.
-        looked_at: most texels that candidates are judged by.
-        starts: sets of views to start from, per case and kind; each has random views of its own.
-        kinds: of starts: ``even``, spread out from a view drawn at random, or ``one-sided``, those
-            nearest to it.
-        start: photographs of each.
-        asked: candidates at which the forecast is compared with what their photographs change.
-        marks: numbers of added views at which textures are recovered.
-        strategies: what is compared.
-        judged: those of them that are compared with all others.
-        step: dB over the start that views are counted for.
+        lights: Largest number of lights per object.
+        texels: Texels per side of recovered textures.
+        looked_at: Largest number of texels that candidates are scored on.
+        starts: Number of initial sets of views per case and kind.
+        kinds: Kinds of initial sets: ``even``, farthest-point samples after a random view, or
+            ``one-sided``, the views nearest to it.
+        start: Number of photographs of an initial set.
+        asked: Number of candidates whose expected and measured changes are compared.
+        marks: Numbers of added views at which textures are recovered.
+        strategies: Names of the compared strategies.
+        judged: Strategies that are compared with all others.
+        step: Gain over the initial set in dB up to which views are counted.
     """
 
     lights: int = 2
@@ -73,20 +73,20 @@ class ProblemSizes:
     """Sizes of all benchmarks; the ``shared`` ones are part of every cache key.
 
     Attributes:
-        views: photographs per capture, on a sphere around the object.
-        film: pixels per side of each.
-        spp: samples per pixel.
-        texels: texels per side.
-        speed_texels: the same, where run times are measured.
-        reference_texels: texels of the reference posterior.
-        reference_spp: samples per ray of the reference. Fewer do for its entropy, but at bright
-            texels its posterior then gathers where the noise happens to fit.
-        seed: of photographs and reference.
-        speed_film: pixels per side of the photographs that run times are measured on.
-        repeats: warm runs of which the median is taken.
-        stride: of the points of each scaling curve, only every so many-th is measured.
-        recovery: what only the recovery benchmark asks for.
-        guidance: what only the guidance benchmark asks for.
+        views: Photographs per capture, on a sphere around the object.
+        film: Pixels per side of a photograph.
+        spp: Samples per pixel of a photograph.
+        texels: Texels per side.
+        speed_texels: Texels per side for run times.
+        reference_texels: Number of texels of the reference posterior.
+        reference_spp: Samples per ray of the reference. Fewer suffice for its entropy, but at
+            bright texels the posterior would then fit the noise.
+        seed: Seed of photographs and reference.
+        speed_film: Pixels per side of a photograph for run times.
+        repeats: Number of warm runs; the median is used.
+        stride: Step between the measured points of each scaling curve.
+        recovery: Sizes of the recovery benchmark.
+        guidance: Sizes of the guidance benchmark.
     """
 
     views: int = 60
@@ -114,7 +114,7 @@ class ProblemSizes:
 
     @property
     def shared(self) -> dict[str, Any]:
-        """All but the sizes of single benchmarks."""
+        """All sizes except ``recovery`` and ``guidance``."""
         parts = ("recovery", "guidance")
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in parts}
 

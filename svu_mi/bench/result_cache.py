@@ -1,4 +1,4 @@
-"""Finished results on disk: one JSON per case, valid as long as its key is."""
+"""Cache of finished results: JSON files that are valid under one key."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ import svu_mi
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.output.run_record import write_manifest
 
-AROUND = ("bench", "cli", "output")  # parts of svu_mi that no figure depends on
+AROUND = ("bench", "cli", "output")  # folders of svu_mi that do not affect results
 
 
 def key_of(*parts: Any) -> str:
-    """Return a short digest of settings (any mix of JSON values) and of svu_mi's version.
+    """Return a short digest of settings (JSON values) and of svu_mi's version.
 
-    A result is taken up again only under the same key, so a result of another version or
-    with other settings is computed again.
+    Results are reused under an equal key only: other settings or another version are computed
+    again.
     """
     text = json.dumps([svu_mi.__version__, *parts], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -44,10 +44,10 @@ class Store:
     """JSON records by name in a folder.
 
     Args:
-        folder: made if missing.
+        folder: Folder of the records; created if missing.
 
     Raises:
-        OutputError: the folder cannot be written.
+        OutputError: The folder cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -58,10 +58,9 @@ class Store:
         return self.folder / f"{name}.json"
 
     def load(self, name: str, key: str) -> dict[str, Any] | None:
-        """Return a finished record, None if there is none with this key.
+        """Return the record with this key; None if missing.
 
-        A file that is no JSON counts as missing: whatever broke it, the remedy is to compute
-        again.
+        Damaged JSON counts as missing, so that the record is computed again.
         """
         try:
             record = json.loads(self.path(name).read_text(encoding="utf-8"))
@@ -71,10 +70,10 @@ class Store:
         return record if matches else None
 
     def save(self, name: str, key: str, record: Mapping[str, Any]) -> dict[str, Any]:
-        """Write a record in one step, and return it as it will be read again.
+        """Write a record atomically; return it as it will be read.
 
         Raises:
-            OutputError: the file cannot be written, or a value is no JSON.
+            OutputError: The file cannot be written, or a value is not JSON.
         """
         write_manifest(self.path(name), {**record, "key": key})
         loaded = self.load(name, key)

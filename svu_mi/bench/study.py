@@ -1,4 +1,4 @@
-"""Studies: measurements, tables and plots of a benchmark; running and writing of all."""
+"""Studies: measurements, bars, tables and plots of benchmarks; their runs and files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from svu_mi.bench import BENCHMARKS
 from svu_mi.bench.cases import Case
 from svu_mi.bench.compared_estimators import VARIANTS, Variant
 from svu_mi.bench.experiment import BenchRun, Experiment, Record
-from svu_mi.bench.markdown import Bar, bar_table, left_out, save
+from svu_mi.bench.markdown import Bar, bar_table, failed_cases, save
 from svu_mi.bench.problem_sizes import ProblemSizes
 from svu_mi.core.io.files import prepare_folder, write_text
 from svu_mi.core.validation import require_known
@@ -33,14 +33,14 @@ class Selection:
     """Selection of cases, rows and data of a benchmark.
 
     Attributes:
-        cases: objects x lights.
-        variants: estimators; all by default.
-        rows: labels of the ways of recovery; the usual ones by default.
-        data: folder of the data, None for the scenes of svu_mi.
-        objects: names of objects in ``data``, for what finds them there by itself.
-        capture: folder of the photographs, for what runs on a real capture instead of cases.
-        every: of these, each so many-th is left out.
-        environment_view: of Stanford-ORB, the test photograph whose environment map is the light.
+        cases: Objects x lights.
+        variants: Estimators; all by default.
+        rows: Labels of recovery methods or parts of the paper; the usual ones by default.
+        data: Folder with data; None for the scenes of svu_mi.
+        objects: Names of objects or captures in ``data`` (Stanford-ORB).
+        capture: Folder or scene of a real capture (``real``).
+        every: Distance between held-out photographs of that capture.
+        environment_view: Test photograph whose environment map is the light (Stanford-ORB).
     """
 
     cases: Sequence[Case] = ()
@@ -63,18 +63,18 @@ class Study:
     """A benchmark.
 
     Attributes:
-        title: of its tables.
-        experiment: what is measured.
-        tables: Markdown of a record.
-        summary: adds to a record what follows from its cases; ``sizes`` of the bench are there.
-        bars: those that a record has figures for.
-        note: how the bars were measured.
-        plots: pictures by the name of their file, each drawn from the records of all benchmarks
-            by name; None where there is nothing to show.
-        lines: what matters most of a record, for the terminal.
-        files: written beside the tables, by name; each takes its path and the record.
-        runs_on: objects under lights, a real capture, or a data set of its own layout.
-        own_sizes: whether it has sizes of photographs of its own, which its tables tell.
+        title: Title of the tables.
+        experiment: Returns the experiment of a run.
+        tables: Returns the Markdown of a record.
+        summary: Returns a record with entries that follow from its cases.
+        bars: Returns the bars of a record.
+        note: Description of how the bars are measured.
+        plots: Plots by file name. Each takes the records of all benchmarks by name, and returns
+            None without results.
+        lines: Returns the main results, for the terminal.
+        files: Writers of additional files by name; each takes a path and the record.
+        runs_on: Objects under lights, a real capture, or a data set with another layout.
+        own_sizes: True if its photographs have sizes that ``ProblemSizes`` does not contain.
     """
 
     title: str
@@ -92,26 +92,27 @@ class Study:
     def run(
         self, bench: BenchRun, selection: Selection, report: Callable[[Record], None] | None = None
     ) -> Record:
-        """Measure everything.
+        """Measure all rows of all cases.
 
         Args:
-            bench: where and how.
-            selection: what is run.
-            report: called with the record so far after each case.
+            bench: Folder, sizes and options of the run.
+            selection: Cases and rows.
+            report: Callback with the partial record after each case.
 
         Returns:
-            What ``Experiment.run`` returns, with ``sizes``, ``bars`` and what ``summary`` adds.
+            The result of ``Experiment.run``, with ``sizes``, ``bars`` and the entries of
+            ``summary``.
 
         Raises:
-            SvuError: that of the first case, if nothing could be run.
-            OutputError: the folder cannot be written.
+            SvuError: Error of the first case, if all cases failed.
+            OutputError: The folder cannot be written.
         """
 
         def finish(measured: Record) -> Record:
             return self.finish({**measured, "sizes": bench.sizes})
 
-        tell = report and (lambda measured: report(finish(measured)))
-        return finish(self.experiment(bench, selection).run(bench, tell))
+        finished = report and (lambda measured: report(finish(measured)))
+        return finish(self.experiment(bench, selection).run(bench, finished))
 
     def finish(self, measured: Record) -> Record:
         """Return a record with the entries of ``summary`` and with ``bars``.
@@ -126,7 +127,7 @@ class Study:
         """Return all tables of a record."""
         parts = [
             f"# {self.title}", *bar_table(record["bars"], record["quick"], self.note),
-            *self.tables(record), *left_out("Left out", record),
+            *self.tables(record), *failed_cases("Failed cases", record),
         ]  # fmt: skip
         if len(record["code"]) > 1:
             parts.append(f"Figures of {len(record['code'])} versions of the code.")
@@ -219,7 +220,7 @@ def run_bench(
 
 
 def _provenance_of(bench: BenchRun, name: str, command: str) -> Record:
-    """Return the provenance of a study; stored results keep that of their file."""
+    """Return the provenance of a study; stored results keep the one in their file."""
     new, path = provenance_record(command), bench.folder / f"{name}.json"
     if not (bench.stored and path.is_file()):
         return new

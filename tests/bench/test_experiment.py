@@ -124,11 +124,11 @@ def test_results_of_another_version_are_taken_up_only_if_asked_for(bench, monkey
 
 
 def test_what_cannot_be_measured_is_told_and_left_out(bench):
-    with pytest.warns(SvuWarning, match="the word abba: [.] is left out: a dot"):
+    with pytest.warns(SvuWarning, match="the word abba: [.] is skipped: a dot"):
         record, _ = run_words(bench, "abba", letters="a.")
     assert record["failed"] == [{"cell": "the word abba: .", "reason": "a dot"}]
     assert list(record["cells"][0]["rows"]) == ["a"]
-    with pytest.warns(SvuWarning, match="the word bar is left out"), pytest.raises(SceneError):
+    with pytest.warns(SvuWarning, match="the word bar is skipped"), pytest.raises(SceneError):
         run_words(bench, "bar", letters="a.", whole=True)
     study = Study(title="Words", experiment=None, tables=lambda _: ["none"])
     text = study.markdown({**record, "bars": [], "code": ["a", "b", "c"]})
@@ -181,13 +181,13 @@ def test_bad_folders_end_with_one_line_and_status_2(tmp_path, capsys, variant):
         assert main(["bench", "accuracy", "--data", str(data), "-o", str(tmp_path / "o")]) == 2
         return capsys.readouterr().err
 
-    assert "objects: no such folder; --data needs one with objects" in words(tmp_path / "none")
+    assert "objects: no such folder; --data needs a folder with objects" in words(tmp_path / "none")
     (tmp_path / "objects").mkdir()
-    assert "objects: has no object" in words(tmp_path)
+    assert "objects: no object found" in words(tmp_path)
     box(tmp_path / "objects", roughnessFactor=0.5)
-    assert "envmaps: no such folder; --data needs one with lat-long images" in words(tmp_path)
+    assert "envmaps: no such folder; --data needs a folder with lat-long images" in words(tmp_path)
     (tmp_path / "envmaps").mkdir()
-    assert "envmaps: has no lat-long image" in words(tmp_path)
+    assert "envmaps: no lat-long image found" in words(tmp_path)
     mi.set_log_level(mi.LogLevel.Warn)
 
 

@@ -401,7 +401,7 @@ def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeyp
         return head(self)
 
     monkeypatch.setattr(OrbCase, "head", torn)
-    with pytest.warns(SvuWarning, match="vase_scene002 is left out: torn"):
+    with pytest.warns(SvuWarning, match="vase_scene002 is skipped: torn"):
         record = run(folder, data, ())
     assert [capture["name"] for capture in record["cells"]] == [FIRST]
     assert record["failed"] == [{"cell": SECOND, "reason": "torn"}]

@@ -1,4 +1,4 @@
-"""``svu bench accuracy``: estimators against a path-traced posterior and the truth."""
+"""``svu bench accuracy``: estimators, a path-traced posterior, and the true parameters."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from svu_mi.evaluation.ground_truth import GroundTruth, error_summary, ground_tr
 from svu_mi.evaluation.traced_posterior import reference_posterior
 from svu_mi.geometry.texels import Texels
 
-DIGITS = 4  # of the entropies that are kept for scatter plots
+DIGITS = 4  # decimals of the entropies in scatter plots
 
 
 def reference_of(bench: BenchRun, capture: Capture, layout: Texels, **changes: Any) -> Any:
-    """Return the path-traced posterior of a few texels, from the cache if it is there."""
+    """Return the path-traced posterior of a few texels, cached in the folder of the run."""
     options: dict[str, Any] = {
         "subset": bench.sizes.reference_texels,
         "spp": bench.sizes.reference_spp,
@@ -49,7 +49,7 @@ class AccuracyCase(CaseSubject):
     """A case whose estimators are compared with the reference and with the truth.
 
     Attributes:
-        rows: the estimators.
+        rows: Estimators.
     """
 
     rows: Sequence[Variant]
@@ -59,10 +59,10 @@ class AccuracyCase(CaseSubject):
         return super().settings(row), how
 
     def head(self) -> Record:
-        """Return figures of the reference, and its agreement with the two simple maps.
+        """Return results of the reference, and its agreement with two simple maps.
 
         Returns:
-            ``object``, ``light``, ``texels``, ``reference`` (its figures) and ``sanity``.
+            ``object``, ``light``, ``texels``, and the entries of ``CaseReference.figures``.
         """
         return {
             "object": self.case.object, "light": self.case.light, "texels": self.layout.count,
@@ -70,7 +70,7 @@ class AccuracyCase(CaseSubject):
         }  # fmt: skip
 
     def measure(self, row: Variant) -> Record:
-        """Estimate, and compare."""
+        """Return the scores of an estimator."""
         timed = time_warm(partial(row.estimate, self.capture, self.layout))
         return self._traced.score(timed)
 
@@ -83,13 +83,13 @@ class AccuracyCase(CaseSubject):
 
 @dataclass(frozen=True)
 class CaseReference:
-    """Path-traced reference of a case, and its comparison with estimates.
+    """Path-traced reference of a case, and comparisons with estimates.
 
     Attributes:
-        reference: as ``reference_posterior`` gives it.
-        kept: (n,) indices of the texels that the reference observed.
-        entropy: (n,) its entropy there.
-        truth: of all T texels.
+        reference: Result of ``reference_posterior``.
+        kept: Indices (n,) of the visible texels of the reference.
+        entropy: Entropy (n,) of the reference at these texels.
+        truth: True parameters of all T texels.
     """
 
     reference: Any
@@ -99,7 +99,7 @@ class CaseReference:
 
     @classmethod
     def of(cls, reference: Any, capture: Capture, grid: Texels) -> CaseReference:
-        """Exclude unseen texels, where every estimator is trivially right."""
+        """Return the reference without unseen texels, where all estimators agree."""
         seen = np.array(reference.coverage) > 0
         return cls(
             reference=reference,
@@ -109,7 +109,7 @@ class CaseReference:
         )
 
     def figures(self) -> dict[str, Any]:
-        """Return figures of the reference, and its agreement with the two simple maps."""
+        """Return ``reference`` (scores) and ``sanity`` (agreement with two simple maps)."""
         reference = self.reference
         seen = np.array(reference.coverage) > 0
         maps = {
@@ -136,7 +136,7 @@ class CaseReference:
         }
 
     def score(self, timed: Timed) -> dict[str, Any]:
-        """Return the figures of one estimate."""
+        """Return agreement, times and scores of an estimate."""
         result = timed.result
         everywhere = np.array(result.entropy, np.float64)
         entropy = everywhere[self.kept]
@@ -153,10 +153,10 @@ class CaseReference:
 
 
 def _overlap(halves: Any, seen: np.ndarray) -> float:
-    """Return the mass that two posteriors share, mean over texels: 1 if equal, 0 if apart.
+    """Return the common probability mass of two posteriors, mean over texels, in [0, 1].
 
-    Noise that makes both halves of the reference certain, but of different parameters, shows
-    here and not in the correlation of their entropies.
+    It is low if noise makes both halves of the reference certain of different parameters. The
+    correlation of their entropies does not detect this.
     """
     p, q = (np.array(half.probabilities, np.float64)[seen] for half in halves)
     return float(np.minimum(p, q).reshape(len(p), -1).sum(axis=1).mean())
@@ -166,7 +166,7 @@ MASSES = (0.5, 0.9)
 
 
 def agreement(entropy: np.ndarray, reference: np.ndarray) -> dict[str, float]:
-    """Return Pearson's and Spearman's correlation of two (n,) entropies."""
+    """Return Pearson's and Spearman's correlation of two entropies (n,)."""
     return {
         "pearson": pearson(entropy, reference),
         "spearman": spearman(entropy, reference),
@@ -182,25 +182,23 @@ def score_posterior(
 ) -> dict[str, Any]:
     """Compare a posterior with the true parameters.
 
-    A posterior whose channels are separate is compared with each channel's truth, one that
-    has a single grey value with the mean over channels. The estimate is the most probable
-    cell of each distribution.
+    A posterior with separate channels is compared with the truth of each channel, a grey
+    posterior with the mean over channels. The estimate is the most probable cell.
 
     Args:
-        probabilities: (n, *grid), or (n, *grid, 3) with a distribution per channel.
-        axes: nodes of each parameter, in the order of the grid's axes.
-        truth: of all T texels.
-        entropy: (n,) entropy of the posterior.
-        texels: (n,) indices of its texels.
+        probabilities: Probabilities (n, *grid), or (n, *grid, 3) for separate channels.
+        axes: Nodes of each parameter, in the order of the axes of the grid.
+        truth: True parameters of all T texels.
+        entropy: Entropy (n,) of the posterior.
+        texels: Indices (n,) of the texels of the posterior.
 
     Returns:
-        ``credible`` by level; ``parameters`` by name: bias, mae, rmse of the estimate,
-        ``entropy_correlation`` of its absolute error with the entropy and ``ause``; ``ause``
-        and ``ause_relative``, means over parameters; and ``sparsification``, the curves of
-        each parameter.
+        ``credible`` by level; ``parameters`` by name, with bias, mae and rmse of the estimate,
+        ``entropy_correlation`` of absolute error and entropy, and ``ause``; ``ause`` and
+        ``ause_relative``, means over parameters; ``sparsification``, curves by parameter.
 
     Raises:
-        ShapeError: probabilities do not fit the axes.
+        ShapeError: The probabilities do not fit the axes.
     """
     p, channels = _channels(probabilities, axes)
     true = _truth(truth, tuple(axes), texels, channels)
@@ -230,7 +228,7 @@ def score_posterior(
 
 
 def _channels(probabilities: np.ndarray, axes: Mapping[str, np.ndarray]) -> tuple[np.ndarray, int]:
-    """Return (channels * n, *grid), channel by channel, and their number, 1 or 3."""
+    """Return probabilities (channels * n, *grid), and the number of channels, 1 or 3."""
     grid = tuple(len(nodes) for nodes in axes.values())
     if probabilities.shape[1:] == grid:
         return probabilities, 1
@@ -244,7 +242,7 @@ def _channels(probabilities: np.ndarray, axes: Mapping[str, np.ndarray]) -> tupl
 def _truth(
     truth: GroundTruth, names: tuple[str, ...], texels: np.ndarray, channels: int
 ) -> dict[str, np.ndarray]:
-    """Return (channels * n,) true values by parameter, in the order of ``_channels``."""
+    """Return true values (channels * n,) by parameter, in the order of ``_channels``."""
     by_parameter = {}
     for name in names:
         values = getattr(truth, name)
@@ -265,7 +263,7 @@ def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
 
 
 STUDY = Study(
-    title="Agreement with path tracing, and with the truth",
+    title="Agreement with path tracing and with the truth",
     experiment=_experiment,
     summary=lambda record: {**record, "summary": summarize(record["cells"])},
     tables=accuracy_tables,

@@ -1,4 +1,4 @@
-"""Means over cases, tables and plots of the accuracy benchmark."""
+"""Tables and plots of the accuracy benchmark."""
 
 from __future__ import annotations
 
@@ -60,45 +60,40 @@ ERRORS = (
     Column("rho(error, entropy)", lambda row: row[2]["entropy_correlation"], digits(3)),
     Column("AUSE", lambda row: row[2]["ause_relative"], digits(3)),
 )
-SETS = (("plain", "whole cells"), ("fractional", "fractional"), ("size", "part of the grid"))
+SETS = (("plain", "whole cells"), ("fractional", "fractional"), ("size", "share of the grid"))
 
 
 def accuracy_tables(record: Record) -> list[str]:
-    """Return the tables of a record.
-
-    Args:
-        record: of ``svu bench accuracy``.
-    """
+    """Return the tables of a record of ``svu bench accuracy``."""
     if not record["cells"]:
         return []
     judged = [row for row in record["summary"] if row["kind"] != "sanity"]
     errors = [(row["label"], name, figures)
               for row in judged for name, figures in row["parameters"].items()]  # fmt: skip
     return [
-        f"{len(record['cells'])} cells (object / light). Correlation of the entropy with that of "
-        "the reference, which assumes a noise of 8 % of "
-        "the mean radiance, as `fixed` does: mean over cells, and a 95 % bootstrap interval over "
-        "objects. That of the reference is between two halves of its "
-        "samples. AUSE: area between the sparsification curves by entropy and by true error of "
-        "the most probable cell, over that of a random order: 0 perfect, 1 chance. Seconds are "
-        "warm, mean over cells.",
+        f"{len(record['cells'])} cases (object / light). Correlation of the entropy with the "
+        "path-traced reference, which assumes noise of 8 % of the mean radiance, as `fixed` does: "
+        "mean over cases, and a 95 % bootstrap interval over objects. The row of the reference "
+        "compares two halves of its samples. AUSE: area between the sparsification curves by "
+        "entropy and by true error of the most probable cell, divided by the area for a random "
+        "order (0 perfect, 1 random). Times are with compiled kernels, mean over cases.",
         tabulate(AGREEMENT, record["summary"]),
-        "## Credible sets against the true parameters",
-        "How often the highest-density set holds the truth's cell. A set of whole cells holds at "
-        "least its level, so even a calibrated posterior exceeds it; with the last cells taken "
-        "in with the fitting probability it does not.",
+        "## Credible sets and the true parameters",
+        "Share of highest-density sets that contain the cell of the truth. A set of whole cells "
+        "has at least its level, so that a calibrated posterior exceeds it. With fractional sets, "
+        "in which the last cell counts in part, it does not.",
         tabulate(_sets(judged), judged),
         "## Error of the most probable cell",
         tabulate(ERRORS, errors),
-        "## Pearson correlation by cell",
-        "The halves are those of the reference's samples: the correlation of their entropies, "
-        "and the part of their posteriors that they have in common.",
+        "## Pearson correlation by case",
+        "The last columns compare two halves of the reference's samples: the correlation of their "
+        "entropies, and the common mass of their posteriors.",
         tabulate(_by_case(record), record["cells"]),
     ]
 
 
 def agreement_lines(record: Record) -> list[str]:
-    """Return the correlation of every map with the reference, a line each."""
+    """Return a line per map with its correlation with the reference."""
     return [f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
             for row in record["summary"] if row["pearson"] is not None]  # fmt: skip
 
@@ -130,8 +125,8 @@ def _by_case(record: Record) -> list[Column]:
             for part, kind in (("rows", "estimator"), ("sanity", "sanity"))
             for label in labels[kind]
         ),
-        Column("reference's halves", lambda case: case["reference"]["split_half"], digits(3)),
-        Column("their shared mass", lambda case: case["reference"]["half_overlap"], digits(3)),
+        Column("halves of the reference", lambda case: case["reference"]["split_half"], digits(3)),
+        Column("common mass", lambda case: case["reference"]["half_overlap"], digits(3)),
     ]  # fmt: skip
 
 
@@ -139,18 +134,18 @@ AVERAGED = ("mean_entropy", "seconds", "ause", "ause_relative", "credible", "par
 
 
 def summarize(cases: Sequence[Record]) -> list[Record]:
-    """Return one row per map: estimators, the simple maps, and the reference itself.
+    """Return a row per map: estimators, simple maps, and the reference.
 
-    Means are over cases, their intervals over objects (``metrics.mean_over_objects``).
+    Means are over cases, intervals over objects (``mean_over_objects``).
 
     Args:
-        cases: records of ``Compared``.
+        cases: Records of the cases.
 
     Returns:
         Rows with ``label``, ``kind`` (``estimator``, ``sanity`` or ``reference``),
-        ``pearson`` and ``spearman`` as ``{mean, low, high, objects}`` and, except for the
-        simple maps, means of ``mean_entropy``, ``seconds``, ``ause``, ``ause_relative``,
-        ``credible`` and ``parameters``.
+        ``pearson`` and ``spearman`` as ``{mean, low, high, objects}`` and, except for simple
+        maps, means of ``mean_entropy``, ``seconds``, ``ause``, ``ause_relative``, ``credible``
+        and ``parameters``.
     """
     if not cases:
         return []
@@ -186,12 +181,12 @@ def _agreement(records: list[Record], objects: list[str]) -> Record:
 
 
 def _means(records: list[Record]) -> Record:
-    """Return means over cases of everything that a posterior is judged by."""
+    """Return the means over cases of all entries in ``AVERAGED``."""
     return {name: mean_of([record[name] for record in records]) for name in AVERAGED}
 
 
 def mean_of(values: Sequence[Any]) -> Any:
-    """Return the mean of numbers; of records, the mean of each entry."""
+    """Return the mean of numbers, or of each entry of records."""
     if isinstance(values[0], dict):
         return {name: mean_of([value[name] for value in values]) for name in values[0]}
     return float(np.mean(values))
@@ -207,7 +202,7 @@ def _styles(rows: list[Record]) -> dict[str, tuple[str, str]]:
 
 
 def time_error(records: Record) -> Figure:
-    """The headline: time for all texels, and 1 - rho, mean over cases."""
+    """Plot the error 1 - rho over the run time for all texels, mean over cases."""
     record = records["accuracy"]
     rows, figure = record["summary"], page(9, 5.4)
     axes = figure.add_subplot()
@@ -228,10 +223,10 @@ def time_error(records: Record) -> Figure:
             axes.annotate(f"{row['label']} alone", (0.01, error), color=FAINT, fontsize=8,
                           xycoords=("axes fraction", "data"), va="bottom")  # fmt: skip
     axes.set_ylim(bottom=0)
-    axes.set_xlabel("run time for all texels (warm)")
+    axes.set_xlabel("run time for all texels (compiled kernels)")
     axes.set_ylabel("error: 1 - Pearson correlation with the reference")
     count = len(record["cells"])
-    of = f"Mean over {count} cells" if count > 1 else "One cell"
+    of = f"Mean over {count} cases" if count > 1 else "One case"
     if any(row["pearson"]["low"] is not None for row in estimators):
         of += "; bars: 95 % over objects"
     axes.set_title(of, fontsize=10, color=INK)
@@ -241,9 +236,9 @@ def time_error(records: Record) -> Figure:
 
 
 def _reference_points(axes: Axes, records: Record) -> list[float]:
-    """The reference by samples, and all psi by brute force; return their times.
+    """Plot the reference by number of samples, and brute force over psi; return their times.
 
-    All are extrapolated from the reference's few texels to all.
+    Times are extrapolated from the texels of the reference to all texels.
     """
     cases, times = records["accuracy"]["cells"], []
     texels = float(np.mean([case["texels"] / case["reference"]["texels"] for case in cases]))
@@ -251,25 +246,25 @@ def _reference_points(axes: Axes, records: Record) -> list[float]:
     if all(half is not None for half in halves):
         times.append(float(np.mean([case["reference"]["seconds"] for case in cases])) * texels)
         axes.plot(times, 1 - np.mean(halves), "*", color=INK, markersize=13,
-                  label="reference, half against half")  # fmt: skip
+                  label="reference, half of its samples")  # fmt: skip
     if "speed" in records:
         parts = records["speed"]["cells"][0]["rows"]
         curve = parts["reference_spp"]["reference"]
         points = [row for row in curve if row["pearson"] is not None]
         axes.plot([row["seconds"] * texels for row in points],
                   [1 - row["pearson"] for row in points], "-o", color=INK, markersize=4,
-                  linewidth=1, label="reference with fewer samples (one cell)")  # fmt: skip
+                  linewidth=1, label="reference with fewer samples (one case)")  # fmt: skip
         brute = parts["brute"]["seconds"]
         times += [row["seconds"] * texels for row in points] + [brute]
         axes.axvline(brute, color=INK, linestyle=":", linewidth=1.2)
-        axes.annotate(f"every psi path traced: {seconds(brute)} (extrapolated)", (brute, 0.5),
+        axes.annotate(f"all psi path traced: {seconds(brute)} (extrapolated)", (brute, 0.5),
                       xycoords=("data", "axes fraction"), fontsize=8, rotation=90, ha="right",
                       va="center", color=INK)  # fmt: skip
     return times
 
 
 def scatter(records: Record) -> Figure:
-    """Entropy of each estimator against that of the reference, case by case."""
+    """Plot the entropy of each estimator over the entropy of the reference, by case."""
     record = records["accuracy"]
     styles, cases = _styles(record["summary"]), record["cells"][:MAX_CASES]
     figure = page(2.6 * max(len(styles), 1) + 0.6, 2.4 * len(cases) + 0.9)
@@ -294,7 +289,7 @@ def scatter(records: Record) -> Figure:
 
 
 def curves(records: Record) -> Figure:
-    """Sparsification curves by parameter, mean over cases."""
+    """Plot sparsification curves by parameter, mean over cases."""
     record = records["accuracy"]
     styles = _styles(record["summary"])
     names = list(dict.fromkeys(
@@ -314,10 +309,10 @@ def curves(records: Record) -> Figure:
                 mean = np.mean([curve[key] for curve in drawn], axis=0)
                 axes.plot(removed, mean, line, color=color, linewidth=1.4,
                           label=label if line == "-" else None)  # fmt: skip
-        axes.set(title=name, xlabel="removed, most uncertain first", xlim=(0, 1))
+        axes.set(title=name, xlabel="removed texels, most uncertain first", xlim=(0, 1))
         axes.set_ylim(bottom=0)
         tidy(axes)
-    grid[0].set_ylabel("remaining error / error of all")
+    grid[0].set_ylabel("remaining error / total error")
     if grid[0].get_legend_handles_labels()[1]:
         grid[0].legend(frameon=False, fontsize=7, loc="lower left", title="(dotted: oracle)",
                        title_fontsize=7)  # fmt: skip

@@ -1,4 +1,4 @@
-"""``svu bench recovery``: textures recovered from photographs, against the true ones."""
+"""``svu bench recovery``: recovered textures, compared with the true ones."""
 
 from __future__ import annotations
 
@@ -30,17 +30,16 @@ from svu_mi.pipeline import estimate
 from svu_mi.recovery.relighting import relight
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 
-BRIEF = 4  # steps after which all kernels are compiled
+BRIEF = 4  # number of steps in which all kernels are compiled
 
 
 @dataclass(frozen=True)
 class RecoveryCase(CaseSubject):
-    """A case, loaded only when a row is missing.
+    """A case whose textures are recovered.
 
     Attributes:
-        case: object and the light of the photographs, which are from everywhere.
-        relit_as: returns the same object under a light not used for recovery.
-        rows: ways of recovery.
+        relit_as: Returns the same object under a light that is not used for recovery.
+        rows: Recovery methods.
     """
 
     relit_as: Callable[[], Case]
@@ -58,8 +57,7 @@ class RecoveryCase(CaseSubject):
         return cases, photographs, asdict(self.sizes), row and asdict(row)
 
     def head(self) -> Record:
-        """Return names, counts, and the relighting errors that the true textures themselves
-        reach at this resolution under the other light."""
+        """Return names, counts, and relighting errors of the true textures."""
         return {
             "object": self.case.object, "light": self.case.light, "relit": self.other.light,
             "views": self.capture.count, **self.scorer.counts(),
@@ -67,7 +65,7 @@ class RecoveryCase(CaseSubject):
         }  # fmt: skip
 
     def measure(self, row: RecoveryMethod) -> Record:
-        """Recover, judge and relight; return the figures."""
+        """Return times, errors of textures and errors of relit pictures."""
         timed = recover_warm(row, self.capture, self.layout, self.sizes)
         textures = timed.result.textures
         relit = self.relit.score(textures)
@@ -75,12 +73,12 @@ class RecoveryCase(CaseSubject):
 
     @cached_property
     def other(self) -> Case:
-        """The same object under another light."""
+        """Same object under another light."""
         return self.relit_as()
 
     @cached_property
     def capture(self) -> Capture:
-        """The photographs."""
+        """Photographs of the case."""
         whole = self.bench.capture(self.case)
         return even_views(whole, min(self.sizes.even_views, whole.count))
 
@@ -97,22 +95,21 @@ class RecoveryCase(CaseSubject):
 
 
 def next_light_case(case: Case, data: Path | None, workspace: Path) -> Case:
-    """Return the same object under the light after the case's, in the order of all lights.
+    """Return the same object under the next light.
 
     Args:
-        case: object and light.
-        data: folder the case comes from, None for the scenes of svu_mi.
-        workspace: for objects that have to be converted.
+        case: Object and light.
+        data: Folder of the case; None for the scenes of svu_mi.
+        workspace: Folder for converted objects.
 
     Raises:
-        OptionError: there is one light only.
+        OptionError: There is only one light.
     """
     around = chosen_cases(data, workspace, [case.object])
     lights = [one.light for one in around]
     if len(lights) < 2:
         raise OptionError(
-            f"{case.title}: there is no second light to relight the object with; add another "
-            "image to envmaps/."
+            f"{case.title}: relighting needs a second light; add another image to envmaps/."
         )
     return around[(lights.index(case.light) + 1) % len(lights)]
 
@@ -122,8 +119,8 @@ def recover_warm(
 ) -> Timed:
     """Recover textures with compiled kernels.
 
-    Kernels are compiled by a brief run that does not count. A row that takes longer than
-    ``sizes.long_s`` is timed once.
+    A short run compiles the kernels first. A row that takes longer than ``sizes.long_s`` is timed
+    once.
     """
     run = partial(row.recover, capture, grid, sizes.scale)
     if not sizes.warm:
@@ -133,7 +130,7 @@ def recover_warm(
 
 
 def run_figures(timed: Timed) -> Record:
-    """Return time and step counts of a run of ``recover_warm``."""
+    """Return times and step counts of a result of ``recover_warm``."""
     return {
         "seconds": timed.seconds,
         "runs": timed.runs,
@@ -145,13 +142,13 @@ def run_figures(timed: Timed) -> Record:
 
 @dataclass(frozen=True)
 class TextureScorer:
-    """Scores of recovered textures: their errors, by coverage and entropy.
+    """Errors of recovered textures, by coverage and entropy.
 
     Attributes:
-        truth: of T texels.
-        coverage: (T,) number of views that see each texel.
-        entropy: (T,) angular entropy, of the default preset.
-        poor: most views of a texel that counts as hardly seen.
+        truth: True textures of T texels.
+        coverage: Number of views of each texel, (T,).
+        entropy: Angular entropy of the preset ``default``, (T,).
+        poor: Largest number of views of a hardly seen texel.
     """
 
     truth: TrueTextures
@@ -161,16 +158,18 @@ class TextureScorer:
 
     @classmethod
     def of(cls, capture: Capture, grid: Texels, poor: int) -> TextureScorer:
-        """Look the truth up, and estimate the entropy.
+        """Evaluate the true textures and estimate the entropy.
 
         Raises:
-            SceneError: the scene does not know the true parameters.
-            CaptureError: no texel is seen.
+            SceneError: The material of the scene is not ``principled``.
+            CaptureError: No texel is visible.
         """
         truth, estimated = TrueTextures.of(capture, grid), estimate(capture, grid)
         coverage = np.array(estimated.coverage)
         if not (coverage > 0).any():
-            raise CaptureError("No texel is seen in any photograph; there is nothing to compare.")
+            raise CaptureError(
+                "No texel is visible in any photograph, so textures cannot be compared."
+            )
         return cls(
             truth=truth,
             coverage=coverage,
@@ -179,7 +178,7 @@ class TextureScorer:
         )
 
     def counts(self) -> dict[str, Any]:
-        """Return counts of texels: all, seen, hardly seen."""
+        """Return numbers of all, visible and hardly seen texels, and the mean entropy."""
         seen = self.coverage > 0
         return {
             "texels": self.truth.grid.count,
@@ -189,8 +188,11 @@ class TextureScorer:
         }
 
     def score(self, textures: Textures) -> dict[str, Any]:
-        """Return ``psnr`` of seen texels, ``psnr_hardly_seen`` (None if there are none), and
-        ``entropy_correlation``, Pearson's of a texel's mean absolute error with its entropy.
+        """Return errors of textures.
+
+        Returns:
+            ``psnr`` of visible texels; ``psnr_hardly_seen``, None without such texels;
+            ``entropy_correlation``, Pearson's correlation of mean absolute error and entropy.
         """
         seen = self.coverage > 0
         hardly = seen & (self.coverage <= self.poor)
@@ -204,14 +206,14 @@ class TextureScorer:
 
 @dataclass(frozen=True)
 class RelightingScorer:
-    """Scores of relit pictures against true ones.
+    """Errors of relit pictures.
 
     Attributes:
-        capture: the object under the other light, with the sensors of the pictures.
-        truth: their radiance, (H, W, 3) each.
-        masks: (H, W) bool, pixels that lie on the object entirely.
-        spp: samples per pixel.
-        seed: of the first picture.
+        capture: Object under the other light, with the sensors of the pictures.
+        truth: Radiance of the true pictures, (H, W, 3) each.
+        masks: Pixels that are completely on the object, (H, W) bool each.
+        spp: Samples per pixel.
+        seed: Seed of the first picture.
     """
 
     capture: Capture
@@ -227,15 +229,15 @@ class RelightingScorer:
         """Render the true pictures.
 
         Args:
-            capture: sensors of the pictures are some of its own.
-            case: the same object under another light.
-            count: number of pictures.
-            spp: samples per pixel.
-            seed: of the first; pictures of other textures use the same, so that most of the
-                noise cancels.
+            capture: Capture whose sensors are used.
+            case: Same object under another light.
+            count: Number of pictures.
+            spp: Samples per pixel.
+            seed: Seed of the first picture. Pictures of other textures use the same seeds, so
+                that most of the noise cancels.
 
         Raises:
-            SceneError: the other scene cannot be loaded.
+            SceneError: The other scene cannot be loaded.
         """
         scene = load_scene(case.scene, case.defines)
         shape = find_shape(scene, capture.shape.id(), str(case.scene))
@@ -245,11 +247,11 @@ class RelightingScorer:
         return replace(relit, truth=relit.pictures(None))
 
     def pictures(self, textures: Textures | None) -> list[np.ndarray]:
-        """Render the object with these textures instead of its own; None for its own."""
+        """Render the object with given textures, or with the true ones for None."""
         return relight(self.capture, textures, spp=self.spp, seed=self.seed)
 
     def score(self, textures: Textures) -> dict[str, float]:
-        """Return psnr_hdr, psnr_ldr and ssim, means over the pictures (``image_error``)."""
+        """Return psnr_hdr, psnr_ldr and ssim (``image_error``), means over the pictures."""
         errors = [
             asdict(image_error(picture, true, mask))
             for picture, true, mask in zip(
@@ -274,6 +276,6 @@ def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
 
 STUDY = Study(
     title="Recovery of textures", experiment=_experiment, tables=recovery_tables, bars=find_bars,
-    note="PSNR: means over the cells that have both rows. Times: medians over cells of ratios.",
+    note="PSNR: mean over all cases with both rows. Times: median of the ratios over cases.",
     plots={"recovery": draw_recovery},
 )  # fmt: skip

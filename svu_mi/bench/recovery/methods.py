@@ -1,4 +1,4 @@
-"""The ways of recovery that are compared. The one file to edit when there is a new one."""
+"""Recovery methods that benchmarks compare; a new method is added here."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from svu_mi.recovery.recovery_options import (
 )
 from svu_mi.recovery.recovery_result import Recovery
 
-DEPTH = 2  # light straight from the environment, as in the photographs (bench.cases.DIRECT)
+DEPTH = 2  # direct light, as in the photographs (bench.cases.DIRECT)
 
 
 @dataclass(frozen=True)
 class RecoveryMethod:
-    """One way of recovery.
+    """A recovery method.
 
     Attributes:
-        label: unique; the name in tables and plots.
-        method: of ``recover``.
-        sh: preset of the SH model.
-        path: preset of path tracing.
-        sharing: whether uncertain texels take after certain ones.
+        label: Name in tables and plots, unique.
+        method: Method of ``recover``.
+        sh: Preset of the SH model.
+        path: Preset of path tracing.
+        sharing: Pull uncertain texels towards certain ones.
     """
 
     label: str
@@ -43,14 +43,14 @@ class RecoveryMethod:
 
     @property
     def traced(self) -> bool:
-        """True if paths are traced, which is slow."""
+        """True for methods that trace paths, which is slow."""
         return "path" in self.method
 
     def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
-        """Return the presets' options, for direct light.
+        """Return the options of the presets, for direct light.
 
         Args:
-            scale: epochs of the path tracer and steps of SH descent, as a part of the presets'.
+            scale: Factor of the epochs of the path tracer and the steps of SH descent.
         """
         sh, path = SH_PRESETS[self.sh], PATH_PRESETS[self.path]
         smoothing, descent = (
@@ -66,9 +66,9 @@ class RecoveryMethod:
         """Recover the textures of a capture.
 
         Args:
-            capture: the photographs.
-            grid: texels of its mesh.
-            scale: as for ``options``.
+            capture: Photographs.
+            grid: Texels of the mesh.
+            scale: Factor of the numbers of epochs and steps.
         """
         sh, path = self.options(scale)
         return recover(capture, grid, self.method, sharing=self.sharing, sh=sh, path=path)
@@ -79,10 +79,10 @@ class RecoveryMethod:
         """Recover textures in a given number of steps.
 
         Args:
-            steps: of the last descent.
-            capture: the photographs.
-            grid: texels of its mesh.
-            progress: is told of the steps.
+            steps: Number of steps of the last descent.
+            capture: Photographs.
+            grid: Texels of the mesh.
+            progress: Progress display.
         """
         sh, path = self.options()
         sh = replace(sh, descent=replace(sh.descent, steps=steps, tolerance=0.0))
@@ -101,7 +101,7 @@ SH = RecoveryMethod("SH (ours)", "sh")
 SH_SHARING = RecoveryMethod("SH + sharing", "sh", sharing=True)
 SH_PATH = RecoveryMethod("SH + path", "sh+path", path="polish")  # one epoch
 
-# As printed: those of the paper's Table 2, and of its Table 1.
+# Methods of the paper as printed, for its Tables 1 and 2.
 SH_PAPER = RecoveryMethod("SH (paper)", "sh", sh="paper")
 SH_PAPER_SHARING = RecoveryMethod("SH (paper) + sharing", "sh", sh="paper", sharing=True)
 SPECTRUM = RecoveryMethod("spectrum (paper)", "sh", sh="spectrum")
@@ -114,14 +114,14 @@ PATH_PAPER_SHARING = RecoveryMethod("path (paper) + sharing", "path", path="pape
 OURS = (SH, SH_SHARING, SH_PATH, PATH, PATH_SHARING)
 PAPER = (SH_PAPER, SH_PAPER_SHARING, SPECTRUM, SH_PAPER_PATH, PATH_PAPER, PATH_PAPER_SHARING)
 ROWS = OURS + PAPER
-USUAL = (*OURS, SH_PAPER, SH_PAPER_SHARING, SPECTRUM)  # unless others are asked for: they take long
+USUAL = (*OURS, SH_PAPER, SH_PAPER_SHARING, SPECTRUM)  # default rows; others take long
 
 
 def find_method(label: str) -> RecoveryMethod:
     """Return a row by its label.
 
     Raises:
-        OptionError: a row is unknown.
+        OptionError: Unknown label.
     """
     rows = {row.label: row for row in ROWS}
     require_known([label], rows, "row")
@@ -129,10 +129,10 @@ def find_method(label: str) -> RecoveryMethod:
 
 
 def choose_methods(labels: Sequence[str]) -> tuple[RecoveryMethod, ...]:
-    """Return the rows of these labels, cheap ones first; the usual ones if there are no labels.
+    """Return the rows with given labels, cheap ones first; the usual rows without labels.
 
     Raises:
-        OptionError: there is no such row.
+        OptionError: Unknown label.
     """
     chosen = [find_method(label) for label in labels] or USUAL
     return tuple(row for row in ROWS if row in chosen)

@@ -1,4 +1,4 @@
-"""Bars, tables and the plot of the recovery benchmark."""
+"""Bars, tables and plot of the recovery benchmark."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def paired(
     base: RecoveryMethod,
     value: Callable[[Record], Any],
 ) -> list[tuple[Any, Any]]:
-    """Return (value of a row, value of another) for every case that has both."""
+    """Return (value of a row, value of another) of each case with both rows."""
     return [
         (value(case["rows"][row.label]), value(case["rows"][base.label]))
         for case in cases
@@ -46,18 +46,18 @@ def paired(
 
 
 def psnr_gaps(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> list[float]:
-    """Return how many dB a row's average texture PSNR is above another's, per case."""
+    """Return the difference of the average texture PSNR of two rows in dB, per case."""
     return [a - b for a, b in paired(cases, row, base, lambda figures: figures["psnr"]["average"])]
 
 
 def mean_psnr_gap(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> float:
-    """Return the mean of ``psnr_gaps``; NaN without any."""
+    """Return the mean of ``psnr_gaps``; NaN without cases."""
     differences = psnr_gaps(cases, row, base)
     return float(np.mean(differences)) if differences else float("nan")
 
 
 def time_ratio(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> float:
-    """Return the time of a row as a part of another's, the median over cases; NaN without any."""
+    """Return the ratio of the times of two rows, median over cases; NaN without cases."""
     ratios = [a / b for a, b in paired(cases, row, base, lambda figures: figures["seconds"])]
     return float(np.median(ratios)) if ratios else float("nan")
 
@@ -67,17 +67,18 @@ class MethodComparison:
     """A bar on the comparison of two recovery methods.
 
     Attributes:
-        row, base: the two ways.
-        what: is compared, said in words.
-        value: the figure.
-        limit: its bar.
-        unit: of both.
-        least: whether the figure has to reach the bar, rather than stay below it.
+        row: First method.
+        base: Method that it is compared with.
+        title: Name of the value.
+        value: Returns the value.
+        limit: Upper limit, or lower limit if ``least``.
+        unit: Unit of value and limit.
+        least: True for a lower limit.
     """
 
     row: RecoveryMethod
     base: RecoveryMethod
-    what: str
+    title: str
     value: Callable[[Sequence[Record], RecoveryMethod, RecoveryMethod], float]
     limit: float
     unit: str = ""
@@ -85,45 +86,38 @@ class MethodComparison:
 
     def bar(self, cases: Sequence[Record]) -> Bar:
         """Return the bar; its value is NaN if no case has both rows."""
-        what = f"{self.row.label} over {self.base.label}, {self.what}"
+        title = f"{self.row.label} over {self.base.label}, {self.title}"
         value = self.value(cases, self.row, self.base)
-        return Bar(what, value, self.limit, self.unit, self.least)
+        return Bar(title, value, self.limit, self.unit, self.least)
 
 
 def psnr_comparison(row: RecoveryMethod, base: RecoveryMethod, limit: float) -> MethodComparison:
     """Return a lower bound of the mean PSNR difference of two methods."""
-    words = "average texture PSNR, mean over cells"
-    return MethodComparison(row, base, words, mean_psnr_gap, limit, "dB", True)
+    title = "average texture PSNR, mean over cases"
+    return MethodComparison(row, base, title, mean_psnr_gap, limit, "dB", True)
 
 
 COMPARISONS = (
     psnr_comparison(SH, PATH, -0.5),
-    MethodComparison(SH, PATH, "time, part", time_ratio, 1 / 15),
+    MethodComparison(SH, PATH, "ratio of times", time_ratio, 1 / 15),
     psnr_comparison(SH, SH_PAPER, 0.0),
-    MethodComparison(SH, SH_PAPER, "time, part", time_ratio, 1.0),
+    MethodComparison(SH, SH_PAPER, "ratio of times", time_ratio, 1.0),
     psnr_comparison(SH_PATH, PATH, 0.0),
-    MethodComparison(SH_PATH, PATH, "time, part", time_ratio, 1 / 3),
+    MethodComparison(SH_PATH, PATH, "ratio of times", time_ratio, 1 / 3),
 )
 
 
 def find_bars(record: Record) -> list[Bar]:
-    """Return the bars that a record has figures for.
-
-    Args:
-        record: of ``svu bench recovery``.
-    """
+    """Return the bars of a record of ``svu bench recovery``; empty without the rows."""
     bars = [claim.bar(record["cells"]) for claim in COMPARISONS]
     return [bar for bar in bars if not np.isnan(bar.value)]
 
 
-Line = tuple[str, Sequence[Record]]  # a label, and the records that its figures are means of
+Line = tuple[str, Sequence[Record]]  # label and records of a table row
 
 
 def _mean_at(*path: str) -> Callable[[Line], float | None]:
-    """Return a getter of the mean of a figure, by its path of names.
-
-    Where no record has it, there is none.
-    """
+    """Return a function that returns the mean of an entry of all records, by its path of names."""
 
     def mean(line: Line) -> float | None:
         values: list[Any] = [reduce(_entry, path, record) for record in line[1]]
@@ -152,20 +146,16 @@ MEANS = (
 
 
 def recovery_tables(record: Record) -> list[str]:
-    """Return the tables of a record.
-
-    Args:
-        record: of ``svu bench recovery``.
-    """
+    """Return the tables of a record of ``svu bench recovery``."""
     cases = record["cells"]
     if not cases:
         return []
     rows = [row for row in ROWS if any(row.label in case["rows"] for case in cases)]
     return [
-        "PSNR of textures over the texels that a photograph shows, in dB; relit: pictures under "
-        "another light with recovered and with true textures, pixels of the object only, PSNR of "
-        "radiance and of tone-mapped values. Times are warm, by the clock. Direct light.",
-        f"{len(cases)} cells (object / light): {', '.join(map(title_of, cases))}; "
+        "PSNR of textures over visible texels, in dB. Relit: pictures of the object under another "
+        "light with recovered and with true textures, PSNR of radiance and of tone-mapped values. "
+        "Wall-clock times with compiled kernels. Direct light.",
+        f"{len(cases)} cases (object / light): {', '.join(map(title_of, cases))}; "
         f"{cases[0]['views']} photographs.",
         tabulate(MEANS, _lines(cases, rows)),
         _by_case(cases, rows),
@@ -178,29 +168,28 @@ def title_of(case: Record) -> str:
 
 
 def _lines(cases: list[Record], rows: list[RecoveryMethod]) -> list[Line]:
-    """Means over cases; incomplete rows show their number of cases."""
+    """Return a line per row, and one for the true textures; labels of partial rows have a count."""
     lines: list[Line] = []
     for row in rows:
         measured = [case["rows"][row.label] for case in cases if row.label in case["rows"]]
-        label = row.label if len(measured) == len(cases) else f"{row.label} ({len(measured)} cells)"
+        label = row.label if len(measured) == len(cases) else f"{row.label} ({len(measured)} cases)"
         lines.append((label, measured))
     ceiling = [{"relit": case["truth_relit"]} for case in cases]
     return [*lines, ("true textures at this resolution", ceiling)]
 
 
 def _by_case(cases: list[Record], rows: list[RecoveryMethod]) -> str:
-    """Average PSNR and time of every case and row."""
+    """Return a table of the average PSNR and time of every case and row."""
     lines = []
     for case in cases:
         measured = [case["rows"].get(row.label) for row in rows]
         lines.append([title_of(case), *("" if one is None else f"{one['psnr']['average']:.2f}, "
                               f"{seconds(one['seconds'])}" for one in measured)])  # fmt: skip
-    return table(("cell", *(row.label for row in rows)), lines)
+    return table(("case", *(row.label for row in rows)), lines)
 
 
 def draw_recovery(records: Record) -> Figure:
-    """Draw run time against average texture PSNR, every case small, their mean large, from the
-    records of all benchmarks."""
+    """Plot average texture PSNR over run time: cases (small) and their mean (large)."""
     cases, figure = records["recovery"]["cells"], page(6.5, 4.8)
     axes = figure.add_subplot()
     times: list[float] = []
@@ -216,8 +205,8 @@ def draw_recovery(records: Record) -> Figure:
                   markeredgecolor="white", label=row.label, zorder=3)  # fmt: skip
         times += took
     time_axis(axes, times)
-    axes.set(xlabel="run time, kernels compiled", ylabel="average texture PSNR (dB)")
-    axes.set_title(f"{len(cases)} cells (small) and their mean", fontsize=10, color=INK)
+    axes.set(xlabel="run time with compiled kernels", ylabel="average texture PSNR (dB)")
+    axes.set_title(f"{len(cases)} cases (small) and their mean (large)", fontsize=10, color=INK)
     axes.legend(frameon=False, fontsize=8)
     tidy(axes)
     return figure

@@ -1,4 +1,4 @@
-"""``svu bench speed``: run times, warm and cold, of the estimators and of their kernels."""
+"""``svu bench speed``: run times of estimators and kernels, warm and cold."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ from svu_mi.posterior.observations import observe
 
 DEGREES = (2, 3, 4, 5, 6, 8)
 NODES = (4, 6, 8, 12, 16, 24, 32)
-MAX_BINS = 5000  # of a grid in the scaling curve
+MAX_BINS = 5000  # largest number of cells of a grid in the scaling curve
 VIEWS = (10, 20, 40, 60)
 SAMPLES = (2, 4, 8, 16, 32, 64, 128)
-WARM_BAR_S, COLD_BAR_S, MEMORY_BAR = 3.0, 25.0, 1.1  # from files to entropy.exr
-PLAIN_PSI, LINEAR_PSI = 512, 32  # of the path-traced posterior that is timed
+WARM_BAR_S, COLD_BAR_S, MEMORY_BAR = 3.0, 25.0, 1.1  # bars from files to entropy.exr
+PLAIN_PSI, LINEAR_PSI = 512, 32  # materials psi of the extrapolated posterior
 
 
 @dataclass(frozen=True)
 class SpeedCase(CaseSubject):
-    """The case that run times are measured on.
+    """The case of all run times.
 
     Attributes:
-        variants: are timed; ``default`` and ``fixed`` of each method are scaled.
+        variants: Timed estimators; scaling curves exist for the presets ``default`` and ``fixed``.
     """
 
     variants: Sequence[Variant]
@@ -77,23 +77,23 @@ class SpeedCase(CaseSubject):
 
     @cached_property
     def reference(self) -> Any:
-        """The path-traced posterior of some of the texels, which agreement is measured with."""
+        """Path-traced posterior of some texels, the reference of all agreements."""
         return reference_of(self.bench, self.capture, self.layout)
 
     @cached_property
     def timed(self) -> tuple[Capture, Texels]:
-        """The capture and the texels that run times are measured on."""
+        """Capture and texels of all run times."""
         return timed_setting(self.bench, self.case)
 
     def curves(self, curve: Callable[[SpeedCase, Variant], list[Record]]) -> Record:
-        """Return a curve of every variant that is scaled, by its label."""
+        """Return the scaling curves of the presets ``default`` and ``fixed``, by label."""
         scaled = [v for v in self.variants if v.label.endswith((" default", " fixed"))]
         return {variant.label: curve(self, variant) for variant in scaled}
 
     def point(self, value: int, run: Callable[[], Any], reference: Any = None) -> Record:
         """Return a point of a scaling curve: ``value``, ``seconds`` and ``pearson``."""
         reference = reference or self.reference
-        # Half as many as for the table of run times: there are many points.
+        # Half the repeats of the table of run times, because there are many points.
         timed = time_warm(run, (self.bench.sizes.repeats + 1) // 2)
         seen = np.array(reference.coverage) > 0
         entropy = np.array(timed.result.entropy)[np.array(reference.subset)[seen]]
@@ -101,12 +101,12 @@ class SpeedCase(CaseSubject):
         return {"value": value, "seconds": timed.seconds, "pearson": rho}
 
     def points(self, values: Sequence[int]) -> Sequence[int]:
-        """Return those values of a curve that are measured."""
+        """Return the measured values of a curve."""
         return values[:: self.bench.sizes.stride]
 
 
 def timed_setting(bench: BenchRun, case: Case) -> tuple[Capture, Texels]:
-    """Return the capture and the texels that run times are measured on."""
+    """Return the capture and the texels of all run times."""
     capture = bench.capture(case, _timed_name(bench), film=bench.sizes.speed_film)
     return capture, texels(capture.mesh, bench.sizes.speed_texels)
 
@@ -117,15 +117,15 @@ def _timed_name(bench: BenchRun) -> str:
 
 
 def estimate_once(folder: str, resolution: int, label: str) -> Record:
-    """Estimate as a user's first run does, in a new process (see ``fresh.in_new_process``).
+    """Estimate once, as in the first run of a user (see ``timing.in_new_process``).
 
     Args:
-        folder: of the capture.
-        resolution: texels per side.
-        label: of the variant.
+        folder: Folder of the capture.
+        resolution: Texels per side.
+        label: Label of the variant.
 
     Returns:
-        ``timings`` by stage in seconds, ``seconds`` of all, ``kernels`` compiled.
+        ``timings`` by stage in seconds, ``seconds`` in total, number of compiled ``kernels``.
     """
     variant = next(v for v in VARIANTS if v.label == label)
     capture = load_capture(folder)
@@ -134,8 +134,7 @@ def estimate_once(folder: str, resolution: int, label: str) -> Record:
 
 
 def time_estimators(timing: SpeedCase) -> Record:
-    """Return, by label, seconds per stage, warm (median of several) and cold (one fresh process),
-    and those in kernels."""
+    """Return seconds per stage by label: warm (median), cold (one new process), and in kernels."""
     bench, records = timing.bench, {}
     capture, layout = timing.timed
     folder = bench.folder / "cells" / timing.name / _timed_name(bench)
@@ -156,7 +155,7 @@ def time_estimators(timing: SpeedCase) -> Record:
 
 
 def by_degree(timing: SpeedCase, variant: Variant) -> list[Record]:
-    """Time and agreement by highest degree l*; empty for an estimator without degrees."""
+    """Return time and agreement by highest degree l*; empty for methods without degrees."""
     if variant.method != "spectrum":
         return []
     return [
@@ -168,7 +167,7 @@ def by_degree(timing: SpeedCase, variant: Variant) -> list[Record]:
 
 
 def by_grid(timing: SpeedCase, variant: Variant) -> list[Record]:
-    """Time and agreement by number of nodes per axis of the posterior's grid."""
+    """Return time and agreement by number of nodes per axis of the grid."""
     run = partial(variant.estimate, timing.capture, timing.layout)
     shape: Any = run().posterior.grid
     sizes = [n for n in timing.points(NODES) if n ** len(shape.axes) <= MAX_BINS]
@@ -177,7 +176,7 @@ def by_grid(timing: SpeedCase, variant: Variant) -> list[Record]:
 
 
 def by_views(timing: SpeedCase, variant: Variant) -> list[Record]:
-    """Time and agreement by number of views, each with the reference of the same views."""
+    """Return time and agreement by number of views; the reference has the same views."""
     whole, rows = timing.capture, []
     for count in sorted({min(count, whole.count) for count in VIEWS}):
         capture = even_views(whole, count)
@@ -188,7 +187,7 @@ def by_views(timing: SpeedCase, variant: Variant) -> list[Record]:
 
 
 def by_samples(timing: SpeedCase) -> Record:
-    """Time of the reference by samples per ray, and agreement with its largest number."""
+    """Return time of the reference by samples per ray, and agreement with the most samples."""
     most = timing.bench.sizes.reference_spp
     counts = [spp for spp in timing.points(SAMPLES) if spp < most] + [most]
     references = list(_references(timing, counts))
@@ -197,7 +196,7 @@ def by_samples(timing: SpeedCase) -> Record:
         {
             "value": spp,
             "seconds": reference.seconds,
-            # The largest agrees with itself; what noise it has is seen in its two halves.
+            # The largest number agrees with itself; its halves measure its noise.
             "pearson": pearson(reference.entropy, best) if spp < most else None,
         }
         for spp, reference in zip(counts, references, strict=True)
@@ -213,10 +212,10 @@ def _references(timing: SpeedCase, counts: Sequence[int]) -> Iterable[Any]:
 def brute_force(timing: SpeedCase) -> Record:
     """Extrapolate the time of the path-traced posterior of all texels from a sample.
 
-    seconds = (texel, view) pairs x psi x spp / (rays per second), where a ray is one camera
-    path, the pairs are those visible, and psi are the 512 of the grid, or the 32 that are
-    enough for direct light. The rate is that of the reference's texels with the full number of
-    samples, 8 psi, kernels compiled before: larger batches are not faster.
+    seconds = pairs x psi x spp / (rays per second), where a ray is one camera path, pairs are
+    visible (texel, view) pairs, and psi is the number of materials: 512 of the grid, or 32,
+    which suffice for direct light. The rate is measured on the texels of the reference with all
+    samples, 8 materials and compiled kernels; larger batches are not faster.
     """
     capture, layout = timing.timed
     few, spp = PrincipledGrid(2, 2, 2), timing.bench.sizes.reference_spp
@@ -239,7 +238,7 @@ def brute_force(timing: SpeedCase) -> Record:
 
 
 def time_gather(timing: SpeedCase) -> Record:
-    """Compare the gather with bare visibility rays, on a fine mesh."""
+    """Compare the visibility pass with bare visibility rays, on a fine mesh."""
     sizes, (capture, _) = timing.bench.sizes, timing.timed
     if int(capture.mesh.face_count()) < MIN_TRIANGLES:
         capture = fine_capture(capture.count, sizes.speed_film)
@@ -247,12 +246,12 @@ def time_gather(timing: SpeedCase) -> Record:
 
 
 def time_from_files(timing: SpeedCase) -> Record:
-    """Time the way from the files of a capture to entropy.exr.
+    """Time all stages from the files of a capture to entropy.exr.
 
     Returns:
-        By method ``warm``, ``stages`` and ``seconds`` as spreads; ``cold``, the result of
+        By method: ``warm``, with ``stages`` and ``seconds`` as spreads; ``cold``, the result of
         ``run_from_files`` in a new process without compiled kernels, with ``formula_mib``, the
-        memory that ``svu entropy`` announces.
+        memory estimate of ``svu entropy``.
     """
     bench, records = timing.bench, {}
     capture, layout = timing.timed
@@ -276,8 +275,11 @@ def time_from_files(timing: SpeedCase) -> Record:
 
 
 def run_from_files(source: str, resolution: int, method: Any) -> Record:
-    """Return ``stages`` in seconds, ``seconds`` of all and ``kernels`` compiled, of one run from
-    the files of a capture to entropy.exr."""
+    """Run from the files of a capture to entropy.exr once.
+
+    Returns:
+        ``stages`` in seconds, ``seconds`` in total, and the number of compiled ``kernels``.
+    """
     progress = Progress()
     dr.sync_thread()
     start = time.perf_counter()

@@ -31,7 +31,7 @@ SCALED = {
     "reference_spp": "samples of the reference",
 }
 CURVES = (
-    Column("what", lambda row: SCALED[row[0]]),
+    Column("variable", lambda row: SCALED[row[0]]),
     Column("estimator", lambda row: row[1]),
     Column("value", lambda row: row[2]["value"]),
     Column("time", lambda row: row[2]["seconds"], seconds),
@@ -42,26 +42,22 @@ CURVES = (
 KERNELS = (
     Column("estimator", lambda line: line[0]),
     Column("stage", lambda line: line[1]),
-    Column("in kernels", lambda line: line[2]["seconds"], seconds),
+    Column("time in kernels", lambda line: line[2]["seconds"], seconds),
     Column("us per texel", lambda line: 1e6 * line[2]["seconds"] / line[3], digits(3)),
     Column("kernels", lambda line: line[2]["launched"]),
     Column("operations", lambda line: line[2]["operations"]),
 )
 GATHER = (
-    Column("way", lambda line: line[0]),
+    Column("rays", lambda line: line[0]),
     Column("million rays per second", lambda line: line[1]["rays_per_second"] / 1e6, digits(1)),
-    Column("in kernels", lambda line: line[1]["kernel"]["median"], seconds),
-    Column("by the clock", lambda line: line[1]["wall"]["median"], seconds),
-    Column("free rays", lambda line: line[1]["free"], lambda value: f"{value:,}"),
+    Column("time in kernels", lambda line: line[1]["kernel"]["median"], seconds),
+    Column("wall-clock time", lambda line: line[1]["wall"]["median"], seconds),
+    Column("unoccluded rays", lambda line: line[1]["free"], lambda value: f"{value:,}"),
 )
 
 
 def speed_tables(record: Record) -> list[str]:
-    """Return the tables of a record.
-
-    Args:
-        record: of ``svu bench speed``.
-    """
+    """Return the tables of a record of ``svu bench speed``."""
     if not record["cells"]:
         return []
     (case,) = record["cells"]
@@ -69,9 +65,9 @@ def speed_tables(record: Record) -> list[str]:
               for label, curve in case["rows"][what].items() for point in curve]  # fmt: skip
     return [
         *_stages(case),
-        f"## Run time against agreement: {case['cell']}",
-        "Pearson correlation with the reference posterior of the same photographs; for the "
-        "reference itself, with its largest number of samples.",
+        f"## Run time and agreement: {case['cell']}",
+        "Pearson correlation with the reference posterior of the same photographs. The reference "
+        "is compared with the reference with most samples.",
         tabulate(CURVES, points),
         *_brute(case["rows"]["brute"]),
         *_kernels(case),
@@ -97,7 +93,7 @@ def _stages(case: Record) -> list[str]:
     return [
         f"## Run time: {case['cell']}, {case['texels']} texels of {case['resolution']} x "
         f"{case['resolution']}, {case['views']} photographs of {case['film']} x {case['film']}",
-        f"Warm: median of {repeats}. Cold: one new process with an empty kernel cache.",
+        f"Warm: median of {repeats} runs. Cold: one new process with an empty kernel cache.",
         table(("stage", *heads), [*rows, total, kernels]),
     ]
 
@@ -107,8 +103,8 @@ def _brute(brute: Record) -> list[str]:
         "## Path-traced posterior of all texels (extrapolated)",
         f"{brute['pairs']:,} visible (texel, view) pairs x {brute['psi']} psi x {brute['spp']} "
         f"samples / {brute['rays_per_second']:.3g} rays per second = "
-        f"**{seconds(brute['seconds'])}**, or {seconds(brute['linear_seconds'])} with the 32 psi "
-        f"that are enough for direct light. The rate is measured, warm: "
+        f"**{seconds(brute['seconds'])}**, or {seconds(brute['linear_seconds'])} with 32 psi, "
+        f"which suffice for direct light. Measured rate, warm: "
         f"{brute['sample_rays']:,} rays in {seconds(brute['sample_seconds'])}.",
     ]
 
@@ -119,16 +115,17 @@ def _kernels(case: Record) -> list[str]:
         for label, variant in case["rows"]["estimators"].items()
         for stage, figures in variant["kernels"].items() if figures["operations"]
     ]  # fmt: skip
-    return ["## Kernels", "Seconds in kernels, warm, those of an inner stage not counted.",
+    return ["## Kernels", "Seconds in kernels, warm, without inner stages.",
             tabulate(KERNELS, lines)]  # fmt: skip
 
 
 def _gather(gather: Record) -> list[str]:
     return [
-        f"## Gather: {gather['texels']:,} texels, {gather['views']} views, "
+        f"## Visibility pass: {gather['texels']:,} texels, {gather['views']} views, "
         f"{gather['triangles']:,} triangles",
-        f"The {gather['rays']:,} visibility rays that are left after all cheaper tests, traced by "
-        f"the survey and by themselves; it reaches {gather['ratio']:.0%} of the faster of both.",
+        f"{gather['rays']:,} visibility rays remain after all cheaper tests. They are traced in "
+        f"the visibility pass (survey), and alone; the pass reaches {gather['ratio']:.0%} of the "
+        "faster of both rates.",
         tabulate(GATHER, list(gather["ways"].items())),
     ]
 
@@ -148,7 +145,7 @@ def _whole_way(case: Record) -> list[str]:
         figures["warm"]["seconds"]["median"], figures["cold"]["seconds"]))])  # fmt: skip
     for name, key, show in (("with start and imports", "process_seconds", seconds),
                             ("resident memory (MiB)", "peak_mib", _whole),
-                            ("announced (MiB)", "formula_mib", _whole)):  # fmt: skip
+                            ("estimated (MiB)", "formula_mib", _whole)):  # fmt: skip
         rows.append([name, *(text for figures in methods.values()
                              for text in ("", show(figures["cold"][key])))])  # fmt: skip
     heads = [f"{name}, {how}" for name in methods for how in ("warm", "cold")]
@@ -160,7 +157,7 @@ def _whole(value: float | None) -> str:
 
 
 def scaling(records: Record) -> Figure:
-    """Draw four ways to spend time, each with the agreement that it buys."""
+    """Plot the error over the run time for four variables."""
     (case,) = records["speed"]["cells"]
     figure = page(11, 7)
     for place, (what, title) in enumerate(SCALED.items(), 1):
@@ -186,7 +183,7 @@ def scaling(records: Record) -> Figure:
 
 
 def _from_zero(axes: Axes) -> None:
-    """Start both axes at 0 and leave room for labels beside the last point."""
+    """Start both axes at 0, with space for the label of the last point."""
     lines = [line.get_xydata() for line in axes.get_lines()]
     if lines:
         right, top = np.concatenate(lines).max(axis=0)

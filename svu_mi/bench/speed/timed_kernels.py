@@ -1,8 +1,7 @@
-"""Time in kernels by stage of an estimate, and the gather against bare visibility rays.
+"""Time in kernels by stage, and the visibility pass compared with bare visibility rays.
 
-``trace_visibility`` projects texels, tests which way they face and whether their pixels may be
-used, and then traces. The rays that are left are recorded, and traced again without all the rest:
-in the same loop over views, and as one flat wavefront.
+``trace_visibility`` projects texels, tests orientation and usable pixels, and then traces rays.
+These rays are recorded and traced again alone: in the same loop over views, and as one wavefront.
 """
 
 from __future__ import annotations
@@ -38,10 +37,10 @@ SEED = 4711
 
 
 class KernelProgress(Progress):
-    """Progress that records the kernels of every stage; those of an inner stage are its own.
+    """Progress that records the kernels of every stage, without inner stages.
 
     Attributes:
-        launches: per stage ``seconds`` in kernels, ``launched`` kernels and their ``operations``.
+        launches: ``seconds`` in kernels, ``launched`` kernels and ``operations`` by stage.
     """
 
     def __init__(self) -> None:
@@ -51,7 +50,7 @@ class KernelProgress(Progress):
 
     @contextmanager
     def stage(self, name: str, total: int | None = None) -> Iterator[Stage]:
-        """Run a stage, as ``Progress.stage`` does; needs the kernel history of Dr.Jit."""
+        """Run a stage as ``Progress.stage``; requires the kernel history of Dr.Jit."""
         self._collect()
         self._running.append(name)
         try:
@@ -78,29 +77,29 @@ class KernelProgress(Progress):
 
 
 def kernels_of(function: Callable[..., Any]) -> dict[str, Record]:
-    """Return ``KernelProgress.launches`` of a function that takes ``progress``."""
+    """Return the kernels by stage of a function that takes ``progress``."""
     progress = KernelProgress()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         function(progress=progress)
     return progress.launches
 
 
-# --- the gather ------------------------------------------------------------------------------
+# --- visibility ------------------------------------------------------------------------------
 
 
 def measure_gather(capture: Capture, resolution: int, repeats: int) -> Record:
     """Compare ``trace_visibility`` with bare ``ray_test``.
 
     Args:
-        capture: what to gather from.
-        resolution: texels per side.
-        repeats: warm runs.
+        capture: Photographs and mesh.
+        resolution: Texels per side.
+        repeats: Number of warm runs.
 
     Returns:
-        ``triangles``, ``texels``, ``views`` and ``rays``: how many; ``ways``: the times of
-        ``survey``, ``ray_test, loop over views`` and ``ray_test, flat`` (see ``timing.summary``),
-        ``rays_per_second`` and ``free``, the number of rays that hit nothing, which is the same
-        for all; and the ``ratio`` of the survey's rate to the better one of the two.
+        Numbers of ``triangles``, ``texels``, ``views`` and ``rays``; ``ways``: times (see
+        ``timing.summary``), ``rays_per_second`` and number of unoccluded rays (``free``) of
+        ``survey``, ``ray_test, loop over views`` and ``ray_test, flat``; ``ratio``: rate of the
+        survey over the larger rate of the other two.
     """
     layout, views = texels(capture.mesh, resolution), pack_views(capture)
     surface = TexelLanes.of(layout)
@@ -123,11 +122,11 @@ def measure_gather(capture: Capture, resolution: int, repeats: int) -> Record:
 
 
 def fine_capture(views: int, film: int) -> Capture:
-    """Return a vase of more than MIN_TRIANGLES triangles, in photographs of noise.
+    """Return photographs of noise of a vase with more than MIN_TRIANGLES triangles.
 
     Args:
-        views: number of photographs, on a sphere around it.
-        film: pixels per side of each.
+        views: Number of photographs, on a sphere around the vase.
+        film: Pixels per side of a photograph.
     """
     points, faces, uvs = meshes.vase()
     while len(faces) < MIN_TRIANGLES:
@@ -146,11 +145,13 @@ def fine_capture(views: int, film: int) -> Capture:
 
 @dataclass(frozen=True)
 class Rays:
-    """The visibility rays of a capture, those of one view after the other.
+    """The N visibility rays of a capture, sorted by view.
 
     Attributes:
-        origin, direction, reach: (N,) Point3f, Vector3f, Float.
-        slot: (V * T,) UInt32, which ray a view's texel has; NO_RAY for none.
+        origin: Origins, (N,) Point3f.
+        direction: Directions, (N,) Vector3f.
+        reach: Lengths, (N,) Float.
+        slot: Index of the ray of each view and texel, (V * T,) UInt32; NO_RAY without a ray.
     """
 
     origin: Any
@@ -164,14 +165,14 @@ class Rays:
         return int(dr.width(self.reach))
 
     def at(self, index: Any, active: Any) -> Any:
-        """Read one ray per lane."""
+        """Return one ray per lane."""
         origin = dr.gather(mi.Point3f, self.origin, index, active)
         direction = dr.gather(mi.Vector3f, self.direction, index, active)
         return mi.Ray3f(origin, direction, dr.gather(mi.Float, self.reach, index, active), 0.0, [])
 
 
 class _Recorder:
-    """Scene without occluders that records the rays it is tested with."""
+    """Scene without occluders that records all rays."""
 
     def __init__(self) -> None:
         self.rays: list[tuple[Any, Any]] = []
@@ -186,7 +187,7 @@ def record_rays(views: Views, surface: TexelLanes) -> Rays:
     parts, slots, first = [], [], 0
     for view in range(views.number):
         recorder = _Recorder()
-        # In a symbolic branch there would be no values to record.
+        # A symbolic branch has no values to record.
         with dr.scoped_set_flag(dr.JitFlag.SymbolicConditionals, False):
             sample_view(replace(views, scene=recorder), surface, dr.opaque(mi.UInt32, view))
         (ray, active), = recorder.rays  # fmt: skip
