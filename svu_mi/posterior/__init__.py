@@ -1,1 +1,1 @@
-"""p(psi | B, L) on a grid of BRDF parameters, and its entropy."""
+"""Posterior p(psi | B, L) over BRDF parameters, and its entropy."""

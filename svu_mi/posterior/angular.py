@@ -36,7 +36,6 @@ class AngularProblem:
     """Inputs of the energy -log p.
 
     Attributes:
-        factors: square-root form of the statistics of S texels.
         copies: number of equal colour channels per channel of the factors.
         slots: (R,) UInt32, level of the factors for each roughness of the grid.
         rows: UInt32, rows of the grid that the prior does not exclude.

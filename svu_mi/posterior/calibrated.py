@@ -202,7 +202,6 @@ class CalibratedKernel(Kernel):
 
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
         """Return half the widths of intervals (see ``Kernel``)."""
-        # The faster path below computes only the channel with the largest deviation.
         problem = self.problem
         alone = problem.factors.channels == 1 or problem.color_prior is not None or any(self.common)
         if name != "base_color" or alone:

@@ -22,8 +22,7 @@ from svu_mi.statistics.texel_blocks import BLOCK, block_size, texel_offset
 
 
 def min_energy(problem: CalibratedProblem, *, excess: bool = False) -> Any:
-    """Return the energy of the best node, (S,) Float; relative to ``problem.min_energy`` and with
-    the prior if ``excess``."""
+    """Return the least energy of all nodes, (S,) Float; ``excess``: with prior, relative."""
     integrator, columns = NodeIntegrator(problem), dr.opaque(mi.UInt32, problem.mixed.count)
     nodes = dr.opaque(mi.UInt32, problem.roughness.count)
 
@@ -117,9 +116,7 @@ class BestBin:
 
 @dataclass
 class BinMasses:
-    """Masses of the bins (column, channel, base colour) of one roughness bin, in local memory.
-
-    A column is a node of the mixing parameters.
+    """Masses of the bins (mixing parameters, channel, base colour) of one roughness bin.
 
     Attributes:
         memory: masses in local memory.
@@ -183,15 +180,7 @@ class BinMasses:
 
 @dataclass
 class SummarySums:
-    """Accumulators of ``summarize``.
-
-    Attributes:
-        bins: bins of the current roughness bin.
-        of_row: mass of the current roughness node.
-        total: mass of all finished roughness nodes.
-        roughness, others: moments of roughness, and of all other parameters.
-        best: best bin so far.
-    """
+    """Accumulators of ``summarize``; ``of_row`` is the mass of the current roughness node."""
 
     bins: BinMasses
     of_row: Any
@@ -263,10 +252,8 @@ def bin_probabilities(problem: CalibratedProblem, chosen: np.ndarray) -> np.ndar
 def row_masses_and_colors(
     problem: CalibratedProblem, chosen: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return masses of rows, (t, R M), and mean colours, (t, R M, C), float64, unnormalised.
-
-    A row is a bin of roughness and the mixing parameters (see ``row_colors``).
-    """
+    """Return unnormalised masses of rows (bins of all parameters but base colour), (t, R M), and
+    their mean colours (``row_colors``), (t, R M, C), float64."""
     shape = (len(chosen), -1, problem.factors.channels, problem.shape[2])
     masses = _bin_masses(problem, chosen).numpy().reshape(shape)
     # The mass of a row is equal for all channels.
@@ -320,10 +307,8 @@ def color_masses(
     problem: CalibratedProblem, parts: QuadratureAxis, chosen: np.ndarray,
     channel: np.ndarray | None = None,
 ) -> list[Any]:  # fmt: skip
-    """Return the masses of K parts of base colour per channel (see ``node_masses``).
-
-    With ``channel``, (t,) int64, only that channel of each texel; requires a uniform colour prior.
-    """
+    """Return masses of K parts of base colour per channel (see ``node_masses``), or only of
+    ``channel``, (t,) int64, of each texel, which requires a uniform colour prior."""
     edges = np.append(parts.low, parts.high[-1])
     only = None if channel is None else to_drjit(mi.UInt32, channel.astype(np.uint32))
     integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen), edges, only)

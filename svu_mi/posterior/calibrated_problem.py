@@ -27,13 +27,10 @@ class CalibratedProblem:
     A row is a bin of roughness and the mixing parameters.
 
     Attributes:
-        factors: square-root form of the statistics of S texels.
         copies: number of equal colour channels per channel of the factors.
-        roughness, mixed: quadrature nodes.
         edges: (K + 1,) edges of the base colour bins; two equal edges if it is known.
         rows: (R * M,) float64, -log prior of each row.
-        color_prior: (R * M * tables * K,) Float, prior density of base colour given the row; None:
-            uniform.
+        color_prior: (R * M * tables * K,) Float, density of base colour in a row; None: uniform.
         scale: (S,) or (1,) Float, sqrt(W / (s^2 tau)): converts the factors to units of noise.
         min_energy: (S,) Float, energy of the best node without the residual floor.
         tables: number of colour priors: 1 (shared by all channels) or one per channel.

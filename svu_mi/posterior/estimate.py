@@ -102,7 +102,7 @@ class Estimate:
                 values = getattr(self.posterior, what)(parameter)
             return self.texels.to_image(np.array(values, np.float32), np.nan)
         raise OptionError(
-            f"Estimate.image(): there is no map {name!r}; use entropy, coverage, or "
+            f"Estimate.image(): unknown map {name!r}; use entropy, coverage, or "
             f"{', '.join(self.posterior.axes)} with _mean, _sd, _low or _high."
         )
 
@@ -110,7 +110,7 @@ class Estimate:
 def capture_and_texels(
     source: Capture | Observed | Estimate, texels: Texels | None
 ) -> tuple[Capture, Texels]:
-    """Return capture and texels of a source, without computation; see ``observations_of``."""
+    """Return capture and texels of a source, without computation."""
     if not isinstance(source, Capture):
         seen = _observed_by(source, texels)
         return seen.capture, seen.texels
@@ -123,19 +123,14 @@ def observations_of(
     source: Capture | Observed | Estimate, texels: Texels | None,
     progress: Progress | None = None, skip: Skip | None = None,
 ) -> Observed:  # fmt: skip
-    """Return the ``Observed`` of ``source``; trace visibility if ``source`` is a capture.
-
-    Raises:
-        OptionError: a capture without texels, texels that differ from the source's, or an
-            estimate without observations.
-    """
+    """Return the ``Observed`` of ``source``; trace visibility if ``source`` is a capture."""
     if isinstance(source, Capture):
         return observe(*capture_and_texels(source, texels), progress, skip)
     return _observed_by(source, texels)
 
 
 def _observed_by(source: Observed | Estimate, texels: Texels | None) -> Observed:
-    """Return the ``Observed`` of ``source`` (see ``observations_of``)."""
+    """Return the ``Observed`` of ``source``; raise an error if the texels differ."""
     if isinstance(source, Estimate):
         if source.observed is None:
             raise OptionError(

@@ -28,16 +28,7 @@ from svu_mi.statistics.gather_statistics import Weighting
 
 @dataclass(frozen=True)
 class EstimatorInputs:
-    """Inputs of both estimators.
-
-    Attributes:
-        observed: photographs, light, texels and visibility.
-        grid: parameter grid.
-        prior: weights of the grid's bins; None for the default.
-        plan: work to do.
-        progress: progress display.
-        whole: keep the statistics of all texels in memory, also of more than a tile.
-    """
+    """Inputs of both estimators; ``whole`` disables tiles (see ``pipeline.estimate``)."""
 
     observed: Observed
     grid: Any

@@ -39,8 +39,8 @@ class ParameterGrid:
         spacing: ``uniform``: Ks uniform on [0, 1]; ``dielectric``: Ks = 0.04 + 0.96 t^2 with t
             uniform on [0, 1], which resolves dielectrics and omits Ks = 0, where roughness has
             no effect. None: the preset's ``spacing``.
-        known: known values by parameter name; each axis then has one node. A new value of
-            roughness compiles a new kernel in the angular method.
+        known: known values by parameter name; their axes have one node. In the angular method, a
+            new value of roughness compiles a new kernel.
 
     Raises:
         OptionError: fewer than 2 or more than 64 nodes, an unknown spacing, an unknown name in
@@ -100,8 +100,7 @@ class PrincipledGrid:
         roughness: number of nodes R; 8 as in the paper.
         metallic: number of nodes M.
         base_color: number of nodes K of one channel of base colour.
-        known: known values by parameter name; each axis then has one node. A new value of
-            roughness compiles a new kernel in the angular method.
+        known: known values by parameter name (see ``ParameterGrid``).
 
     Raises:
         OptionError: fewer than 2 or more than 64 nodes, an unknown name in ``known``, a known

@@ -27,8 +27,7 @@ def shortest_interval(
 ) -> tuple[Any, Any]:
     """Return both ends, (count,) Floats, of the shortest run of parts with probability ``level``.
 
-    ``masses`` are the unnormalised masses of all parts, in ``texel_blocks``. A sliding window
-    visits each part twice.
+    ``masses`` are the unnormalised masses of all parts, in ``texel_blocks``.
     """
     number = dr.opaque(mi.UInt32, parts.count)
     place = texel_offset(dr.arange(mi.UInt32, count), number)

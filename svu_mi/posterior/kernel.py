@@ -31,7 +31,6 @@ class Prior:
 
     Attributes:
         probabilities: probability of each bin, float64 in the grid's shape, of sum 1.
-        axes: nodes of each parameter.
     """
 
     probabilities: np.ndarray
@@ -138,11 +137,7 @@ class Kernel(ABC):
 
 
 class GridKernel(Kernel):
-    """Kernel that evaluates all bins of a grid.
-
-    Attributes:
-        count: number of texels T.
-    """
+    """Kernel that evaluates all bins of a grid for T = ``count`` texels."""
 
     count: int
     continuous = False

@@ -30,7 +30,6 @@ class Node:
     Attributes:
         row, column: UInt32, indices of the nodes of roughness and the mixing parameters.
         weight: Float, exp(-energy) integrated over base colour, prior included.
-        colors: integrals of base colour, one per channel.
     """
 
     row: Any
@@ -40,14 +39,10 @@ class Node:
 
 
 class NodeIntegrator:
-    """Integrator over the nodes of texels.
+    """Integrator over the nodes of texels ``lane`` (UInt32, default: all S).
 
-    Args:
-        problem: inputs of the posterior.
-        lane: UInt32, texels in [0, S); default: all.
-        edges: edges of the base colour bins; default: the grid's.
-        only: UInt32, the single channel to integrate in each texel; requires a uniform colour
-            prior. Default: all channels.
+    ``edges`` are the edges of base colour bins (default: the grid's). ``only``, UInt32, selects the
+    channel to integrate in each texel, which requires a uniform prior (default: all channels).
     """
 
     def __init__(
@@ -175,8 +170,7 @@ class NodeIntegrator:
         return colors
 
     def _channels(self, U: list[list[Any]], row: Any, column: Any) -> tuple[Any, list[Any]]:
-        """Return a node's energy relative to ``min_energy`` without colour prior, and the fields
-        of each channel's likelihood."""
+        """Return a node's energy above ``min_energy``, without colour prior; and likelihoods."""
         place = row * self._columns + column
         prior = dr.gather(mi.Float, self.nodes.prior, place) - self._min_energy
         if self._color_is_known:

@@ -31,16 +31,10 @@ def noise_variance(
     residual: np.ndarray, views: np.ndarray, channels: int, degrees: float, assumed: float,
     rounding: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Return the noise variance s^2 of each texel, (S,) float64, in squared radiance units.
+    """Return the noise variance s^2 of each texel, (S,) float64, in squared radiance.
 
-    Args:
-        residual: (S,) Q_min.
-        views: (S,) number of views.
-        channels: number of samples per view.
-        degrees: nu.
-        assumed: s_0 before any residual is known.
-        rounding: (S,) rounding variance, the minimum of s^2 (``Observed.rounding``); None for
-            floating point photographs.
+    ``residual`` is Q_min, (S,); ``degrees`` is nu; ``assumed`` is the initial s_0. ``rounding`` is
+    the minimum of s^2, (S,) (``Observed.rounding``); None for floating point photographs.
     """
     samples, seen = views * channels, views > 0
     own = np.maximum(samples - FITTED, 1)

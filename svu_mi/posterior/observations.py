@@ -61,10 +61,7 @@ class Observed:
     """Photographs, light, texels and visibility of a capture; computed on first use.
 
     Attributes:
-        capture: the capture.
-        texels: T texels.
-        views: packed photographs and cameras.
-        visibility: visibility of texels in views.
+        visibility: visibility of T texels in V views.
         seen: (S,) int64, texels to compute: all seen texels, or all T if none are skipped.
     """
 
@@ -177,8 +174,7 @@ class Observed:
     def mirrored(
         self, fit: Fit | None, channels: int, texels: np.ndarray | None = None
     ) -> MirroredLight | None:
-        """Return the light that texels (default: ``seen``) mirror into photographs, to be fitted;
-        None without ``fit``."""
+        """Return the light that texels (default: ``seen``) mirror into views; None without fit."""
         if fit is None:
             return None
         return MirroredLight(self, fit, channels, self.seen if texels is None else texels)
@@ -191,8 +187,7 @@ class Observed:
         """Gather the statistics of texels (default: ``seen``) over all photographs.
 
         ``channels`` is 3, or 1 for their mean. Saturated samples count as lower bounds
-        (``censored``) if ``weighting`` has a finite kappa and no ``current``; otherwise they are
-        ignored.
+        (``censored``) if kappa is finite, without ``current``; otherwise they are ignored.
         """
         model = self.model(roughness, switches, light_channels or channels, texels)
         return self._with_clipped(model, channels, weighting)
@@ -209,10 +204,7 @@ class Observed:
         return self._gather(model, channels, weighting).factor()
 
     def rounding(self, weighting: Weighting) -> np.ndarray | None:
-        """Return the mean rounding variance of weight 1, (S,) squared radiance.
-
-        None if the photographs are floating point.
-        """
+        """Return the rounding variance of samples, (S,) squared radiance; None for floats."""
         total = rounding_sums(self.views, self.visibility, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
 
@@ -293,10 +285,7 @@ def observe(
 
 
 def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False) -> None:
-    """Check (V,) numbers of visible texels: warn of photographs with none, raise if all have none.
-
-    ``clipped``: some texels are visible, but saturated.
-    """
+    """Warn of photographs without visible texels, given (V,) counts; raise if all lack them."""
     if not counts.any() and clipped:
         raise CaptureError(
             f"All texels of '{capture.shape.id()}' are saturated in all {len(counts)} photographs; "

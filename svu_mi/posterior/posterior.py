@@ -72,8 +72,7 @@ class Posterior(Generic[K]):
 
     @property
     def max_entropy(self) -> float:
-        """Normalisation of entropies [nats]: log n for n bins (Eq. 5); if calibrated, the entropy
-        of the prior."""
+        """Normalisation of entropies [nats]: log n (Eq. 5); the prior's entropy if calibrated."""
         return self.kernel.prior.max_entropy
 
     @property
@@ -179,8 +178,8 @@ class Posterior(Generic[K]):
     def map(self, chosen: Any | None = None) -> dict[str, Any]:
         """Return the most probable bin, by parameter: (t,), or (t, 3) per channel.
 
-        Unseen texels get the most probable bin of the prior. Of several bins with equal
-        probability, it is the one nearest to the middle of the grid, or the first of these.
+        Unseen texels get the most probable bin of the prior; of several, the one nearest to the
+        middle of the grid.
 
         Args:
             chosen: (t,) indices of texels; default: all.
@@ -323,8 +322,7 @@ class Posterior(Generic[K]):
         return {name: self._shaped(name, values) for name, values in drawn.items()}
 
     def prior_moments(self, name: str) -> tuple[Any, Any]:
-        """Return the prior's mean and standard deviation of a parameter: numbers, or (g,) per
-        channel."""
+        """Return the prior's mean and standard deviation: numbers, or (g,) per channel."""
         return self.kernel.prior.moments(name)
 
     def _mean_and_sd(self, name: str) -> tuple[np.ndarray, np.ndarray]:

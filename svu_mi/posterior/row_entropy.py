@@ -1,8 +1,9 @@
 """Entropy of a grid, row by row in one kernel, without stored probabilities.
 
-A row is a value of the parameters that all channel groups share (roughness, or roughness and
-metallic); its bins differ in one parameter of each group. Several groups factorise given the row:
-the entropy is that of (row, parameter of a channel), averaged over channels.
+A row is a bin of the parameters that all channels share (roughness and metallic, or roughness).
+Bins of a row differ in the last parameter (base colour or Ks), which each group of channels has for
+itself. Groups are independent given the row. The entropy is computed over (row, last parameter)
+for each group and averaged.
 """
 
 from __future__ import annotations
@@ -17,17 +18,17 @@ import numpy as np
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
 
-FAR = 1e4  # exp(-FAR) is 0, FAR * 0 is not NaN
-IMPOSSIBLE = 1e200  # energy of a bin the prior excludes: above any other, and finite
+FAR = 1e4  # upper bound of relative energies: exp(-FAR) is 0, and FAR * 0 is not NaN
+IMPOSSIBLE = 1e200  # energy of a bin that the prior excludes: above any other, and finite
 
 RowEnergies = Callable[[Any], list[tuple[Any, list[Any]]]]
-"""Row index -> per group the smallest energy (Float64) and all others' distance to it."""
+"""Row index -> for each group, the smallest energy (Float64) and all energies relative to it."""
 
 
 def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any:
-    """Return the normalised entropy (T,) of Eq. 5: ``nats`` / log n.
+    """Return the entropy of Eq. 5 relative to log ``total``, (T,) in [0, 1].
 
-    Energies are relative to the smallest so far; sums are rescaled when it drops.
+    Energies are relative to the smallest so far. Sums are rescaled when it decreases.
     """
     last = dr.opaque(mi.UInt32, dr.width(rows))
 
@@ -35,7 +36,7 @@ def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any
         row = dr.gather(mi.UInt32, rows, place)
         base, weight, excess = _combine(row_energies(row))
         lowest = dr.minimum(low, base)
-        # exp(-inf) on the first row: there is nothing to rescale yet.
+        # On the first row, exp(-FAR) = 0 resets the sums.
         drop = mi.Float(dr.minimum(low - lowest, FAR))
         rise = mi.Float(dr.minimum(base - lowest, FAR))
         old, new = dr.exp(-drop), dr.exp(-rise) * weight
@@ -52,20 +53,21 @@ def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any
 
 
 def nats(z: Any, zx: Any) -> Any:
-    """Return log Z + sum p x with p = exp(-x) / Z, from Z and zx = sum exp(-x) x."""
+    """Return the entropy log Z + sum p x [nats] of p = exp(-x) / Z; zx = sum exp(-x) x."""
     return (dr.log if dr.is_array_v(z) else np.log)(z) + zx / z
 
 
 def entropy_of(p: np.ndarray) -> float:
-    """Return the entropy of probabilities, in nats."""
+    """Return the entropy of probabilities [nats]."""
     return float(-(p * np.log(np.where(p > 0, p, 1))).sum())
 
 
 def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:
-    """Return the base energy (Float64) of a row, prod z_g, and its entropy beyond the base.
+    """Return base energy (Float64), weight w and excess of a row with groups g.
 
-    With z_g = sum exp(-(x - smallest)) of group g, a row weighs w = exp(-base) prod z_g, and
-    adds p(row) (base - log prod z + mean_g (log z_g + mean of x - smallest)) to the entropy.
+    With z_g = sum exp(-(x - min x)) and w = prod z_g, the mass of the row is w exp(-base). The
+    entropy is log Z + sum over rows of p(row) (base + excess), with
+    excess = mean_g (log z_g + mean of (x - min x)) - log w.
     """
     base, weight, excess = mi.Float64(0), mi.Float(1), mi.Float(0)
     for low, offsets in groups:
@@ -83,7 +85,7 @@ def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:
 def with_prior(
     energies: list[list[Any]], prior: tuple[Any, Any] | None, row: Any
 ) -> list[tuple[Any, list[Any]]]:
-    """Add -log prior of a row and of its bins; return the base and the energies of each group."""
+    """Add -log prior; return each group's smallest energy and all energies relative to it."""
     if prior is None:
         return [above_smallest(x) for x in energies]
     of_row, of_bin = prior
@@ -97,7 +99,7 @@ def with_prior(
 
 
 def above_smallest(energies: list[Any]) -> tuple[Any, list[Any]]:
-    """Return the smallest of a row's energies, and all of them relative to it (Float)."""
+    """Return the smallest energy (Float64), and all energies relative to it (Float)."""
     low = energies[0]
     for x in energies[1:]:
         low = dr.minimum(low, x)
@@ -107,7 +109,7 @@ def above_smallest(energies: list[Any]) -> tuple[Any, list[Any]]:
 def energy_tables(
     energies_of: Callable[[Any], RowEnergies], chosen: np.ndarray, rows: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return energies of t texels: row minima (t, rows) float64, (t, rows, G, bins) above them."""
+    """Return row minima (t, rows), float64, and energies (t, rows, G, bins) relative to them."""
     count = len(chosen)
     lane = dr.arange(mi.UInt32, count * rows)
     place = lane // dr.opaque(mi.UInt32, rows)
@@ -126,11 +128,12 @@ def energy_tables(
 def probabilities(
     base: np.ndarray, offsets: np.ndarray, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return p, (t, *shape, G) float32, and the best node, (t, axes, G) int64, of row energies.
+    """Return bin probabilities, (t, *shape, G) float32, and best nodes, (t, axes, G) int64.
 
-    ``base`` is (t, rows) float64; ``offsets`` (t, rows, G, bins) are relative to it.
+    ``base`` is the smallest energy of each row, (t, rows); ``offsets``, (t, rows, G, bins), are
+    energies relative to it.
     """
-    # p(row) p(bin of a group | row): the groups factorise.
+    # p(row) p(bin | row) for each group, because groups are independent given the row.
     terms = np.exp(-np.swapaxes(offsets, 2, 3))
     z = terms.sum(axis=2)
     weight = np.exp(base.min(axis=1, keepdims=True) - base) * z.prod(axis=-1, dtype=np.float64)
@@ -150,9 +153,9 @@ def probabilities(
 def log_prior(
     prior: Any | None, shape: tuple[int, ...], caller: str
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return -log prior of a row, (rows,), and of a bin given its row, (rows * bins,).
+    """Return -log prior of rows, (rows,), and of bins given their row, (rows * bins,).
 
-    Weights have the grid's ``shape``, or that of its first axis; None is uniform.
+    ``prior`` are weights in the grid's ``shape`` or of its first axis. None (uniform) gives None.
     """
     if prior is None:
         return None
@@ -169,7 +172,7 @@ def log_prior(
     row = weights.sum(axis=1)
     with np.errstate(divide="ignore"):
         given = np.where(row[:, None] > 0, weights / np.maximum(row[:, None], 1e-300), 1.0)
-        # An impossible bin is far away, not infinitely far: infinity times 0 is NaN.
+        # Finite, because infinity times 0 is NaN.
         return (
             np.minimum(-np.log(row / row.sum()), IMPOSSIBLE),
             np.minimum(-np.log(given), IMPOSSIBLE).ravel(),
@@ -177,10 +180,10 @@ def log_prior(
 
 
 def _numbers(prior: Any, shape: tuple[int, ...], caller: str) -> np.ndarray:
-    """Return weights of bins as float64, of any shape."""
+    """Return weights as float64, in any shape."""
     try:
         weights = np.asarray(prior)
-        if weights.dtype.kind not in "fiub":  # NumPy would read text, and drop imaginary parts
+        if weights.dtype.kind not in "fiub":  # NumPy would parse text and drop imaginary parts
             raise TypeError
         return weights.astype(np.float64)
     except (TypeError, ValueError):
@@ -191,7 +194,7 @@ def _numbers(prior: Any, shape: tuple[int, ...], caller: str) -> np.ndarray:
 
 
 def prior_table(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the prior of every bin, float64 of ``shape``, of sum 1, from ``log_prior`` tables."""
+    """Return bin probabilities, float64 of ``shape``, from ``log_prior`` tables."""
     if tables is None:
         return np.full(shape, 1 / np.prod(shape))
     of_row, of_bin = (np.array(table, np.float64) for table in tables)
@@ -200,14 +203,14 @@ def prior_table(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.nd
 
 
 def axis_value(kind: Any, nodes: np.ndarray, index: Any) -> Any:
-    """Return one of evenly spaced nodes as ``kind``, Float or Float64; index UInt32."""
-    if len(nodes) == 1:  # known: read, so that another value needs no kernel of its own
+    """Return evenly spaced nodes at indices (UInt32) as ``kind``, Float or Float64."""
+    if len(nodes) == 1:  # read from memory: with a literal, each known value compiles a new kernel
         return dr.gather(kind, to_drjit(kind, nodes), index)
     return dr.fma(kind(index), float(nodes[1] - nodes[0]), float(nodes[0]))
 
 
 def row_values(kind: Any, axes: list[np.ndarray], index: Any) -> list[Any]:
-    """Return the nodes of a row of several axes, the last of which is fastest, as ``kind``."""
+    """Return the nodes of a row on each axis, as ``kind``; the last axis is fastest."""
     values = []
     for axis in axes[:0:-1]:
         index, place = index // len(axis), index % len(axis)
@@ -216,11 +219,11 @@ def row_values(kind: Any, axes: list[np.ndarray], index: Any) -> list[Any]:
 
 
 def bin_values(nodes: np.ndarray) -> list[Any]:
-    """Return the nodes along a row: literals, or an opaque value if there is only one."""
+    """Return the nodes of a row's bins: literals, or an opaque value for a single node."""
     return nodes.tolist() if len(nodes) > 1 else [dr.opaque(mi.Float64, nodes[0])]
 
 
 def possible_rows(tables: tuple[np.ndarray, np.ndarray] | None, rows: int) -> Any:
-    """Return the rows that a prior, as ``log_prior`` returns it, does not exclude: UInt32."""
+    """Return the rows that ``log_prior`` tables do not exclude: UInt32."""
     kept = np.arange(rows) if tables is None else np.flatnonzero(tables[0] < IMPOSSIBLE)
     return to_drjit(mi.UInt32, kept.astype(np.uint32))

@@ -1,4 +1,4 @@
-"""The posterior from power spectra (Eq. 3, 5 and 11)."""
+"""Posterior from power spectra (Eq. 3, 5 and 11)."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from svu_mi.presets import preset as find_preset
 from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import alpha_from_roughness, paper_alpha
 
-DARK = 1e-4  # part of the incident power that is the unit if all observations are black
+DARK = 1e-4  # unit of power if all observations are black, relative to the incident power
 
 
 @dataclass(frozen=True)
 class SpectrumKernel(GridKernel):
-    """p over (roughness, specular) or the axes of a ``PrincipledGrid``, from power spectra."""
+    """Posterior from power spectra on a ``ParameterGrid`` or ``PrincipledGrid``."""
 
     grid: ParameterGrid | PrincipledGrid
     count: int
@@ -35,12 +35,12 @@ class SpectrumKernel(GridKernel):
 
     @property
     def channels(self) -> int:
-        """Number of Ks per texel: 3 when each colour channel has its own, else 1."""
+        """Number of base colours or Ks per texel: 3, or 1 for grey."""
         return len(self.problem.groups)
 
     @cached_property
     def prior(self) -> Prior:
-        """The prior, the same of each channel."""
+        """Prior, equal for all channels."""
         return Prior(row_entropy.prior_table(self.problem.prior, self.grid.shape), self.grid.axes)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ class SpectrumKernel(GridKernel):
         return self._entropies[texels]
 
     def tables(self, texels: np.ndarray) -> Pair:
-        """Return p of every bin and the best nodes (see ``GridKernel``)."""
+        """Return bin probabilities and the most probable nodes (see ``GridKernel``)."""
         base, offsets = kernel.energy_tables(self.problem, texels)
         return row_entropy.probabilities(base, offsets, self.grid.shape)
 
@@ -71,38 +71,43 @@ def spectrum_posterior(
     irradiance: Any | None = None,
     copies: int = 1,
 ) -> Posterior[SpectrumKernel]:
-    """Compare observed spectra with those of every bin of a grid.
+    """Compute the posterior on a grid from power spectra.
 
         d = sum_{l=1}^{l*} (S_B(l) - Ks^2 exp(-2 (alpha l)^2) S_L(l))^2        (Eq. 11)
         p ~ exp(-d / (2 sigma^2)) prior                                        (Eq. 3, 4)
 
-    With the irradiance E known, the grid may be of (roughness, metallic, base colour): Ks and
-    Kd follow from these, and degree 0 takes part as
+    A grid over (roughness, metallic, base colour) requires the irradiance E. Ks and Kd follow from
+    these parameters, and degree 0 adds the term
 
         (sqrt(S_B(0)) - 2 Kd E / sqrt(pi) - Ks sqrt(S_L(0)))^2 / (2 sigma_0^2).       (Eq. 7)
 
     Args:
         incoming: (T, l* + 1, C) power spectra S_L of the light, in squared radiance.
         outgoing: (T, l* + 1, C) power spectra S_B of the observations.
-        grid: ``ParameterGrid``, 8 x 8 by default; or ``PrincipledGrid``, which is the default
-            if the irradiance is given and the preset's parameters are principled.
-        sigma: standard deviation of a degree's power, in the unit of the preset's noise rule;
-            the preset's own by default.
-        preset: switches; ``paper`` is Eq. 3, 5, 11 as printed with alpha = roughness^2.
-        prefilter: alpha' that the light was band-limited with; used if the preset undoes it:
+        grid: ``ParameterGrid`` or ``PrincipledGrid``; default: a ``PrincipledGrid`` if the preset's
+            parameters are principled and the irradiance is given.
+        sigma: standard deviation of the power of a degree, in the unit of the preset's ``noise``;
+            default: the preset's.
+        preset: name or options; ``paper`` is Eq. 3, 5, 11 as printed with alpha = roughness^2.
+        prefilter: band limit alpha' of the light. Only used with the preset's ``undo_prefilter``:
             the exponent is then max(alpha^2 - alpha'^2, 0).
-        prior: non-negative weights of the bins, of the grid's shape, or one per roughness.
-        observed: (T,) bool, False for texels nobody saw; all by default.
-        scale: power that a relative sigma is a part of; by default the mean over the observed
-            texels and channels of sum_l S_B(l). Give it when these texels are only some of a
-            capture's.
-        irradiance: (T, C) E of every texel; needed by a ``PrincipledGrid``.
-        copies: how many equal colour channels each given one stands for.
+        prior: non-negative weights in the grid's shape, or one per roughness node.
+        observed: (T,) bool, mask of seen texels; default: all.
+        scale: unit of power of a relative sigma; default: the mean of sum_l S_B(l) over seen
+            texels and channels. Required if the texels are only a part of the capture's.
+        irradiance: (T, C) irradiance E; required for a ``PrincipledGrid``.
+        copies: number of equal colour channels per given channel.
 
     Raises:
-        ShapeError: arrays that do not fit each other.
+        ShapeError: arrays with inconsistent shapes.
         OptionError: an invalid sigma or prior, negative or non-finite spectra, or a grid that
-            asks for what is not there.
+            requires the irradiance without one.
+
+    Example:
+        >>> light = np.ones((5, 7, 3))  # texels, degrees 0 to 6, channels
+        >>> posterior = svu.spectrum_posterior(light, 0.1 * light, svu.ParameterGrid(16, 16))
+        >>> posterior.probabilities.shape
+        (5, 16, 16, 3)
     """
     switches = find_preset(preset)
     if sigma is not None:
@@ -123,7 +128,7 @@ def _problem(
     S_L: Any, S_B: Any, grid: ParameterGrid | PrincipledGrid, switches: Preset, copies: int,
     falloff: np.ndarray, unit: float, tables: tuple[np.ndarray, np.ndarray] | None,
 ) -> kernel.SpectrumProblem:  # fmt: skip
-    """Return the inputs of the energy, without degree 0."""
+    """Return the inputs of the energy, without the term of degree 0."""
     _, degrees, channels = S_L.shape
     every = tuple(range(channels)) * copies
     *_, bins = grid.axes.values()
@@ -144,11 +149,11 @@ def _problem(
 
 
 def _seen(observed: Any | None, count: int) -> np.ndarray:
-    """Return the seen texels, (count,) bool; all by default."""
+    """Return the mask of seen texels, (count,) bool; default: all."""
     seen = np.ones(count, bool) if observed is None else np.array(observed, bool).ravel()
     if len(seen) != count:
         raise ShapeError(
-            f"spectrum_posterior(): {len(seen)} flags for {count} texels; give one per texel."
+            f"spectrum_posterior(): observed has {len(seen)} values for {count} texels."
         )
     return seen
 
@@ -163,7 +168,7 @@ def _spectra(incoming: Any, outgoing: Any) -> tuple[Any, Any]:
 
 
 def _spectrum(name: str, values: Any) -> Any:
-    """Check a spectrum and return it as an evaluated TensorXf."""
+    """Return a checked spectrum as an evaluated TensorXf."""
     axes = ("texels", "l* + 1", "channels")
     spectrum = tensor(values, "spectrum_posterior()", name, axes, copy=True)
     if spectrum.shape[1] < 2 or spectrum.shape[2] < 1:
@@ -183,7 +188,7 @@ def _spectrum(name: str, values: Any) -> Any:
 def spectrum_grid(
     grid: Any | None, switches: Preset, *, irradiance: bool = True
 ) -> ParameterGrid | PrincipledGrid:
-    """Return the given or the preset's grid; a ``PrincipledGrid`` needs a known irradiance."""
+    """Return ``grid``, or the preset's; check that a ``PrincipledGrid`` has the irradiance."""
     if grid is None:
         grid = PrincipledGrid() if irradiance and switches.principled else ParameterGrid()
     if isinstance(grid, ParameterGrid):
@@ -204,14 +209,14 @@ def spectrum_grid(
 
 
 def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarray:
-    """Return the (R,) mean albedo of a lobe with R0 = 1; 1 on a grid of Ks, the lobe's scale."""
+    """Return the mean albedo of lobes with R0 = 1, (R,); 1 if Ks is a parameter."""
     if not switches.albedo or isinstance(grid, ParameterGrid):
         return np.ones(grid.shape[0])
     return mean_albedo(alpha_from_roughness(grid.roughness_nodes))
 
 
 def decay(switches: Preset, grid: ParameterGrid | PrincipledGrid, prefilter: float) -> np.ndarray:
-    """(R,) q = exp(-2 alpha^2) of each roughness; degree l falls off as q^(l^2) (Eq. 11)."""
+    """Return q = exp(-2 alpha^2), (R,); the power of degree l is scaled by q^(l^2) (Eq. 11)."""
     of_roughness = alpha_from_roughness if switches.bounded_alpha else paper_alpha
     width = of_roughness(grid.roughness_nodes) ** 2
     if switches.undo_prefilter:
@@ -241,19 +246,19 @@ def _constant(
 
 
 def _unit(switches: Preset, S_L: Any, S_B: Any, seen: np.ndarray, scale: float | None) -> float:
-    """Return the power that sigma is relative to: one for the capture, not one per texel."""
+    """Return the unit of sigma, one power for all texels."""
     if switches.noise == "fixed":
         return 1.0
     if scale is None:
         scale = _mean_power(S_B, seen) or DARK * _mean_power(S_L, seen)
     elif not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"spectrum_posterior(): scale must be positive, got {scale!r}.")
-    # Neither light nor reflection: any positive number leaves the posterior uniform.
+    # Without light or reflection the posterior is uniform with any unit.
     return scale or 1.0
 
 
 def _mean_power(spectrum: Any, seen: np.ndarray) -> float:
-    """Mean over observed texels and channels of sum_l S(l)."""
+    """Return the mean over seen texels and channels of sum_l S(l)."""
     if not seen.any():
         return 0.0
     values = spectrum.numpy()[seen].astype(np.float64)

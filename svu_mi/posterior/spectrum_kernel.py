@@ -2,11 +2,11 @@
 
 For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2,
 
-    d(K) = sum S_B^2 - 2 K sum e_l S_L S_B + K^2 sum e_l^2 S_L^2,
+    d(K) = sum S_B^2 - 2 K sum e_l S_L S_B + K^2 sum e_l^2 S_L^2.
 
-whose products of spectra are computed once per texel. It cancels, so it is in double precision.
-On a principled grid, base colours are the bins of a row, and degree 0 takes part: a constant
-Kd E / pi has the coefficient c_00 = 2 Kd E / sqrt(pi) (Eq. 7).
+Products of spectra are computed once per texel, in double precision because the terms cancel. On a
+principled grid, rows of bins differ in base colour, and degree 0 adds a term: a constant Kd E / pi
+has the coefficient c_00 = 2 Kd E / sqrt(pi) (Eq. 7).
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from svu_mi.reflection.principled import diffuse_from_principled, specular_from_
 
 @dataclass(frozen=True)
 class ConstantTerm:
-    """Degree 0: sqrt(S_B(0)) = 2 Kd E / sqrt(pi) + R0 a sqrt(S_L(0)).
+    """Inputs of degree 0: sqrt(S_B(0)) = 2 Kd E / sqrt(pi) + R0 a sqrt(S_L(0)).
 
     Attributes:
-        irradiance: (T * C) Float, E.
-        albedo: (R,) Float64, a: reflected part of constant light.
+        irradiance: (T * C,) Float, E.
+        albedo: (R,) Float64, a, reflected fraction of constant light.
         sigma: Float64, standard deviation of sqrt(S_B(0)), in radiance.
     """
 
@@ -42,7 +42,7 @@ class ConstantTerm:
 
 @dataclass(frozen=True)
 class SpectrumProducts:
-    """Products of spectra of a texel and group over 2 sigma^2, summed over channels."""
+    """Products of spectra / (2 sigma^2) of a texel, summed over the channels of a group."""
 
     light: list[Any]  # S_L(l)^2
     both: list[Any]  # S_L(l) S_B(l)
@@ -51,15 +51,15 @@ class SpectrumProducts:
 
 @dataclass(frozen=True)
 class SpectrumProblem:
-    """Inputs of an energy, as flat Dr.Jit arrays.
+    """Inputs of the energy, as flat Dr.Jit arrays.
 
     Attributes:
-        incoming, outgoing: (T * (L + 1) * C) Float, power spectra.
-        sigma: Float64, standard deviation of a degree's power.
-        groups: channel indices that share one Ks.
+        incoming, outgoing: (T * (L + 1) * C,) Float, power spectra.
+        sigma: Float64, standard deviation of the power of a degree.
+        groups: indices of the channels that share one Ks, for each Ks.
         rows: UInt32, rows that the prior does not exclude.
-        decay, albedo: (R,) Float64, q and a^2 of e_l = a^2 q^(l^2), by roughness.
-        prior: ((rows,), (rows * bins,)) Float64, -log prior of a row, and of a bin given it.
+        decay, albedo: (R,) Float64, q and a^2 of e_l = a^2 q^(l^2), per roughness.
+        prior: -log prior of rows, (rows,), and of bins given their row, (rows * bins,), Float64.
     """
 
     incoming: Any
@@ -78,18 +78,18 @@ class SpectrumProblem:
 
     @property
     def columns(self) -> int:
-        """Rows per roughness."""
+        """Number of rows per roughness."""
         return 1 if self.constant is None else math.prod(map(len, self.constant.mixed))
 
 
 def entropy(problem: SpectrumProblem, count: int) -> Any:
-    """Return the normalised entropy (T,) of Eq. 5, as if all texels were seen."""
+    """Return the normalised entropy of all texels, (T,), seen or not (Eq. 5)."""
     energies = _row_energies(problem, dr.arange(mi.UInt32, count))
     return row_entropy.entropy(energies, count, problem.rows, problem.total)
 
 
 def _row_energies(problem: SpectrumProblem, texel: Any) -> row_entropy.RowEnergies:
-    # Read once, outside of the loop over rows: strided reads would dominate it.
+    # Outside of the loop over rows, which strided reads would dominate.
     products = [_products(problem, texel, group) for group in problem.groups]
     constants = _constants(problem, texel)
 
@@ -111,7 +111,7 @@ def _row_energies(problem: SpectrumProblem, texel: Any) -> row_entropy.RowEnergi
 def _bins(
     problem: SpectrumProblem, level: Any, column: Any, read: tuple[Any, Any, Any] | None
 ) -> tuple[list[Any], list[Any] | None]:
-    """Return R0 of every bin of a row, and the energies of degree 0."""
+    """Return R0 of each bin of a row, and the energies of degree 0 (None if not used)."""
     bins = row_entropy.bin_values(problem.bins)
     if problem.constant is None or read is None:
         return bins, None
@@ -127,7 +127,7 @@ def _bins(
 
 
 def _constants(problem: SpectrumProblem, texel: Any) -> list[tuple[Any, Any, Any] | None]:
-    """Per group, over sqrt(2) sigma: sqrt(S_B(0)), 2 E / sqrt(pi), sqrt(S_L(0))."""
+    """Return sqrt(S_B(0)), 2 E / sqrt(pi) and sqrt(S_L(0)), all / (sqrt(2) sigma), per group."""
     if problem.constant is None:
         return [None] * len(problem.groups)
     scale = math.sqrt(0.5) * dr.rcp(problem.constant.sigma)
@@ -146,7 +146,7 @@ def _constants(problem: SpectrumProblem, texel: Any) -> list[tuple[Any, Any, Any
 
 
 def _products(problem: SpectrumProblem, texel: Any, group: tuple[int, ...]) -> SpectrumProducts:
-    """Read the spectra of l >= 1 and multiply them."""
+    """Read the spectra of l >= 1 and return their products."""
     scale = 0.5 * dr.square(dr.rcp(problem.sigma))
     light = [mi.Float64(0)] * problem.degree
     both, observed = list(light), mi.Float64(0)
@@ -169,8 +169,8 @@ def _decay(problem: SpectrumProblem, level: Any) -> list[Any]:
 
 
 def falloff(q: Any, first: Any, degree: int) -> list[Any]:
-    """e_l = first q^(l^2), l = 1 ... degree: multiplying is faster than reading."""
-    power, step, two, result = first, q, q * q, []  # power: of l = 0
+    """Return e_l = first q^(l^2), l = 1 ... degree; multiplication is faster than a table."""
+    power, step, two, result = first, q, q * q, []  # power = e_0
     for _ in range(degree):
         power = power * step  # (l + 1)^2 = l^2 + 2 l + 1
         step = step * two
@@ -179,17 +179,17 @@ def falloff(q: Any, first: Any, degree: int) -> list[Any]:
 
 
 def row_distances(squares: list, products: SpectrumProducts, decay: list) -> list[Any]:
-    """d / (2 sigma^2) of every Ks^2 for one roughness (Eq. 11)."""
+    """Return d / (2 sigma^2) of each Ks^2 in ``squares`` for one roughness (Eq. 11)."""
     slope, curve = mi.Float64(0), mi.Float64(0)
     for e, light, both in zip(decay, products.light, products.both, strict=True):
         slope = dr.fma(e, both, slope)
         curve = dr.fma(e * e, light, curve)
     slope = -2 * slope
-    # Rounding may leave a perfect match a hair below zero.
+    # Rounding can make the distance of a perfect match negative.
     return [dr.maximum(dr.fma(dr.fma(curve, K, slope), K, products.observed), 0) for K in squares]
 
 
 def energy_tables(problem: SpectrumProblem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the energies of chosen texels, as ``row_entropy.energy_tables`` does."""
+    """Return the energies of some texels (see ``row_entropy.energy_tables``)."""
     rows = problem.total // len(problem.bins)
     return row_entropy.energy_tables(partial(_row_energies, problem), chosen, rows)

@@ -1,4 +1,4 @@
-"""Marginals, draws and mean colours of tables of bin probabilities (NumPy)."""
+"""Marginals, samples and mean colours of bin probabilities, in NumPy."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import numpy as np
 
 
 def marginals(p: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
-    """Marginals (nodes,) of probabilities of a grid, by parameter."""
+    """Return the marginal of each parameter, (nodes,) by name, from grid probabilities."""
     axes = range(p.ndim)
     return {name: p.sum(axis=tuple(k for k in axes if k != own)) for own, name in enumerate(names)}
 
 
 def sample_index(weights: np.ndarray, random: np.ndarray) -> np.ndarray:
-    """Return which of N weights (..., t, N) random numbers (count, t) in [0, 1) fall on."""
+    """Sample indices of N weights, (..., t, N), from random numbers (count, t) in [0, 1)."""
     below = np.cumsum(weights, axis=-1)
     picked = (below <= random[..., None] * below[..., -1:]).sum(axis=-1)
     return np.minimum(picked, weights.shape[-1] - 1)
 
 
 def normalize_energies(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return p = exp(-energy) / Z, (t, *grid, 1) float32, and the best node, (t, axes, 1) int64."""
+    """Return p = exp(-energy) / Z, (t, *grid, 1) float32, and best nodes, (t, axes, 1) int64."""
     flat = energies.reshape(len(energies), -1)
     best = flat.argmin(axis=1)
     p = np.exp(-(flat - np.take_along_axis(flat, best[:, None], axis=1)))
@@ -31,9 +31,9 @@ def normalize_energies(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def row_colors(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return mean colours (t, rows, C); the best bin's middle where the mean is excluded."""
+    """Return mean colours, (t, rows, C); of the best bin where the mean's bin has no mass."""
     middle = (edges[1:] + edges[:-1]) / 2
-    # NumPy's einsum() sums over axes before the last much faster than sum().
+    # einsum() is much faster than sum() for axes other than the last.
     mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(np.einsum("trkc->trc", p), 1e-30)
     bin_index = np.clip(np.searchsorted(edges, mean, "right") - 1, 0, len(middle) - 1)
     at = texel, row, channel = np.nonzero(
@@ -46,9 +46,9 @@ def row_colors(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
 def draw_bins(
     p: np.ndarray, axes: Mapping[str, np.ndarray], random: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Draw nodes by parameter: (count, t, 1) float32, (count, t, G) of the last one.
+    """Sample nodes: (count, t, 1) float32 by name, (count, t, G) for the last parameter.
 
-    Channels are independent given all other parameters. ``random`` is (1 + G, count, t) in [0, 1).
+    Channels are independent given the other parameters. ``random`` is (1 + G, count, t) in [0, 1).
     """
     *shape, bins, groups = p.shape[1:]
     table = p.reshape(len(p), -1, bins, groups).astype(np.float64)

@@ -1,4 +1,4 @@
-"""The posterior of tabulated energies."""
+"""Posterior from tabulated energies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from svu_mi.posterior.tables import normalize_energies
 
 @dataclass(frozen=True)
 class TabulatedKernel(GridKernel):
-    """p ~ exp(-energy), with (T, *grid) float64 energies up to a constant per texel."""
+    """Posterior p ~ exp(-energy) from (T, *grid) float64 energies."""
 
     grid: Grid
     energies: np.ndarray
@@ -29,7 +29,7 @@ class TabulatedKernel(GridKernel):
 
     @property
     def prior(self) -> Prior:
-        """The same for every bin."""
+        """Uniform prior."""
         return Prior(prior_table(None, self.grid.shape), self.grid.axes)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
@@ -37,19 +37,19 @@ class TabulatedKernel(GridKernel):
         flat = self.energies[texels].reshape(len(texels), -1)
         x = flat - flat.min(axis=1, keepdims=True)
         p = np.exp(-x)
-        # An infinitely unlikely bin adds nothing.
+        # Bins with infinite energy contribute 0, not NaN.
         zx = np.einsum("tn,tn->t", p, np.minimum(x, 1e4))
         return np.clip(nats(p.sum(axis=1), zx) / np.log(x.shape[1]), 0, 1).astype(np.float32)
 
     def tables(self, texels: np.ndarray) -> Pair:
-        """Return p of every bin and the best nodes (see ``GridKernel``)."""
+        """Return bin probabilities and the most probable nodes (see ``GridKernel``)."""
         return normalize_energies(self.energies[texels])
 
 
 def tabulated_posterior(
     energies: np.ndarray, grid: Grid, observed: np.ndarray
 ) -> Posterior[TabulatedKernel]:
-    """Return the posterior of (T, *grid) float64 energies, finite where ``observed`` (T,)."""
+    """Return the posterior of (T, *grid) float64 energies -log p, finite where ``observed``."""
     shape = (len(observed), *grid.shape)
     if energies.shape != shape:
         raise ShapeError(f"tabulated_posterior(): energies must be {shape}, got {energies.shape}.")

@@ -1,7 +1,7 @@
-"""A kernel of more texels than fit into memory at a time: made tile by tile, when asked.
+"""Kernel of more texels than memory holds statistics of: tiles are computed on request.
 
-The first pass keeps the values of all maps (entropy, and the moments where they come with it);
-everything else is computed again for the texels that it is asked of.
+The first pass caches entropy and, for calibrated posteriors, moments. Other results recompute the
+statistics of the requested texels.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import LEVEL, subsample
 from svu_mi.posterior.kernel import Kernel, Pair, Prior
 
-KEPT = 2**13  # texels whose kernel is kept for the next question about the same
+KEPT = 2**13  # maximum number of texels of a cached kernel
 
 Moments = dict[str, Pair]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TiledKernel(Kernel):
-    """Kernel of T texels that holds one tile at a time.
+    """Kernel of T texels that holds one tile in memory.
 
     Attributes:
-        observed: (T,) bool; only these may be requested.
-        make: returns the kernel of (t,) texels, which numbers them from 0 to t - 1.
-        report: called with the numbers of finished and of all texels, during the first pass.
+        observed: (T,) bool, mask of seen texels; only these can be requested.
+        make: function from (t,) texels to a kernel, which numbers them from 0 to t - 1.
+        report: callback with the numbers of finished and of all texels, in the first pass.
     """
 
     grid: Grid
@@ -44,22 +44,22 @@ class TiledKernel(Kernel):
 
     @property
     def channels(self) -> int:
-        """Number of distributions per texel (see ``Kernel``)."""
+        """Number of base colours or Ks per texel (see ``Kernel``)."""
         return self._one.channels
 
     @property
     def continuous(self) -> bool:  # type: ignore[override]
-        """Whether intervals are made of finer parts than bins (see ``Kernel``)."""
+        """True if parameters are continuous (see ``Posterior``)."""
         return self._one.continuous
 
     @property
     def prior(self) -> Prior:
-        """The prior (see ``Kernel``)."""
+        """Prior of all texels."""
         return self._one.prior
 
     @cached_property
     def _one(self) -> Kernel:
-        """The kernel of one texel, for what is the same of all."""
+        """Kernel of one texel, for properties that do not depend on the texel."""
         return self.make(self._seen[:1])
 
     @cached_property
@@ -67,15 +67,15 @@ class TiledKernel(Kernel):
         return np.flatnonzero(self.observed)
 
     def noise_of(self, texels: np.ndarray) -> np.ndarray:
-        """Return the noise of texels, (t,) (see ``CalibratedKernel``)."""
+        """Return the noise of texels, (t,) radiance (see ``CalibratedKernel``)."""
         return self._joined(texels, lambda tile, own: tile.noise_of(own))
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
-        """Return the normalised entropy, computed once for all texels (see ``Kernel``)."""
+        """Return the normalised entropy, cached for all texels (see ``Kernel``)."""
         return self._first[0][texels]
 
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """Return p of every bin (see ``Kernel``)."""
+        """Return bin probabilities (see ``Kernel``)."""
         return self._joined(texels, lambda tile, own: tile.probabilities(own))
 
     def best(self, texels: np.ndarray) -> np.ndarray:
@@ -88,24 +88,24 @@ class TiledKernel(Kernel):
         return {name: np.concatenate([part[name] for part in parts]) for name in self.grid.axes}
 
     def moments(self, name: str, texels: np.ndarray) -> Pair:
-        """Return mean and standard deviation, computed once for all texels (see ``Kernel``)."""
+        """Return mean and standard deviation, cached for all texels (see ``Kernel``)."""
         mean, sd = self._moments[name]
         return mean[texels], sd[texels]
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
-        """Return the ends of intervals (see ``Kernel``)."""
+        """Return the ends of the shortest intervals (see ``Kernel``)."""
         ends = self._joined(texels, lambda tile, own: np.stack(tile.ends(name, level, own), axis=1))
         return ends[:, 0], ends[:, 1]
 
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
-        """Return half the widths of intervals, kept of a sample (see ``Kernel``)."""
+        """Return half the widths of intervals, cached for a sample of texels (see ``Kernel``)."""
         kept = self._widths.get(name) if level == LEVEL else None
         if kept is not None and np.isin(texels, self._sample).all():
             return kept[np.searchsorted(self._sample, texels)]
         return self._joined(texels, lambda tile, own: tile.half_widths(name, level, own))
 
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
-        """Draw parameters, with a seed for every tile of ``texels`` (see ``Kernel``)."""
+        """Sample parameters, with a separate seed for each tile (see ``Kernel``)."""
         drawn: dict[str, np.ndarray] = {}
         for number, (span, tile, own) in enumerate(self._tiles(texels)):
             of_tile = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
@@ -116,7 +116,7 @@ class TiledKernel(Kernel):
 
     @cached_property
     def _first(self) -> tuple[np.ndarray, Moments]:
-        """Entropy (T,) float32, and moments if they come with it."""
+        """Entropy, (T,) float32, and moments if continuous (computed in the same pass)."""
         entropy, moments = np.ones(self.count, np.float32), Moments({})
         for span, tile, own in self._tiles(self._seen):
             texels = self._seen[span]
@@ -125,7 +125,7 @@ class TiledKernel(Kernel):
                 self._keep(moments, texels, tile)
                 self._keep_widths(texels, tile)
             self.report(span.stop, len(self._seen))
-        dr.flush_malloc_cache()  # a tile's statistics, which are not needed any more
+        dr.flush_malloc_cache()  # releases the statistics of the last tile
         return entropy, moments
 
     @cached_property
@@ -138,7 +138,7 @@ class TiledKernel(Kernel):
         return moments
 
     def _keep(self, moments: Moments, texels: np.ndarray, tile: Kernel) -> None:
-        """Put the moments of a tile in their place."""
+        """Copy the moments of a tile into ``moments``."""
         for name in self.grid.axes:
             found = tile.moments(name, np.arange(len(texels)))
             shape = (self.count, found[0].shape[1])
@@ -148,7 +148,7 @@ class TiledKernel(Kernel):
                 table[texels] = values
 
     def _keep_widths(self, texels: np.ndarray, tile: Kernel) -> None:
-        """Cache half-widths of the summary's sample; later they would re-read photographs."""
+        """Cache half-widths of the sample; later, all photographs would be read again."""
         own = np.flatnonzero(np.isin(texels, self._sample, assume_unique=True))
         place = np.searchsorted(self._sample, texels[own])
         for name in self.grid.axes if len(own) else ():
@@ -165,9 +165,9 @@ class TiledKernel(Kernel):
         return subsample(self._seen)
 
     def _tiles(self, chosen: np.ndarray) -> Iterator[tuple[slice, Any, np.ndarray]]:
-        """Yield kernels of texels, as many at a time as a tile has, and their numbers there."""
+        """Yield slices of ``chosen``, their kernels, and the indices of the texels in them."""
         if 0 < len(chosen) <= min(KEPT, self.size):
-            # Those all over the surface are in most pages of all photographs.
+            # Cached: texels spread over the surface read most pages of all photographs.
             key = np.asarray(chosen, np.int64).tobytes()
             if key not in self._last:
                 self._last.clear()
@@ -179,7 +179,7 @@ class TiledKernel(Kernel):
             yield span, self.make(chosen[span]), np.arange(span.stop - span.start)
 
     def _joined(
-        self, chosen: np.ndarray, ask: Callable[[Any, np.ndarray], np.ndarray]
+        self, chosen: np.ndarray, compute: Callable[[Any, np.ndarray], np.ndarray]
     ) -> np.ndarray:
-        """Ask the kernels of texels; return all answers, one after the other."""
-        return np.concatenate([ask(tile, own) for _, tile, own in self._tiles(chosen)])
+        """Return the concatenated results of ``compute(kernel, indices)`` of all tiles."""
+        return np.concatenate([compute(tile, own) for _, tile, own in self._tiles(chosen)])

@@ -2,10 +2,11 @@
 
 Given roughness and metallic, the energy of a channel is quadratic in its base colour c,
 
-    E(c) = 1/2 |c u + v|^2 = 1/2 (A c^2 + 2 B c + |v|^2),
+    E(c) = 1/2 |c u + v|^2 = 1/2 (A c^2 + 2 B c + |v|^2).
 
-a normal distribution of mean mu = -B / A and variance 1 / A, truncated to [0, 1]. Values are
-relative to the best colour, and mirrored so that mu <= 1/2: only tails are subtracted.
+The posterior is a normal distribution of mean mu = -B / A and variance 1 / A, truncated to [0, 1].
+To avoid cancellation, densities are relative to the best colour in [0, 1], and c is mirrored
+(y = 1 - c) if mu > 1/2.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-FLATTEST = 1e-3  # least A, of hardly lit channels; energies change by less than this
-HALVINGS = 24  # of [0, 1], in a search
-TINIEST = 1e-290  # least mass of a bin in double precision
-IMPOSSIBLE = 1e9  # nats, of a bin that the prior excludes
-FULL_SUPPORT = 1e-4  # density from which a prior of colours counts as without zeros
-DIM = 0.1  # sqrt(A / 2) below which a variance is not a difference of tails in single precision
-CLEAR, FAR_BELOW = 1.0, 1.5  # s, and -mu s, from and up to which single precision is enough
-FARTHEST = 64.0  # largest |mu|: photographs brighter than any base colour by this factor
+FLATTEST = 1e-3  # minimum of A, for unlit channels; changes energies by less than this
+HALVINGS = 24  # steps of the bisection in quantile()
+TINIEST = 1e-290  # minimum mass of a bin in double precision
+IMPOSSIBLE = 1e9  # energy of a bin that the prior excludes [nats]
+FULL_SUPPORT = 1e-4  # minimum density of a colour prior for integrate_full_support()
+DIM = 0.1  # s below which integrate_full_support() assumes uniform density within bins
+CLEAR, FAR_BELOW = 1.0, 1.5  # single precision is sufficient if s >= CLEAR and mu s >= -FAR_BELOW
+FARTHEST = 64.0  # maximum |mu|: photographs that are brighter than a white surface by this factor
 
 # (1 + 2 x) erfcx(x) as a polynomial in (x - 2.5) / (x + 2.5), the variable of Shepherd and
 # Laframboise (Math. Comp. 36, 1981); Chebyshev fits, relative errors 1.6e-7 and 1e-12.
@@ -43,7 +44,7 @@ ERFCX_DOUBLE = (
 
 
 def erfcx(x: Any) -> Any:
-    """Return exp(x^2) erfc(x) of x >= 0: Float or Float64."""
+    """Return exp(x^2) erfc(x) for x >= 0: Float or Float64."""
     coefficients = ERFCX if type(x) is mi.Float else ERFCX_DOUBLE
     t = (x - 2.5) / (x + 2.5)
     value = type(x)(coefficients[-1])
@@ -54,11 +55,11 @@ def erfcx(x: Any) -> Any:
 
 @dataclass(frozen=True)
 class ChannelLikelihood:
-    """Likelihood of one channel's base colour.
+    """Likelihood of one channel's base colour c, a normal distribution of y on [0, 1].
 
     Attributes:
         min_energy: Float, energy of the best colour.
-        mirrored: Bool, whether y = 1 - c instead of y = c.
+        mirrored: Bool, True: y = 1 - c; False: y = c.
         mu: Float, mean of y before truncation, at most 1/2.
         s: Float, sqrt(A / 2).
     """
@@ -70,19 +71,19 @@ class ChannelLikelihood:
 
     @staticmethod
     def of(u: list[Any], v: list[Any], floor: Any) -> ChannelLikelihood:
-        """Complete the square of components u and v; ``floor`` is the rest of |v|^2."""
+        """Return the likelihood of components u and v; ``floor`` is added to |v|^2."""
         A, B = _dot(u, u), _dot(u, v)
         c = dr.clip(-B / dr.maximum(A, 1e-30), 0, 1)
         rest = [dr.fma(c, a, b) for a, b in zip(u, v, strict=False)] + v[len(u) :]
         mirrored = -B > 0.5 * A
-        slope = dr.select(mirrored, A + B, -B)  # of -E at y = 0
+        slope = dr.select(mirrored, A + B, -B)  # slope of -E at y = 0
         A = dr.maximum(dr.maximum(A, FLATTEST), slope / -FARTHEST)
         energy = 0.5 * (_dot(rest, rest) + floor)
         return ChannelLikelihood(energy, mirrored, slope / A, dr.sqrt(0.5 * A))
 
     def integrate(self, edges: list[float]) -> ColorIntegrals:
         """Integrate over bins of (K + 1,) symmetric ``edges`` in [0, 1], under a uniform prior."""
-        # With x = (y - mu) s, exp(-(E - min_energy)) is exp(x_0^2 - x^2), x_0 where it is 1.
+        # With x = (y - mu) s, exp(-(E - min_energy)) = exp(x_0^2 - x^2); x_0 is the best colour.
         inner = [self._tail(mi.Float(y)).beyond for y in edges[1:-1]]
         ends = dr.if_stmt(
             args=(self.mu, self.s), cond=(self.s < CLEAR) | (self.mu * self.s < -FAR_BELOW),
@@ -96,14 +97,14 @@ class ChannelLikelihood:
         return self._integrals(mass, parts, mean, variance)
 
     def _whole(self, kind: Any) -> tuple[Any, ...]:
-        """Return the tails beyond both ends, the integral over [0, 1], mean and variance of y."""
+        """Return the tails above y = 0 and y = 1, their difference, and mean and variance of y."""
         first, last = self._tail(kind(0)), self._tail(kind(1))
         whole = first.beyond - last.beyond
         mean, variance = _moments(kind(self.mu), kind(self.s), whole, first, last)
         return tuple(mi.Float(x) for x in (first.beyond, last.beyond, whole, mean, variance))
 
     def integrate_masses(self, edges: list[float]) -> tuple[Any, list[Any]]:
-        """Return the mass and each bin's part of it, in single precision (relative error 1e-5)."""
+        """Return the mass and each bin's fraction, in single precision (relative error 1e-5)."""
         beyond = [self._tail(mi.Float(y)).beyond for y in edges]
         whole = beyond[0] - beyond[-1]
         inverse = dr.rcp(whole)
@@ -113,7 +114,7 @@ class ChannelLikelihood:
     def integrate_full_support(
         self, edges: list[float], prior: list[Any]
     ) -> tuple[Any, ColorIntegrals]:
-        """``integrate_with_prior`` at a fifth of its cost, for priors above ``FULL_SUPPORT``."""
+        """Integrate as ``integrate_with_prior``, 5 x faster; densities must exceed FULL_SUPPORT."""
         first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
         inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
         beyond = [first.beyond, *(mi.Float64(t.beyond) for t in inner), last.beyond]
@@ -122,7 +123,7 @@ class ChannelLikelihood:
         s, mu = mi.Float64(self.s), mi.Float64(self.mu)
         masses, offset, around = [], mi.Float64(0), mi.Float64(0)
         for k, weight in enumerate(g):
-            # Rounding may make the tail beyond one border less than that beyond the next.
+            # Rounding can make the difference of two tails negative.
             masses.append(weight * dr.maximum(beyond[k] - beyond[k + 1], 0))
             offset = dr.fma(weight, density[k] - density[k + 1], offset)
             low, high = (edges[k + end] - mu for end in (0, 1))
@@ -131,7 +132,7 @@ class ChannelLikelihood:
         scale = dr.rcp(sqrt(pi) * s * total)
         mean = dr.clip(mu + scale * offset, 0, 1)
         variance = dr.maximum(0.5 / dr.square(s) + scale * around - dr.square(scale * offset), 0)
-        # All but even within bins.
+        # Variance of a uniform density within bins, for small s.
         ends = list(zip(edges[:-1], edges[1:], strict=True))
         even = sum(
             mass / total * (dr.square(0.5 * (a + b) - mean) + (b - a) ** 2 / 12)
@@ -145,9 +146,9 @@ class ChannelLikelihood:
     def integrate_with_prior(
         self, edges: list[float], prior: list[Any]
     ) -> tuple[Any, ColorIntegrals]:
-        """Return log of the integral of exp(min_energy - E) times the prior, and bins of mass 1.
+        """Return log of the integral of exp(min_energy - E) times the prior, and bins of sum 1.
 
-        ``prior`` is K Floats, the density of c in every bin; it may contradict the likelihood.
+        ``prior`` are K Floats, the density of c in each bin; it can contradict the likelihood.
         """
         density = [mi.Float64(weight) for weight in self._turned(prior)]
         of_bins = [self._bin(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
@@ -170,7 +171,7 @@ class ChannelLikelihood:
         return mi.Float(log_mass), self._integrals(mi.Float(1), parts, mean, variance)
 
     def quantile(self, part: Any, low: Any, high: Any) -> Any:
-        """Return the colour between ``low`` and ``high`` with ``part`` of their mass below it."""
+        """Return the quantile ``part`` of c, restricted to [low, high], by bisection."""
         part, low, high = (mi.Float64(x) for x in (part, low, high))
         part = dr.select(self.mirrored, 1 - part, part)
         low, high = (
@@ -193,7 +194,7 @@ class ChannelLikelihood:
         return dr.select(self.mirrored, 1 - y, y)
 
     def _bin(self, low: float, high: float) -> tuple[Any, Any, Any]:
-        """Return log of 2 / sqrt(pi) times the integral over x, mean and variance of y."""
+        """Return log(2 / sqrt(pi) integral over x) of a bin, and mean and variance of y in it."""
         s, mu = mi.Float64(self.s), mi.Float64(self.mu)
         best, best_of_all = dr.clip(mu, low, high), dr.maximum(mu, 0)
         mass, a, b = self._between(mi.Float64(low), mi.Float64(high), best)
@@ -203,7 +204,7 @@ class ChannelLikelihood:
         return dr.log(mass) - worse, dr.clip(mean, low, high), variance
 
     def _between(self, low: Any, high: Any, best: Any) -> tuple[Any, _Tail, _Tail]:
-        """Integrate over x relative to the density at ``best``, without cancellation of tails."""
+        """Return the integral over [low, high] relative to the density at ``best``, and tails."""
         a, b = self._tail(low, best), self._tail(high, best)
         left, right = (y < mi.Float64(self.mu) for y in (low, high))
         mass = dr.select(
@@ -213,7 +214,7 @@ class ChannelLikelihood:
         return mass, a, b
 
     def _turned(self, values: list[Any]) -> Iterator[Any]:
-        """Yield the values of bins of y as those of bins of c, or the other way round."""
+        """Yield values of bins in the order of c instead of y, or y instead of c."""
         for a, b in zip(values, values[::-1], strict=True):
             yield dr.select(self.mirrored, b, a)
 
@@ -227,7 +228,7 @@ class ChannelLikelihood:
         )
 
     def _tail(self, y: Any, best: Any | None = None) -> _Tail:
-        """Return the density at y relative to ``best``, and tail integrals; Float or Float64."""
+        """Return density and tails at y, relative to the density at ``best``; Float or Float64."""
         kind = type(y)
         mu, s = kind(self.mu), kind(self.s)
         best = dr.maximum(mu, 0) if best is None else best
@@ -238,7 +239,7 @@ class ChannelLikelihood:
 
 
 def _moments(mu: Any, s: Any, mass: Any, a: _Tail, b: _Tail) -> tuple[Any, Any]:
-    """Mean and variance of y between two ends."""
+    """Return mean and variance of y between two ends a and b."""
     scale = dr.rcp(sqrt(pi) * s * mass)
     offset = scale * (a.density - b.density)
     around = 0.5 / dr.square(s) + scale * ((a.y - mu) * a.density - (b.y - mu) * b.density)
@@ -251,8 +252,8 @@ class ColorIntegrals:
 
     Attributes:
         mass: Float, integral of exp(-(E - min_energy)) over [0, 1].
-        bins: K Floats, each bin's part of it.
-        mean, variance: Floats, of c.
+        bins: K Floats, fraction of the mass in each bin.
+        mean, variance: Floats, mean and variance of c.
     """
 
     mass: Any
@@ -263,7 +264,8 @@ class ColorIntegrals:
 
 @dataclass(frozen=True)
 class _Tail:
-    """Density at y, and 2 / sqrt(pi) times the integrals over x away from the mean and upwards."""
+    """Density at y, and 2 / sqrt(pi) times integrals over x from y to infinity: on the side away
+    from the mean (``outward``), and upwards (``beyond``)."""
 
     y: Any
     density: Any
@@ -272,7 +274,7 @@ class _Tail:
 
 
 def _dot(a: list[Any], b: list[Any]) -> Any:
-    """Sum of products of the components of both."""
+    """Return the scalar product."""
     total = mi.Float(0)
     for x, y in zip(a, b, strict=False):
         total = dr.fma(x, y, total)

@@ -1,7 +1,7 @@
-"""Work that an estimate can leave out without a change of its results.
+"""Plan of an estimate: channels, roughness levels and parameters that need no computation.
 
-Degrees beyond the band-limited light are not left out: samples on part of a sphere leak power into
-them (BENCHMARKS.md).
+Degrees above the band limit of the light are not skipped, because samples on a part of the sphere
+leak power into them (BENCHMARKS.md).
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Work to do.
+    """Work of an estimate.
 
     Attributes:
-        copies: number of equal channels that each one stands for.
-        levels: (R,) bool, roughness nodes to compute.
+        copies: number of equal colour channels per computed channel.
+        levels: (R,) bool, mask of roughness nodes to compute.
+        skipped: number of skipped items, by reason.
     """
 
     channels: int
@@ -46,9 +47,9 @@ def make_plan(
     grid: ParameterGrid | PrincipledGrid,
     prior: tuple[np.ndarray, np.ndarray] | None,
 ) -> Plan:
-    """Plan the work; ``prior`` are the tables of ``row_entropy.log_prior``."""
+    """Return the plan and log skipped work; ``prior`` are tables of ``row_entropy.log_prior``."""
     grey_light = skip.channels and switches.colors == 3 and observed.lighting.environment.grey
-    # Grey photographs of coloured light: no less work.
+    # Grey photographs under coloured light need all three channels.
     grey = grey_light and observed.views.grey
     levels = np.ones(grid.shape[0], bool)
     if skip.levels and prior is not None:
@@ -81,19 +82,19 @@ def make_plan(
 def with_known(
     grid: ParameterGrid | PrincipledGrid, known: Mapping[str, float] | str | None, shape: Any
 ) -> Any:
-    """Return a grid without known parameters: values by name, or ``"scene"`` for its constants."""
+    """Return the grid with ``known`` values, or with the scene's constants for ``"scene"``."""
     constants = constant_parameters(shape)
     constants = {name: value for name, value in constants.items() if name in grid.axes}
     if isinstance(known, str):
         if known != "scene":
-            raise OptionError(f"known must be values by parameter, or 'scene', got {known!r}.")
+            raise OptionError(f"known must map names to values, or be 'scene', got {known!r}.")
         known = constants
     elif known is not None and not isinstance(known, Mapping):
-        raise OptionError(f"known must be values by parameter, or 'scene', got {known!r}.")
+        raise OptionError(f"known must map names to values, or be 'scene', got {known!r}.")
     elif constants and not known:
         log.info(
-            "The scene's material does not vary %s; if that is not a placeholder, known='scene' "
-            "(--known scene) takes it as known.",
+            "The scene's material has a constant %s; unless it is a placeholder, use known='scene' "
+            "(--known scene).",
             " and ".join(constants),
         )
     return replace(grid, known={**grid.known, **known}) if known else grid

@@ -1,1 +1,1 @@
-"""Sums over the views of each texel, and their square-root form."""
+"""Statistics of each texel: sums over its views, and their triangular factors."""

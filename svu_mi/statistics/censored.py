@@ -1,13 +1,13 @@
-"""Saturated samples: lower bounds of radiance (censored normal [Tobin 1958]).
+"""Saturated samples as lower bounds of radiance (censored normal distribution [Tobin 1958]).
 
-For a channel saturated at b, the likelihood Phi(z), z = (r - b) / sigma, is replaced around a known
-model r' by the parabola of the same slope and curvature (re-weighted least squares [Green 1984]),
+A channel saturated at b has the likelihood Phi(z), z = (r - b) / sigma. Around a model r' it is
+approximated by a parabola with equal slope and curvature (re-weighted least squares [Green 1984]),
 
     -log Phi(z) ~ h (r - t)^2 / (2 sigma^2),   t = r' + sigma / (lambda + z'),
-    h = lambda (lambda + z'),                  lambda = phi(z') / Phi(z'):
+    h = lambda (lambda + z'),                  lambda = phi(z') / Phi(z').
 
-a sample of radiance t and weight h; b and 1 where the model is far below, weight 0 where it is far
-above. Each roughness level has its own sums, and a parabola around its own best model.
+This is a sample of radiance t and weight h: about b and 1 if the model is far below b, and weight
+0 if it is far above. Each roughness level has separate sums, with parabolas around its best model.
 """
 
 from __future__ import annotations
@@ -29,25 +29,26 @@ from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import Statistics
 from svu_mi.statistics.texel_blocks import BlockReader
 
-CLIPPED_PART = 0.05  # of a texel's pixels in a view, from which it counts as clipped
-PASSES = 2  # of re-weighted least squares
-NODES = 5  # per mixing parameter, of the search for the best model
-PARAMETERS = 3.0  # of a texel at one roughness, in samples of three channels
-FEWEST_FREE = 1.0  # samples more than those, by which noise is divided at least
-ENOUGH = 3.0  # samples more than those, from which a texel's own noise is used
-LEAST_NOISE = 0.01  # part of kappa
-TIE = 1e-9  # part of an error by which another is not less: models may be equally good
-BELOW, ABOVE = 3.0, 5.0  # standard deviations below b where lambda is its bound [Sampford 1953],
-# and above b where the weight is negligible
+CLIPPED_PART = 0.05  # fraction of saturated pixels from which a sample counts as saturated
+PASSES = 2  # number of passes of re-weighted least squares
+NODES = 5  # number of nodes per mixing parameter in the search for the best model
+PARAMETERS = 3.0  # degrees of freedom that the best model uses, in views
+FEWEST_FREE = 1.0  # minimum of the remaining degrees of freedom
+ENOUGH = 3.0  # remaining degrees of freedom from which a texel's own noise is used
+LEAST_NOISE = 0.01  # minimum noise, relative to kappa
+TIE = 1e-9  # relative difference below which errors count as equal
+BELOW = 3.0  # standard deviations below b from which lambda is its upper bound [Sampford 1953]
+ABOVE = 5.0  # standard deviations above b from which the weight is negligible
 
 
 @dataclass(frozen=True)
 class BestModels:
-    """Best model of every texel at every level of roughness.
+    """Best model of each texel at each roughness level.
 
     Attributes:
         values: (S * R * (M + C),) Float: mixing parameters and base colours of each level.
         sigma: (S,) Float, standard deviation of a sample of weight 1.
+        samples: bits of the samples to read (``clipped_samples``); None: all.
     """
 
     values: Any
@@ -56,7 +57,7 @@ class BestModels:
     samples: Bits | None = None
 
     def parameters(self, lane: Any, level: int, levels: int) -> tuple[list[Any], list[Any]]:
-        """Return mixing parameters and base colours of lanes at a level: Floats."""
+        """Return mixing parameters and base colours of texels at a level: Floats."""
         start = (lane * levels + level) * (len(MIXED) + self.channels)
         values = [
             dr.gather(mi.Float, self.values, start + k) for k in range(len(MIXED) + self.channels)
@@ -64,24 +65,24 @@ class BestModels:
         return values[: len(MIXED)], values[len(MIXED) :]
 
     def noise(self, lane: Any) -> Any:
-        """Return the standard deviation of lanes."""
+        """Return the standard deviation of a sample of weight 1 of texels."""
         return dr.gather(mi.Float, self.sigma, lane)
 
 
 def parabola(model: Any, bound: Any, noise: Any) -> tuple[Any, Any]:
-    """Return radiance t and weight h of a saturated sample, at least ``bound``."""
+    """Return radiance t and weight h of a sample saturated at ``bound``."""
     z = dr.clip((model - bound) / noise, -1e4, ABOVE)
     near, x = dr.maximum(z, -BELOW), dr.maximum(-z, BELOW)
     normal = 0.5 * (1 + dr.erf(near * dr.sqrt(0.5)))
     ratio = dr.exp(-0.5 * near * near) * dr.rcp(dr.sqrt(2 * dr.pi) * normal)
-    # Single precision cancels here; the ratio's upper bound is accurate enough.
+    # ratio + near cancels in single precision; the upper bound of the ratio is accurate enough.
     far = 2 * dr.rcp(dr.sqrt(x * x + 8) + x)
     above = dr.select(z < -BELOW, far, ratio + near)
     return model + noise / above, dr.select(z < -BELOW, far + x, ratio) * above
 
 
 def find_best_models(statistics: Statistics) -> BestModels:
-    """Return the models with the least squared error at every level, of all texels."""
+    """Return the model with the least squared error of each texel and level."""
     levels, channels, count = statistics.levels, statistics.channels, statistics.count
     size = len(MIXED) + channels
     reader, lane = BlockReader(statistics.sums, statistics.rows, count), dr.arange(mi.UInt32, count)
@@ -116,14 +117,14 @@ def find_best_models(statistics: Statistics) -> BestModels:
 
 
 def _best_color(mean: list[list[Any]], mixed: np.ndarray) -> tuple[list[Any], Any]:
-    """Return the base colours of least error, and its sum over channels, from weighted means."""
+    """Return the base colours of least squared error, and the error summed over channels."""
     start = mixture(*mixed).at(0.0)
     slope = [float(b - a) for a, b in zip(start, mixture(*mixed).at(1.0), strict=True)]
     colors, error = [], mi.Float64(0)
     for of_channel in mean:
         square = _quadratic_form(of_channel, slope, slope)
         cross = _quadratic_form(of_channel, slope, start)
-        # A channel that is clipped in all views is as bright as can be, before anything is known.
+        # A channel without unsaturated samples starts at the brightest colour.
         inside = dr.clip(-cross / dr.select(square > 0, square, 1), 0, 1)
         color = dr.select(square > 0, inside, 1)
         colors.append(color)
@@ -143,12 +144,12 @@ def _quadratic_form(mean: list[Any], a: Sequence[float], b: Sequence[float]) -> 
 
 
 def _noise(statistics: Statistics, least: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the standard deviation (S,) of samples that count 1, given the least errors (S,)."""
+    """Return the standard deviation of samples of weight 1, (S,), from least errors, (S,)."""
     views = np.asarray(statistics.views.numpy(), np.float64)
     error = np.maximum(least, 0) / statistics.channels
     variance = error * weight / np.maximum(views - PARAMETERS, FEWEST_FREE)
     enough = views >= PARAMETERS + ENOUGH
-    # Texels that are clipped in nearly all views get the median noise.
+    # Texels that are saturated in nearly all views get at least the median noise.
     usual = float(np.median(variance[enough])) if enough.any() else 0.0
     variance = np.where(enough, variance, np.maximum(variance, usual))
     return np.maximum(np.sqrt(variance), LEAST_NOISE * statistics.kappa)

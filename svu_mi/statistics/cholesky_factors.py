@@ -1,12 +1,12 @@
-"""Square-root form of the statistics, accurate enough in single precision.
+"""Triangular factors of the statistics, accurate enough in single precision.
 
-U is the triangular factor of a texel's weighted samples (QR). The weighted mean squared error of
-parameters that mix the columns by x (``Mixture``) is
+U is the triangular factor (QR) of a texel's weighted samples, divided by the sum of weights. For
+parameters that mix the columns by x (``Mixture``), the weighted mean squared error is
 
-    |U x|^2,
+    |U x|^2.
 
-never negative, also between interpolated levels, and exact to the rounding of radiance. The square
-of its last entry is the residual; its minimum over roughness is stored apart (``residual_floor``).
+It is never negative, also between interpolated levels. The square of U's last entry is the residual
+of the best x; its minimum over roughness is stored separately (``residual_floor``).
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from svu_mi.core.local_memory import QUAD, padded_to_quads, quad_count, scatter_
 from svu_mi.reflection.principled import COLUMNS
 
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
-FLOOR = len(PAIRS) - 1  # the entry that is kept as a square
-TINY = 1e-13  # part of its diagonal below which a pivot is nothing but rounding
+FLOOR = len(PAIRS) - 1  # index of the last entry, which is stored as a square
+TINY = 1e-13  # pivots below this fraction of the diagonal are rounding errors
 
 
 @dataclass(frozen=True)
 class Factors:
-    """Factors U of S texels at R levels of roughness and in C channels.
+    """Factors U of S texels at R roughness levels in C channels.
 
-    Values of a texel are contiguous and aligned to four, which kernels read at once.
+    Values of a texel are contiguous and padded to groups of four, which kernels read at once.
 
     Attributes:
-        values: (S * ``stride``,) Float, for every texel: for each level, U of all channels, P
-            entries in radiance, the last (``floor``) squared and less the channel's residual floor.
-            Then the floor of every channel, and the sum of weights. Levels are zero-padded.
+        values: (S * ``stride``,) Float. Per texel: for each level and channel, the P entries of U,
+            in radiance, the last one squared and minus the residual floor. Then the residual
+            floor of each channel and the sum of weights.
         views: (S,) UInt32, number of views of each texel.
-        texel: (S,) UInt32, number among all texels.
-        roughness: (R,) float64 of the levels.
+        texel: (S,) UInt32, texel number in [0, T).
+        roughness: (R,) float64, roughness of the levels.
     """
 
     values: Any
@@ -65,11 +65,11 @@ class Factors:
         return stride(self.levels, self.channels)
 
     def reader(self, lane: Any | None = None) -> FactorReader:
-        """Return a reader of the factors of texels, by default of all in order."""
+        """Return a reader of the factors of texels ``lane`` (UInt32, default: all)."""
         return FactorReader(self, dr.arange(mi.UInt32, self.count) if lane is None else lane)
 
     def subset(self, chosen: np.ndarray) -> Factors:
-        """Return the factors of some texels, by their numbers among S."""
+        """Return the factors of some lanes in [0, S)."""
         lanes = to_drjit(mi.UInt32, np.asarray(chosen).astype(np.uint32))
         values = mi.Float()
         if len(chosen):
@@ -88,7 +88,7 @@ class Factors:
 
     @staticmethod
     def concatenated(parts: Iterable[Factors], count: int) -> Factors:
-        """Concatenate parts of ``count`` texels; holds one part besides the result."""
+        """Concatenate parts with ``count`` texels in total; one part is in memory at a time."""
         values, views, texel, done, part = mi.Float(), [], [], 0, None
         for part in parts:
             if not done:
@@ -104,7 +104,7 @@ class Factors:
         return replace(part, values=values, views=dr.concat(views), texel=dr.concat(texel))
 
     def table(self) -> np.ndarray:
-        """Return U as (R, C, P, S) float32, with its last entry itself."""
+        """Return U as (R, C, P, S) float32, with its last entry not squared."""
         rows, number = self.values.numpy().reshape(self.count, self.stride), len(PAIRS)
         width = self.levels * padded_to_quads(self.channels * number)
         of_levels, ends = np.split(rows, [width], axis=1)
@@ -115,13 +115,13 @@ class Factors:
         return entries
 
     def lane_of_texel(self, total: int) -> np.ndarray:
-        """Return the lane among S of each of T texels, (T,) int64; 0 for others."""
+        """Return the lane in [0, S) of each of T texels, (T,) int64; 0 if it has none."""
         lanes, texel = np.zeros(total, np.int64), self.texel.numpy()
         lanes[texel] = np.arange(len(texel))
         return lanes
 
     def residuals(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return squared residuals, summed over channels, and sums of weights: (S,) float64."""
+        """Return residual floors, summed over channels, and sums of weights: (S,) float64."""
         reader = self.reader()
         floor = sum(mi.Float64(x) for x in reader.residual_floor)
         weight = mi.Float(reader.weight)
@@ -130,7 +130,7 @@ class Factors:
 
 
 class FactorReader:
-    """Reads factors of the texels of a launch; levels may differ by lane."""
+    """Reader of the factors of texels; the level can differ between lanes."""
 
     def __init__(self, factors: Factors, lane: Any) -> None:
         self._values, self._channels = factors.values, factors.channels
@@ -140,12 +140,12 @@ class FactorReader:
         self._ends = self._read(ends, factors.channels + 1)
 
     def entries(self, level: Any) -> list[list[Any]]:
-        """Return the entries of U but the last, and ``floor``, of every channel: Floats."""
+        """Return the entries of U of each channel, the last as stored (``Factors.values``)."""
         row = self._read(self._first + level * self._row, self._channels * len(PAIRS))
         return [row[k : k + len(PAIRS)] for k in range(0, len(row), len(PAIRS))]
 
     def factor(self, level: Any) -> list[list[Any]]:
-        """Return all entries of U, in the order of ``PAIRS``, of every channel: Floats."""
+        """Return the entries of U of each channel, in the order of ``PAIRS``: Floats."""
         floors = self.residual_floor
         return [
             [*entries, dr.sqrt(rest + floor)]
@@ -154,16 +154,16 @@ class FactorReader:
 
     @property
     def residual_floor(self) -> list[Any]:
-        """The least squared error at any roughness, of every channel: Floats."""
+        """Least squared error over all roughness levels, a Float per channel."""
         return self._ends[:-1]
 
     @property
     def weight(self) -> Any:
-        """The sum of the weights: Float."""
+        """Sum of the weights: Float."""
         return self._ends[-1]
 
     def _read(self, first: Any, count: int) -> list[Any]:
-        """Read ``count`` values from a multiple of four on."""
+        """Read ``count`` values, starting at the group of four with index ``first``."""
         fours = [dr.gather(mi.Vector4f, self._values, first + k)
                  for k in range(quad_count(count))]  # fmt: skip
         return [x for four in fours for x in four][:count]
@@ -188,7 +188,7 @@ def apply_factor(U: list[Any], x: Sequence[Any]) -> list[Any]:
 def factorize(
     columns: list[Any], weight: Any, views: Any, texel: Any, roughness: np.ndarray, channels: int
 ) -> Factors:
-    """Factorise sums, divided by their weight, within the kernel that computes them."""
+    """Factorise sums, divided by the sum of weights, within the kernel that computes them."""
     levels, count = len(roughness), int(dr.width(texel))
     scale = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
     floor = [mi.Float64(dr.inf)] * channels
@@ -212,19 +212,19 @@ def factorize(
 
 
 def _padded(values: list[Any]) -> list[Any]:
-    """Pad values by zeros."""
+    """Return values, padded with zeros to groups of four."""
     return [*values, *[mi.Float64(0)] * (padded_to_quads(len(values)) - len(values))]
 
 
 def _cholesky(sums: list[Any]) -> list[Any]:
     """Return U by rows, the last entry squared, from U^T U; dependent columns give zeros."""
-    left = dict(zip(PAIRS, sums, strict=True))  # what the rows above leave of the products
+    left = dict(zip(PAIRS, sums, strict=True))  # products minus contributions of previous rows
     U: dict[tuple[int, int], Any] = {}
     for i in range(COLUMNS - 1):
         pivot = left[i, i]
         for j in range(i + 1, COLUMNS):
-            # Cauchy and Schwarz, which rounding may break where columns nearly depend; the pivot
-            # grows by no more than that rounding, however little is left of the other column.
+            # Rounding can violate the Cauchy-Schwarz inequality of nearly dependent columns. The
+            # pivot is increased by no more than this rounding error.
             other = dr.maximum(left[j, j], dr.abs(left[i, j]))
             pivot = dr.maximum(pivot, dr.square(left[i, j]) / dr.select(other > 0, other, 1))
         good = pivot > TINY * sums[PAIRS.index((i, i))]

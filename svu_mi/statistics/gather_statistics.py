@@ -1,4 +1,4 @@
-"""Statistics from photographs: one kernel, one pass over the views."""
+"""Statistics from photographs: one kernel and one pass over the views."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from svu_mi.statistics.censored import CLIPPED_PART, BestModels, parabola
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import EDGES, LazyStatistics, noise_weight
 
-GRAZING = 1e-3  # cosine: more grazing views are treated like this one
-SMALLEST = 0.05  # lower bound of an error, in units of kappa
+GRAZING = 1e-3  # minimum cosine of the viewing angle
+SMALLEST = 0.05  # minimum error |r - b|, relative to kappa
 
 
 Values = dict[str, list[Any]]
-"""Parameters of S texels, by name: a Float for every channel."""
+"""Parameters of S texels by name: a Float per channel."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,12 @@ class Weighting:
     """Weights of samples.
 
     Attributes:
-        kappa: radiance where weights begin to fall (see ``Statistics``).
-        edges: reduction at edges of a photograph (``noise_weight``).
-        models: reference for saturated channels (``censored``), which alone count then.
-        current: parameters of the texels, for weights 1 / |r - b|: absolute errors [Holland and
-            Welsch 1977]. Kappa of such sums is NaN. Levels must be uniform on [0, 1].
+        kappa: radiance above which weights decrease (``noise_weight``).
+        edges: eta, decrease of weights at image edges (``noise_weight``).
+        current: current parameters. Weights are then divided by the error |r - b|, which minimises
+            absolute errors [Holland and Welsch 1977]. Levels must be uniform on [0, 1]; kappa of
+            the resulting statistics is NaN.
+        models: best models; only saturated channels are then summed (``censored``).
     """
 
     kappa: float = inf
@@ -64,9 +65,9 @@ def gather_statistics(
     views: Views, visibility: Visibility, model: ReflectionModel, mirrors: MirrorVisibility | None,
     channels: int | None = None, weighting: Weighting = UNIFORM,
 ) -> LazyStatistics:  # fmt: skip
-    """Collect the statistics of a model's texels in C channels, 3 or 1.
+    """Return the statistics of a model's texels in C channels, 3 or 1.
 
-    A one-channel model (grey light) serves all C; ``mirrors`` None: mirror directions unoccluded.
+    A one-channel model (grey light) is used for all C. ``mirrors`` None: unoccluded.
     """
     surface, kappa, channels = model.surface, weighting.kappa, channels or model.channels
     samples = _sample_model(weighting, channels)
@@ -115,12 +116,12 @@ def gather_statistics(
 
 
 class TexelSample(NamedTuple):
-    """One view of every texel, C channels of radiance at R levels of roughness.
+    """Sample of each texel in one view, with C channels and R roughness levels.
 
     Attributes:
-        lobes: (R,) lists of the model's parts by channel of the light.
+        lobes: parts of the model for each level and channel of the light.
         radiance: C Floats; lower bounds where saturated.
-        saturated: C Bools; None if no photograph is.
+        saturated: C Bools; None if no photograph has saturated pixels.
     """
 
     lobes: list[list[Parts]]
@@ -131,20 +132,20 @@ class TexelSample(NamedTuple):
 
 
 Columns = tuple[tuple[Any, ...], Any]
-"""Columns of r - b, and their part of the sample's weight (None: all)."""
+"""Columns of r - b, and a factor of the sample's weight (None: 1)."""
 
 
 class SampleModel(Protocol):
-    """A way samples enter the statistics."""
+    """Interface: columns and weight of a sample in the statistics."""
 
     reads_saturated: bool
 
     def columns_and_weights(self, sample: TexelSample) -> tuple[list[Columns], Any]:
-        """Return the columns of every level and channel, level by level, and the weight."""
+        """Return the columns of each level and channel, level by level, and the weight."""
 
 
 class UnsaturatedSamples:
-    """Leaves saturated channels out; all others have the sample's weight."""
+    """Samples without saturated channels."""
 
     reads_saturated = True
 
@@ -158,7 +159,7 @@ class UnsaturatedSamples:
 
 
 class ReweightedSamples:
-    """Also divides weights by the error of current parameters: absolute errors."""
+    """Samples whose weights are divided by the error of the current parameters."""
 
     reads_saturated = False
 
@@ -179,7 +180,7 @@ class ReweightedSamples:
 
 
 class CensoredSamples:
-    """Counts only saturated channels, as parabolas around given models (``censored``)."""
+    """Samples of saturated channels only, as parabolas around given models (``censored``)."""
 
     reads_saturated = True
 
@@ -211,7 +212,7 @@ def _sample_model(weighting: Weighting, channels: int) -> SampleModel:
 
 
 def clipped_samples(views: Views, visibility: Visibility, surface: TexelLanes) -> Bits:
-    """Return bits of samples with saturated channels, by place in ``order`` and lane."""
+    """Return bits of samples with saturated channels, by place in ``Visibility.order`` and lane."""
     bits = Bits.clear(views.number, surface.count)
 
     def consume(seen: ViewSample, slot: Any, touched: Any) -> tuple[Any]:
@@ -227,23 +228,23 @@ def clipped_samples(views: Views, visibility: Visibility, surface: TexelLanes) -
 
 
 def flatten_values(values: Values) -> list[Any]:
-    """Return all Floats, parameter by parameter in the order of ``NAMES``."""
+    """Return all Floats, in the order of ``NAMES``."""
     return [x for name in NAMES for x in values[name]]
 
 
 def mixing_values(values: Values) -> list[Any]:
-    """Return the values that mix the columns, in the order of ``MIXED``."""
+    """Return the mixing parameters, in the order of ``MIXED``."""
     return [values[name][0] for name in MIXED]
 
 
 def _saturated(over: Any, channels: int) -> list[Any]:
-    """Return which of C channels are saturated, by their saturated fraction of pixels."""
+    """Return C Bools, True if the fraction of saturated pixels exceeds ``CLIPPED_PART``."""
     parts = list(over) if channels > 1 else [dr.max(over)]
     return [part > CLIPPED_PART for part in parts]
 
 
 def _columns(level: list[Parts], shown: list[tuple[Any, Any]]) -> list[Columns]:
-    """Return the columns of each channel's radiance and weight; grey light serves all."""
+    """Return the columns of each channel's radiance and weight factor at one level."""
     return [(columns(*level[c % len(level)], b), part) for c, (b, part) in enumerate(shown)]
 
 
@@ -257,7 +258,7 @@ def _products(columns: tuple[Any, ...], part: Any) -> list[Any]:
 def rounding_sums(
     views: Views, visibility: Visibility, surface: TexelLanes, weighting: Weighting
 ) -> np.ndarray | None:
-    """Return summed rounding variances of weight 1, (S,), squared radiance; None for floats."""
+    """Return weighted sums of rounding variances, (S,), squared radiance; None for floats."""
     if views.rounding is None:
         return None
     first, slope = views.rounding

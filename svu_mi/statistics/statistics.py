@@ -1,12 +1,12 @@
-"""Additive statistics: sums over views, P per texel, roughness level and channel.
+"""Statistics of texels: weighted sums over views, which can be added.
 
-At one roughness, the residual for base colour c and metallic m is a sum of columns
+At one roughness, the residual for base colour c and metallic m is a sum of four columns,
 
-    r - b = c (1 - m) e + c m p + m (q - d) + (d - b),
+    r - b = c (1 - m) e + c m p + m (q - d) + (d - b).
 
-so the squared error of all parameters follows from P products of pairs of columns (10 of these
-four), summed over the views with their weights. Sums of two sets of views add. They are in double
-precision, as errors are small differences of them; ``Factors`` are in single.
+The squared error of all parameters follows from the P = 10 products of pairs of columns, summed
+over the views with weights. Sums are in double precision, because errors are small differences of
+sums. ``Factors`` are in single precision.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from svu_mi.statistics import texel_blocks as blocks
 from svu_mi.statistics.cholesky_factors import PAIRS, Factors, factorize
 
 EDGES = AngularPreset.edges  # eta
-PARTLY = 0.01  # tolerance of a sum of partial views that counts as a whole one
+PARTLY = 0.01  # tolerance when the number of views is rounded down
 
 
 def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = EDGES) -> Any:
-    """Return w = 1 / (1 + (b / kappa)^2 + eta v / kappa^2), v the variance of nearby pixels."""
+    """Return w = 1 / (1 + (b / kappa)^2 + eta v / kappa^2); v is the variance of nearby pixels."""
     relative = radiance / kappa
     return 1 / (1 + relative * relative + edges * (contrast / kappa / kappa))
 
@@ -42,8 +42,8 @@ class LazyStatistics:
     """Unevaluated statistics. Evaluating twice runs the kernel twice.
 
     Attributes:
-        columns: Float64s (S,): those of ``Statistics.sums``, but sum w.
-        weight: Float64 (S,), sum w.
+        columns: (S,) Float64s, R C P sums of products (see ``Statistics.sums``).
+        weight: (S,) Float64, sum of weights.
     """
 
     columns: list[Any]
@@ -56,7 +56,7 @@ class LazyStatistics:
     edges: float
 
     def statistics(self) -> Statistics:
-        """Evaluate the sums."""
+        """Return the evaluated sums."""
         count, columns = int(dr.width(self.texel)), [*self.columns, self.weight]
         sums = blocks.write_blocks(mi.Float64, columns, count, self.counts)
         return Statistics(
@@ -64,7 +64,7 @@ class LazyStatistics:
         )
 
     def factor(self) -> Factors:
-        """Evaluate the square-root form alone, without storing the sums."""
+        """Return the factors, without storing the sums."""
         return factorize(
             self.columns, self.weight, whole_views(self.counts), self.texel, self.roughness,
             self.channels,
@@ -77,13 +77,13 @@ class Statistics:
 
     Attributes:
         sums: (ceil(S / 16) * (R * C * P + 1) * 16,) Float64, squared radiance, in blocks (see
-            ``texel_blocks``): for level, channel and pair of columns, sum w x y. Then sum w.
-        counts: (S,) Float, number of views of each texel; partly saturated ones count in part.
-        texel: (S,) UInt32, number among all texels.
-        roughness: (R,) float64 of the levels.
-        kappa: radiance where weights begin to fall (``noise_weight``); infinite if all are equal,
-            NaN if they also depend on residuals.
-        edges: eta of the weights; ignored if kappa is infinite.
+            ``texel_blocks``): sum w x y for each level, channel and pair of columns; then sum w.
+        counts: (S,) Float, number of views of each texel; fractional if partly saturated.
+        texel: (S,) UInt32, texel number in [0, T).
+        roughness: (R,) float64, roughness of the levels.
+        kappa: radiance above which weights decrease (``noise_weight``). Infinite: equal weights;
+            NaN: weights depend on residuals.
+        edges: eta of ``noise_weight``; ignored if kappa is infinite.
     """
 
     sums: Any
@@ -110,7 +110,7 @@ class Statistics:
         return self.levels * self.channels * len(PAIRS) + 1
 
     def __add__(self, other: Statistics) -> Statistics:
-        """Return the statistics of both sets of views."""
+        """Return the statistics of the union of both sets of views."""
         if (
             self.channels != other.channels
             or not np.array_equal(self.roughness, other.roughness)
@@ -123,8 +123,8 @@ class Statistics:
         if self.kappa != other.kappa or (self.kappa < inf and self.edges != other.edges):
             raise OptionError(
                 f"Statistics with kappa {self.kappa:g} and {other.kappa:g} (edges {self.edges:g} "
-                f"and {other.edges:g}) cannot be added, because their samples were weighted "
-                "differently; gather both with the same values."
+                f"and {other.edges:g}) cannot be added, because the weights differ; gather both "
+                "with the same values."
             )
         sums, counts = self.sums + other.sums, self.counts + other.counts
         dr.eval(sums, counts)
@@ -135,13 +135,13 @@ class Statistics:
 
     @cached_property
     def views(self) -> Any:
-        """(S,) UInt32, number of views of each texel (``whole_views``)."""
+        """(S,) UInt32, number of views of each texel, rounded (``whole_views``)."""
         views = whole_views(self.counts)
         dr.eval(views)
         return views
 
     def factor(self) -> Factors:
-        """Return the square-root form, per unit of weight."""
+        """Return the triangular factors; cached."""
         return self._factors
 
     @cached_property
@@ -152,11 +152,11 @@ class Statistics:
 
     @property
     def weight(self) -> np.ndarray:
-        """(S,) float64, the sum of the samples' weights."""
+        """(S,) float64, sum of the weights of samples."""
         return blocks.from_blocks(self.sums, self.rows, self.count)[-1]
 
     def subset(self, lanes: np.ndarray) -> Statistics:
-        """Return the statistics of some lanes."""
+        """Return the statistics of some lanes in [0, S)."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return replace(
             self, sums=blocks.gather_texels(self.sums, self.rows, chosen),
@@ -165,7 +165,7 @@ class Statistics:
         )  # fmt: skip
 
     def replaced(self, lanes: np.ndarray, others: Statistics) -> Statistics:
-        """Return statistics with those of some lanes (each once) replaced."""
+        """Return a copy in which ``others`` replace the statistics of some (distinct) lanes."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         counts = mi.Float(self.counts)
         dr.scatter(counts, others.counts, chosen)
@@ -179,12 +179,12 @@ class Statistics:
         return rows.reshape(self.levels, self.channels, len(PAIRS), self.count)
 
     def errors(self, *nodes: np.ndarray) -> np.ndarray:
-        """Return mean squared errors at grid nodes, (S, R, C, M ..., K); 0 if unseen."""
+        """Return weighted mean squared errors at grid nodes, (S, R, C, M ..., K); 0 if unseen."""
         *mixed, color = np.meshgrid(*nodes, indexing="ij")
         x = mixture(*mixed).at(color)
         forms = np.stack([(2 - (i == j)) * x[i] * x[j] for i, j in PAIRS])
         mean = self.table() / np.maximum(self.weight, 1e-300)
-        # Rounding may take a sum of squares below zero.
+        # Rounding can make a sum of squares negative.
         return np.maximum(np.einsum("rcps,p...->src...", mean, forms, optimize=True), 0)
 
     @staticmethod
@@ -192,7 +192,7 @@ class Statistics:
         table: np.ndarray, weight: np.ndarray, views: np.ndarray, roughness: np.ndarray,
         kappa: float = inf,
     ) -> Statistics:  # fmt: skip
-        """Take sums from NumPy: the inverse of ``table``."""
+        """Return statistics from NumPy sums, (R, C, P, S); the inverse of ``table``."""
         channels, count = table.shape[1], table.shape[-1]
         rows = np.concatenate([table.reshape(-1, count), np.reshape(weight, (1, count))])
         return Statistics(
@@ -204,6 +204,6 @@ class Statistics:
 
 
 def whole_views(counts: Any) -> Any:
-    """Return the number of views, UInt32, the sum of partial ones; at least 1 if positive."""
+    """Return numbers of views rounded down, UInt32; at least 1 if positive."""
     minimum = dr.select(counts > 0, mi.UInt32(1), 0)
     return dr.maximum(mi.UInt32(counts + PARTLY), minimum)

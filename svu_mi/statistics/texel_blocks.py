@@ -1,7 +1,7 @@
 """Memory layout of per-texel values: blocks of 16 texels.
 
-N rows of S values are laid out as (ceil(S / 16), N, 16). A packet of lanes
-reads from few pages. With rows of S values it would read from N, which is five times slower.
+N rows of S values are stored as (ceil(S / 16), N, 16), so a packet of lanes reads few memory pages.
+With rows of S values it would read N pages, which is five times slower.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ BLOCK = 16
 
 
 def block_size(rows: int, count: int) -> int:
-    """Return the number of values of N rows of S texels."""
+    """Return the size of an array of N rows of S texels."""
     return -(-count // BLOCK) * rows * BLOCK
 
 
 def texel_offset(lane: Any, rows: Any) -> Any:
-    """Return the index of a texel's first value; the next is ``BLOCK`` further on."""
+    """Return the index of a texel's first value; the stride between its values is ``BLOCK``."""
     return (lane // BLOCK) * (rows * BLOCK) + lane % BLOCK
 
 
-def write_blocks(kind: Any, columns: list[Any], count: int, beside: Any = ()) -> Any:
-    """Write the values of all lanes; evaluate them and ``beside`` in one kernel."""
+def write_blocks(kind: Any, columns: list[Any], count: int, others: Any = ()) -> Any:
+    """Write the values of all lanes to blocks; evaluate ``others`` in the same kernel."""
     target = empty_blocks(kind, len(columns), count)
     place = texel_offset(dr.arange(mi.UInt32, count), len(columns))
     target = scatter_strided(target, columns, place, mi.UInt32(BLOCK))
-    dr.eval(target, beside)
+    dr.eval(target, others)
     return target
 
 
 def empty_blocks(kind: Any, rows: int, count: int) -> Any:
-    """Allocate N rows of S values; only the last block is cleared."""
+    """Allocate blocks for N rows of S values; only the last block is cleared."""
     values = dr.empty(kind, block_size(rows, count))
     if count % BLOCK:
         last = dr.opaque(mi.UInt32, block_size(rows, count) - rows * BLOCK)
@@ -49,19 +49,19 @@ def empty_blocks(kind: Any, rows: int, count: int) -> Any:
 
 
 def to_blocks(kind: Any, table: np.ndarray) -> Any:
-    """Lay values (N, S) out as an array of ``kind``."""
+    """Convert values, (N, S), to blocks of type ``kind``."""
     padded = np.pad(table, ((0, 0), (0, -table.shape[1] % BLOCK)))
     return to_drjit(kind, np.moveaxis(padded.reshape(len(table), -1, BLOCK), 1, 0).ravel())
 
 
 def from_blocks(values: Any, rows: int, count: int) -> np.ndarray:
-    """Return (N, S), the inverse of ``to_blocks``."""
+    """Convert blocks to values, (N, S); the inverse of ``to_blocks``."""
     blocks = values.numpy().reshape(-1, rows, BLOCK)
     return np.moveaxis(blocks, 1, 0).reshape(rows, -1)[:, :count]
 
 
 def gather_texels(values: Any, rows: int, lanes: Any) -> Any:
-    """Return the values of some texels, in blocks, in the order of ``lanes`` (UInt32)."""
+    """Return blocks with the values of some texels, in the order of ``lanes`` (UInt32)."""
     if not dr.width(lanes):
         return type(values)()
     place, held = _places(rows, lanes)
@@ -82,8 +82,8 @@ def scatter_texels(values: Any, rows: int, lanes: Any, others: Any) -> Any:
 
 
 def _places(rows: int, lanes: Any) -> tuple[Any, Any]:
-    """Return where the values of some texels lie, in the order of their own blocks, and whether
-    they exist, which those beyond the last texel do not."""
+    """Return indices of the values of some texels, in the order of new blocks, and a mask that is
+    False in the padding after the last texel."""
     count = dr.width(lanes)
     place, block = dr.arange(mi.UInt32, block_size(rows, count)), dr.opaque(mi.UInt32, rows * BLOCK)
     lane, row = place // block * BLOCK + place % BLOCK, place % block // BLOCK
@@ -93,7 +93,7 @@ def _places(rows: int, lanes: Any) -> tuple[Any, Any]:
 
 
 class BlockReader:
-    """Reads N rows of values of the texels ``lane``, of S; by default all in order."""
+    """Reader of N rows of values of the texels ``lane`` (default: all)."""
 
     def __init__(self, values: Any, rows: int, count: int, lane: Any | None = None) -> None:
         self._values = values
@@ -101,5 +101,5 @@ class BlockReader:
         self._start = texel_offset(lane, dr.opaque(mi.UInt32, rows))
 
     def read(self, row: Any) -> Any:
-        """Return a row's value of every texel."""
+        """Return the values of a row for all lanes."""
         return dr.gather(type(self._values), self._values, self._start + row * BLOCK)

@@ -310,7 +310,7 @@ def test_grid_nodes_follow_the_preset_unless_told_otherwise():
     [
         ({"outgoing": np.ones((3, 6, 3))}, ShapeError, r"outgoing|\(3, 6, 3\)"),
         ({"incoming": np.ones((3, 7))}, ShapeError, "incoming"),
-        ({"observed": np.ones(2, bool)}, ShapeError, "2 flags for 3 texels"),
+        ({"observed": np.ones(2, bool)}, ShapeError, "observed has 2 values for 3 texels"),
         ({"prior": np.ones((7, 8))}, ShapeError, r"prior must be \(8, 8\)"),
         ({"prior": -np.ones(8)}, OptionError, "non-negative"),
         ({"incoming": -np.ones((3, 7, 3))}, OptionError, "texel 0 is negative"),

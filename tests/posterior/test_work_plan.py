@@ -281,7 +281,7 @@ def test_what_a_material_does_not_vary(grey, tmp_path):
         ({"roughness": 0.1, "metallic": 0.0, "base_color": 0.5}, "leave at least one unknown"),
         ({"metallic": True}, r"in \[0, 1\]"),
         ("bsdf", "'scene'"),
-        (0.5, "values by parameter"),
+        (0.5, "map names to values"),
     ],
 )
 def test_known_values_that_are_refused(grey, known, words):

@@ -126,7 +126,7 @@ def test_samples_count_less_the_more_parameters_are_off(scene):
     assert_sufficient(noise_capture(scene), angular("fast", channels="joint"), 0.9, current)
     sums = np.zeros((1, 1, 10, 2))
     odd = Statistics.of(sums, np.ones(2), np.ones(2), np.zeros(1), np.nan)
-    with pytest.raises(OptionError, match="were weighted differently"):
+    with pytest.raises(OptionError, match="because the weights differ"):
         _ = odd + odd
 
 
