@@ -159,5 +159,5 @@ def test_more_statistics_than_can_be_counted_are_refused_before_any_are_made(
         monkeypatch.setattr(estimators, "MAX_LANES", limit, raising=False)
         return svu.estimate(*args, **options)
 
-    with pytest.raises(svu.SvuError, match="use at most 1000, with fewer texels per side"):
+    with pytest.raises(svu.SvuError, match="at most 1000 are possible: lower the resolution"):
         tiled(vase.capture, vase.texels, do=asked, whole=True)
