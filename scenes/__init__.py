@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import ExitStack
 from pathlib import Path
 
 from svu_mi.core.io.files import prepare_folder, replacing
@@ -54,8 +55,8 @@ def copy(name: str, folder: str | Path) -> Path:
     for target, file in copies.items():
         if target not in missing and (target.is_dir() or target.read_bytes() != file.read_bytes()):
             raise OutputError(f"{target}: is there and differs; choose another folder.")
-    for target, file in missing.items():
-        prepare_folder(target.parent)
-        with replacing(target) as temporary:
-            shutil.copyfile(file, temporary)
+    with ExitStack() as together:  # all files, or none if the disk is full
+        for target, file in missing.items():
+            prepare_folder(target.parent)
+            shutil.copyfile(file, together.enter_context(replacing(target)))
     return folder / scene.relative_to(FOLDER)

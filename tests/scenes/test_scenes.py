@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -157,3 +161,21 @@ def test_winding_agrees_with_the_normals_and_points_outwards(name):
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert ((face * mesh.normals[mesh.faces].sum(axis=1)).sum(axis=1) > 0).mean() > 0.999
     assert name == "planes" or _volume(corners) > 0.05
+
+
+def test_a_copy_is_whole_or_absent(tmp_path, monkeypatch):
+    copyfile, count = shutil.copyfile, 0
+
+    def full(source, target):
+        nonlocal count
+        count += 1
+        if count == 9:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
+        return copyfile(source, target)
+
+    monkeypatch.setattr(shutil, "copyfile", full)
+    with pytest.raises((OSError, OutputError), match="No space left"):
+        scenes.copy("vase", tmp_path)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    monkeypatch.undo()
+    assert scenes.copy("vase", tmp_path).is_file()
