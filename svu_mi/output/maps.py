@@ -1,4 +1,4 @@
-"""Per-texel results as EXR textures."""
+"""Per-texel results as EXR maps."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField
 
 ENTROPY, COVERAGE, UNCERTAINTY = "entropy.exr", "coverage.exr", "uncertainty.exr"
-GUTTER = 4  # texels; enough for bilinear lookups down to a quarter of the resolution
+GUTTER = 4  # texels; sufficient for bilinear lookups down to a quarter of the resolution
 
 
 def write_maps(estimate: Estimate, folder: str | Path, *, gutter: int = GUTTER) -> None:
-    """Write ``entropy.exr`` and ``coverage.exr``, both with the one float32 channel Y.
+    """Write ``entropy.exr`` and ``coverage.exr``, each with the float32 channel Y.
 
     Entropy is in [0, 1]; coverage is the number of views that see a texel. Unseen texels have the
-    entropy of the prior, exactly 1 by default, and coverage 0. Outside the charts entropy is 1 and
-    coverage 0, except for a gutter that repeats the border of the charts in both.
+    prior's entropy (1 unless ``prior`` is given) and coverage 0. Outside the charts entropy is 1
+    and coverage 0, except in a gutter of ``gutter`` texels with the nearest values.
 
     Raises:
         OutputError: a file cannot be written, or a value is NaN.
@@ -37,11 +37,11 @@ def write_maps(estimate: Estimate, folder: str | Path, *, gutter: int = GUTTER) 
 
 
 def write_uncertainty(estimate: Estimate, folder: Path) -> None:
-    """Write ``uncertainty.exr``: the standard deviation of every parameter, float32.
+    """Write ``uncertainty.exr``: standard deviations of all parameters, float32.
 
-    Channels are ``roughness.sd``, ``metallic.sd`` and ``base_color.sd.R`` (.G, .B; without a letter
-    if R, G and B have one in common). Unseen texels have that of the prior; outside the charts it
-    is 0, except for a gutter.
+    Channels are ``roughness.sd``, ``metallic.sd`` and ``base_color.sd.R`` (.G, .B; no letter if
+    R, G and B share one). Unseen texels have the prior's values. Texels outside the charts have 0,
+    except in a gutter.
     """
     channels: dict[str, np.ndarray] = {}
     for name in estimate.posterior.axes:
@@ -51,9 +51,9 @@ def write_uncertainty(estimate: Estimate, folder: Path) -> None:
 
 
 def write_field(field: TextureField, folder: Path, attributes: Mapping[str, Any]) -> None:
-    """Write ``uncertainty.exr`` of recovered textures: as ``write_uncertainty``, and intervals.
+    """Write ``uncertainty.exr`` of recovered textures: standard deviations and 90 % intervals.
 
-    The ends of those that hold 90 % are ``roughness.low``, ``roughness.high`` and so on.
+    Adds ``roughness.low``, ``roughness.high`` and so on to the channels of ``write_uncertainty``.
     """
     channels: dict[str, np.ndarray] = {}
     for name in field.names:
@@ -65,7 +65,7 @@ def write_field(field: TextureField, folder: Path, attributes: Mapping[str, Any]
 
 
 def _channels(result: Any, name: str, values: Any) -> dict[str, np.ndarray]:
-    """Return values (T,) or (T, C) as the channels of a file."""
+    """Return values (T,) or (T, C) as named channels (H, W)."""
     table = np.asarray(values, np.float32)
     columns = table.reshape(len(table), -1).T
     letters = [""] if len(columns) == 1 else [".R", ".G", ".B"]
@@ -86,13 +86,13 @@ def padded_image(
 ) -> np.ndarray:
     """Lay values (T,) out as an (H, W) texture with a gutter around the charts.
 
-    Only texels outside the charts are filled: unseen ones keep their value.
+    ``fill`` is the value beyond the gutter. Unseen texels keep their value.
     """
     return dilate(result.texels.to_image(values, fill), result.texels.inside(), gutter)
 
 
 def read_map(path: Path) -> np.ndarray | None:
-    """Return the channel Y (H, W) of an EXR file, None without the file."""
+    """Return the channel Y (H, W) of an EXR file; None if the file is missing."""
     if not path.is_file():
         return None
     channels = read_exr(path)
@@ -102,7 +102,7 @@ def read_map(path: Path) -> np.ndarray | None:
 
 
 def read_deviations(folder: Path) -> dict[str, np.ndarray]:
-    """Return standard deviations (H, W, C) of ``uncertainty.exr`` by parameter, if it exists."""
+    """Read standard deviations (H, W, C) from ``uncertainty.exr``, by parameter, if it exists."""
     path = folder / UNCERTAINTY
     channels = read_exr(path) if path.is_file() else {}
     planes = {name: [channels[f"{name}.sd{letter}"] for letter in ("", ".R", ".G", ".B")

@@ -1,4 +1,4 @@
-"""``relit.png``: photographs, renders in recovered textures, and another light."""
+"""``relit.png``: photographs, renders with recovered textures, renders under another light."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from svu_mi.recovery.svbrdf_textures import Textures
 
 COLUMNS = ("Photograph", "Recovered", "Difference", "Under another light")
 CELL = 2.9  # inches
-SIDE = 320  # pixels of the longer side: renders are what takes time
-SAMPLES = 16  # spread evenly; 25 take half as long again, for four fifths of the noise
-WORST = 0.25  # difference of sRGB values at the end of the scale
+SIDE = 320  # pixels of the longer side; rendering dominates the time
+SAMPLES = 16  # per pixel; 25 take 1.5 times as long, for 0.8 times the noise
+WORST = 0.25  # difference of sRGB values at the upper end of the scale
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderComparison:
-    """One view: photograph and render in textures, at most 320 pixels wide.
+    """Photograph and render of one view, by default at most 320 pixels wide.
 
     Attributes:
-        view: index into ``capture.sensors``.
-        photograph: (h, w, 3) linear radiance; NaN where it is not usable.
-        render: (h, w, 3) linear radiance of the object in the textures under the capture's light;
-            0 off the object.
-        inside: (h, w) bool, the pixels that show nothing but the object.
-        relit: as ``render`` under another light, or None.
+        view: Index into ``capture.sensors``.
+        photograph: (h, w, 3) linear radiance; NaN for unusable pixels.
+        render: (h, w, 3) linear radiance of the object with the textures under the capture's light;
+            0 outside the object.
+        inside: (h, w) bool, pixels that the object covers completely.
+        relit: Render under another light, like ``render``, or None.
     """
 
     view: int
@@ -46,23 +46,23 @@ class RenderComparison:
 
     @cached_property
     def difference(self) -> np.ndarray:
-        """(h, w): the largest difference of sRGB values among channels; NaN outside."""
+        """Largest difference of sRGB values among channels, (h, w); NaN outside the object."""
         error = np.abs(np.subtract(*self._exposed)).max(axis=2)
         usable = self.inside & np.isfinite(self.photograph).all(axis=2)
         return np.where(usable, error, np.nan)
 
     @property
     def mean_difference(self) -> float | None:
-        """Mean of ``difference``; None without any usable pixel."""
+        """Mean of ``difference``; None without usable pixels."""
         error = self.difference
         return float(np.nanmean(error)) if np.isfinite(error).any() else None
 
     @cached_property
     def pictures(self) -> list[np.ndarray]:
-        """Photograph, render, difference and any ``relit`` as screen colours (h, w, 3).
+        """Photograph, render, difference and (if present) ``relit`` as screen colours (h, w, 3).
 
-        White outside. The difference is from 0 (black) to a quarter (yellow); what is under the
-        other light is exposed for itself.
+        White outside the object. Differences range from 0 (black) to 0.25 (yellow). ``relit`` has
+        its own exposure.
         """
         photograph, render = self._exposed
         error = self.difference[..., None]
@@ -73,13 +73,13 @@ class RenderComparison:
         return pictures
 
     def cropped(self) -> list[np.ndarray]:
-        """Return ``pictures``, cut to the object."""
+        """Return ``pictures``, cropped to the object."""
         window = object_views.object_window(self.inside)
         return [object_views.crop(image, window) for image in self.pictures]
 
     @cached_property
     def _exposed(self) -> tuple[np.ndarray, np.ndarray]:
-        """Photograph and render as sRGB values, both exposed for the object as photographed."""
+        """Photograph and render as sRGB values with the photograph's exposure."""
         white = white_radiance(self.photograph, self.inside)
         return (tone_mapped(self.photograph, white=white),
                 tone_mapped(self.render, white=white))  # fmt: skip
@@ -92,9 +92,9 @@ def compare_renders(
     capture: Capture, textures: Textures, chosen: Sequence[int], spp: int = SAMPLES,
     side: int = SIDE, *, relit: bool = True,
 ) -> list[RenderComparison]:  # fmt: skip
-    """Render the object in textures as the ``chosen`` sensors saw it, and under ``novel_light``.
+    """Render the object with textures from the ``chosen`` sensors, and under ``novel_light``.
 
-    ``side`` is the longer side of the pictures, in pixels; the other light only if ``relit``.
+    ``side`` is the longer side of the pictures in pixels; ``relit`` adds the other light.
     """
     sensors = [scaled_sensor(capture.sensors[view], side) for view in chosen]
     covered = SensorPixels(sensors).covered(capture.scene, capture.shape)
@@ -112,14 +112,14 @@ def compare_renders(
 
 
 def write_relit(comparisons: Sequence[RenderComparison], path: str | Path) -> None:
-    """Draw one row per view: photograph, render, their difference, another light.
+    """Draw one row per view: photograph, render, difference, render under another light.
 
     Raises:
         OutputError: the file cannot be written.
     """
     height = CELL * len(comparisons) + 0.4
     figure = style.new_figure(CELL * len(COLUMNS), height)
-    # Places that are known: matplotlib's own layout draws everything three times.
+    # Fixed margins: matplotlib's automatic layout draws everything three times.
     room = {"left": 0.005, "right": 0.995, "top": 1 - 0.3 / height, "bottom": 0.22 / height}
     grid = figure.subplots(
         len(comparisons), len(COLUMNS), squeeze=False,

@@ -1,4 +1,4 @@
-"""Samples of textures from the field around recovered ones: files and overview."""
+"""Posterior samples of recovered textures: files and overview page."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 FOLDER, SHEET = "draws", "draws.png"
-SHOWN = 6  # draws on the sheet
+SHOWN = 6  # samples on the page
 CELL = 2.4  # inches
-HEADING = "Textures that explain the photographs about as well"
+HEADING = "Textures that explain the photographs about equally well"
 
 
 def write_draws(
     draws: Iterator[Textures], folder: Path, attributes: Mapping[str, Any] | None = None
 ) -> list[Textures]:
-    """Write ``draws/draw_000.exr`` and so on, half floats; return the first, for the sheet.
+    """Write ``draws/draw_000.exr`` and so on in half precision; return the first six.
 
     Channels are ``base_color.R`` (.G, .B), ``roughness`` and ``metallic``, all in [0, 1].
     """
@@ -53,7 +53,7 @@ def write_draws(
 
 
 def find_draws(folder: Path) -> list[Path]:
-    """Return the files of ``write_draws`` in order; a ``CaptureError`` if there are none."""
+    """Return the files of ``write_draws`` in order; raise a ``CaptureError`` if missing."""
     files = sorted((folder / FOLDER).glob("draw_*.exr"))
     if not files:
         raise CaptureError(
@@ -63,7 +63,7 @@ def find_draws(folder: Path) -> list[Path]:
 
 
 def read_draws(files: Sequence[Path]) -> Iterator[Textures]:
-    """Yield the textures of files of ``write_draws``; a ``CaptureError`` if one is damaged."""
+    """Yield the textures in files of ``write_draws``; a damaged one raises a ``CaptureError``."""
     for path in files:
         channels = read_exr(path)
         missing = [key for name in NAMES for key in _channels(name) if key not in channels]
@@ -78,7 +78,7 @@ def read_draws(files: Sequence[Path]) -> Iterator[Textures]:
 def write_sheet(
     capture: Capture, recovery: Recovery, draws: Sequence[Textures], path: Path, view: int
 ) -> None:
-    """Draw the recovered textures and some draws on the object, a row for every parameter."""
+    """Draw recovered textures and samples on the object, one row per parameter."""
     columns = [recovery.textures, *draws]
     look = ObjectView.at(object_only_scene(capture), capture.sensors[view])
     panels: list[Panel] = []
@@ -103,5 +103,5 @@ def texture_colors(texels: Texels, textures: Textures, name: str) -> np.ndarray:
 
 
 def _channels(name: str) -> list[str]:
-    """Return the names of the channels of a parameter."""
+    """Return the channel names of a parameter."""
     return [f"{name}.{letter}" for letter in "RGB"] if CHANNELS[name] > 1 else [name]

@@ -1,4 +1,4 @@
-"""Files of ``svu guide``: proposed poses, their information gain, and pictures."""
+"""Files of ``svu guide``: proposed poses, maps of information gain, pictures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def write_guidance(
 ) -> None:
     """Write proposals as poses, maps and pictures, with ``guidance.json`` and ``run.json``.
 
-    ``up`` is the top of the map of directions; ``pictures`` are ``guidance.png`` and thumbnails.
+    ``up`` is the top of the direction map; ``pictures`` enables ``guidance.png`` and thumbnails.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -83,7 +83,7 @@ def _write_poses(capture: Capture, guidance: Guidance, folder: Path) -> None:
 
 
 def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
-    """Return the content of ``guidance.json``: proposals with poses, ranked candidates."""
+    """Return the content of ``guidance.json``: proposals with poses, candidates by rank."""
     ranked = enumerate(zip(guidance.proposals, file_names(capture, guidance), strict=True), 1)
     return {
         "settings": {
@@ -108,9 +108,9 @@ def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dic
 
 
 def file_names(capture: Capture, guidance: Guidance) -> list[str]:
-    """Return file names for photographs of the proposals.
+    """Return file names for the photographs of the proposals.
 
-    A sensor of the capture has its own; all others come after it, in their order.
+    Sensors of the capture keep their file name; others are numbered after them.
     """
     names, free = [], capture.count
     for proposal in guidance.proposals:
@@ -124,9 +124,9 @@ def file_names(capture: Capture, guidance: Guidance) -> list[str]:
 
 
 def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]) -> None:
-    """Write perspective sensors as a Mitsuba scene of their own, to be loaded or included.
+    """Write perspective sensors as a Mitsuba scene, to be loaded or included.
 
-    ``-D spp=N`` sets samples per pixel; ``names`` are their ids.
+    ``names`` are their ids; ``-D spp=N`` sets samples per pixel.
     """
     root = scene_xml.scene()
     root.extend(scene_xml.sensor(s, name) for s, name in zip(sensors, names, strict=True))
@@ -134,7 +134,7 @@ def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]
 
 
 def _candidate_records(guidance: Guidance) -> list[dict[str, Any]]:
-    """All candidates, the best first, those that cannot be reached last."""
+    """Return records of all candidates, best first, unreachable last."""
     names, reachable = guidance.candidates.names, guidance.candidates.reachable
     return [
         {"number": int(k), "name": names[k], "reachable": bool(reachable[k]),
@@ -144,7 +144,7 @@ def _candidate_records(guidance: Guidance) -> list[dict[str, Any]]:
 
 
 def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
-    """Write one EXR per proposal, channel Y: the gain of every texel, 0 outside the charts."""
+    """Write one EXR per proposal, channel Y: gain of every texel, 0 outside the charts."""
     for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
         image = padded_image(guidance, gains, fill=0)
         about = exr_attributes(
@@ -154,7 +154,7 @@ def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
 
 
 def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
-    """Write the views of proposed cameras, coloured by information gain."""
+    """Write the proposed views, coloured by information gain, as PNG."""
     for k, picture in enumerate(pictures):
         with replacing(folder / f"proposal_{k}.png") as temporary:
             Image.fromarray(quantized(picture[..., :3])).save(temporary)

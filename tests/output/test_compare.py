@@ -65,7 +65,7 @@ def test_textures_of_others_are_compared(recovered, tmp_path, capsys):
     assert record["resolution"] == [WIDTH, HEIGHT]
     assert record["seen_part"] == pytest.approx(0.5, abs=0.05)
     assert f"{theirs / 'base_color.png'}: 8 bits, decoded as sRGB." in record["notes"]
-    assert f"{theirs}: taken to be laid out over the same UVs." in record["notes"]
+    assert f"{theirs}: assumed to use the same UVs." in record["notes"]
     written = read_exr(tmp_path / "out" / "difference_roughness.exr")
     compared = written["compared"] > 0
     assert compared.mean() == pytest.approx(0.375 * 0.7, abs=0.03)  # but for the poles
@@ -78,7 +78,7 @@ def test_textures_of_others_are_compared(recovered, tmp_path, capsys):
 def test_results_of_other_meshes_are_refused(recovered, tmp_path):
     other, turned = tmp_path / "other", tmp_path / "turned"
     recovered_folder(other, lettered(WIDTH, HEIGHT), uvs=ball().uvs * 0.5)
-    with pytest.raises(CaptureError, match="are about different meshes"):
+    with pytest.raises(CaptureError, match="belong to different meshes"):
         svu.compare(recovered, other)
     moved = 2 * ball().positions[:, [1, 2, 0]]  # the same object, elsewhere in its world
     recovered_folder(turned, lettered(WIDTH, HEIGHT), positions=moved)
@@ -100,17 +100,17 @@ def test_folders_without_anything_are_refused(recovered, tmp_path, capsys):
     with pytest.raises(OptionError, match="takes captures, estimates, recoveries and folders"):
         svu.compare(recovered, 3)
     words = ("compare", recovered, recovered, "-o", tmp_path / "out")
-    assert "--tolerance must be 0 or more, got -1." in fails(capsys, *words, "--tolerance", -1)
+    assert "--tolerance must be at least 0, got -1." in fails(capsys, *words, "--tolerance", -1)
     line = fails(capsys, *words, "--preset", "fast", "fast", "fast")
     assert line == "svu: --preset takes one preset, or two for A and B."
     line = fails(capsys, *words, "--resolution", 1)
     assert line == "svu: --resolution must be 2 to 16384 texels per side, got 1 x 1."
 
 
-NUMBER = "compare(): tolerance must be a number, 0 or more, got"
+NUMBER = "compare(): tolerance must be a number of at least 0, got"
 SIDES = "compare(): resolution must be 2 to 16384 texels per side, got"
 WHOLE = "The texel grid's resolution must be one or two whole numbers, got"
-ONE_OR_TWO = "compare(): preset takes the name of one preset, or two for a and b, got"
+ONE_OR_TWO = "compare(): preset must be the name of a preset, or two names for a and b, got"
 UNKNOWN = "Unknown preset 'nope'; method 'angular' has default, fast, fixed, paper."
 
 
@@ -147,9 +147,9 @@ def test_entropies_of_other_meshes_are_refused_by_their_records(shot, vase, tmp_
     record = json.loads((tmp_path / "b" / "run.json").read_text())
     record["inputs"]["mesh"] = "0" * 32
     (tmp_path / "b" / "run.json").write_text(json.dumps(record))
-    with pytest.raises(CaptureError, match="are about different meshes"):
+    with pytest.raises(CaptureError, match="belong to different meshes"):
         svu.compare(tmp_path / "a", tmp_path / "b")
-    with pytest.raises(CaptureError, match="are about different meshes"):
+    with pytest.raises(CaptureError, match="belong to different meshes"):
         svu.compare(vase.estimate, tmp_path / "b")
     assert svu.compare(vase.estimate, tmp_path / "a").entropy is not None
 
@@ -157,8 +157,9 @@ def test_entropies_of_other_meshes_are_refused_by_their_records(shot, vase, tmp_
 def test_an_estimate_does_not_differ_from_itself(vase):
     comparison = svu.compare(vase.estimate, vase.estimate)
     assert comparison.sentence() == (
-        "Of the surface that both show, base colour differs certainly on 0 %, roughness differs "
-        "certainly on 0 %, metallic differs certainly on 0 %, the entropy differs by +0.000 in the "
+        "Of the surface that both show, base colour differs significantly on 0 %, roughness "
+        "differs significantly on 0 %, metallic differs significantly on 0 %, the entropy differs "
+        "by +0.000 in the "
         "mean."
     )
     assert (comparison.image("roughness")[comparison.seen] == 0).all()
@@ -241,7 +242,7 @@ def test_a_change_of_one_part_is_shown_and_nothing_else(changed, tmp_path, capsy
     """
     before, after = changed / "before", changed / "after"
     assert run("compare", before, after, "--resolution", 128, "-o", tmp_path) == 0
-    assert "roughness differs certainly on 2" in capsys.readouterr().out.splitlines()[-1]
+    assert "roughness differs significantly on 2" in capsys.readouterr().out.splitlines()[-1]
     written = read_exr(tmp_path / "difference_roughness.exr")
     certain = (np.abs(written["deviations"]) > 2) & (written["compared"] > 0)
     column = (np.arange(128) + 0.5) / 128

@@ -1,4 +1,4 @@
-"""``compare.html``, ``compare.json`` and difference maps: the files of ``svu compare``."""
+"""Files of ``svu compare``: ``compare.html``, ``compare.json`` and difference maps."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from svu_mi.output.run_record import environment_record, write_manifest
 from svu_mi.output.surface_maps import ENDS, ENTROPY
 
 TEMPLATE, RECORD = "compare.html", "compare.json"
-SIDE, SIGNED = 384, "RdBu_r"  # pixels of a map; blue is less, red is more
-LARGEST = (0.05, 0.1, 0.25, 0.5, 1.0)  # differences at the ends of a scale
-SHOWN = 0.98  # part of the texels whose differences the scale does not clip
+SIDE, SIGNED = 384, "RdBu_r"  # pixels of a map; colormap: blue is less, red is more
+LARGEST = (0.05, 0.1, 0.25, 0.5, 1.0)  # possible ends of difference scales
+SHOWN = 0.98  # quantile of differences within the scale
 
 
 def write_comparison(
@@ -29,8 +29,8 @@ def write_comparison(
 ) -> None:
     """Write ``compare.html``, ``compare.json`` and a ``difference_*.exr`` of every map.
 
-    An EXR has the difference (Y, or R, G, B), ``deviations`` where these are known, and
-    ``compared``: 1 where both sides have a value; all others are 0 elsewhere.
+    Each EXR contains the difference (Y, or R, G, B), ``deviations`` if known, and ``compared``: 1
+    where both sides have a value. Elsewhere all channels are 0.
     """
     attributes = {"svu:version": svu_mi.__version__}
     with writing(folder, "compare", RECORD) as draft:
@@ -55,7 +55,7 @@ def write_comparison(
 
 
 def _pictures(comparison: Comparison, name: str) -> dict[str, Any]:
-    """Return figures and pictures of a map: both sides, their difference, and where certain."""
+    """Return figures and pictures of a map: both sides, difference, significant difference."""
     one, sure = comparison.maps[name], None
     colormap = ENTROPY.colormap if name == "entropy" else style.VALUES_COLORMAP
     size = largest(one.values)
@@ -63,7 +63,7 @@ def _pictures(comparison: Comparison, name: str) -> dict[str, Any]:
     limit = next((end for end in LARGEST if high <= end), LARGEST[-1])
 
     def draw(image: np.ndarray, limits: tuple[float, float], colormap: str) -> PageImage:
-        """Draw a map (H, W, C), grey where not both have one, transparent outside the charts."""
+        """Draw a map (H, W, C); grey without values, transparent outside the charts."""
         known, values = np.isfinite(image).all(axis=2, keepdims=True), np.nan_to_num(image)
         colors = style.colors(values[..., 0], limits, colormap)
         if values.shape[2] == 3:

@@ -1,4 +1,4 @@
-"""Differences between two results about one object, as maps and numbers."""
+"""Differences between two results for one object, as maps and figures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
 from svu_mi.presets import preset as find_preset
 
-TOLERANCE = 0.05  # relevant difference where no standard deviation is known
+TOLERANCE = 0.05  # relevant difference if no standard deviation is known
 RESOLUTION = 512  # texels per side if both sides are captures
 CERTAIN = 2.0  # standard deviations
 AROUND = 5  # texels, side of the square over which differences are averaged
@@ -38,27 +38,36 @@ LEAST = 1e-3  # lower bound of standard deviations
 class Difference:
     """Difference of two maps (H, W, C), the second minus the first; NaN where one has no value.
 
-    ``figures``, by area: the ``mean``; ``median`` of the channel that differs most, and the part
-    ``beyond`` the tolerance; ``rms``; ``psnr`` in dB; the part ``certain`` to differ, its mean.
+    ``figures``, by area: ``mean``; ``median`` of the largest channel's magnitude; fraction
+    ``beyond`` the tolerance; ``rms``; ``psnr`` in dB; fraction ``certain`` to differ
+    (significant), and ``certain_mean`` there.
     """
 
     both: tuple[np.ndarray, np.ndarray]
     values: np.ndarray
-    deviations: np.ndarray | None  # (H, W, 1), in standard deviations, smoothed (``_deviations``)
+    deviations: np.ndarray | None  # (H, W, 1), in standard deviations, averaged over a square
     figures: Mapping[str, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Differences between two sides: the second minus the first."""
+    """Differences between two sides: the second minus the first.
+
+    Example:
+        >>> comparison = svu.compare(estimate, recovery)
+        >>> list(comparison.differences)
+        ['base_color', 'roughness', 'metallic']
+        >>> comparison.image("roughness").shape
+        (64, 64)
+    """
 
     sides: Sequence[ResultMaps]
-    area: np.ndarray  # (H, W) of the surface in each texel; 0 outside the charts
-    seen: np.ndarray  # (H, W) bool, the texels that both show
-    seen_part: float  # of the surface
-    maps: Mapping[str, Difference]  # of parameters and ``entropy``, as far as both have them
-    tolerance: float  # relevant difference where no standard deviation is known
-    notes: Sequence[str]  # on how they were compared
+    area: np.ndarray  # (H, W) surface area of each texel; 0 outside the charts
+    seen: np.ndarray  # (H, W) bool, texels that both sides show
+    seen_part: float  # fraction of the surface that both sides show
+    maps: Mapping[str, Difference]  # parameters and ``entropy``, as far as both have them
+    tolerance: float  # relevant difference if no standard deviation is known
+    notes: Sequence[str]  # remarks on conversions and assumptions
 
     @property
     def differences(self) -> dict[str, Difference]:
@@ -67,22 +76,22 @@ class Comparison:
 
     @property
     def entropy(self) -> Difference | None:
-        """Difference of the entropy, None where one is not known."""
+        """Difference of the entropy; None if a side has none."""
         return self.maps.get("entropy")
 
     def image(self, name: str) -> np.ndarray:
-        """Return the map NAME or ``NAME_deviations``, (H, W) or (H, W, 3) (see ``Difference``)."""
+        """Return the map NAME or ``NAME_deviations``, (H, W) or (H, W, 3)."""
         entry = self.maps.get(name.removesuffix("_deviations"))
         image = None if entry is None else entry.values if name in self.maps else entry.deviations
         if image is None:
-            raise OptionError(f"Comparison.image(): there is no map {name!r}.")
+            raise OptionError(f"Comparison.image(): unknown map {name!r}.")
         return image if image.shape[2] > 1 else image[..., 0]
 
     def sentence(self) -> str:
-        """Return "Of the surface that both show, roughness differs certainly on 12 %, ..."."""
+        """Return "Of the surface that both show, roughness differs significantly on 12 %, ..."."""
         clauses = []
         for name, one in self.differences.items():
-            share, how, by = one.figures["certain"], "certainly", one.figures["certain_mean"]
+            share, how, by = one.figures["certain"], "significantly", one.figures["certain_mean"]
             if share is None:
                 share, how = one.figures["beyond"] or 0.0, f"by more than {self.tolerance:g}"
             by_mean = "" if by is None else f" (by {by:+.3f})"
@@ -98,27 +107,35 @@ def compare(
     resolution: int | tuple[int, int] | None = None, tolerance: float = TOLERANCE,
     trust: bool = False, progress: Progress | None = None, memory: float | None = None,
 ) -> Comparison:  # fmt: skip
-    """Compare two results about one object.
+    """Compare two results for one object.
 
-    Each side is a capture, which is estimated; an ``Estimate``; a ``Recovery``; or a folder: a
-    capture's, a result of ``svu entropy`` or ``svu recover``, or any with textures ``base_color``,
-    ``roughness``, ``metallic`` (some of them, EXR or PNG, over the same UVs). An 8- or 16-bit
-    base colour is decoded from sRGB. Maps of another size are resampled; texels that not both
-    show are left out. Where standard deviations are known, a difference is certain if its mean
-    over the texels around is more than twice the standard deviation of both together.
+    Each side is a ``Capture``, which is estimated first; an ``Estimate``; a ``Recovery``; or the
+    path of a folder: a capture, a result of ``svu entropy`` or ``svu recover``, or some of the
+    textures ``base_color``, ``roughness``, ``metallic`` (EXR or PNG, over the same UVs). PNG base
+    colour is decoded from sRGB. Maps of another size are resampled. Texels that one side does not
+    show are ignored. If standard deviations are known, a difference is significant where
+    its mean over 5 x 5 texels exceeds two standard deviations of both sides together.
 
     Args:
-        a: the first.
-        b: the second, from which ``a`` is subtracted.
-        preset: of estimates of captures; one for both, or one for each.
-        resolution: texels per side, or (width, height); by default that of the coarser textures.
-        tolerance: relevant difference where no standard deviation is known.
-        trust: as of ``load_capture``, like ``memory``.
-        progress: shows the stages.
-        memory: bytes that photographs may take.
+        a: First side.
+        b: Second side, from which ``a`` is subtracted.
+        preset: Preset for captures; one name, or one per side.
+        resolution: Texels per side, or (width, height); default: as the coarser side.
+        tolerance: Relevant difference if no standard deviation is known.
+        trust: Option of ``load_capture``.
+        progress: Receiver of stages and timings.
+        memory: Limit of the photographs' memory in bytes; None is unlimited.
 
     Raises:
-        SvuError: an option out of range, not about one object, or as ``load_capture``.
+        SvuError: an option is out of range, the sides show different objects, or an error of
+            ``load_capture``.
+
+    Example:
+        >>> comparison = svu.compare(estimate, recovery, tolerance=0.1)
+        >>> comparison.seen_part > 0.5
+        True
+        >>> comparison.sentence()[:23]
+        'Of the surface that bot'
     """
     plan = ComparisonPlan(a, b, preset=preset, resolution=resolution, tolerance=tolerance)
     stages = progress or Progress()
@@ -133,21 +150,21 @@ def compare(
 
 
 class ComparisonPlan:
-    """Checked options and results that were read; ``captures`` must be estimated first."""
+    """Checked options and loaded results; ``captures`` must be estimated before ``compared``."""
 
     def __init__(self, a: Source, b: Source, *, preset: Any, resolution: Any, tolerance: Any):
         pair = (preset, preset) if isinstance(preset, str) else preset
         two = isinstance(pair, tuple | list) and len(pair) == 2
         if not (two and all(isinstance(name, str) for name in pair)):
             raise OptionError(
-                "compare(): preset takes the name of one preset, or two for a and b, got "
+                "compare(): preset must be the name of a preset, or two names for a and b, got "
                 f"{preset!r}.", shell="--preset takes one preset, or two for A and B."
             )  # fmt: skip
         number = isinstance(tolerance, Real) and not isinstance(tolerance, bool)
         if not (number and 0 <= tolerance < np.inf):
             raise OptionError(
-                f"compare(): tolerance must be a number, 0 or more, got {tolerance!r}.",
-                shell=f"--tolerance must be 0 or more, got {tolerance:g}." if number else None,
+                f"compare(): tolerance must be a number of at least 0, got {tolerance!r}.",
+                shell=f"--tolerance must be at least 0, got {tolerance:g}." if number else None,
             )
         size = None if resolution is None else size_of(resolution)
         if size is not None:
@@ -164,7 +181,7 @@ class ComparisonPlan:
         self.size = size or min(((w, h) for h, w in shapes), default=(RESOLUTION, RESOLUTION))
 
     def estimate(self, index: int, capture: Capture, progress: Progress) -> None:
-        """Estimate a side; a light is found for a capture on disk that has none."""
+        """Estimate a side; for a capture on disk without light, the light is estimated, too."""
         if not isinstance(dict(self.captures)[index], Capture):
             capture = with_resolved_light(capture, progress=progress)
         preset, grid = self.presets[index], texels(capture.mesh, self.size)
@@ -173,12 +190,12 @@ class ComparisonPlan:
         self.sides[index] = maps_of_estimate(result, self.names[index], about)
 
     def compared(self) -> Comparison:
-        """Compare the maps that both sides have; refuse sides of different meshes."""
+        """Compare the maps that both sides have; raise an error for different meshes."""
         first, second = sides = [side for side in self.sides if side is not None]
         if first.key and second.key and first.key != second.key:
             raise CaptureError(
-                f"{first.name} and {second.name} are about different meshes; compare results of "
-                "one mesh with one layout of UVs."
+                f"{first.name} and {second.name} belong to different meshes; compare results for "
+                "one mesh with the same UVs."
             )
         shared = first.maps.keys() & second.maps
         names = [name for name in dict.fromkeys((*NAMES, *first.maps)) if name in shared]
@@ -202,7 +219,7 @@ class ComparisonPlan:
             if side.seen is not None:
                 seen = seen & (read(side.seen[..., None])[..., 0] > 0.5)
         if not seen.any():
-            raise CaptureError(f"{first.name} and {second.name} show no part in common.")
+            raise CaptureError(f"{first.name} and {second.name} show no common surface.")
         maps = {}
         for name in names:
             variances = [read(s.sd[name], s.seen) ** 2 for s in sides if name in s.sd]
@@ -210,7 +227,7 @@ class ComparisonPlan:
             a, b = (read(side.maps[name], side.seen) for side in sides)
             maps[name] = difference(a, b, area, sd=sd, tolerance=self.tolerance)
         notes = [note for side in sides for note in side.notes]
-        notes += [f"{side.name}: taken to be laid out over the same UVs." for side in sides
+        notes += [f"{side.name}: assumed to use the same UVs." for side in sides
                   if mesh is not None and not side.key]  # fmt: skip
         return Comparison(
             sides=sides, area=area, seen=seen, maps=maps, tolerance=self.tolerance,
@@ -224,7 +241,7 @@ def difference(
 ) -> Difference:  # fmt: skip
     """Compare two maps (H, W, C), or their means over channels if C differs.
 
-    ``area`` (H, W) is that of the texels, ``sd`` the standard deviation of the difference.
+    ``area`` (H, W) contains texel areas, ``sd`` the standard deviation of the difference.
     """
     both = first, second
     if first.shape[2] != second.shape[2]:
@@ -252,7 +269,7 @@ def difference(
 
 def _deviations(values: np.ndarray, sd: np.ndarray) -> np.ndarray:
     """Return means over a square, weighted by 1 / sd^2, in standard deviations: (H, W, 1)."""
-    # Neighbours have errors in common, so the mean's variance is that of one texel.
+    # Errors of neighbours are correlated, so the mean gets the variance of a single texel.
     known = np.isfinite(values) & np.isfinite(sd)
     weight = np.where(known, 1 / np.maximum(sd, LEAST) ** 2, 0)
     planes = np.stack([weight, weight * np.where(known, values, 0), known])
@@ -262,6 +279,6 @@ def _deviations(values: np.ndarray, sd: np.ndarray) -> np.ndarray:
 
 
 def largest(image: np.ndarray) -> np.ndarray:
-    """Return the value of the largest magnitude among channels, (H, W, 1)."""
+    """Return the channel value of the largest magnitude, (H, W, 1)."""
     channel = np.abs(np.nan_to_num(image)).argmax(axis=2, keepdims=True)
     return np.take_along_axis(image, channel, axis=2)

@@ -1,4 +1,4 @@
-"""``Asset``: a mesh, its textures and their uncertainty."""
+"""``Asset``: mesh, textures and uncertainty of an object."""
 
 from __future__ import annotations
 
@@ -17,27 +17,33 @@ from svu_mi.output.maps import padded_image
 from svu_mi.output.object_views import Axis, nearest_axis, up_direction
 from svu_mi.recovery.svbrdf_textures import Textures
 
-TEXTURES, RECORD = "textures", "asset.json"  # in an exported folder
-SD = "_sd"  # end of the names of maps of standard deviations
+TEXTURES, RECORD = "textures", "asset.json"  # folder and file of an export
+SD = "_sd"  # suffix of maps with standard deviations
 
 
 @dataclass(frozen=True, kw_only=True)
 class Asset:
-    """A mesh in textures of the ``principled`` BSDF, in the world space of its capture.
+    """Mesh with textures of the ``principled`` BSDF, in the world space of its capture.
 
     Attributes:
-        name: of the object, in all files; made one printable line.
-        mesh: with UVs in the unit square; v = 0 is the first row of an image.
-        textures: over these UVs.
-        entropy: (H, W) float32 in [0, 1] over these UVs, 1 = nothing known; of any resolution,
-            or None.
-        coverage: (H, W) float32 number of views, of the same resolution as ``entropy``, or None.
-        deviations: (H, W) float32 standard deviations in [0, 1] by parameter, of a colour that of
-            its worst channel; over these UVs, of the textures' resolution.
-        two_sided: whether the surface reflects on its back, too.
-        up: axis of the world that points upwards.
-        source: where all this comes from, for the record.
-        capture: key of the capture that it was recovered from, or empty.
+        name: Name of the object in all files; converted to one printable line.
+        mesh: Mesh with UVs in the unit square; v = 0 is the first row of an image.
+        textures: Recovered textures.
+        entropy: (H, W) float32 in [0, 1], any resolution; None if unknown.
+        coverage: (H, W) float32 number of views, same resolution as ``entropy``; None if unknown.
+        deviations: (H, W) float32 standard deviations by parameter, in the textures' resolution;
+            for base colour the largest of its channels.
+        two_sided: Whether back faces reflect light, too.
+        up: Upward axis of the world, ``y`` or ``z``.
+        source: Origin of the data, for the record.
+        capture: Digest of the capture; empty if unknown.
+
+    Example:
+        >>> asset = svu.Asset.of(capture, recovery, estimate)
+        >>> sorted(asset.maps)
+        ['coverage', 'entropy']
+        >>> asset.entropy.shape
+        (64, 64)
     """
 
     name: str
@@ -70,7 +76,7 @@ class Asset:
 
     @property
     def maps(self) -> dict[str, np.ndarray]:
-        """Available maps by name: entropy, coverage, ``roughness_sd`` and so on."""
+        """Available maps by name: entropy, coverage, ``roughness_sd``, ..."""
         maps = {"entropy": self.entropy, "coverage": self.coverage}
         there = {name: image for name, image in maps.items() if image is not None}
         return there | {name + SD: image for name, image in self.deviations.items()}
@@ -79,7 +85,7 @@ class Asset:
     def of(
         cls, capture: Any, recovery: Any, estimate: Any | None = None, field: Any | None = None
     ) -> Asset:
-        """Return an asset of results in memory; an estimate may have any resolution."""
+        """Return an asset from results in memory; the estimate may have another resolution."""
         seen = recovery if estimate is None else estimate
         entropy = (
             None if estimate is None else padded_image(seen, np.array(estimate.entropy, np.float32))
@@ -105,7 +111,7 @@ class Asset:
 
 @dataclass(frozen=True, kw_only=True)
 class AssetFile:
-    """A file of an asset: its relative path, format, content, and how to read its values."""
+    """File of an asset: relative path, format, content, and encoding of its values."""
 
     file: str
     format: str
@@ -114,7 +120,7 @@ class AssetFile:
 
 
 def largest_channel(deviations: np.ndarray) -> np.ndarray:
-    """Return the largest of the channels (T, C) or (T,), (T,) float32."""
+    """Return the largest channel of (T, C) or (T,) values, (T,) float32."""
     table = np.asarray(deviations, np.float32)
     return np.asarray(table.reshape(len(table), -1).max(axis=1, initial=0))
 
@@ -134,7 +140,7 @@ def _check_mesh(name: str, mesh: MeshArrays) -> None:
 
 def count_invalid(image: np.ndarray, maximum: float) -> int:
     """Count values that are NaN, infinite, or outside [0, maximum]."""
-    return int((~((image >= 0) & (image <= maximum) & np.isfinite(image))).sum())  # NaN fails all
+    return int((~((image >= 0) & (image <= maximum) & np.isfinite(image))).sum())
 
 
 def _check_values(name: str, image: np.ndarray, maximum: float) -> None:

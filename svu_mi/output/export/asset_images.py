@@ -1,4 +1,4 @@
-"""Textures and maps as EXR and PNG."""
+"""Textures and maps of an asset as EXR and PNG."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from svu_mi.output.texture_files import FILES, write_textures
 from svu_mi.parameters import CHANNELS
 
 LINEAR = "linear"
-VALUES = {"entropy": "in [0, 1], 1 = nothing known", "coverage": "number of views"}
+VALUES = {"entropy": "in [0, 1], 1 = no information", "coverage": "number of views"}
 SD_OF = "standard deviation"
 SRGB = "sRGB (IEC 61966-2-1)"
-PACKED = "linear: R occlusion (1, as it is unknown), G roughness, B metallic, as in glTF"
+PACKED = "linear: R occlusion (unknown, 1), G roughness, B metallic, as in glTF"
 
 
 def write_exr_images(asset: Asset, folder: Path, *, half: bool) -> list[AssetFile]:
-    """Write the textures and maps as linear EXR; entropy and coverage have the channel Y."""
+    """Write textures and maps as linear EXR; entropy, coverage and deviations have channel Y."""
     write_textures(asset.textures, folder / TEXTURES, half=half)
     written = [
         AssetFile(file=f"{TEXTURES}/{file}", format="exr", holds=name, values=LINEAR)
@@ -40,7 +40,7 @@ def write_exr_images(asset: Asset, folder: Path, *, half: bool) -> list[AssetFil
 
 
 def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[AssetFile]:
-    """Write the textures, their packed ``orm``, and the maps as PNG."""
+    """Write textures, the packed texture ``orm`` and maps as PNG."""
     images: dict[str, tuple[np.ndarray, str]] = {}
     for name, tensor in asset.textures.items():
         pixels = np.array(tensor)
@@ -61,9 +61,9 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[AssetFile
 
 
 def orm_image(asset: Asset) -> np.ndarray:
-    """Return occlusion, roughness and metallic (H, W, 3), as glTF 2.0 prescribes (Sec. 3.9.2).
+    """Return occlusion, roughness and metallic (H, W, 3) as in glTF 2.0 (Sec. 3.9.2).
 
-    Occlusion is not known, so it is 1.
+    Occlusion is unknown and set to 1.
     """
     rough, metal = np.array(asset.textures.roughness), np.array(asset.textures.metallic)
     return np.concatenate([np.ones_like(rough), rough, metal], axis=-1)
@@ -72,12 +72,12 @@ def orm_image(asset: Asset) -> np.ndarray:
 def write_png(path: Path, pixels: np.ndarray, *, color: bool) -> None:
     """Write (H, W) or (H, W, C) uint8 or uint16 as PNG.
 
-    Without ``color`` (sRGB) no gamma is declared: a viewer that used it would change data.
+    ``color`` declares sRGB. Otherwise no gamma is declared, which viewers would apply to the data.
     """
     shown = np.ascontiguousarray(pixels[..., 0] if pixels.shape[2:] == (1,) else pixels)
     with replacing(path) as temporary:
         bitmap = mi.Bitmap(shown)
-        # Without a gamma of its own, a bitmap would declare one of 1 where color is False.
+        # Without this call, Mitsuba would declare a gamma of 1.
         bitmap.set_srgb_gamma(color)
         try:
             bitmap.write(str(temporary))

@@ -1,7 +1,7 @@
-"""Scene files of an asset: Mitsuba XML, and MaterialX with an OBJ.
+"""Scene files of an asset: Mitsuba XML, and MaterialX with an OBJ mesh.
 
-MaterialX takes the lower left corner of an image for (0, 0) (Specification 1.38, "Image Nodes").
-In the OBJ, v runs upwards accordingly; a program that reads the GLB turns its v over to the same.
+In MaterialX, (0, 0) is the lower left corner of an image (Specification 1.38, "Image Nodes"), so v
+points upwards in the OBJ. A program that flips v of the GLB gets the same coordinates.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from svu_mi.parameters import CHANNELS
 
 OBJECT, PREVIEW, MESH = "object.xml", "preview.xml", "mesh.ply"
 FILM = (512, 512)
-ROOM, LAMP = 0.5, 16.0  # radiance
+ROOM, LAMP = 0.5, 16.0  # radiance of the preview's background and lamp
 USE = """ Written by svu_mi {version}. To use the object in another scene:
        <path value="this folder"/>
        <include filename="object.xml"/>
-     In a scene with two such objects, write its folder before each filename below. """
+     With two such objects in a scene, prepend its folder to each filename below. """
 MATERIAL, OBJ = "material.mtlx", "mesh.obj"
-DIGITS = 10  # after the point: objects of a millimetre in metres keep single precision
-VERSION = "1.38"  # later ones read it, too
+DIGITS = 10  # decimals: objects of 1 mm in scenes in metres keep single precision
+VERSION = "1.38"  # later versions read it, too
 INDEX_OF_REFRACTION = 1.5  # F0 = 0.04, as specular = 0.5 of Mitsuba's principled
 # Inputs of standard_surface, by parameter.
 INPUTS = {
@@ -45,9 +45,9 @@ INPUTS = {
 
 
 def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[AssetFile]:
-    """Write ``object.xml``, ``mesh.ply`` and ``preview.xml``; textures are those written as EXR.
+    """Write ``object.xml``, ``mesh.ply`` and ``preview.xml``, which use the EXR textures.
 
-    ``up`` is the top of the preview's camera.
+    ``up`` is the upward axis of the preview's camera.
     """
     textures = {name: f"{TEXTURES}/{file}" for name, file in FILES.items()}
     node = object_node(
@@ -56,14 +56,14 @@ def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[AssetFile]:
     _write(folder / OBJECT, [Comment(USE.format(version=svu_mi.__version__)), node])
     _write(folder / PREVIEW, _preview(asset, up))
     return [
-        AssetFile(file=OBJECT, format="xml", holds="object", values="for <include> of a scene"),
+        AssetFile(file=OBJECT, format="xml", holds="object", values="to <include> in a scene"),
         AssetFile(file=PREVIEW, format="xml", holds="scene", values="object, light and camera"),
-        AssetFile(file=MESH, format="xml", holds="mesh", values="v = 0 at an image's top"),
+        AssetFile(file=MESH, format="xml", holds="mesh", values="v = 0 at the top of an image"),
     ]  # fmt: skip
 
 
 def _preview(asset: Asset, up: Axis) -> list[Element]:
-    """Return the nodes of a scene: the object in a grey room, lit from above the camera's left."""
+    """Return the nodes of a scene: object, grey background, lamp above the camera's left."""
     shape = make_mesh(asset.name, asset.mesh)
     camera = sphere_sensors(shape, 1, FILM, up=DIRECTION[up], lowest=-0.4)[0]
     pose = np.array(camera.world_transform().matrix, np.float64).reshape(4, 4)
@@ -73,7 +73,7 @@ def _preview(asset: Asset, up: Axis) -> list[Element]:
     turn = mi.ScalarTransform4f().look_at(
         list(map(float, place)), list(map(float, center)), list(map(float, above))
     ).scale(float(radius))  # fmt: skip
-    # The object may itself be called lamp, or camera.
+    # Prefix the ids: the object itself may be called lamp or camera.
     room, lamp, view = (f"{asset.name}_{what}" for what in ("room", "lamp", "camera"))
     matrix = np.array(turn.matrix, np.float64)
     square = scene_xml.plugin("shape", "rectangle", id=lamp, to_world=matrix)
@@ -95,7 +95,7 @@ def _write(path: Path, children: list[Any]) -> None:
 
 
 def write_materialx(asset: Asset, folder: Path) -> list[AssetFile]:
-    """Write ``material.mtlx`` and ``mesh.obj``; the textures are those written as PNG."""
+    """Write ``material.mtlx`` and ``mesh.obj``, which use the PNG textures."""
     scene_xml.write_document(_document(materialx_name(asset.name)), folder / MATERIAL)
     mesh = as_trimesh(asset.mesh, TextureVisuals(uv=upward_uvs(asset.mesh)))
     text, _ = export_obj(
@@ -105,14 +105,16 @@ def write_materialx(asset: Asset, folder: Path) -> list[AssetFile]:
         header=None,
         digits=DIGITS,
     )
-    # trimesh names a material of its own, which is grey; ours is in the other file.
+    # Remove trimesh's default grey material.
     left_out = ("mtllib", "usemtl")
     kept = [line for line in text.splitlines() if line and not line.startswith(left_out)]
     write_text(folder / OBJ, "\n".join([f"o {obj_name(asset.name)}", *kept]))
     return [
         AssetFile(file=MATERIAL, format="materialx", holds="material",
                 values="standard_surface; colour space of the document lin_rec709"),
-        AssetFile(file=OBJ, format="materialx", holds="mesh", values="v = 0 at an image's bottom"),
+        AssetFile(
+            file=OBJ, format="materialx", holds="mesh", values="v = 0 at the bottom of an image"
+        ),
     ]  # fmt: skip
 
 
@@ -122,7 +124,7 @@ def _document(name: str) -> Element:
     for parameter, kind in kinds.items():
         image = SubElement(root, "image", name=f"{name}_{parameter}", type=kind)
         file = _input(image, "file", "filename", value=f"{TEXTURES}/{parameter}.png")
-        if kind == "color3":  # numbers have no colour space, and are taken as they are
+        if kind == "color3":  # floats have no colour space
             file.set("colorspace", "srgb_texture")
     surface = SubElement(root, "standard_surface", name=f"{name}_surface", type="surfaceshader")
     _input(surface, "base", "float", value="1")

@@ -1,4 +1,4 @@
-"""Binary glTF 2.0 (GLB): the object in its textures, and in the colours of its entropy."""
+"""Binary glTF 2.0 (GLB): object with textures, and object coloured by entropy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def write_asset_glb(
 ) -> AssetFile:
     """Write ``asset.glb``: mesh and textures (8-bit PNG) in one file.
 
-    Maps at the vertices (N,) become the attributes ``_ENTROPY`` and so on, which viewers ignore.
+    Maps at the N vertices become the attributes ``_ENTROPY`` and so on, which viewers ignore.
     """
     base_color = np.array(asset.textures.base_color)
     material = PBRMaterial(
@@ -55,9 +55,9 @@ def write_asset_glb(
 
 
 def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Axis) -> AssetFile:
-    """Write ``entropy.glb``: the mesh with entropy as vertex colours, to be seen without light.
+    """Write ``entropy.glb``: the mesh with entropy as unlit vertex colours.
 
-    A file of its own, since glTF multiplies vertex colours with the textures.
+    A separate file, because glTF multiplies vertex colours with textures.
     """
     from matplotlib import colormaps
 
@@ -94,7 +94,7 @@ def _write(
     scene = trimesh.Scene()
     mesh = as_trimesh(asset.mesh, visual, attributes)
     scene.add_geometry(mesh, node_name=asset.name, geom_name=asset.name, transform=TURN[up])
-    # Without normals in a file, glTF wants flat shading (Sec. 3.7.2.1), as Mitsuba has it here.
+    # Without normals, glTF requires flat shading (Sec. 3.7.2.1), like Mitsuba.
     data = export_glb(
         scene, include_normals=asset.mesh.normals is not None, tree_postprocessor=finish
     )
@@ -105,7 +105,7 @@ def _write(
 def as_trimesh(
     mesh: MeshArrays, visual: Any, attributes: Mapping[str, np.ndarray] | None = None
 ) -> Any:
-    """Return a ``trimesh.Trimesh`` with the same vertices in the same order, and normals if any."""
+    """Return a ``trimesh.Trimesh`` with the same vertices and order, and normals if present."""
     return trimesh.Trimesh(
         mesh.positions, front_faces(mesh), vertex_normals=mesh.normals, visual=visual,
         vertex_attributes=dict(attributes or {}), process=False,
@@ -113,9 +113,9 @@ def as_trimesh(
 
 
 def front_faces(mesh: MeshArrays) -> np.ndarray:
-    """Return (F, 3) faces wound counter-clockwise as seen from where their normals point.
+    """Return (F, 3) faces wound counter-clockwise around their normals.
 
-    Mitsuba goes by normals; everybody else shows or hides a face by its winding.
+    Mitsuba uses normals to find front faces; other programs use the winding.
     """
     if mesh.normals is None:
         return mesh.faces
@@ -125,6 +125,6 @@ def front_faces(mesh: MeshArrays) -> np.ndarray:
 
 
 def upward_uvs(mesh: MeshArrays) -> np.ndarray:
-    """Return (N, 2) UVs with v = 0 at the bottom of an image, as trimesh and OBJ have them."""
+    """Return (N, 2) UVs with v = 0 at the bottom of an image, as in trimesh and OBJ."""
     assert mesh.uvs is not None
     return flipped_v(mesh.uvs)

@@ -1,4 +1,4 @@
-"""An asset from the folders that ``svu recover`` and ``svu entropy`` write."""
+"""Asset from the folders of ``svu recover`` and ``svu entropy``."""
 
 from __future__ import annotations
 
@@ -30,30 +30,35 @@ from svu_mi.output.object_views import nearest_axis, up_of_poses
 from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import FILES, MESH, SCENE, read_textures
 
-HEADER = 4096  # bytes that hold the header of a PLY file
+HEADER = 4096  # largest size of a PLY header in bytes
 
 
 def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
-    """Read what ``svu recover`` has written.
+    """Read an asset from a folder that ``svu recover`` wrote.
 
     Args:
-        folder: with ``base_color.exr``, ``roughness.exr``, ``metallic.exr``, ``recovered.xml`` and
-            ``assets/mesh.ply``; ``coverage.exr``, ``entropy.exr`` and the standard deviations of
-            ``uncertainty.exr`` are taken if there.
-        entropy: folder that ``svu entropy`` wrote about the same capture, for its two maps; its
-            resolution may be another.
+        folder: Folder with ``base_color.exr``, ``roughness.exr``, ``metallic.exr``,
+            ``recovered.xml`` and ``assets/mesh.ply``. ``coverage.exr``, ``entropy.exr`` and the
+            standard deviations of ``uncertainty.exr`` are optional.
+        entropy: Folder of ``svu entropy`` for the same capture, whose maps are used instead; any
+            resolution.
 
     Raises:
-        CaptureError: something is missing, damaged, does not fit, or is of another run or capture
-            than the textures.
+        CaptureError: a file is missing or damaged, or belongs to another run, mesh or capture.
         MeshError: the mesh cannot be read, or has no UVs.
+
+    Example:
+        >>> from svu_mi.output.write_recovery import write_recovery
+        >>> write_recovery(capture, recovery, "result", pictures=False)
+        >>> svu.load_asset("result").textures.resolution
+        (64, 64)
     """
     return plan_asset(Path(folder), None if entropy is None else Path(entropy)).read()
 
 
 @dataclass(frozen=True)
 class AssetPlan:
-    """Checked folders of a recovery and its maps, not read yet."""
+    """Checked folders of a recovery and its maps, before reading."""
 
     folder: Path
     maps: Path
@@ -93,7 +98,7 @@ class AssetPlan:
 
 
 def plan_asset(folder: Path, entropy: Path | None) -> AssetPlan:
-    """Find all files of an asset, which must be of one run and capture (see ``load_asset``)."""
+    """Locate the files of an asset; they must come from one run and capture (``load_asset``)."""
     restore(folder)
     require_recovery(folder, [*FILES.values(), SCENE, MESH], RECORD, ENTROPY)
     require_one_run(folder, [*FILES.values(), SCENE, MESH], RECORD, "recover")
@@ -107,7 +112,7 @@ def plan_asset(folder: Path, entropy: Path | None) -> AssetPlan:
 
 
 def _require_same_capture(folder: Path, textured: Path, *, explicit: bool) -> None:
-    """Refuse maps of two runs; of another capture, refuse or warn if ``explicit``."""
+    """Check that maps belong to one run and the textures' capture; ``explicit`` only warns."""
     maps = [name for name in (ENTROPY, COVERAGE) if (folder / name).is_file()]
     runs = {marks_of(folder / name)[0] for name in maps}
     if len(runs - {""}) > 1:
@@ -127,7 +132,7 @@ def _require_same_capture(folder: Path, textured: Path, *, explicit: bool) -> No
 
 
 def _object_node(scene: ElementTree.Element, path: Path) -> ElementTree.Element:
-    """Return the node of the object."""
+    """Return the XML node of the object."""
     for shape in scene.findall("shape"):
         if shape.find(f"string[@value='{MESH}']") is not None:
             return shape
@@ -149,7 +154,7 @@ def _read_mesh(path: Path, smooth: bool) -> MeshArrays:
     if smooth and b" nx\n" not in header.replace(b"\r", b""):
         raise MeshError(f"{path}: has no vertex normals (nx, ny, nz); run svu recover again.")
     pin_own_plugins()
-    read_ply(path)  # so that no face names a missing vertex
+    read_ply(path)  # checks the indices of faces
     try:
         mesh: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": not smooth})
     except RuntimeError as error:
@@ -158,8 +163,8 @@ def _read_mesh(path: Path, smooth: bool) -> MeshArrays:
 
 
 def _read_deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
-    """Return standard deviations (H, W) by parameter, of colours the worst channel's; none without
-    the file, or where it is of another run than the textures."""
+    """Return standard deviations (H, W) by parameter, of colours the largest channel's; empty if
+    the file is missing or comes from another run than the textures."""
     if not path.is_file() or marks_of(path)[0] != marks_of(textured)[0]:
         return {}
     deviations = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
@@ -169,7 +174,7 @@ def _read_deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
 
 
 def _read_map(path: Path, maximum: float) -> np.ndarray | None:
-    """Return an (H, W) map, None if there is no such file."""
+    """Return an (H, W) map; None if the file is missing."""
     image = read_map(path)
     if image is not None:
         _require_values(path, image, maximum)

@@ -1,4 +1,4 @@
-"""UV charts of an asset: their texels, gutters around them, and means at vertices."""
+"""UV charts of an asset: inside test, gutters, and means of maps at vertices."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from svu_mi.output.maps import GUTTER
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.svbrdf_textures import Textures
 
-UNKNOWN = {"entropy": 1.0, "coverage": 0.0} | {name + SD: 0.0 for name in NAMES}  # off the surface
-COINCIDENT = 1e-6  # of the mesh's extent: vertices that close are at one point
-STRAY_LIMIT = 0.02  # part of the seen texels that may lie where the mesh has no chart
+UNKNOWN = {"entropy": 1.0, "coverage": 0.0} | {name + SD: 0.0 for name in NAMES}  # outside charts
+COINCIDENT = 1e-6  # distance of vertices at the same point, relative to the mesh's extent
+STRAY_LIMIT = 0.02  # largest fraction of the seen texels outside the mesh's charts
 
 
 def with_gutters(asset: Asset, width: int | None) -> Asset:
     """Fill texels outside the charts with the nearest value inside.
 
-    Up to a distance of ``width`` texels, None is no limit. Beyond it textures stay as they are,
-    entropy is 1, and all other maps are 0. A ``CaptureError`` if the maps belong to other UVs.
+    ``width`` is the largest distance in texels; None is unlimited. Beyond it, textures stay as they
+    are, entropy is 1, and other maps are 0. Maps of other UVs raise a ``CaptureError``.
     """
     images = {name: np.array(tensor) for name, tensor in asset.textures.items()}
     shapes = [image.shape[:2] for image in (*images.values(), *asset.maps.values())]
@@ -34,7 +34,7 @@ def with_gutters(asset: Asset, width: int | None) -> Asset:
         if (seen & ~dilate(valid, valid, GUTTER + 1)).sum() > STRAY_LIMIT * seen.sum():
             raise CaptureError(
                 f"'{asset.name}': coverage and entropy lie outside the charts of the mesh, so they "
-                "belong to other UVs; compute them from the capture that the textures come from."
+                "belong to other UVs; compute them from the textures' capture."
             )
     filled = {}
     for name, image in {**images, **asset.maps}.items():
@@ -53,7 +53,7 @@ def with_gutters(asset: Asset, width: int | None) -> Asset:
 
 
 def inside_charts(asset: Asset, shape: tuple[int, int]) -> np.ndarray:
-    """Return (H, W) bool: True where a texel's centre lies on a chart; refuse if none does."""
+    """Return (H, W) bool, True for texel centres on a chart; a ``MeshError`` without any."""
     height, width = shape
     assert asset.mesh.uvs is not None
     count = rasterize(asset.mesh.uvs[asset.mesh.faces], (width, height))[1]
@@ -66,11 +66,11 @@ def inside_charts(asset: Asset, shape: tuple[int, int]) -> np.ndarray:
 
 
 def at_vertices(mesh: MeshArrays, image: np.ndarray) -> np.ndarray:
-    """Return the mean (N,) float32 of a map (H, W) with gutters around every vertex of N.
+    """Return the mean of a map (H, W) with gutters around each of N vertices, (N,) float32.
 
-    A texel counts for the three vertices of its face, by its area and barycentric coordinates:
-    the L2 projection onto linear elements with a lumped mass matrix. Vertices at the same point,
-    as along the border of a chart, get the same value.
+    Texels contribute to the three vertices of their face, weighted by area and barycentric
+    coordinates: the L2 projection onto linear elements with a lumped mass matrix. Vertices at the
+    same point, as along chart borders, get the same value.
     """
     assert mesh.uvs is not None
     height, width = image.shape
@@ -85,7 +85,7 @@ def at_vertices(mesh: MeshArrays, image: np.ndarray) -> np.ndarray:
         np.bincount(point[corners].ravel(), each.ravel(), len(point))[point]
         for each in (weights, values)
     )
-    # A face may be too small for a texel: what is under the vertex itself must do.
+    # Faces without a texel centre: use the texel under the vertex.
     column, row = np.clip(mesh.uvs * (width, height), 0, (width - 1, height - 1)).astype(int).T
     means = np.where(weight > 0, total / np.where(weight > 0, weight, 1), image[row, column])
     return means.astype(np.float32)

@@ -27,31 +27,39 @@ MODEL = "principled, specular 0.5 (F0 = 0.04), alpha = roughness^2: glTF's metal
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 NEEDS: dict[Format, Format] = {"xml": "exr", "materialx": "png"}
-"""Formats that refer to textures in another, which is then written, too."""
+"""Formats that use the textures of another format, which is then written, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Files to write, and their formats."""
+    """Formats of an exported asset.
+
+    Example:
+        >>> svu.ExportOptions(formats=("materialx",)).written
+        ('png', 'materialx')
+    """
 
     formats: tuple[Format, ...] = FORMATS
-    """``exr``: linear masters; ``png``: sRGB base colour, grey maps and the packed ``orm``;
-    ``glb``: one file with mesh and textures, and another with entropy as vertex colours; ``xml``:
-    an object for Mitsuba scenes and a preview; ``materialx``: ``standard_surface`` and an OBJ."""
+    """Formats to write; default: all. ``exr``: linear textures and maps. ``png``: base colour in
+    sRGB, grey maps, packed ``orm``. ``glb``: mesh with textures in one file, entropy as vertex
+    colours in another. ``xml``: object for Mitsuba scenes, and a preview. ``materialx``:
+    ``standard_surface`` with an OBJ mesh. Choose fewer to save time and space."""
 
     bits: int = 8
-    """Of PNG, per channel: 8 or 16. The textures inside a GLB always have 8."""
+    """Bits per channel of PNG files, 8 or 16; 16 avoids banding in smooth textures. Textures inside
+    a GLB always have 8."""
 
     half: bool = False
-    """EXR in half instead of single precision."""
+    """Write EXR in half instead of single precision: half the size, about three digits."""
 
     gutter: int | None = None
-    """Texels that charts are carried on over their borders; None fills everything between them,
-    which no reduction of the textures (mip-mapping) can look beyond."""
+    """Dilation of the charts in texels, at least 0. Default None fills all texels outside the
+    charts, which is safe for mip-mapping; set a number to keep the space between charts."""
 
     up: Axis | None = None
-    """Axis of the world that points upwards; None is the asset's own, as its cameras have it. glTF
-    has +Y up: a +Z-up world is turned in the GLB, and there alone."""
+    """Upward axis of the world, ``y`` or ``z``; default None derives it from the cameras. glTF has
+    +Y up, so a +Z-up world is rotated in the GLB, and only there. Set it if the object lies on its
+    side."""
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -64,7 +72,7 @@ class ExportOptions:
 
     @property
     def written(self) -> tuple[Format, ...]:
-        """The formats, and those they need."""
+        """Formats to write, including textures that other formats use."""
         needed = {*self.formats, *(NEEDS[name] for name in self.formats if name in NEEDS)}
         return tuple(name for name in FORMATS if name in needed)
 
@@ -74,21 +82,26 @@ def export_asset(
 ) -> Path:
     """Write an object with its textures for other programs.
 
-    All of it takes the place of an older export in one step;
-    ``asset.json`` says what each file is.
+    Replaces an older export in one step. ``asset.json`` describes all files.
 
     Args:
-        asset: an ``Asset``, or the folder that ``svu recover`` wrote.
-        folder: made if missing.
-        options: which files, and how.
+        asset: Asset, or path of a folder that ``svu recover`` wrote.
+        folder: Path of the folder; created if missing.
+        options: Formats; default: all.
 
     Returns:
-        The path of ``asset.json``.
+        Path of ``asset.json``.
 
     Raises:
-        CaptureError: the folder to read lacks something, or its maps belong to another mesh.
-        MeshError: the mesh has no UVs, or they cannot carry texels.
+        CaptureError: a file of the folder is missing, or its maps belong to another mesh.
+        MeshError: the mesh has no UVs, or no texel lies on its charts.
         OutputError: a file cannot be written.
+
+    Example:
+        >>> asset = svu.Asset.of(capture, recovery, estimate)
+        >>> path = svu.export_asset(asset, "asset", svu.ExportOptions(formats=("exr", "xml")))
+        >>> path.name, (path.parent / "object.xml").is_file()
+        ('asset.json', True)
     """
     options = options or ExportOptions()
     asset = asset if isinstance(asset, Asset) else load_asset(asset)
