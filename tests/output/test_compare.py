@@ -159,13 +159,12 @@ def test_an_estimate_does_not_differ_from_itself(vase):
     assert comparison.sentence() == (
         "Of the surface that both show, base colour differs significantly on 0 %, roughness "
         "differs significantly on 0 %, metallic differs significantly on 0 %, the entropy differs "
-        "by +0.000 in the "
-        "mean."
+        "by +0.000 in the mean."
     )
     assert (comparison.image("roughness")[comparison.seen] == 0).all()
     assert comparison.image("base_color").shape == (48, 64, 3)
     assert np.isnan(comparison.image("entropy")[~vase.texels.inside()]).all()
-    with pytest.raises(OptionError, match="no map 'entropy_deviations'"):
+    with pytest.raises(OptionError, match="unknown map 'entropy_deviations'"):
         comparison.image("entropy_deviations")
 
 
