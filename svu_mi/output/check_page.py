@@ -1,4 +1,4 @@
-"""``check.html`` and ``check.json``: how well a capture fits its photographs."""
+"""``check.html`` and ``check.json``: consistency of a capture with its photographs."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from svu_mi.output.object_views import up_of_poses, viewing_frame
 from svu_mi.output.run_record import environment_record, write_manifest
 from svu_mi.output.style import AFTER, BEFORE
 
-AXES = ("poses", "light", "texture")  # what corrections are about
+AXES = ("poses", "light", "texture")  # questions with corrections
 TEMPLATE, RECORD = "check.html", "check.json"
-MOST = 120  # thumbnails; the worst
-ROWS = 8  # of each table of hypotheses
+MOST = 120  # largest number of thumbnails, worst first
+ROWS = 8  # largest number of hypotheses in a table
 LIGHT = (480, 240)  # pixels of a panorama
 QUESTIONS = {
     "poses": "Cameras and mesh", "light": "Environment map", "texture": "Texture coordinates",
-    "gain": "Gain of the photographs", "ignored": "Not accounted for",
+    "gain": "Gain of the photographs", "ignored": "Ignored effects",
 }  # fmt: skip
-# Attributes of ViewCheck and Summary: what their means say, how they are to be read, and a word.
+# Attributes of ViewCheck and Summary: title of their mean, explanation, short label.
 MEASURES = {
     "overlap": (
-        "Silhouettes and masks overlap by", "intersection over union; 1 is perfect", "IoU"
+        "Overlap of silhouettes and masks", "intersection over union; 1 is perfect", "IoU"
     ),
     "contrast": (
-        "Edges lie on the outline", "rank of the gradient; 0.5 is chance", "edges"
+        "Edges on the outline", "rank of the gradient; 0.5 is chance", "edges"
     ),
     "color_error": (
-        "Colours differ by", "of the mean, from a diffuse object in this light", "colour error"
+        "Colour difference", "relative, from a diffuse object in this light", "colour error"
     ),
 }  # fmt: skip
 
@@ -58,7 +58,7 @@ def write_check(
     capture: Capture, check: Check, folder: str | os.PathLike[str], *,
     settings: Mapping[str, Any] | None = None, remedy: str = "",
 ) -> None:  # fmt: skip
-    """Write ``check.html``, with all its pictures inside, and ``check.json``.
+    """Write ``check.html``, with embedded pictures, and ``check.json``.
 
     Raises:
         OutputError: a file cannot be written.
@@ -81,31 +81,31 @@ def write_check(
 
 
 def verdict(check: Check) -> str:
-    """Return the outcome as one sentence."""
+    """Return the result as one sentence."""
     if check.fixes:
         count = len(check.fixes)
-        words = "one correction makes" if count == 1 else f"{count} corrections make"
-        return f"Something is wrong, and {words} it fit: {' + '.join(check.fixes)}."
+        words = "One correction makes" if count == 1 else f"{count} corrections make"
+        return f"{words} the capture fit its photographs: {' + '.join(check.fixes)}."
     unclear = [one.question for one in check.findings if one.verdict == "unclear"]
     if any(question in AXES for question in unclear):
-        return "Something may be wrong, but which correction is right cannot be determined."
+        return "The capture may not fit its photographs; the right correction is unclear."
     if unclear:
         return f"Axes fit, but results may be wrong for another reason: {', '.join(unclear)}."
     fits = "The capture fits its photographs, as far as can be determined"
     if any(one.question == "ignored" for one in check.findings):
-        return f"{fits}; results may be off by what is ignored."
+        return f"{fits}; ignored effects may bias the results."
     return f"{fits}."
 
 
 def _numbers(check: Check) -> Iterator[tuple[str, str, str]]:
-    """Yield name, mean over the views, and explanation of each measure."""
+    """Yield title, mean over the views, and explanation of each measure."""
     before, after = ViewMeans.of(check.views), ViewMeans.of(check.corrected)
     for name, (title, note, _) in MEASURES.items():
         old, new = getattr(before, name), getattr(after, name)
         if old is None and new is None:
             continue
         if check.corrected is not check.views:
-            note = f"{_number(new)} when corrected; {note}"
+            note = f"{_number(new)} after correction; {note}"
         yield title, _number(old), note
 
 
@@ -114,11 +114,11 @@ def _number(value: float | None, unknown: str = "unknown") -> str:
 
 
 def _finding_rows(one: Finding) -> dict[str, Any]:
-    """Return a finding, its best hypotheses with widths of bars, and the number left out."""
+    """Return a finding, its best hypotheses with bar widths, and the number of hidden ones."""
     scores = [hypothesis.score for hypothesis in one.hypotheses]
     low, high = min(scores, default=0.0), max(scores, default=1.0)
     shown = list(one.hypotheses[:ROWS])
-    shown += [h for h in one.hypotheses[ROWS:] if not h.fixes]  # how it is, however bad
+    shown += [h for h in one.hypotheses[ROWS:] if not h.fixes]  # always show the uncorrected one
     widths = [3 + 97 * (h.score - low) / max(high - low, 1e-9) for h in shown]
     return {
         "finding": one, "rows": list(zip(shown, widths, strict=True)),
@@ -129,7 +129,7 @@ def _finding_rows(one: Finding) -> dict[str, Any]:
 def _views(
     capture: Capture, corrected: Capture, check: Check
 ) -> Iterator[tuple[str, PageImage, list[tuple[str, str]]]]:
-    """Yield names, pictures with outlines, and numbers of the views that fit worst."""
+    """Yield names, pictures with outlines, and numbers of the worst views."""
     frames = Thumbnails.of(reduce_photographs(capture, THUMBNAIL))
     seen = after = silhouettes(frames)
     if corrected is not capture:
@@ -140,7 +140,7 @@ def _views(
         index = place[one.view]
         image, mask = frames.radiance[index], frames.masks[index]
         picture = tone_mapped(image, after[index] if mask is None else mask)
-        picture[~np.isfinite(image).all(axis=2)] = 1.0  # what is clipped
+        picture[~np.isfinite(image).all(axis=2)] = 1.0  # clipped pixels
         _draw_outline(picture, seen[index], BEFORE)
         if corrected is not capture:
             _draw_outline(picture, after[index], AFTER)
@@ -157,28 +157,28 @@ def _change(before: float | None, after: float | None) -> str:
 
 
 def _draw_outline(picture: np.ndarray, seen: np.ndarray, color: tuple[float, float, float]) -> None:
-    """Draw an outline into a picture, two pixels wide, on both sides of the edge."""
+    """Draw an outline into a picture, one pixel wide on both sides of the edge."""
     picture[outline(seen) | outline(~seen)] = color
 
 
 def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[PageImage, str]]:
-    """Return panoramas of the light, as given and corrected (if different)."""
+    """Return panoramas of the light: as captured and, if different, corrected."""
     if emitter_of(capture) is None:
         return []
-    shown = [(_panorama(capture), "as the capture says")]
+    shown = [(_panorama(capture), "as captured")]
     return shown if corrected is capture else [*shown, (_panorama(corrected), "corrected")]
 
 
 def _panorama(capture: Capture) -> PageImage:
-    """Draw the light around the object, up as the cameras have it; cameras are dots.
+    """Draw the light around the object with the cameras as dots.
 
-    The centre is where the first camera looks: it can be compared with the background of the
-    first photograph.
+    Up is the cameras' upward direction. The centre is the viewing direction of the first camera,
+    for comparison with the background of its photograph.
     """
     environment = read_environment(emitter_of(capture))
     grid = rasterized(environment)
     poses = np.array([to_world(sensor) for sensor in capture.used_sensors])
-    # Seen from within, right is where it is left of somebody in front.
+    # Mirrored left to right, because the light is seen from inside.
     frame = viewing_frame(up_of_poses(poses), poses[0, :3, 2]) * [[-1], [1], [1]]
     width, height = LIGHT
     azimuth = 2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)

@@ -1,4 +1,4 @@
-"""The map of directions around the object: where photographs were taken, and could be."""
+"""Map of directions around the object: photographs, candidates, proposals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
 
-WORST = 0.02  # part of the candidates' gains that colours clip below
+WORST = 0.02  # quantile of the candidates' scores at the lower end of the colours
 LUMINANCE, DARK = (0.2126, 0.7152, 0.0722), 0.45  # numbers on darker discs are white
 
 
@@ -26,12 +26,12 @@ def draw_directions(
 ) -> ScalarMappable:
     """Draw all candidates on a map of the directions around the object.
 
-    An equal-area map (Hammer's), seen from outside; its centre is below the first photograph.
-    Candidates are dots, hollow if they cannot be reached; photographs that are used are crosses;
-    proposals have their rank. ``up`` is the top of the map.
+    An equal-area map (Hammer projection) seen from outside, with ``up`` at the top; the first
+    photograph is in the middle column. Candidates are dots (hollow if unreachable), used
+    photographs are crosses, and proposals have their rank.
 
     Returns:
-        The colours of the candidates, for ``figure.colorbar``.
+        Mapping of the candidates' colours, for ``figure.colorbar``.
     """
     center, _ = bounding_sphere(capture.shape)
     used = directions_of(capture.used_sensors, center)
@@ -41,7 +41,7 @@ def draw_directions(
     drawn = style.scalar_mappable(color_range(gains[reachable]))
     _graticule(axes)
     width = axes.get_position().width * axes.figure.get_size_inches()[0] * 72
-    # Evenly spread dots do not touch.
+    # Dot size at which evenly spread dots do not touch.
     diameter = 0.62 * np.sqrt(4 * np.pi / max(len(gains), 1)) * width / (4.04 * np.sqrt(2))
     size, hollow = float(np.clip(diameter**2, 9, 170)), ~reachable
     axes.scatter(x[hollow], y[hollow], size, facecolors="none", edgecolors=UNSEEN, lw=1)
@@ -56,7 +56,7 @@ def draw_directions(
 
 
 def _hammer(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Project (right, up, front) (V, 3) onto an ellipse of half-axes 2 sqrt(2) and sqrt(2)."""
+    """Project (right, up, front) (V, 3) to an ellipse with semi-axes 2 sqrt(2) and sqrt(2)."""
     right, up, front = directions.T
     half, flat = np.arctan2(right, front) / 2, np.sqrt(np.maximum(1 - up**2, 0))
     scale = np.sqrt(2 / (1 + flat * np.cos(half)))
@@ -64,7 +64,7 @@ def _hammer(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _graticule(axes: Axes) -> None:
-    """Draw the border of the map, and lines every 30 degrees of elevation and 45 of azimuth."""
+    """Draw the outline, and lines every 30 degrees of elevation and 45 degrees of azimuth."""
     t = np.linspace(-np.pi, np.pi, 181)
 
     def line(azimuth: Any, elevation: Any, **options: Any) -> None:
@@ -88,11 +88,11 @@ def _graticule(axes: Axes) -> None:
 
 
 def _legend(axes: Axes, unreachable: bool) -> None:
-    axes.scatter([], [], 60, c=INK, marker="x", lw=2, label="photographs so far")
-    axes.scatter([], [], 90, c="white", edgecolors=INK, lw=1.6, label="proposals, by rank")
+    axes.scatter([], [], 60, c=INK, marker="x", lw=2, label="photographs")
+    axes.scatter([], [], 90, c="white", edgecolors=INK, lw=1.6, label="proposals by rank")
     axes.scatter([], [], 60, c=[(0.13, 0.57, 0.55)], lw=0, label="other candidates")
     if unreachable:
-        axes.scatter([], [], 60, facecolors="none", edgecolors=UNSEEN, label="out of reach")
+        axes.scatter([], [], 60, facecolors="none", edgecolors=UNSEEN, label="unreachable")
     style.legend(
         axes, 9.5, loc="lower left", borderaxespad=0, bbox_to_anchor=(-0.01, 1.03),
         handletextpad=0.1, ncol=4, columnspacing=1.4,
@@ -101,7 +101,7 @@ def _legend(axes: Axes, unreachable: bool) -> None:
 
 def draw_numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: float,
               **options: Any) -> None:  # fmt: skip
-    """Draw a disk with a number in it."""
+    """Draw a disc with a number."""
     from matplotlib.colors import to_rgb
 
     ink = INK if np.dot(LUMINANCE, to_rgb(color)) > DARK else "white"
@@ -113,6 +113,6 @@ def draw_numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: f
 
 
 def color_range(gains: np.ndarray) -> tuple[float, float]:
-    """Return the limits of the colour scale, without the lowest outliers."""
+    """Return the limits of the colour scale, clipping the lowest outliers."""
     low, high = float(np.quantile(gains, WORST)), float(gains.max())
     return (low, high) if high > low else (low - 1e-6, low + 1e-6)

@@ -1,4 +1,4 @@
-"""Values of an estimate as NumPy arrays, and names of its parameters, for pages."""
+"""Values of an estimate as NumPy arrays, and labels of parameters, for pages."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-LOWEST_PART = 0.1  # texels of the lowest entropy, whose marginals are shown beside the mean
-SAMPLE = 2_000  # texels that a mean marginal is taken over
+LOWEST_PART = 0.1  # fraction of the texels, of lowest entropy, with their own mean marginal
+SAMPLE = 2_000  # texels of a mean marginal
 
 
 @dataclass(frozen=True)
@@ -16,11 +16,11 @@ class EstimateArrays:
     """NumPy copies of the per-texel values that pages draw.
 
     Attributes:
-        entropy: (T,) in [0, 1].
-        coverage: (T,) number of views.
-        seen: (T,) bool.
+        entropy: (T,) float32, normalised entropy.
+        coverage: (T,) int64, number of views that see a texel.
+        seen: (T,) bool, texels with a view.
         inside: (H, W) bool, True in the charts.
-        unseen: (H, W) bool, True in texels that no view sees.
+        unseen: (H, W) bool, True in texels without a view.
     """
 
     entropy: np.ndarray
@@ -31,7 +31,7 @@ class EstimateArrays:
 
     @property
     def max_views(self) -> int:
-        """Largest number of views that see one texel, 1 if none does: the end of a scale."""
+        """Largest number of views of a texel, at least 1; end of the coverage scale."""
         return max(int(self.coverage.max(initial=0)), 1)
 
     @classmethod
@@ -46,7 +46,7 @@ class EstimateArrays:
 
 
 def is_seen(estimate: Any) -> np.ndarray:
-    """Return which texels any view sees, (T,) bool."""
+    """Return flags of texels that at least one view sees, (T,) bool."""
     return np.array(estimate.coverage) > 0
 
 
@@ -86,9 +86,9 @@ def prior_marginal(posterior: Any, name: str) -> np.ndarray:
 def mean_marginals(
     estimate: Any, result: EstimateArrays
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return mean marginals by parameter: over texels seen, and those of the lowest entropy.
+    """Return mean marginals of all seen texels, and of the 10 % with the lowest entropy.
 
-    Some texel must be seen. They are (nodes, 1), or (nodes, 3) where channels differ.
+    By parameter, (nodes, 1), or (nodes, 3) if channels differ. At least one texel must be seen.
     """
     limit = np.quantile(result.entropy[result.seen], LOWEST_PART)
 

@@ -1,8 +1,8 @@
-"""Self-contained HTML pages: one file with all its pictures and no network requests.
+"""Self-contained HTML pages: one file with embedded pictures, without network requests.
 
-A page extends ``base.html`` of the folder ``templates`` and draws with the macros of
-``parts.html``. Its content security policy lets it show embedded pictures and its own style, and
-run the one script of this package; text from files cannot add another, even unescaped.
+Pages extend ``templates/base.html`` and use the macros of ``templates/parts.html``. The content
+security policy allows embedded pictures, inline styles, and the one script of this package, so that
+text from files cannot add a script, even if unescaped.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from svu_mi.output.style import PNG_LEVEL, css, css_gradient
 
 TEMPLATES = Path(__file__).parent / "templates"
 STYLE, SCRIPT = "page.css", "page.js"
-THUMBNAIL = 240  # pixels of the longer side of a photograph; 60 of them take about a megabyte
+THUMBNAIL = 240  # pixels of a photograph's longer side; 60 thumbnails take about a megabyte
 JPEG_QUALITY = 82
-NARROW_SPACE = "\u202f"  # at which no line breaks
+NARROW_SPACE = "\u202f"  # without line break
 
 
 @dataclass(frozen=True)
 class PageImage:
-    """A picture inside a page: the file as a ``data:`` URI, and its size in pixels."""
+    """Picture embedded in a page: ``data:`` URI of the file, and its size in pixels."""
 
     uri: str
     width: int
@@ -42,9 +42,9 @@ class PageImage:
 
 
 def embedded_png(image: np.ndarray, side: int | None = None) -> PageImage:
-    """Embed a map (H, W, 3) or, with opacity, (H, W, 4) of screen values in [0, 1], as PNG.
+    """Embed screen values (H, W, 3), or (H, W, 4) with opacity, in [0, 1] as PNG.
 
-    Its longer side is reduced to ``side``. An ``OutputError`` if a value is NaN or infinite.
+    The longer side is reduced to ``side`` pixels. NaN and infinity raise an ``OutputError``.
     """
     return _embedded(image, side, "png", compress_level=PNG_LEVEL)
 
@@ -55,14 +55,14 @@ def embedded_jpeg(image: np.ndarray, side: int | None = THUMBNAIL) -> PageImage:
 
 
 def write_page(path: str | Path, template: str, **context: Any) -> None:
-    """Write a page of a template, atomically; text is escaped."""
+    """Render a template to a file, atomically; text is escaped."""
     write_text(path, page_of(template, **context))
 
 
 def page_of(template: str, **context: Any) -> str:
-    """Return a page as text (see ``write_page``)."""
+    """Render a template to a string (see ``write_page``)."""
     page = _environment().get_template(template).render(context)
-    # Names of files need not be UTF-8, and then hold halves of surrogate pairs.
+    # File names may contain lone surrogates, which UTF-8 cannot encode.
     return page.encode("utf-8", "replace").decode("utf-8")
 
 
@@ -73,7 +73,7 @@ def grouped(number: float) -> str:
 
 def percent(part: float) -> str:
     """Format a fraction as percent; only exact 0 and 1 become 0 % and 100 %."""
-    if 0 < part <= 0.005:  # 0.5 is rounded to the even 0
+    if 0 < part <= 0.005:  # 0.5 % would be rounded to the even 0 %
         return f"under 1{NARROW_SPACE}%"
     if 0.995 <= part < 1:
         return f"over 99{NARROW_SPACE}%"
@@ -82,7 +82,7 @@ def percent(part: float) -> str:
 
 def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) -> PageImage:
     if not (image.size and np.isfinite(image).all()):
-        raise OutputError(f"A picture of a page has NaN, or no pixels: {image.shape}.")
+        raise OutputError(f"A picture of a page is empty or contains NaN: shape {image.shape}.")
     picture = Image.fromarray(quantized(image))
     if side is not None:
         picture.thumbnail((side, side), Image.Resampling.LANCZOS)

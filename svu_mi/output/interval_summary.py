@@ -1,4 +1,4 @@
-"""Widths of credible intervals, and the share of the surface where they are narrow."""
+"""Widths of credible intervals, and the fraction of the surface where they are narrow."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from svu_mi.output.html import NARROW_SPACE, percent
 from svu_mi.posterior.intervals import LEVEL, subsample
 from svu_mi.posterior.quadrature import bin_edges
 
-TOLERANCE = 0.05  # half-width of an interval from which on a parameter counts as known
+TOLERANCE = 0.05  # largest half-width of an interval that counts as known
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
-ROUNDING = 1e-6  # of interval ends in single precision
+ROUNDING = 1e-6  # rounding of interval ends in single precision
 
 
 class Intervals:
-    """Intervals of the parameters of a posterior of T texels, computed on first use.
+    """Intervals of the parameters of a posterior, computed on first use.
 
-    ``chosen`` (t,) are indices of texels, all by default; ``mass`` is the probability.
+    ``chosen`` (t,) are texel indices, by default all; ``mass`` is the probability of an interval.
     """
 
     def __init__(
@@ -34,9 +34,9 @@ class Intervals:
         self._half: dict[str, np.ndarray] = {}
 
     def ends(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lower and the upper ends, (t, 1) or by channel (t, 3) float32.
+        """Return lower and upper ends, (t, 1), or (t, 3) by channel, float32.
 
-        An unknown parameter raises an ``OptionError``.
+        Raises an ``OptionError`` for an unknown parameter.
         """
         if name not in self._ends:
             ends = self._posterior.interval(name, self.mass, self.chosen)
@@ -45,17 +45,17 @@ class Intervals:
         return self._ends[name]
 
     def half_width(self, name: str) -> np.ndarray:
-        """Return half the width of the intervals, (t,); of several channels, that of the widest
-        (see ``Posterior.half_width``)."""
+        """Return half the width of the intervals, (t,), of the widest channel (see
+        ``Posterior.half_width``)."""
         if name not in self._half:
             self._half[name] = np.array(self._posterior.half_width(name, self.mass, self.chosen))
         return self._half[name]
 
 
 class CoarseIntervals(Intervals):
-    """Intervals whose half-widths (T,) are those of every n-th texel, repeated around it.
+    """Intervals whose half-widths (T,) are computed for a subset of texels and repeated.
 
-    ``chosen`` (t,) are the computed texels, ``nearest`` (T,) the closest of them to each texel.
+    ``chosen`` (t,) are the computed texels; ``nearest`` (T,) is the closest one to each texel.
     """
 
     def __init__(self, posterior: Any, chosen: np.ndarray, nearest: np.ndarray) -> None:
@@ -63,12 +63,12 @@ class CoarseIntervals(Intervals):
         self._subset, self._nearest = Intervals(posterior, chosen=chosen), nearest
 
     def half_width(self, name: str) -> np.ndarray:
-        """Return half-widths (T,), repeated."""
+        """Return half-widths (T,), repeated from the computed texels."""
         return self._subset.half_width(name)[self._nearest]
 
 
 def picture_intervals(estimate: Any, side: int) -> Intervals:
-    """Return intervals, subsampled for a map whose longer side has ``side`` pixels."""
+    """Return intervals for a map with ``side`` pixels on its longer side, subsampled if smaller."""
     texels, seen = estimate.texels, is_seen(estimate)
     index, step = np.array(texels.index), -(-max(texels.resolution) // side)
     rows, columns = np.divmod(index, texels.resolution[0])
@@ -84,19 +84,19 @@ def picture_intervals(estimate: Any, side: int) -> Intervals:
 
 @dataclass(frozen=True)
 class IntervalSummary:
-    """Shares of the surface, by area, whose intervals are within a tolerance.
+    """Fractions of the surface, by area, whose intervals are within a tolerance.
 
     Attributes:
-        level: probability that an interval holds.
-        tolerance: half-width of an interval from which on a parameter counts as known.
-        seen_part: part of the surface that any photograph shows.
-        mean_entropy: of the texels seen; None if nothing is.
-        known_part: by parameter that is in question, the part of the surface *seen* where it is
-            known; empty if nothing is seen.
-        all_known_part: part of the surface seen where all of them are; 0 if nothing is seen.
-        median_half_width: by parameter; half of the surface seen is known at least as well.
-        cell_width: by parameter, width of the grid's widest cell, where intervals are made of whole
-            cells and none of this width can be within the tolerance.
+        level: Probability of an interval.
+        tolerance: Largest half-width of an interval that counts as known.
+        seen_part: Fraction of the surface that any photograph shows.
+        mean_entropy: Mean entropy of seen texels; None without any.
+        known_part: Fraction of the *seen* surface where a parameter is known, by open parameter;
+            empty if no texel is seen.
+        all_known_part: Fraction of the seen surface where all of them are known; 0 if unseen.
+        median_half_width: Median half-width by parameter, over the seen surface.
+        cell_width: Width of the grid's widest cell by parameter, if intervals consist of whole
+            cells and this width exceeds the tolerance.
     """
 
     level: float
@@ -114,8 +114,8 @@ class IntervalSummary:
     ) -> IntervalSummary:
         """Summarise the intervals of an estimate.
 
-        Intervals are of its posterior, by default those of some thousand texels all over what is
-        seen, which tells parts of the surface to a percent or two.
+        ``intervals`` belong to its posterior; default: a few thousand seen texels, which
+        determine fractions to about 1 or 2 %.
         """
         seen = is_seen(estimate)
         if intervals is None:
@@ -143,7 +143,7 @@ class IntervalSummary:
         )
 
     def summary(self) -> str:
-        """Return "97 % of the surface seen, mean entropy 0.60. Roughness ..."."""
+        """Return "97 % of the surface seen, mean entropy 0.60. Roughness known to ..."."""
         if self.mean_entropy is None:
             return self.sentence()
         part_seen = plain_percent(self.seen_part)
@@ -155,9 +155,9 @@ class IntervalSummary:
     def sentence(self) -> str:
         """Return "Roughness known to ±0.05 on 62 % of the surface seen, metallic on ..."."""
         if not self.seen_part:
-            return "Nothing is known: no photograph shows the surface."
+            return "No parameter is known: no photograph shows the surface."
         if not self.known_part:
-            return "All parameters were taken as known."
+            return "All parameters were given."
         (first, share), *others = [
             (label_of(n), plain_percent(x)) for n, x in self.known_part.items()
         ]
@@ -171,12 +171,12 @@ class IntervalSummary:
 
 
 def is_within(half_width: Any, tolerance: float) -> Any:
-    """Return whether half-widths of intervals are within a tolerance."""
+    """Check whether half-widths of intervals are within a tolerance."""
     return half_width <= tolerance + ROUNDING
 
 
 def area_share(area: np.ndarray, chosen: np.ndarray) -> float:
-    """Return the chosen (T,) share of areas (T,): exactly 1 if all are chosen."""
+    """Return the area of chosen (T,) texels as a fraction of all; exactly 1 if all are chosen."""
     return float(area[chosen].sum() / area.sum())
 
 
@@ -186,14 +186,14 @@ def plain_percent(value: float) -> str:
 
 
 def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
-    """Return the weighted median: at least half of the weight is not above it."""
+    """Return the weighted median: the smallest value with half of the weight at or below it."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(below, below[-1] / 2)]])
 
 
 def _widest_bin(posterior: Any, name: str) -> float:
-    """Return the width of the widest bin of the grid; 0 for continuous intervals."""
+    """Return the width of the grid's widest cell; 0 for continuous intervals."""
     if posterior.continuous:
         return 0.0
     return float(np.diff(bin_edges(posterior.axes[name])).max())

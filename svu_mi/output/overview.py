@@ -1,4 +1,4 @@
-"""``overview.png``: one page with entropy, coverage and marginals of an estimate."""
+"""``overview.png``: page with entropy, coverage and marginals of an estimate."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 SIZE = (16.0, 9.4)  # inches
-HEADING = "What the photographs say about the reflectance"
+HEADING = "Uncertainty of the reflectance"
 
 
 def write_overview(
     capture: Capture, estimate: Estimate, path: str | Path, summary: IntervalSummary | None = None
 ) -> None:
-    """Draw photographs, entropy, coverage and marginals on one page of 1600 x 940 pixels.
+    """Draw photographs, entropy, coverage and marginals (1600 x 940 pixels).
 
-    ``summary`` are widths of the estimate's intervals; computed if not given.
+    ``summary`` contains the widths of the intervals; computed by default.
 
     Raises:
         OutputError: the file cannot be written.
@@ -59,7 +59,7 @@ def write_overview(
         Block(panels=[("Entropy", partial(_entropy_map, estimate=estimate, result=result)),
                       ("Coverage", partial(_coverage_map, capture, estimate, result))],
               shape=(1, 2), box=(LEFT, 0.485, 0.075, 0.405), space=(0.09, 0), anchor="N"),
-        Block(panels=[("Entropy of the texels seen", partial(_histogram, result=result))],
+        Block(panels=[("Entropy of seen texels", partial(_histogram, result=result))],
               box=(0.535, RIGHT, 0.263, 0.405)),
         Block(panels=marginals, shape=(1, max(len(names), 1)), box=(0.535, RIGHT, 0.04, 0.182),
               space=(0.2, 0)),
@@ -80,7 +80,7 @@ def _notes(capture: Capture, estimate: Estimate, result: EstimateArrays) -> list
 
 
 def _objects(capture: Capture, estimate: Estimate) -> Iterator[Panel]:
-    """Yield photograph and entropy side by side, for two views far apart."""
+    """Yield photograph and entropy side by side, for two views with different directions."""
     texture = map_colors(estimate)
     for view in object_views.distant_views(capture, getattr(estimate, "seen_per_view", None)):
         shown = ObjectView.at(object_only_scene(capture), capture.sensors[view]).painted(texture)
@@ -88,7 +88,7 @@ def _objects(capture: Capture, estimate: Estimate) -> Iterator[Panel]:
         draw = partial(draw_photograph, capture=capture, view=view, window=window)
         yield f"Photograph {view}", draw
         entropy = object_views.crop(shown[..., :3], window)
-        yield "Entropy seen from there", partial(style.draw_image, image=entropy)
+        yield "Entropy in this view", partial(style.draw_image, image=entropy)
 
 
 def _entropy_map(axes: Axes, estimate: Estimate, result: EstimateArrays) -> None:
@@ -125,14 +125,14 @@ def _histogram(axes: Axes, result: EstimateArrays) -> None:
         xytext=(5 * side, 0), textcoords="offset points", size=style.TEXT, color=style.INK,
         ha="left" if side > 0 else "right", va="center",
     )  # fmt: skip
-    axes.set(xlim=(0, 1), ylim=(0, 1.18 * part.max()))  # room for the word
+    axes.set(xlim=(0, 1), ylim=(0, 1.18 * part.max()))  # room for the label
     style.labels(axes, up="% of texels")
 
 
 def _marginal(
     axes: Axes, estimate: Estimate, name: str, means: Any, summary: IntervalSummary
 ) -> None:
-    """Draw the mean marginal of the texels seen, and of those of the lowest entropy."""
+    """Draw the mean marginals of all seen texels and of the 10 % with the lowest entropy."""
     style.minimal_axes(axes)
     if means is None:
         _note_nothing_seen(axes)
@@ -151,18 +151,18 @@ def _marginal(
     prior = prior_marginal(estimate.posterior, name)
     axes.plot(nodes, prior, color=RULE, lw=1, zorder=0)
     highest = max(float(p.max()) for p in (of_all, of_lowest, prior))
-    axes.set(xlim=(0, 1), ylim=(0, 1.6 * highest))  # room for the key
-    for line, what in (("o-", "mean of all seen"), ("--", "10 % of lowest entropy")):
+    axes.set(xlim=(0, 1), ylim=(0, 1.6 * highest))  # room for the legend
+    for line, what in (("o-", "mean of all seen"), ("--", "10 % with lowest entropy")):
         axes.plot([], [], line, color=style.INK, lw=1.4, ms=3, label=what)
     style.legend(axes, 8, loc="upper left", borderaxespad=0, handlelength=1.6, labelspacing=0.2)
 
 
 def _hatch(axes: Axes, result: Any) -> None:
-    """Hatch what is outside the charts, so that no grey can be taken for a value; add a key."""
+    """Hatch pixels outside the charts, whose grey is not a value, and draw a legend."""
     from matplotlib.patches import Patch
 
     height, width = result.inside.shape
-    if not result.inside.all() and min(height, width) > 1:  # no contour is of a line
+    if not result.inside.all() and min(height, width) > 1:  # contourf needs two rows and columns
         stripes = axes.contourf(
             ~result.inside, levels=(0.5, 1.5), colors="none", hatches=("////",),
             extent=(-0.5, width - 0.5, -0.5, height - 0.5),
@@ -184,4 +184,4 @@ def _hatch(axes: Axes, result: Any) -> None:
 
 def _note_nothing_seen(axes: Axes) -> None:
     axes.set(xlim=(0, 1), yticks=[])
-    style.write_centered(axes, "no texel was seen")
+    style.write_centered(axes, "no texel seen")

@@ -1,4 +1,4 @@
-"""Panels of pages, notebooks and papers: each draws into axes of yours.
+"""Panels of pages, notebooks and papers: each function draws into given axes.
 
 ```python
 figure, axes = plt.subplots(1, 2)
@@ -6,8 +6,8 @@ draw_photograph(axes[0], capture, 0)
 figure.colorbar(draw_map(axes[1], estimate), ax=axes[1], label="entropy")
 ```
 
-Where an estimate is asked for, it says which texels there are and which are seen; ``values`` are
-one number per texel (T,), by default the entropy, and ``limits`` those at the ends of a colormap.
+The argument ``estimate`` provides texels and coverage. ``values`` are numbers per texel (T,), by
+default the entropy; ``limits`` are the values at the ends of the colormap.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 
     from svu_mi.evaluation.ground_truth import GroundTruth
 
-GUTTER = 3  # texels that charts grow by on the object, so that their borders show no seam
-KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn
+GUTTER = 3  # dilation of the charts in texels, to hide seams on the object
+KNOWN_WIDTH = 0.05  # bar width of a known parameter, which has a single node
 
 
 def draw_photograph(
     axes: Axes, capture: Capture, view: int, window: object_views.Window | None = None
 ) -> None:
-    """Draw a photograph, exposed for the object and cropped: to a window, by default its mask's."""
+    """Draw a photograph, exposed for the object and cropped to ``window`` (default: its mask)."""
     mask = capture.masks[view] if capture.masks else None
     image = tone_mapped(capture.images[view], mask)
     if window is None and mask is not None:
@@ -63,11 +63,11 @@ def draw_map(
 ) -> AxesImage:
     """Draw a value of every texel in the layout of the texture; row 0 is v = 0.
 
-    Texels that no view sees are grey, and so light that it is nearly white where there is no
-    surface. ``interpolation`` is that of ``imshow``.
+    Unseen texels are grey; pixels without surface are nearly white. ``interpolation`` is passed to
+    ``imshow``.
 
     Returns:
-        What was drawn, to hand to ``figure.colorbar``.
+        The image, for ``figure.colorbar``.
     """
     inside, seen = estimate.texels.inside(), estimate.texels.to_image(is_seen(estimate), True)
     image = estimate.texels.to_image(_values(estimate, values), np.nan)
@@ -85,9 +85,9 @@ def draw_scaled_map(
     axes: Axes, estimate: Estimate, values: Any | None = None, label: str = "", *,
     ticks: Sequence[float] = (), **options: Any,
 ) -> Colorbar:  # fmt: skip
-    """Draw a map as ``draw_map`` does with its options, and the scale of its colours below.
+    """Draw a map (see ``draw_map`` for ``options``) with a colour bar below.
 
-    ``ticks`` are numbers of the scale, where matplotlib's own would be too many.
+    ``ticks`` are the labelled values of the bar; default: matplotlib's.
     """
     drawn = draw_map(axes, estimate, values, **options)
     bar: Colorbar = style.color_bar(axes, drawn, label, ticks=ticks)
@@ -98,16 +98,16 @@ def draw_on_object(
     axes: Axes, capture: Capture, estimate: Estimate, view: int, values: Any | None = None,
     **options: Any,
 ) -> None:  # fmt: skip
-    """Draw a value of every texel on the object, as a camera of the capture sees it.
+    """Draw a value of every texel on the object, from a camera of the capture.
 
-    Texels that no view sees are grey; ``options`` (limits, colormap) are those of ``map_colors``.
+    Unseen texels are grey; ``options`` (limits, colormap) are passed to ``map_colors``.
     """
     look = ObjectView.at(object_only_scene(capture), capture.sensors[view])
     draw_look(axes, look, map_colors(estimate, values, **options))
 
 
 def draw_look(axes: Axes, look: ObjectView, colors: np.ndarray) -> None:
-    """Draw screen colours (H, W, 3) on what a sensor sees of the object, cut to it."""
+    """Draw the object with a texture (H, W, 3) of screen colours, cropped to the object."""
     shown = look.painted(colors)
     style.draw_image(
         axes, object_views.crop(shown[..., :3], object_views.object_window(shown[..., 3] > 0))
@@ -124,7 +124,7 @@ def map_colors(
 ) -> np.ndarray:
     """Return a value of every texel as screen colours (H, W, 3), nearly white outside the charts.
 
-    Charts grow by ``gutter`` texels.
+    Charts are dilated by ``gutter`` texels.
     """
     colors = style.colors(_values(estimate, values), limits, colormap)
     return _laid_out(estimate, colors, gutter, style.UNSEEN)
@@ -133,16 +133,16 @@ def map_colors(
 def albedo_colors(
     estimate: Estimate, values: Any, *, gutter: float = GUTTER, unseen: Any = style.UNSEEN
 ) -> np.ndarray:
-    """Return a linear colour (T, 3) of every texel as ``map_colors`` does a value.
+    """Return linear colours of texels (T, 3) as screen colours (H, W, 3), as in ``map_colors``.
 
-    ``unseen`` is what texels that no view sees look like: one colour, or a picture (H, W, 3).
+    ``unseen`` is a colour (3,) or an image (H, W, 3) for unseen texels.
     """
     colors = srgb(np.clip(np.array(values), 0, 1))
     return _laid_out(estimate, colors, gutter, unseen)
 
 
 def _laid_out(estimate: Estimate, colors: np.ndarray, gutter: float, unseen: Any) -> np.ndarray:
-    """Lay screen colours (T, 3) out as a texture."""
+    """Lay screen colours (T, 3) out as a texture with a gutter."""
     image, inside = estimate.texels.to_image(colors, 0), estimate.texels.inside()
     not_seen = ~estimate.texels.to_image(is_seen(estimate), True)
     image[not_seen] = np.broadcast_to(unseen, image.shape)[not_seen]
@@ -151,7 +151,7 @@ def _laid_out(estimate: Estimate, colors: np.ndarray, gutter: float, unseen: Any
 
 
 def fully_seen(texels: Texels) -> Any:
-    """Return what the functions here take for an estimate that has seen every texel."""
+    """Return a stand-in for an estimate of which all texels are seen."""
     return SimpleNamespace(texels=texels.layout, coverage=np.ones(texels.count, np.uint32))
 
 
@@ -165,12 +165,18 @@ def draw_posterior(
 ) -> QuadMesh:
     """Draw the posterior of one texel over two parameters (Fig. 4 of the paper).
 
-    By default over the first two of ``posterior.axes``, known ones last. Any other parameter is
-    marginalised; of three colour channels the mean is shown. The value in ``truth``, the true
-    parameters of all texels, is marked with a cross. Colours end at 0 and the largest p.
+    Other parameters are marginalised, and three colour channels are averaged. Colours range from 0
+    to the largest probability.
+
+    Args:
+        axes: Axes to draw into.
+        posterior: Posterior of T texels.
+        texel: Index of the texel.
+        names: Parameters of x and y; default: the first two unknown ones.
+        truth: True parameters of all texels, to mark with a cross.
 
     Raises:
-        OptionError: an unknown parameter, twice the same, or a texel that does not exist.
+        OptionError: a parameter is unknown or repeated, or the texel does not exist.
     """
     order = list(posterior.axes)
     x, y = names or sorted(order, key=lambda name: len(posterior.axes[name]) == 1)[:2]
@@ -196,11 +202,11 @@ def draw_marginal(
 ) -> None:
     """Draw the marginal of one parameter of one texel as bars, one per node of the grid.
 
-    Of three colour channels the mean is shown. Dashed is where nobody looked; a line marks the
+    Three colour channels are averaged. The dashed line is the prior; a vertical line marks the
     value in ``truth``, the true parameters of all texels.
 
     Raises:
-        OptionError: an unknown parameter, or a texel that does not exist.
+        OptionError: the parameter is unknown, or the texel does not exist.
     """
     p = np.array(posterior.marginal(name, [texel]), np.float64)
     nodes = posterior.axes[name]
@@ -215,8 +221,8 @@ def draw_marginal(
 
 
 def bar_edges(nodes: np.ndarray) -> np.ndarray:
-    """Borders of bars around the nodes: half-way, and mirrored at both ends."""
-    if len(nodes) == 1:  # of a parameter that is known
+    """Return the edges of bars around nodes: midpoints, mirrored at both ends."""
+    if len(nodes) == 1:  # known parameter
         return nodes[0] + np.array([-KNOWN_WIDTH, KNOWN_WIDTH]) / 2
     middle = (nodes[1:] + nodes[:-1]) / 2
     return np.concatenate([[2 * nodes[0] - middle[0]], middle, [2 * nodes[-1] - middle[-1]]])

@@ -1,4 +1,4 @@
-"""Files of ``svu relight``: pictures under another light and their standard deviations."""
+"""Files of ``svu relight``: renders under another light and their standard deviations."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 PAGE = "relight.png"
-HEADING = "The object under this light, and how sure every pixel is"
+HEADING = "Object under another light, with standard deviations"
 CELL = 4.2  # inches
 ROWS = 6  # views on the page
-PLAIN = re.compile(r"\w[\w +-]*")  # what files may be called after views
+PLAIN = re.compile(r"\w[\w +-]*")  # view names that can be file names
 COLUMNS = 3
-DARK = 0.01  # of the median radiance, below which deviations are relative to that
-WIDEST = 0.5  # relative standard deviation at the upper end of its colours
+DARK = 0.01  # lower bound of the radiance that deviations are divided by, relative to the median
+WIDEST = 0.5  # relative standard deviation at the upper end of the colours
 
 
 def write_relighting(
@@ -45,7 +45,7 @@ def write_relighting(
     folder: str | os.PathLike[str], run: RunInfo | None = None, *, draws: int,
     pictures: bool = True,
 ) -> None:  # fmt: skip
-    """Write pictures, their standard deviations, ``relight.png`` and ``run.json``.
+    """Write pictures, standard deviations, ``relight.png`` and ``run.json``.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -69,7 +69,7 @@ def write_relighting(
 
 
 def view_file_names(names: Sequence[str]) -> list[str]:
-    """Return file names of views, without endings: their own, or numbers where these cannot be."""
+    """Return file names of views without suffix: their names if valid, else numbers."""
     own = {Path(PAGE).stem, Path(RECORD).stem, *(name.casefold() for name in names)}
     if len(own) == len(names) + 2 and all(map(PLAIN.fullmatch, names)):
         return list(names)
@@ -77,18 +77,18 @@ def view_file_names(names: Sequence[str]) -> list[str]:
 
 
 def relative_sd(view: RelitView) -> float | None:
-    """Return the median over the object's pixels of standard deviation over radiance, if any."""
+    """Return the median relative standard deviation of the object's pixels, None if black."""
     radiance, sd = view.picture[view.inside].mean(axis=-1), view.sd[view.inside].mean(axis=-1)
     lit = radiance > 0
     return float(np.median(sd[lit] / radiance[lit])) if lit.any() else None
 
 
 def uncertainty_sentence(views: Sequence[RelitView]) -> str:
-    """Return a sentence about the standard deviation of pixels."""
+    """Return a sentence on the standard deviation of pixels."""
     parts = [part for part in map(relative_sd, views) if part is not None]
     if not parts:
-        return "The object is in none of the pictures, or is black."
-    return f"Half of the object's pixels are known to {100 * float(np.median(parts)):.1f} % (sd)."
+        return "The pictures do not show the object, or it is black."
+    return f"Relative standard deviation of pixels, median: {100 * float(np.median(parts)):.1f} %."
 
 
 def write_relit_views(
@@ -109,7 +109,7 @@ def write_relit_views(
 def write_relit_page(
     views: Sequence[RelitView], names: Sequence[str], path: Path, notes: Sequence[str]
 ) -> None:
-    """Draw the first six views: picture, standard deviation, and that relative to the picture."""
+    """Draw the first six views: picture, standard deviation, relative standard deviation."""
     shown = list(zip(views, names, strict=True))[:ROWS]
     panels: list[Panel] = []
     for view, name in shown:

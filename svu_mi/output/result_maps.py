@@ -1,4 +1,4 @@
-"""Maps of a result: an estimate, a recovery, or a folder of textures, whoever wrote them."""
+"""Maps of a result: an estimate, a recovery, or a folder of textures from any program."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ LEAST = 1e-3  # lower bound of the weight of a resampled texel
 
 @dataclass(kw_only=True)
 class ResultMaps:
-    """Maps (H, W, C) of a result by name, each of its own size, and what is known of them."""
+    """Maps (H, W, C) of a result by name, each with its own size, and their metadata."""
 
     name: str
     about: str
     maps: dict[str, np.ndarray]
-    sd: Mapping[str, np.ndarray] = field(default_factory=dict)  # standard deviations of some
-    seen: np.ndarray | None = None  # (H, W) bool, the texels in photographs
+    sd: Mapping[str, np.ndarray] = field(default_factory=dict)  # standard deviations, if known
+    seen: np.ndarray | None = None  # (H, W) bool, texels in photographs
     mesh: Any | None = None
     key: str = ""  # digest of the mesh
     notes: Sequence[str] = ()
 
 
 def read_result(source: Source, name: str) -> ResultMaps | None:
-    """Return the maps of a result; None for a capture, which must be estimated."""
+    """Return the maps of a result; None for a capture, which must be estimated first."""
     if isinstance(source, Capture):
         return None
     if isinstance(source, Estimate):
@@ -70,9 +70,9 @@ def read_result(source: Source, name: str) -> ResultMaps | None:
 
 
 def maps_of_estimate(result: Estimate, name: str, about: str) -> ResultMaps:
-    """Return means and standard deviations of an estimate's posterior."""
+    """Return posterior means, standard deviations and entropy of an estimate."""
     if result.observed is None:
-        raise OptionError(f"{name} does not know its capture; compare what estimate() returns.")
+        raise OptionError(f"{name} has no capture; compare the result of svu.estimate().")
     means, sd = ({parameter: np.atleast_3d(result.image(f"{parameter}_{kind}"))
                   for parameter in result.posterior.axes} for kind in ("mean", "sd"))  # fmt: skip
     mesh, entropy = result.observed.capture.mesh, np.atleast_3d(result.image("entropy"))
@@ -90,8 +90,8 @@ def _maps_of_folder(path: Path, name: str) -> ResultMaps:
     entropy, coverage, file = read_map(path / ENTROPY), read_map(path / COVERAGE), path / MESH
     if not textures and entropy is None:
         raise CaptureError(
-            f"{path}: holds neither a capture (capture.json), nor {ENTROPY}, nor textures "
-            f"({', '.join(NAMES)} as EXR or PNG); give a folder that does."
+            f"{path}: contains neither a capture (capture.json), nor {ENTROPY}, nor textures "
+            f"({', '.join(NAMES)} as EXR or PNG); give another folder."
         )
     record = read_json(path / RECORD) if (path / RECORD).is_file() else {}
     mesh = make_mesh("object", read_ply(file)) if file.is_file() else None
@@ -111,9 +111,9 @@ def resampled(
     image: np.ndarray, size: tuple[int, int], shown: np.ndarray | None = None,
     mesh: Any | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Return a map (H, W, C) in another size; NaN where no valid texel is near.
+    """Return a map (H, W, C) in another size; NaN far from valid texels.
 
-    Valid texels are finite, ``shown`` (H, W bool, of the same size), and in a chart of the mesh.
+    Valid texels are finite, ``shown`` (H, W bool, same size), and in a chart of the mesh.
     """
     weight = np.isfinite(image).all(axis=2)
     if shown is not None and shown.shape == weight.shape:

@@ -41,12 +41,12 @@ PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas"
 
 @dataclass(frozen=True, kw_only=True)
 class RunInfo:
-    """Settings and kernels of a run, and a progress callback.
+    """Settings, compiled kernels and progress callback of a run.
 
     Attributes:
-        settings: what the caller was asked for (command-line options, seeds).
-        kernels: number of kernels compiled per stage, ``Progress.kernels``.
-        progress: called with (parts written, parts in all).
+        settings: Settings of the caller, such as command-line options and seeds.
+        kernels: Number of compiled kernels per stage (``Progress.kernels``).
+        progress: Callback with (written parts, all parts).
     """
 
     settings: Mapping[str, Any] | None = None
@@ -55,9 +55,9 @@ class RunInfo:
 
 
 def environment_record() -> dict[str, Any]:
-    """Return what the run ran on: versions, platform, Mitsuba variant, threads, LLVM.
+    """Return the environment: versions, platform, Mitsuba variant, threads, LLVM.
 
-    Without Mitsuba's variant set, or before Dr.Jit is loaded, those entries are None.
+    Mitsuba and Dr.Jit must be loaded; otherwise their entries are null.
     """
     mitsuba, drjit = sys.modules.get("mitsuba"), sys.modules.get("drjit")
     return {
@@ -80,7 +80,7 @@ def environment_record() -> dict[str, Any]:
 def run_record(
     capture: Capture, estimate: Estimate, summary: IntervalSummary | None = None
 ) -> dict[str, Any]:
-    """Return the record of a capture and its estimate, with intervals ``summary``."""
+    """Return the record of a capture and its estimate with interval ``summary``."""
     entropy, seen = np.asarray(estimate.entropy), is_seen(estimate)
     result = {
         "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
@@ -95,7 +95,7 @@ def run_record(
 def recovery_record(
     capture: Capture, recovery: Recovery, estimate: Estimate | None = None
 ) -> dict[str, Any]:
-    """Return the record of a recovery and the estimate written with it."""
+    """Return the record of a recovery, and of the estimate written with it."""
     losses = np.asarray(recovery.losses, np.float64)
     settings = {
         "method": recovery.method,
@@ -138,7 +138,7 @@ def _record(
     capture: Capture, seen: Estimate | Recovery, settings: dict[str, Any], result: dict[str, Any],
     **more: Any,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return what the records of all runs have, in their order; ``seen`` says of which texels."""
+    """Return the common entries of all records; ``seen`` provides the texels and coverage."""
     light = {} if capture.found_light is None else light_record(capture.found_light)
     texels = {"texels": seen.texels.count, "texels_seen": int(is_seen(seen).sum())}
     return {
@@ -160,7 +160,7 @@ def inputs_record(capture: Capture) -> dict[str, Any]:
 
 
 def write_run(draft: Draft, record: Mapping[str, Any], run: RunInfo) -> None:
-    """Write ``run.json`` beside everything else: a record of this module, and where it ran."""
+    """Write ``run.json``: a record of this module, settings and environment."""
     write_manifest(draft.folder / RECORD, {
         **record, "settings": {**record["settings"], "given": run.settings},
         "kernels_compiled": run.kernels, "environment": environment_record(), **draft.entries(),
@@ -170,11 +170,11 @@ def write_run(draft: Draft, record: Mapping[str, Any], run: RunInfo) -> None:
 def write_manifest(path: str | Path, record: Mapping[str, Any]) -> None:
     """Write a record as JSON, atomically.
 
-    Dataclasses become objects, arrays and tuples lists, paths text, and NaN or infinity
-    null, which JSON has no number for; to any depth.
+    Dataclasses become objects; arrays and tuples become lists; paths become strings; NaN and
+    infinity become null.
 
     Raises:
-        OutputError: a value that JSON cannot hold, or a file that cannot be written.
+        OutputError: a value has no JSON equivalent, or the file cannot be written.
     """
     path = Path(path)
     text = json.dumps(_json_value(record, path.name), indent=2, allow_nan=False, ensure_ascii=False)
@@ -182,7 +182,7 @@ def write_manifest(path: str | Path, record: Mapping[str, Any]) -> None:
 
 
 def _json_value(value: Any, where: str) -> Any:
-    """Return the JSON equivalent of a value; ``where`` names it in the error."""
+    """Return the JSON equivalent of a value; ``where`` names the value in errors."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
     if hasattr(value, "__array__"):

@@ -1,7 +1,7 @@
-"""Style and layout of PNG pages: colours, margins, headings, titles, axes and colour bars.
+"""Style and layout of PNG pages: colours, margins, headings, titles, axes, colour bars.
 
-``write_page`` lays out blocks of panels under a heading. HTML pages have the same colours from
-here, and their layout from ``templates/page.css``.
+``write_page`` lays out blocks of panels under a heading. HTML pages use the same colours; their
+layout is in ``templates/page.css``.
 """
 
 from __future__ import annotations
@@ -21,36 +21,30 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
-    Panel = tuple[str, Callable[[Axes], Any]]  # its title, and what draws into its axes
+    Panel = tuple[str, Callable[[Axes], Any]]  # title, function that draws into axes
 
 DPI = 100
 LEFT, RIGHT = 0.018, 0.985  # margins of a page
 COLORMAP, VIEWS_COLORMAP, GREY = "viridis", "magma", "gray"
-VALUES_COLORMAP = "plasma"  # of parameters: has no grey, which means unseen
-DENSITY_COLORMAP = DIFFERENCE_COLORMAP = "magma"  # of a posterior; of two pictures
-INFORMATION_GAIN_COLORS = (
-    "#c6c6cc",
-    "#f6c06b",
-    "#e8743b",
-    "#b3243f",
-    "#5b0f3a",
-)  # grey: nothing gained
+VALUES_COLORMAP = "plasma"  # for parameters; contains no grey, which marks unseen texels
+DENSITY_COLORMAP = DIFFERENCE_COLORMAP = "magma"  # posteriors, differences of pictures
+INFORMATION_GAIN_COLORS = ("#c6c6cc", "#f6c06b", "#e8743b", "#b3243f", "#5b0f3a")  # grey: no gain
 CHANNEL_COLORS = ("#c23b3b", "#2f8f4e", "#3566b8")
-SETTLED_COLORS = ("#414487", "#22a884", "#e3d523")  # settled, roughly known, wide open
-MARK = (0.91, 0.27, 0.235)  # a true value, or what is meant
-BEFORE, AFTER = (1.0, 0.25, 0.2), (0.1, 0.85, 0.35)  # outlines of a mesh, as it was and corrected
+SETTLED_COLORS = ("#414487", "#22a884", "#e3d523")  # determined, roughly determined, uncertain
+MARK = (0.91, 0.27, 0.235)  # true values and selections
+BEFORE, AFTER = (1.0, 0.25, 0.2), (0.1, 0.85, 0.35)  # outlines of a mesh, as captured, corrected
 UNSEEN = (0.55, 0.55, 0.58)  # grey: in no colormap but GREY, and darker than the page
-OUTSIDE = (0.95, 0.95, 0.96)
+OUTSIDE = (0.95, 0.95, 0.96)  # without surface
 INK, FAINT, RULE = "#26262b", "#6f6f78", "#c4c4cb"
-ENTROPY_ENDS = "0 = one material left, 1 = nothing known"
-TEXT = 9  # points: numbers on axes, keys
-PNG_LEVEL = 3  # half of the time of Pillow's own 6, for a tenth more bytes
-BELOW = (0.0, -0.075, 1.0, 0.035)  # place of a colour bar, in parts of its axes
+ENTROPY_ENDS = "0 = certain, 1 = no information"
+TEXT = 9  # points: tick labels and legends
+PNG_LEVEL = 3  # half the time of Pillow's default 6, for 10 % more bytes
+BELOW = (0.0, -0.075, 1.0, 0.035)  # place of a colour bar, relative to its axes
 
 
 def new_figure(width: float, height: float, dpi: float = DPI, **options: Any) -> Figure:
     """Return an empty figure of ``width`` x ``height`` inches; ``options`` are matplotlib's."""
-    # matplotlib takes half a second to import; and pyplot, with its global state, is not used.
+    # Imported here: matplotlib takes half a second. pyplot and its global state are not used.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -70,9 +64,9 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 
 def heading(figure: Figure, text: str, notes: Sequence[str] = ()) -> None:
-    """Write a page's title, and notes in a line below."""
+    """Write the title of a page, and notes in a line below."""
     height = figure.get_size_inches()[1]
-    same: Any = {"va": "center", "parse_math": False}  # a $ in a name is a $
+    same: Any = {"va": "center", "parse_math": False}  # names may contain a $
     figure.text(LEFT, 1 - 0.36 / height, text, size=19, weight="bold", color=INK, **same)
     line = "   ·   ".join(notes)
     figure.text(LEFT, 1 - 0.73 / height, line, size=11.5, color=FAINT, **same)
@@ -83,11 +77,11 @@ class Block:
     """Panels in the cells of a grid, row by row.
 
     Attributes:
-        panels: titles, and functions that draw into axes; None leaves a cell empty.
-        shape: number of rows and columns.
-        box: left, right, bottom and top, in parts of the page.
-        space: between columns and rows, in parts of a cell.
-        anchor: side of its cell at which a picture is that does not fill it.
+        panels: Titles, and functions that draw into axes; None leaves a cell empty.
+        shape: Number of rows and columns.
+        box: Left, right, bottom and top, as fractions of the page.
+        space: Gaps between columns and between rows, as fractions of a cell.
+        anchor: Side of the cell at which smaller pictures are placed.
     """
 
     panels: Iterable[Panel | None]
@@ -101,7 +95,7 @@ def write_page(
     path: str | Path, size: tuple[float, float], text: str, notes: Sequence[str],
     blocks: Iterable[Block],
 ) -> None:  # fmt: skip
-    """Write a page of some inches: a heading, notes, and blocks of panels, as PNG.
+    """Write a page as PNG: a heading, notes, and blocks of panels; ``size`` is in inches.
 
     Raises:
         OutputError: the file cannot be written.
@@ -126,7 +120,7 @@ def write_page(
 
 def title(axes: Axes, text: str, pad: float = 6) -> None:
     """Write a title over the left end of axes."""
-    # Told its place, matplotlib does not measure all ticks of the figure to find it.
+    # With a given y, matplotlib does not measure all ticks of the figure.
     axes.set_title(text, loc="left", y=1.0, size=11.5, color=INK, pad=pad, parse_math=False)
 
 
@@ -142,18 +136,18 @@ def labels(axes: Axes, across: str = "", up: str = "", size: float = TEXT) -> No
 
 
 def legend(axes: Axes, size: float = TEXT, **options: Any) -> None:
-    """Write a key without a frame; ``options`` are matplotlib's."""
+    """Draw a legend without a frame; ``options`` are matplotlib's."""
     axes.legend(fontsize=size, frameon=False, labelcolor=INK, **options)
 
 
 def write_centered(axes: Axes, text: str) -> None:
-    """Write a text in the middle of empty axes."""
+    """Write a text in the centre of empty axes."""
     same: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
     axes.text(0.5, 0.5, text, color=FAINT, size=11, **same)
 
 
 def subtitle(axes: Axes, text: str) -> None:
-    """Write a line between axes and their title, which needs a ``pad`` of 21."""
+    """Write a line between axes and their title; the title needs ``pad=21``."""
     axes.annotate(
         text, (0, 1), xycoords="axes fraction", xytext=(0, 7), textcoords="offset points",
         size=9, color=FAINT, ha="left", va="bottom", annotation_clip=False,
@@ -161,7 +155,7 @@ def subtitle(axes: Axes, text: str) -> None:
 
 
 def minimal_axes(axes: Axes) -> None:
-    """Draw axes below and on the left, faintly, and none elsewhere."""
+    """Draw faint lower and left axes only."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(RULE)
     axes.tick_params(labelsize=9, color=RULE, labelcolor=INK, length=3)
@@ -174,7 +168,7 @@ def frame_map(axes: Axes) -> None:
 
 
 def draw_image(axes: Axes, image: np.ndarray) -> None:
-    """Draw a picture, without axes around it."""
+    """Draw a picture without axes."""
     axes.imshow(image)
     axes.set_axis_off()
 
@@ -182,7 +176,7 @@ def draw_image(axes: Axes, image: np.ndarray) -> None:
 def scalar_mappable(
     limits: tuple[float, float], colormap: str | Colormap = COLORMAP
 ) -> ScalarMappable:
-    """Return the mapping of numbers to colours, also for a colour bar."""
+    """Return a mapping of numbers to colours, also for a colour bar."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -192,7 +186,7 @@ def scalar_mappable(
 def colors(
     values: np.ndarray, limits: tuple[float, float] = (0, 1), colormap: str | Colormap = COLORMAP
 ) -> np.ndarray:
-    """Return numbers of any shape as screen colours (..., 3), float32."""
+    """Return the screen colours of numbers of any shape, (..., 3) float32."""
     drawn = scalar_mappable(limits, colormap)
     return np.array(drawn.get_cmap()(drawn.norm(values))[..., :3], np.float32)
 
@@ -203,12 +197,12 @@ def css(color: Sequence[float]) -> str:
 
 
 def css_colors(values: np.ndarray, colormap: str = COLORMAP) -> list[str]:
-    """Return CSS colours of numbers in [0, 1]."""
+    """Return the CSS colours of numbers in [0, 1]."""
     return [css(color) for color in colors(values, colormap=colormap)]
 
 
 def css_gradient(colormap: str) -> str:
-    """Return a colormap as stops of a CSS gradient."""
+    """Return a colormap as the stops of a CSS gradient."""
     return ", ".join(css_colors(np.linspace(0, 1, 9), colormap))
 
 
@@ -217,9 +211,9 @@ def color_bar(
     place: tuple[float, float, float, float] | None = BELOW, size: float = TEXT,
     ticks: Sequence[float] = (),
 ) -> Any:  # fmt: skip
-    """Draw the scale of an image, or of a ``scalar_mappable``, and return it.
+    """Draw and return the colour bar of an image or a ``scalar_mappable``.
 
-    ``place`` is left, bottom, width and height in parts of the axes; None fills them.
+    ``place`` is left, bottom, width and height as fractions of the axes; None fills them.
     """
     figure: Any = axes.figure
     inside = axes if place is None else axes.inset_axes(place)

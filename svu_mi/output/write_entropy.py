@@ -25,12 +25,12 @@ def write_outputs(
     """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json`` in one step.
 
     Returns:
-        How much of the surface has narrow intervals.
+        Summary of the interval widths.
 
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    # Photographs that are in other processes have no digest here.
+    # Photographs in worker processes have no digest here.
     key = "" if estimate.observed is None else capture_key(capture)
     with writing(folder, "entropy", RECORD, capture=key) as draft:
         write_maps(estimate, draft.folder)

@@ -1,4 +1,4 @@
-"""Files of ``svu recover``: textures, scene, maps, pictures, losses and record."""
+"""Files of ``svu recover``: textures, scene, maps, pictures, losses, record."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 LOSSES = "losses.csv"
 PAGE, RELIT = "recovery.png", "relit.png"
-VIEWS = 3  # that pictures are made of
+VIEWS = 3  # rendered views
 
 
 @dataclass(frozen=True)
@@ -59,15 +59,15 @@ def write_recovery(
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
 
     Args:
-        capture: the ``Capture``.
-        recovery: its ``Recovery``.
-        folder: made if missing.
-        run: how it came about.
-        estimate: whose entropy and standard deviations are written and drawn; by default that of
-            the recovery, if there is one.
-        field: the uncertainty of the textures; without one, ``uncertainty.exr`` is the estimate's.
-        draws: how many textures to draw from the field, if any, into ``draws``.
-        pictures: whether ``recovery.png``, ``relit.png`` and ``draws.png`` are among the files.
+        capture: Capture of the recovery.
+        recovery: Recovery to write.
+        folder: Path of the folder; created if missing.
+        run: Settings and kernels of the run, for ``run.json``.
+        estimate: Estimate whose entropy and standard deviations are written and drawn; default:
+            ``recovery.estimate``.
+        field: Uncertainty of the textures; without it, ``uncertainty.exr`` is from the estimate.
+        draws: Number of textures to draw from ``field`` and write to ``draws``; default: none.
+        pictures: Whether to write ``recovery.png``, ``relit.png`` and ``draws.png``.
 
     Raises:
         OutputError: the folder or a file cannot be written.

@@ -481,8 +481,8 @@ def test_what_is_ignored_has_the_last_word(capture):
     assert (unsupported.question, unsupported.verdict, result.fits) == ("ignored", "note", True)
     assert unsupported.sentence.startswith("Light reflected by 'table' falls on")
     assert verdict(result) == (
-        "The capture fits its photographs, as far as can be determined; results may be off by what "
-        "is ignored."
+        "The capture fits its photographs, as far as can be determined; ignored effects may bias "
+        "the results."
     )
     gain = replace(result.findings[3], verdict="unclear")
     unsure = replace(result, findings=(*result.findings[:3], gain, unsupported))

@@ -73,7 +73,7 @@ def test_all_that_was_found_is_one_line(posterior):
         "surface seen, base colour on 33 % (90 % intervals)."
     )
     nothing = IntervalSummary.of(estimate_of(posterior, coverage=(0,) * 5))
-    assert nothing.summary() == "Nothing is known: no photograph shows the surface."
+    assert nothing.summary() == "No parameter is known: no photograph shows the surface."
 
 
 @pytest.mark.parametrize("most", [4096, 3000, 7])
@@ -97,7 +97,7 @@ def test_what_is_known_beforehand_is_no_finding(posterior):
     )
     posterior.axes = {name: np.array([0.3]) for name in AXES}
     summary = IntervalSummary.of(estimate_of(posterior))
-    assert summary.sentence() == "All parameters were taken as known."
+    assert summary.sentence() == "All parameters were given."
 
 
 def certain(grid, cell):
@@ -121,5 +121,5 @@ def test_a_coarse_grid_knows_no_better_than_its_cells():
 def test_nothing_seen_is_said_and_nothing_computed(posterior):
     summary = IntervalSummary.of(estimate_of(posterior, coverage=(0,) * 5))
     assert (summary.seen_part, summary.known_part, summary.all_known_part) == (0, {}, 0)
-    assert summary.sentence() == "Nothing is known: no photograph shows the surface."
+    assert summary.sentence() == "No parameter is known: no photograph shows the surface."
     assert posterior.asked == []
