@@ -88,8 +88,8 @@ def test_results_of_other_meshes_are_refused(recovered, tmp_path):
 def test_folders_without_anything_are_refused(recovered, tmp_path, capsys):
     line = fails(capsys, "compare", recovered, tmp_path, "-o", tmp_path / "out")
     assert line == (
-        f"svu: {tmp_path}: contains neither a capture (capture.json), nor entropy.exr, nor textures "
-        "(base_color, roughness, metallic as EXR or PNG); give another folder."
+        f"svu: {tmp_path}: contains neither a capture (capture.json), nor entropy.exr, nor "
+        "textures (base_color, roughness, metallic as EXR or PNG); give another folder."
     )
     (tmp_path / "rough").mkdir()
     write_exr(tmp_path / "rough" / "roughness.exr", {"Y": np.zeros((8, 8))})
