@@ -71,6 +71,13 @@ def test_the_way_of_a_pixel_names_functions_that_exist():
     assert not missing
 
 
+def test_guarantees_name_tests_that_exist():
+    page = (ROOT / "notebooks" / "promises.md").read_text(encoding="utf-8")
+    files = (path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
+    existing = {name for text in files for name in re.findall(r"def (test_\w+)", text)}
+    assert set(re.findall(r"`(test_\w+)`", page)) <= existing
+
+
 @pytest.mark.slow
 def test_the_script_of_the_readme_runs(tmp_path, monkeypatch):
     from svu_mi.cli.main import main
