@@ -1,1 +1,1 @@
-"""Light of a capture: environment maps, prefiltering, light cells, visibility."""
+"""Environment light: maps, prefiltering, light cells, and their visibility from texels."""

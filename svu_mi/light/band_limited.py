@@ -17,17 +17,18 @@ from svu_mi.light.environment import Environment, lat_long, read_environment, sy
 
 MIN_DEGREE, MAX_DEGREE = 24, 64
 COSINE_DEGREE, COSINE_ROWS = 16, 97
-NEGLIGIBLE = 1e-4  # factor of the filter from which higher degrees are left out
-TEXELS_PER_WAVE = 24  # rows per period of the highest degree: bilinear error below 1 %
+NEGLIGIBLE = 1e-4  # filter value below which degrees are omitted
+TEXELS_PER_WAVE = 24  # rows per period of the highest degree; bilinear error below 1 %
 
 
 @dataclass(eq=False)
 class Lighting:
-    """Light of a capture, filtered for v views; maps are computed lazily.
+    """Light of a capture, band-limited for v views; maps are computed lazily.
 
     Attributes:
-        prefilter: alpha' = v^(-1/2), width of the band limit.
-        lobes: cached Texture2f of ``filter_light``, by lobe.
+        prefilter: Width alpha' = v^(-1/2) of the band limit.
+        to_local: Rotation from world space to the light's frame, Matrix3f.
+        lobes: Cache of ``filter_light``: Texture2f by lobe.
     """
 
     environment: Environment
@@ -37,13 +38,13 @@ class Lighting:
 
     @property
     def degree(self) -> int:
-        """Highest degree that the band limit does not remove."""
+        """Highest degree above the band limit's threshold."""
         degree = int(np.ceil(np.sqrt(-np.log(NEGLIGIBLE)) / self.prefilter))
         return int(np.clip(degree, MIN_DEGREE, MAX_DEGREE))
 
     @cached_property
     def coefficients(self) -> np.ndarray:
-        """((degree + 1)^2, 3) float64, *before* band-limiting (polar frame, in radiance)."""
+        """SH coefficients *before* band-limiting, ((degree + 1)^2, 3) float64, polar frame."""
         return self.environment.coefficients(self.degree)
 
     @cached_property
@@ -61,11 +62,11 @@ class Lighting:
         return lat_long_texture(synthesize(coefficients, 2 * (COSINE_ROWS - 1), COSINE_ROWS))
 
     def radiance(self, direction: Any) -> Any:
-        """Look up band-limited incoming radiance *from* a world direction: Color3f."""
+        """Look up the band-limited radiance *from* a world direction, Color3f."""
         return self._look_up(self.filtered, direction)
 
     def irradiance(self, normal: Any) -> Any:
-        """Look up the irradiance on an unoccluded surface of this world normal: Color3f."""
+        """Look up the irradiance of an unoccluded surface by its world normal, Color3f."""
         return self._look_up(self.irradiance_map, normal)
 
     def _look_up(self, texture: Any, direction: Any) -> Any:
@@ -73,10 +74,10 @@ class Lighting:
 
 
 def look_up(texture: Any, local: Any) -> list[Any]:
-    """Look a lat-long map up in a local direction: a Float per channel."""
+    """Look up a lat-long map in a local direction: one Float per channel."""
     u, v = lat_long(local)
-    # Rows are on the poles (align-corners), textures have theirs at (j + 0.5) / H.
-    rows = dr.opaque(mi.Float, texture.shape[0])  # else a kernel for every size of map
+    # First and last row of a map are at the poles; Texture2f assumes centres (j + 0.5) / H.
+    rows = dr.opaque(mi.Float, texture.shape[0])  # a literal would recompile for each map size
     v = (v * (rows - 1) + 0.5) / rows
     return texture.eval(mi.Point2f(u, v))
 
@@ -89,7 +90,7 @@ def read_lighting(capture: Capture, views: int) -> Lighting:
 
 
 def band_limited_lighting(environment: Environment, views: int) -> Lighting:
-    """Filter an environment for v views; see ``read_lighting``."""
+    """Band-limit an environment for v views (see ``read_lighting``)."""
     return Lighting(
         environment=environment,
         prefilter=max(views, 1) ** -0.5,
@@ -98,14 +99,14 @@ def band_limited_lighting(environment: Environment, views: int) -> Lighting:
 
 
 def degrees(degree: int) -> np.ndarray:
-    """Return ((degree + 1)^2,) the degree l of every coefficient."""
+    """Return the degree l of each coefficient, ((degree + 1)^2,)."""
     return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
 
 
 def zonal_cosine(degree: int, power: int = 0) -> np.ndarray:
-    """Return (degree + 1,) zonal factors of max(x, 0) (1 - x)^power, x = cos theta.
+    """Return zonal factors of the lobe max(x, 0) (1 - x)^power, x = cos theta: (degree + 1,).
 
-    A_l = 2 pi times the integral of P_l(x) x (1 - x)^power over [0, 1]; power 0: irradiance.
+    A_l = 2 pi times the integral of P_l(x) x (1 - x)^power over [0, 1]. Power 0 is irradiance.
     """
     nodes, weights = np.polynomial.legendre.leggauss(degree // 2 + power + 2)
     x, w = (nodes + 1) / 2, weights / 2
@@ -120,7 +121,7 @@ def _texture(coefficients: np.ndarray) -> Any:
 
 
 def lat_long_texture(grid: np.ndarray) -> Any:
-    """Return values (H, W, C) on the grid of ``latlong.directions`` as a Texture2f."""
+    """Make a Texture2f from values (H, W, C) on the grid of ``latlong.directions``."""
     tensor = mi.TensorXf(np.ascontiguousarray(grid, np.float32))
     return mi.Texture2f(tensor, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat)
 
@@ -130,19 +131,19 @@ MOMENTS = 8  # per channel: two scalars, two vectors
 
 @dataclass(frozen=True)
 class MomentMap:
-    """Moments of ``LightVisibility.diffuse`` in the light's frame: 8 per colour channel."""
+    """Moments of ``LightVisibility.diffuse`` for unoccluded light: 8 per channel, local frame."""
 
     texture: Any
     to_local: Any
     channels: int
 
     def at(self, normal: Any) -> list[list[Any]]:
-        """Look the moments of a world normal up: 8 Floats per channel."""
+        """Look up the moments by a world normal: 8 Floats per channel, vectors in local frame."""
         flat = look_up(self.texture, self.to_local @ mi.Vector3f(normal))
         return [flat[first : first + MOMENTS] for first in range(0, len(flat), MOMENTS)]
 
     def in_world(self, normal: Any) -> list[list[Any]]:
-        """Look the moments of a world normal up, vectors in world space, evaluated."""
+        """Look up and evaluate the moments by a world normal, vectors in world space."""
         back, result = self.to_local.T, []
         for c0, x0, y0, z0, c1, x1, y1, z1 in self.at(normal):
             m0, m1 = back @ mi.Vector3f(x0, y0, z0), back @ mi.Vector3f(x1, y1, z1)
@@ -152,7 +153,7 @@ class MomentMap:
 
 
 def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
-    """Convolve the light with both cosine lobes of diffuse reflection."""
+    """Convolve the light with the cosine lobes of diffuse reflection, x and x (1 - x)^5."""
     factors = zonal_cosine(COSINE_DEGREE, 0), zonal_cosine(COSINE_DEGREE, 5)
     expanded = [environment.coefficients(COSINE_DEGREE)]
     expanded += [_directional(environment, axis).coefficients(COSINE_DEGREE) for axis in range(3)]
@@ -165,7 +166,7 @@ def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
 
 
 def _directional(environment: Environment, axis: int) -> Environment:
-    """Return the light times a component of its direction."""
+    """Return the light multiplied by the component ``axis`` of its direction."""
     rows, columns = environment.radiance.shape[:2]
     part = latlong.directions(columns, rows)[..., axis, None]
     return replace(

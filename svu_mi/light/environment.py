@@ -1,8 +1,8 @@
-"""Environment light: quadrature, spherical harmonics, synthesis (NumPy, float64).
+"""Environment light: sampling, spherical harmonics and synthesis (NumPy, float64).
 
 Directions are in the emitter's *local* frame, where lat-long maps have their pole on +Y:
-theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical harmonics are real, orthonormal, in the
-order l*l + l + m of ``drjit.sh_eval``, of the *polar* frame (z, x, y).
+theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical harmonics are real and orthonormal, in
+the order l*l + l + m of ``drjit.sh_eval``, in the *polar* frame (z, x, y).
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from svu_mi.errors import SceneError, SvuWarning
 from svu_mi.light import latlong
 from svu_mi.light.latlong import directions, emitter_label, quadrature, radiance_from
 
-GREY = 1e-6  # part of the brightest channel: smaller differences are ignored
-BAND = 2**18  # numbers of a map that are transformed at a time
+GREY = 1e-6  # largest difference of grey channels, relative to the brightest
+BAND = 2**18  # values of a map that are transformed at once
 NO_DISK = np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
-SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
+SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on the sun's disk; finer than the sky grid
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class Environment:
 
     Attributes:
         radiance: (H, W, 3) float64 at theta_j = j pi / (H - 1), phi_i = (i + 0.5) 2 pi / W, at most
-            1025 x 2048: the first and last rows are the poles.
-        disk_directions: (N, 3) float64 local directions.
-        disk_weights: (N,) float64 solid angles of the disk's nodes [sr].
-        disk_radiance: (N, 3) float64, in excess of ``radiance``.
+            1025 x 2048. The first and last rows are the poles.
+        disk_directions: (N, 3) float64, local directions.
+        disk_weights: (N,) float64, solid angles [sr].
+        disk_radiance: (N, 3) float64, added to ``radiance``.
         to_local: (3, 3) float64, world to local rotation (may mirror).
     """
 
@@ -48,14 +48,14 @@ class Environment:
 
     @property
     def grey(self) -> bool:
-        """Whether the colour channels are equal everywhere, in the dimmest direction too."""
+        """True if the colour channels are equal in every direction (relative to each)."""
         return all(
             bool((np.ptp(values, axis=-1) <= GREY * values.max(axis=-1)).all())
             for values in (self.radiance, self.disk_radiance)
         )
 
     def coefficients(self, degree: int) -> np.ndarray:
-        """Project the light on spherical harmonics: ((degree + 1)^2, 3) float64."""
+        """Project the light onto spherical harmonics, ((degree + 1)^2, 3) float64."""
         result = analyze(self.radiance, degree)
         if len(self.disk_weights):
             basis = basis_at(polar_from_local(self.disk_directions), degree)
@@ -64,7 +64,7 @@ class Environment:
 
 
 def read_environment(emitter: Any) -> Environment:
-    """Sample an environment emitter through its own ``eval`` and ``to_world``."""
+    """Sample an environment emitter by its ``eval``; raise if it is invalid or black."""
     to_world = scene.to_world(emitter)[:3, :3]
     if not np.allclose(to_world.T @ to_world, np.eye(3), atol=1e-3):
         raise SceneError(
@@ -81,12 +81,12 @@ def read_environment(emitter: Any) -> Environment:
         warnings.warn(note, SvuWarning, stacklevel=2)
     grid = np.maximum(grid, 0)
     if not (grid.max() > 0 or disk[2].max(initial=0) > 0):
-        raise SceneError(f"Emitter '{emitter.id()}' is black; there is no light to reflect.")
+        raise SceneError(f"Emitter '{emitter.id()}' is black; check its map or radiance.")
     return Environment(grid, *disk, to_local=to_world.T)
 
 
 def lat_long(local: Any) -> tuple[Any, Any]:
-    """Return phi / 2 pi in [0, 1) and theta / pi of a unit local direction."""
+    """Return phi / 2 pi in [0, 1) and theta / pi of unit local directions (Vector3f or NumPy)."""
     if dr.is_array_v(local):
         u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
         return u - dr.floor(dr.detach(u)), dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
@@ -95,7 +95,7 @@ def lat_long(local: Any) -> tuple[Any, Any]:
 
 
 def nearest_node(local: np.ndarray, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return row and column of the node of a (rows, columns) map nearest to directions (..., 3)."""
+    """Return row and column of the map node nearest to local directions (..., 3)."""
     u, v = lat_long(local)
     return np.rint(v * (rows - 1)).astype(int), (u * columns).astype(int) % columns
 
@@ -103,8 +103,8 @@ def nearest_node(local: np.ndarray, rows: int, columns: int) -> tuple[np.ndarray
 def _split_sun(
     emitter: Any, grid: np.ndarray, local: np.ndarray, to_world: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Move a sun's disk from the grid, which cannot resolve it, to nodes of its own."""
-    # Mitsuba 3.9 states the sun's direction in world space, whatever to_world is.
+    """Replace the sun's disk, which the grid cannot resolve, by separate nodes."""
+    # In Mitsuba 3.9, the sun's direction is in world space, independent of to_world.
     sun = np.array(mi.traverse(emitter)["sun_direction"], np.float64).ravel()[:3] @ to_world
     sun /= np.linalg.norm(sun)
     brightest = radiance_from(emitter, sun[None] @ to_world.T)[0]
@@ -116,7 +116,7 @@ def _split_sun(
     sky = grid[around].mean(axis=0)
     grid = grid.copy()
     grid[inside] = sky
-    # Gauss-Legendre in cos(angle from the centre), equal spokes around it.
+    # Gauss-Legendre nodes in the cosine of the angle from the centre, uniform in azimuth.
     nodes, weights = np.polynomial.legendre.leggauss(SUN_RINGS)
     height = 1 - np.cos(radius)
     cos = 1 - height * (nodes + 1) / 2
@@ -133,7 +133,7 @@ def _split_sun(
 def _disk_radius(
     emitter: Any, sun: np.ndarray, to_world: np.ndarray, brightest: np.ndarray
 ) -> float:
-    """Find the angle from a sun's centre at which its radiance drops to the sky's [rad]."""
+    """Return the sun's angular radius [rad]; 0 if it is not brighter than the sky."""
     side = np.linalg.svd(sun[None])[2][1]
 
     def lit(angle: np.ndarray) -> np.ndarray:
@@ -142,8 +142,8 @@ def _disk_radius(
 
     low, high = 0.0, np.radians(20)
     if not lit(np.array([0.0]))[0] or lit(np.array([high]))[0]:
-        return 0.0  # no disk that stands out from the sky
-    for _ in range(4):  # each round narrows the edge by a factor of 64
+        return 0.0
+    for _ in range(4):  # each step reduces the interval by a factor of 64
         angle = np.linspace(low, high, 65)
         edge = int(np.flatnonzero(lit(angle))[-1])
         low, high = angle[edge], angle[edge + 1]
@@ -151,18 +151,18 @@ def _disk_radius(
 
 
 def polar_from_local(local: np.ndarray) -> np.ndarray:
-    """Turn local directions (..., 3) into the polar frame (z, x, y)."""
+    """Convert local directions (..., 3) to the polar frame (z, x, y)."""
     return np.roll(local, 1, axis=-1)
 
 
 def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
-    """Integrate a lat-long grid against harmonics, Fourier per ring: ((degree + 1)^2, C)."""
+    """Project a lat-long grid (H, W, C) onto spherical harmonics, ((degree + 1)^2, C)."""
     rows, columns = grid.shape[:2]
-    # phi counts from -Z; the polar frame's azimuth (from +Z) is pi - phi.
+    # phi is measured from -Z; the azimuth of the polar frame (from +Z) is pi - phi.
     azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
     m = np.arange(degree + 1)
     wave = np.exp(-1j * np.outer(m, azimuth)) * (2 * np.pi / columns)
-    # Some rows at a time: the product makes complex numbers of all it is given.
+    # In bands of rows, because the product converts its input to complex numbers.
     bands = np.array_split(grid, -(-grid.size // BAND))
     rings = np.concatenate([np.tensordot(wave, band, axes=(1, 1)) for band in bands], axis=1)
     rings *= quadrature(rows)[None, :, None]
@@ -181,7 +181,7 @@ def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
 
 
 def synthesize(coefficients: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Evaluate an expansion on the grid of ``directions``: (rows, columns, C) float64."""
+    """Evaluate an SH expansion on the grid of ``directions``, (rows, columns, C) float64."""
     degree = int(np.sqrt(len(coefficients))) - 1
     azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
     legendre = associated_legendre(np.cos(np.pi * np.arange(rows) / (rows - 1)), degree)
@@ -193,13 +193,13 @@ def synthesize(coefficients: np.ndarray, columns: int, rows: int) -> np.ndarray:
         if order:
             odd[:, order] = table @ coefficients[l * l + l - order]
     angle = np.outer(np.arange(degree + 1), azimuth)
-    # One product for all rows and orders: a loop over orders takes ten times as long.
+    # One product for all rows and orders is ten times faster than a loop over orders.
     result = np.tensordot(even, np.cos(angle), (1, 0)) + np.tensordot(odd, np.sin(angle), (1, 0))
     return np.ascontiguousarray(np.moveaxis(result, 2, 1))
 
 
 def basis_at(polar: np.ndarray, degree: int) -> np.ndarray:
-    """Evaluate all harmonics at unit directions of the polar frame: (N, (degree + 1)^2)."""
+    """Evaluate all harmonics in unit directions (N, 3) of the polar frame: (N, (degree + 1)^2)."""
     legendre = associated_legendre(np.clip(polar[:, 2], -1, 1), degree)
     azimuth = np.arctan2(polar[:, 1], polar[:, 0])
     result = np.zeros((len(polar), (degree + 1) ** 2))
@@ -212,9 +212,9 @@ def basis_at(polar: np.ndarray, degree: int) -> np.ndarray:
 
 
 def associated_legendre(x: np.ndarray, degree: int) -> np.ndarray:
-    """Return (degree + 1, degree + 1, N) normalised associated Legendre functions.
+    """Return normalised associated Legendre functions P(l, m, x), (degree + 1, degree + 1, N).
 
-    P(l, m, x) e^(i m phi) is orthonormal, with the Condon-Shortley sign of ``drjit.sh_eval``.
+    P(l, m, cos theta) e^(i m phi) are orthonormal, with the Condon-Shortley sign of ``dr.sh_eval``.
     """
     table = np.zeros((degree + 1, degree + 1, len(x)))
     sin = np.sqrt(np.maximum(1 - x * x, 0))

@@ -1,4 +1,4 @@
-"""Sampling grids of lat-long maps: directions, weights, resampling."""
+"""Sampling grids of lat-long maps: directions, quadrature weights, resampling."""
 
 from __future__ import annotations
 
@@ -15,53 +15,54 @@ from svu_mi.core.memory import light_bytes
 from svu_mi.core.validation import require_memory
 from svu_mi.errors import SceneError, excerpt
 
-SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
-FINEST = 130  # columns and rows that resolve degree 64; smaller maps are sampled finer
-LONGEST = 2048  # columns and rows that a long, thin map is not upsampled beyond
+SKY_GRID = (512, 257)  # columns and rows of a sampled procedural sky
+FINEST = 130  # columns and rows that resolve degree 64; smaller maps are upsampled
+LONGEST = 2048  # largest number of columns or rows after upsampling
 
 
 def emitter_label(emitter: Any) -> str:
-    """Return an emitter's name and file name for messages."""
+    """Return an emitter's id and file name for messages."""
     file = re.search(r'filename = "(.+)"', str(emitter))
     name = f"Emitter '{emitter.id()}'"
     return name if file is None else f"{name} ({excerpt(file[1])})"
 
 
 def envmap_pixels(emitter: Any, otherwise: np.ndarray) -> np.ndarray:
-    """Return the pixels (H, W, 3) of an ``envmap``, and ``otherwise`` for other emitters."""
+    """Return the pixels (H, W, 3) of an ``envmap``; ``otherwise`` for other emitters."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return otherwise
     data = mi.traverse(emitter)["data"]
-    pixels = data.array.numpy().reshape(data.shape)  # no copy, which data.numpy() would be
-    return pixels[:, 1:-1, :3]  # Mitsuba 3.9 keeps one halo column on each side
+    pixels = data.array.numpy().reshape(data.shape)  # data.numpy() would copy
+    return pixels[:, 1:-1, :3]  # Mitsuba 3.9 stores a halo column on each side
 
 
 def grid_size(emitter: Any) -> tuple[int, int]:
-    """Return (columns, rows) of the map's own nodes; small maps are also sampled between them."""
+    """Return (columns, rows) for sampling an emitter: its map, upsampled if small."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return SKY_GRID
     rows, columns = mi.traverse(emitter)["data"].shape[:2]
-    columns -= 2  # Mitsuba 3.9 keeps one halo column on each side
+    columns -= 2  # Mitsuba 3.9 stores a halo column on each side
     require_memory(
         light_bytes((columns, rows)), f"{emitter_label(emitter)}: {columns} x {rows} pixels",
-        "shrink the map; 2048 x 1024 show all that is looked up", SceneError,
+        "reduce the map; 2048 x 1024 pixels are sufficient", SceneError,
     )  # fmt: skip
+    # Odd multiples of the map's size, so that its own nodes are sampled.
     finer = int(np.ceil(max(FINEST / columns, FINEST / (rows - 1))))
     across, down = (_odd(min(finer, LONGEST // side)) for side in (columns, rows))
     return columns * across, (rows - 1) * down + 1
 
 
 def _odd(number: int) -> int:
-    """Return the least odd number that is not below, and at least 1."""
+    """Return the smallest odd number that is at least ``number`` and 1."""
     return max(1, number + 1 - number % 2)
 
 
-MAX_SIZE = (2048, 1025)  # columns and rows: no lobe resolves more
-BAND = 2**17  # nodes that are sampled at a time: 20 MB
+MAX_SIZE = (2048, 1025)  # columns and rows; sufficient for the narrowest lobe
+BAND = 2**17  # nodes sampled at once, 20 MB
 
 
 def sample_emitter(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Sample an emitter at lat-long nodes, (H, W, 3); average those above ``MAX_SIZE``."""
+    """Sample an emitter at lat-long nodes, and average to at most ``MAX_SIZE``: (H, W, 3)."""
     across, down = min(columns, MAX_SIZE[0]), min(rows, MAX_SIZE[1])
     solid = quadrature(rows)
     flux, weight = np.zeros((down, across, 3)), np.zeros(down)
@@ -85,7 +86,7 @@ def sample_emitter(emitter: Any, to_world: np.ndarray, columns: int, rows: int) 
 
 
 def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray:
-    """Return the (rows, columns, 3) local directions of Mitsuba's lat-long sampling grid."""
+    """Return local directions (rows, columns, 3) of Mitsuba's lat-long grid, or a band of rows."""
     theta = (np.pi * np.arange(rows) / (rows - 1))[band]
     phi = 2 * np.pi * (np.arange(columns) + 0.5) / columns
     sin, cos = np.sin(theta)[:, None], np.cos(theta)[:, None]
@@ -94,14 +95,14 @@ def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray
 
 
 def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
-    """Return (N, 3) float64 radiance that an environment emitter sends from directions."""
+    """Return the radiance of an environment emitter in world directions (N, 3), (N, 3) float64."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(world))
     si.wi = -to_drjit(mi.Vector3f, world.T.astype(np.float32))
     return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()
 
 
 def quadrature(rows: int) -> np.ndarray:
-    """Return (rows,) Clenshaw-Curtis weights in cos(theta) of the nodes j pi / (rows - 1)."""
+    """Return Clenshaw-Curtis weights in cos(theta) of the nodes j pi / (rows - 1), (rows,)."""
     n = rows - 1
     j = np.arange(rows)
     k = np.arange(1, n // 2 + 1)
@@ -111,17 +112,17 @@ def quadrature(rows: int) -> np.ndarray:
 
 
 def row_weights(fewer: int, rows: int) -> scipy.sparse.csr_array:
-    """(fewer, rows), sparse linear weights that resample rows of nodes to fewer ones."""
+    """Return sparse weights (fewer, rows) that downsample rows linearly."""
     return _linear_weights(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
 
 
 def column_weights(fewer: int, columns: int) -> scipy.sparse.csr_array:
-    """(fewer, columns), sparse linear weights that resample columns to fewer ones."""
+    """Return sparse weights (fewer, columns) that downsample columns linearly, with wrapping."""
     return _linear_weights((np.arange(columns) + 0.5) * fewer / columns - 0.5, fewer, wrap=True)
 
 
 def _linear_weights(place: np.ndarray, count: int, wrap: bool) -> scipy.sparse.csr_array:
-    """(count, N), sparse weights of N points on their two neighbours of ``count`` nodes."""
+    """Return sparse linear weights (count, N) of N positions on ``count`` nodes."""
     first = np.floor(place).astype(int)
     part = place - first
     second = first + 1

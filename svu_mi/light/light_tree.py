@@ -1,9 +1,9 @@
 """Tree of light cells, for visibility and wide lobes.
 
-Even cells around a spherical Fibonacci lattice [Swinbank and Purser 2006] are the ``leaves``.
-Clusters of them are split where the spread of radiance, sum L |w - mean|^2, is largest [Wu 1991].
-The first splits make ``coarse`` cells, all of them ``fine`` ones: a coarse cell is a union of fine
-ones, a fine one of leaves. The direction of a cell is the centroid of its radiance.
+The ``leaves`` are cells of equal area around a spherical Fibonacci lattice [Swinbank and Purser
+2006]. The cluster with the largest spread sum L |w - mean|^2 is split repeatedly [Wu 1991]. The
+first splits define the ``coarse`` cells, and all splits the ``fine`` cells.
+The direction of a cell is the centroid of its radiance.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from svu_mi.errors import OptionError
 from svu_mi.light import latlong
 from svu_mi.light.environment import Environment
 
-LEAF_COUNTS = (4096, 8192)  # leaves of the light of small and large maps; .06 and .04 rad apart
-FLOOR = 0.05  # weight of a cell without light, in that of the mean cell
-GROUP, LARGEST = 4, 32  # coarse cells of a group: on average, and at most
-RING = 6  # cells around the middle of a sun's disk
-SPLIT = 8  # cells of the light's frame per cell of the world
-DIM = 0.25  # part of the mean fine cell's flux below which a cell gets no ray of its own
+LEAF_COUNTS = (4096, 8192)  # leaves for small and large maps; spacing 0.06 and 0.04 rad
+FLOOR = 0.05  # weight of a black cell, relative to the mean weight
+GROUP, LARGEST = 4, 32  # mean and largest number of coarse cells per group
+RING = 6  # cells around the central cell of a sun's disk
+SPLIT = 8  # local cells per world cell in ``cell_radiance``
+DIM = 0.25  # flux threshold of "bright" fine cells, relative to the mean
 
 
 @dataclass(frozen=True)
 class LightCells:
-    """N cells of one depth of the tree, in its order.
+    """The N cells of one depth of the tree, in tree order.
 
     Attributes:
-        toward: (4 N,) Float: unit world direction to the light, and radius [rad] of an even disk of
-            the same spread.
-        flux: (4 N,) Float: radiance integrated over solid angle, R, G, B, and their mean.
+        toward: (4 N,) Float: unit world direction to the light, and radius [rad] of a uniform disk
+            with the same variance.
+        flux: (4 N,) Float: radiance integrated over solid angle: R, G, B and their mean.
     """
 
     toward: Any
@@ -52,20 +52,20 @@ class LightCells:
         return mi.Vector3f(x, y, z), radius
 
     def light(self, cell: Any, channels: int) -> list[Any]:
-        """Return the flux of a cell in R, G and B, or of one channel their mean."""
+        """Return the flux of a cell: R, G and B, or their mean if ``channels`` is 1."""
         *rgb, grey = dr.gather(mi.Vector4f, self.flux, cell)
         return [grey] if channels == 1 else rgb
 
 
 @dataclass(frozen=True)
 class LightTree:
-    """Light in cells of three depths; those of one larger cell are contiguous.
+    """Light cells of three depths: coarse, fine and leaves. Children of a cell are contiguous.
 
     Attributes:
-        first: (N_c + 1,) UInt32, first fine cell of each coarse one.
-        first_leaf: (N_f + 1,) UInt32, first leaf of each fine cell.
-        groups: (N_g + 1,) UInt32, first coarse cell of each group of neighbours.
-        bright: (N_f,) UInt32, 1 for fine cells with rays of their own.
+        first: (N_c + 1,) UInt32, index of the first fine cell of each coarse cell.
+        first_leaf: (N_f + 1,) UInt32, index of the first leaf of each fine cell.
+        groups: (N_g + 1,) UInt32, index of the first coarse cell of each group of neighbours.
+        bright: (N_f,) UInt32, 1 for bright fine cells, which may be traced separately.
     """
 
     coarse: LightCells
@@ -80,7 +80,7 @@ class LightTree:
 
 @dataclass(frozen=True)
 class _Cluster:
-    """M weighted points, offsets (M, 3) from their mean, unnormalised covariance; by its trace."""
+    """M weighted points: offsets (M, 3) from their mean, unnormalised covariance and its trace."""
 
     number: int
     members: np.ndarray
@@ -90,7 +90,7 @@ class _Cluster:
 
     @staticmethod
     def of(number: int, points: np.ndarray, weight: np.ndarray, members: np.ndarray) -> _Cluster:
-        """Take some of all points."""
+        """Make a cluster of the points with indices ``members``."""
         w = weight[members]
         own = points[members]
         offset = own - w @ own / w.sum()
@@ -102,14 +102,14 @@ class _Cluster:
         return self.variance > other.variance
 
     def far_half(self) -> np.ndarray:
-        """Return which members lie beyond the mean along the axis of largest variance."""
+        """Return flags of the members beyond the mean along the axis of largest variance."""
         far = self.offset @ np.linalg.eigh(self.covariance)[1][:, -1] > 0
-        # Equal points would all fall on one side.
+        # Identical points would all be on one side.
         return far if far.any() and not far.all() else np.arange(len(far)) > 0
 
 
 def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightTree:
-    """Cluster an environment into a tree of cells."""
+    """Cluster an environment into a tree with the given numbers of coarse and fine cells."""
     if not 1 <= coarse <= fine <= LEAF_COUNTS[0]:
         raise OptionError(
             f"A light tree needs 1 <= coarse <= fine <= {LEAF_COUNTS[0]}, got {coarse} and {fine}."
@@ -117,13 +117,13 @@ def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightT
     nodes = environment.radiance.shape[0] * environment.radiance.shape[1]
     flux, pull = _cell_sums(environment, int(np.clip(nodes // 4, *LEAF_COUNTS)))
     light = flux.sum(axis=1)
-    weight = light + FLOOR * light.mean() + 1e-300  # without any light, even cells
+    weight = light + FLOOR * light.mean() + 1e-300  # equal weights for a black environment
     points = pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-300)
     label, parent = _split(points, weight, fine)
     numbers = np.arange(fine)
     of_coarse = _ancestors(parent, coarse)
     of_group = _ancestors(parent, max(coarse // GROUP, 1))
-    # Order of the tree: cells with a common ancestor are contiguous.
+    # Tree order: cells with a common ancestor are contiguous.
     order = np.lexsort((numbers, of_coarse, of_group))
     place = np.empty(fine, np.int64)
     place[order] = numbers
@@ -131,7 +131,7 @@ def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightT
     leaf = np.argsort(label, kind="stable")
     label, flux, pull = label[leaf], flux[leaf], pull[leaf]
     below = _cells(_sum(label, flux, fine), _sum(label, pull, fine), environment)
-    upper = np.cumsum(np.diff(of_coarse[order], prepend=-1) != 0) - 1  # of every fine cell
+    upper = np.cumsum(np.diff(of_coarse[order], prepend=-1) != 0) - 1  # coarse cell by fine cell
     above = _cells(_sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment)
     starts = np.searchsorted(upper, np.arange(coarse + 1))
     leaves = np.searchsorted(label, np.arange(fine + 1))
@@ -150,7 +150,7 @@ def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightT
 
 
 def disk_cells(environment: Environment) -> LightCells | None:
-    """Cluster a sun's disk into a few cells, for narrow lobes; None without a sun."""
+    """Cluster a sun's disk into a few cells for narrow lobes; return None without a sun."""
     if not len(environment.disk_weights):
         return None
     flux = environment.disk_radiance * environment.disk_weights[:, None]
@@ -159,7 +159,7 @@ def disk_cells(environment: Environment) -> LightCells | None:
     offset = environment.disk_directions - middle / np.linalg.norm(middle)
     side = np.linalg.svd(offset, full_matrices=False)[2]
     away, angle = np.linalg.norm(offset, axis=1), np.arctan2(offset @ side[1], offset @ side[0])
-    # One cell in the middle, and a ring around it, of equal areas.
+    # A central cell and a ring of cells, all of equal area.
     ring = ((angle / (2 * np.pi) + 0.5) * RING).astype(int) % RING
     label = np.where(away <= away.max() / np.sqrt(RING + 1), RING, ring)
     pull = _sum(label, environment.disk_directions * light, RING + 1)
@@ -167,7 +167,7 @@ def disk_cells(environment: Environment) -> LightCells | None:
 
 
 def _edges(owner: np.ndarray) -> np.ndarray:
-    """Return where runs of equal numbers begin, and the end; long runs are cut."""
+    """Return start indices of runs of equal numbers, and the end; runs above LARGEST are split."""
     begins = np.flatnonzero(np.diff(owner, prepend=-1) != 0)
     ends = np.append(begins[1:], len(owner))
     cut = [np.arange(a, b, LARGEST) for a, b in zip(begins, ends, strict=True)]
@@ -175,13 +175,13 @@ def _edges(owner: np.ndarray) -> np.ndarray:
 
 
 def _cell_sums(environment: Environment, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return flux and radiance-weighted sum of directions of even cells: (N, 3) each."""
+    """Return flux and radiance-weighted sum of directions of Fibonacci cells, (N, 3) each."""
     centers = fibonacci(count)
     rows, columns = environment.radiance.shape[:2]
     nearest = _nearest(columns, rows, count)
     solid = latlong.quadrature(rows)[:, None] * (2 * np.pi / columns)
     local, light = latlong.directions(columns, rows), environment.radiance.sum(axis=2) * solid
-    # A column at a time: all of a large map together would be hundreds of megabytes.
+    # One channel at a time: a large map would need hundreds of megabytes.
     flux = [_binned(nearest, environment.radiance[..., k] * solid, count) for k in range(3)]
     pull = [_binned(nearest, local[..., k] * light, count) for k in range(3)]
     disk = environment.disk_radiance * environment.disk_weights[:, None]
@@ -191,13 +191,13 @@ def _cell_sums(environment: Environment, count: int) -> tuple[np.ndarray, np.nda
         on_disk, environment.disk_directions * disk.sum(axis=1, keepdims=True), count
     )
     length = np.linalg.norm(pull, axis=1, keepdims=True)
-    # A black cell has no centroid, and needs none for its light; its centre serves the shape.
+    # A black cell has no centroid; use its centre.
     least = 1e-12 * (length.max() or 1.0)
     return flux, np.where(length > least, pull, least * centers)
 
 
 def cell_radiance(environment: Environment, count: int) -> np.ndarray:
-    """Return the mean radiance (N, 3) of the even cells of the world, float64."""
+    """Return the mean radiance of Fibonacci cells in world space, (N, 3) float64."""
     flux, pull = _cell_sums(environment, SPLIT * count)
     world = pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-300)
     owner = nearest_cells(world @ environment.to_local, count)
@@ -206,13 +206,13 @@ def cell_radiance(environment: Environment, count: int) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
-    """(columns * rows,) the cell of every node of a map; kept, as all maps of a size share it."""
+    """Return the cell of each node of a map, (columns * rows,); cached by size."""
     return nearest_cells(latlong.directions(columns, rows).reshape(-1, 3), count)
 
 
 def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> LightCells:
     length = np.linalg.norm(pull, axis=1, keepdims=True)
-    # E|w - mean|^2 = 1 - |mean|^2 of unit directions; half the squared radius for a disk.
+    # For unit directions, E|w - mean|^2 = 1 - |mean|^2; a disk has half the squared radius.
     mean = np.minimum(length / np.maximum(flux.sum(axis=1, keepdims=True), 1e-300), 1)
     radius = np.sqrt(2 * (1 - mean * mean))
     world = pull / np.maximum(length, 1e-300) @ environment.to_local
@@ -225,7 +225,7 @@ def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> Ligh
 
 
 def _split(points: np.ndarray, weight: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split the widest cluster again and again; return clusters of points, and their parents."""
+    """Split the widest cluster repeatedly; return the cluster of each point, and parents."""
     label, parent = np.zeros(len(points), np.int64), np.zeros(count, np.int64)
     heap = [_Cluster.of(0, points, weight, np.arange(len(points)))]
     for new in range(1, count):
@@ -240,13 +240,13 @@ def _split(points: np.ndarray, weight: np.ndarray, count: int) -> tuple[np.ndarr
 def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
     """Return the ancestor of each cluster among the first ``count``."""
     result = np.arange(len(parent))
-    for number in range(count, len(parent)):  # parents come before their children
+    for number in range(count, len(parent)):  # parents precede their children
         result[number] = result[parent[number]]
     return result
 
 
 def nearest_cells(directions: np.ndarray, count: int) -> np.ndarray:
-    """Return which of ``fibonacci(count)`` is nearest to unit directions (N, 3): (N,) int64."""
+    """Return the index of the point of ``fibonacci(count)`` nearest to directions (N, 3), (N,)."""
     return np.asarray(scipy.spatial.cKDTree(fibonacci(count)).query(directions, workers=-1)[1])
 
 
@@ -256,5 +256,5 @@ def _sum(cell: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 
 
 def _binned(cell: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Sum values by cell, both of any shape: (count,)."""
+    """Sum values by cell, (count,); ``cell`` is flat, values may have any shape."""
     return np.bincount(cell, weights=values.ravel(), minlength=count)

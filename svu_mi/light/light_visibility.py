@@ -1,8 +1,7 @@
-"""Visibility of the light: rays from texels to the cells of the light, traced once.
+"""Visibility of light cells from texels: one traced bit per texel and cell.
 
-All coarse cells are traced. A fine cell inherits from its coarse cell; bright fine cells have rays
-of their own where neighbouring coarse cells are partly hidden or below the horizon. The result is
-one bit per texel and cell, for diffuse moments and wide lobes.
+All coarse cells are traced. Fine cells inherit the bit of their coarse cell, unless it is below the
+horizon, or they are bright and some coarse cells of the group are hidden: these cells are traced.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ class LightVisibility:
     """Visibility of the light's cells from S texels.
 
     Attributes:
-        coarse, fine: bits of the cells of either depth and S lanes: unoccluded.
-        texel: (S,) UInt32, number of each lane among all texels.
+        coarse, fine: Visibility bits of coarse and fine cells in S lanes.
+        texel: (S,) UInt32, index of each lane's texel among all texels.
     """
 
     tree: LightTree
@@ -39,7 +38,7 @@ class LightVisibility:
     texel: Any
 
     def subset(self, lanes: np.ndarray) -> LightVisibility:
-        """Return the visibility from some lanes."""
+        """Return the visibility from selected lanes."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return LightVisibility(
             self.tree, self.coarse.at(chosen), self.fine.at(chosen),
@@ -47,7 +46,7 @@ class LightVisibility:
         )  # fmt: skip
 
     def joined(self, other: LightVisibility) -> LightVisibility:
-        """Append the texels of another one, with the same cells."""
+        """Append the lanes of another visibility with the same cells."""
         texel = to_drjit(mi.UInt32, np.concatenate([self.texel.numpy(), other.texel.numpy()]))
         return LightVisibility(
             self.tree, self.coarse.joined(other.coarse), self.fine.joined(other.fine), texel
@@ -56,8 +55,8 @@ class LightVisibility:
     def diffuse(self, surface: TexelLanes, lighting: Lighting, channels: int) -> list[list[Any]]:
         """Return the diffuse moments of the visible light: 8 Floats (S,) per channel.
 
-        c0 = sum L V cos, m0 (3) = sum L V cos w, and the same with Schlick's (1 - cos)^5 of the
-        incident direction w as c1, m1. Open surfaces take them from the light's harmonics.
+        c0 = sum L V cos, m0 (3) = sum L V cos w; c1 and m1 have the additional factor (1 - cos)^5
+        of the incident direction w (Schlick). Unoccluded sums are scaled to the SH irradiance.
         """
         cells, lane = self.tree.fine, surface.lane
 
@@ -89,7 +88,7 @@ class LightVisibility:
 def trace_light_visibility(
     scene: Any, surface: TexelLanes, tree: LightTree, *, occluded: bool = True
 ) -> LightVisibility:
-    """Trace the cells of the light from every texel."""
+    """Trace the light cells from each texel; ``occluded=False`` only tests the horizon."""
     lane, count = surface.lane, surface.count
     coarse = Bits.clear(tree.coarse.number, count)
     fine = Bits.clear(tree.fine.number, count)
@@ -99,7 +98,7 @@ def trace_light_visibility(
         return (dr.dot(shaded, direction) > 0) & (dr.dot(true, direction) > 0)
 
     def trace_ray(toward: Any, active: Any) -> Any:
-        # Neighbouring texels look in one direction: packets stay together.
+        # Rays of neighbouring texels have the same direction, so packets are coherent.
         return is_unoccluded(scene, surface, toward, active, coherent=True) if occluded else active
 
     def trace_group(group: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
@@ -109,7 +108,7 @@ def trace_light_visibility(
             direction = tree.coarse.at(cell)[0]
             up = above(direction)
             is_open = trace_ray(direction, up)
-            own = mi.UInt32(1) << (cell - start)  # groups have no more cells than a word bits
+            own = mi.UInt32(1) << (cell - start)  # a group has at most 32 cells
             free, high = free | dr.select(is_open, own, 0), high | dr.select(up, own, 0)
             return cell + 1, coarse.push(word, cell, lane, is_open), free, high
 
@@ -141,20 +140,20 @@ def trace_light_visibility(
 
 @dataclass(frozen=True)
 class MirrorVisibility:
-    """Visibility in mirror directions: ``bits`` of N slots and S lanes, ``lane`` (T,) of texels."""
+    """Visibility in mirror directions: bits of N slots and S lanes, and the lane of each texel."""
 
     bits: Bits
     lane: Any
 
     def test(self, slot: Any, texel: Any) -> Any:
-        """Return which texels are free in the view ``order[slot]``: Bool."""
+        """Return whether the mirror direction of the view ``order[slot]`` is unoccluded: Bool."""
         return self.bits.test(slot, dr.gather(mi.UInt32, self.lane, texel))
 
 
 def trace_mirror_visibility(
     views: Views, surface: TexelLanes, visibility: Visibility, lane: Any
 ) -> MirrorVisibility:
-    """Trace the mirror direction of every sample."""
+    """Trace the mirror direction of each visible sample (one bit per slot and lane)."""
     bits, place = Bits.clear(dr.width(visibility.order), surface.count), surface.lane
 
     def trace(seen: ViewSample, slot: Any, word: Any) -> tuple[Any]:
@@ -168,7 +167,7 @@ def trace_mirror_visibility(
 
 
 def trace_mirror(scene: Any, surface: TexelLanes, seen: ViewSample, active: Any) -> Any:
-    """Trace the mirror direction of visible samples: Bool; False below the horizon."""
+    """Return whether mirror directions of visible samples are unoccluded; False below horizon."""
     mirror = mirror_direction(surface.normal, seen.direction)
     free = active & (dr.dot(surface.geometric_normal, mirror) > 0)
     return seen.seen & is_unoccluded(scene, surface, mirror, free, coherent=False)
@@ -177,7 +176,7 @@ def trace_mirror(scene: Any, surface: TexelLanes, seen: ViewSample, active: Any)
 def is_unoccluded(
     scene: Any, surface: TexelLanes, direction: Any, active: Any, *, coherent: bool
 ) -> Any:
-    """Trace one ray per active texel: Bool, whether it leaves the scene."""
+    """Trace one ray per active texel; return True (Bool) if it leaves the scene."""
     origin = surface.position + surface.offset * surface.geometric_normal
     ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])
     return active & ~scene.ray_test(ray, coherent=coherent, active=active)

@@ -1,7 +1,7 @@
-"""Light prefiltered for every width of the specular lobe.
+"""Environment light prefiltered by specular lobes of several widths.
 
-A ``LightStack`` holds all roughness levels in one table, looked up between its levels. Every level
-keeps the resolution that its lobe needs, so all of them take little more memory than the sharpest.
+A ``LightStack`` stores the maps of all roughness levels in one table and interpolates between
+levels. The resolution of a level depends on its lobe width, so wide lobes need little memory.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from svu_mi.light.band_limited import Lighting, lat_long_texture, look_up
 from svu_mi.light.environment import Environment, lat_long, nearest_node
 from svu_mi.light.latlong import column_weights, quadrature, row_weights
 
-DELTA = 2e-3  # lobes narrower than this [rad] are mirrors at the resolution of any map
-NEGLIGIBLE = 1e-5  # part of a lobe's peak below which it is cut off
-COARSE = 10.0  # nodes of a level's map over a lobe's width alpha are enough
-FEWEST = 33  # rows of the coarsest map
+DELTA = 2e-3  # width [rad] below which a lobe is treated as a mirror
+NEGLIGIBLE = 1e-5  # cut-off of a lobe, relative to its peak
+COARSE = 10.0  # the coarsest map for a lobe of width alpha has COARSE / alpha + 1 rows
+FEWEST = 33  # smallest number of rows
 
 Profile = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class FilteredLight:
-    """Filtered light: R lat-long Texture2f of 3 channels or 1, in the light's local frame."""
+    """Light filtered by R lobes: lat-long Texture2f of 1 or 3 channels in the light's frame."""
 
     textures: tuple[Any, ...]
     to_local: Any
@@ -41,7 +41,7 @@ class FilteredLight:
         return len(self.textures)
 
     def radiance(self, level: int, direction: Any) -> list[Any]:
-        """Look up one level *from* a world direction: a Float per channel."""
+        """Look up one level *from* a world direction: one Float per channel."""
         return look_up(self.textures[level], self.to_local @ mi.Vector3f(direction))
 
 
@@ -52,7 +52,7 @@ def filter_light(
     grey: bool = False,
     disk: bool = True,
 ) -> FilteredLight:
-    """Convolve the light with lobes of given widths alpha, with or without a sun's disk; cached."""
+    """Convolve the light with lobes ``profile(alpha, cosine)`` of given widths alpha; cached."""
     cache = lighting.lobes
     keys = [(float(width), profile, grey, disk) for width in widths]
     missing = [key for key in keys if key not in cache]
@@ -66,7 +66,7 @@ def filter_light(
 
 
 def rasterized(environment: Environment) -> np.ndarray:
-    """Return the light's lat-long grid (H, W, 3), a sun's disk added to the nearest nodes."""
+    """Return the light's lat-long grid (H, W, 3), with the sun's disk added to nearest nodes."""
     grid = environment.radiance
     if not len(environment.disk_weights):
         return grid
@@ -80,9 +80,9 @@ def rasterized(environment: Environment) -> np.ndarray:
 
 
 def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
-    """Average a lat-long grid under a normalised lobe at every node; wide lobes coarsen it.
+    """Convolve a lat-long grid (H, W, C) with a normalised lobe; wide lobes reduce its size.
 
-    Rows are convolved along the azimuth by FFT, within the lobe's reach.
+    Rows within the lobe's support are convolved along the azimuth by FFT.
     """
     if width < DELTA:
         return grid
@@ -90,12 +90,12 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         return grid[:2, :2]
     flux = _coarsened(grid, width)
     rows, columns = flux.shape[:2]
-    # On the map's own nodes a row has one solid angle, and a lobe one norm all along it.
+    # Without coarsening, solid angle and norm of the lobe are constant along a row.
     even = flux.shape[:2] == grid.shape[:2]
     solid = flux[:, 0, -1]
     flux = flux[..., :-1] if even else flux
     theta = np.pi * np.arange(rows) / (rows - 1)
-    turn = np.cos(2 * np.pi * np.arange(columns // 2 + 1) / columns)  # even: half is enough
+    turn = np.cos(2 * np.pi * np.arange(columns // 2 + 1) / columns)  # half, by symmetry
     spectrum = np.fft.rfft(flux, axis=1)
     weight = profile(np.cos(theta))
     reach = int(np.flatnonzero(np.abs(weight) > NEGLIGIBLE * weight[0])[-1]) + 1
@@ -110,11 +110,11 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         wave = np.fft.rfft(full, axis=1)
         if even:
             wave /= full.sum(axis=1) @ solid[near]
-        # The sphere looks the same from its other pole: one lobe serves two rows.
+        # By symmetry of the poles, one kernel is used for two rows.
         for row, seen in ((i, spectrum), (rows - 1 - i, spectrum[::-1])):
             summed = np.einsum("jm,jmc->mc", wave, seen[near])
             result[row] = np.fft.irfft(summed, n=columns, axis=0)
-    # FFT rounding can leave black a hair below zero, a lobe that is negative somewhere more.
+    # Rounding of the FFT, and lobes with negative parts, may cause negative values.
     return np.maximum(result if even else result[..., :-1] / result[..., -1:], 0)
 
 
@@ -126,7 +126,7 @@ def _coarsened(grid: np.ndarray, width: float) -> np.ndarray:
     if fewer >= rows:
         flux = grid * solid[:, None, None]
     else:
-        down = row_weights(fewer, rows) * solid[None]  # what is small soon is never made large
+        down = row_weights(fewer, rows) * solid[None]
         flux = (down @ grid.reshape(rows, -1)).reshape(fewer, columns, channels)
         solid, across = down.sum(axis=1), 2 * (fewer - 1)
         if across < columns:
@@ -137,17 +137,17 @@ def _coarsened(grid: np.ndarray, width: float) -> np.ndarray:
     return np.concatenate([flux, np.outer(solid, own)[..., None]], axis=2)
 
 
-PADDED = {1: 1, 3: 4}  # floats per node by channels: four are read at once
+PADDED = {1: 1, 3: 4}  # floats per node, by channels; colours are gathered as Vector4f
 
 
 @dataclass(frozen=True)
 class LightStack:
-    """R lat-long maps of different sizes, contiguous.
+    """R lat-long maps of different sizes in one array.
 
     Attributes:
-        values: Float, nodes of all maps by row, with a wrapped column on either side; 1 float per
-            node, or 4 (R, G, B, 0).
-        tables: (3 R,) UInt32: first node, rows and columns of every map.
+        values: Float, nodes of all maps in row-major order, with a wrapped column on each side;
+            1 float per node, or 4 (R, G, B, 0).
+        tables: (3 R,) UInt32: first node, rows and columns of each map.
     """
 
     values: Any
@@ -157,7 +157,7 @@ class LightStack:
     to_local: Any
 
     def radiance(self, place: Any, direction: Any) -> list[Any]:
-        """Look up light *from* a world direction, linearly between levels: Floats by channel."""
+        """Interpolate the light *from* a world direction at level ``place``: Floats by channel."""
         u, v = lat_long(self.to_local @ mi.Vector3f(direction))
         level = dr.clip(mi.Int32(dr.detach(place)), 0, self.count - 2)
         here, above = (self._at(mi.UInt32(level + step), u, v) for step in (0, 1))
@@ -165,9 +165,9 @@ class LightStack:
         return [dr.lerp(a, b, part) for a, b in zip(here, above, strict=True)]
 
     def _at(self, level: Any, u: Any, v: Any) -> list[Any]:
-        """Interpolate in one map: columns are centred, rows stand on the poles."""
+        """Interpolate in one map; columns are centred, first and last row are at the poles."""
         first, rows, columns = (dr.gather(mi.UInt32, self.tables, 3 * level + k) for k in range(3))
-        x = u * columns + 0.5  # the column of the other side comes first
+        x = u * columns + 0.5  # includes the wrapped column
         y = v * (rows - 1)
         left = dr.minimum(mi.UInt32(dr.detach(x)), columns)
         top = dr.minimum(mi.UInt32(dr.detach(y)), rows - 2)
@@ -189,7 +189,7 @@ class LightStack:
 
 
 def stack_levels(light: FilteredLight) -> LightStack:
-    """Put the maps of at least two levels into one table."""
+    """Copy the maps of at least two levels into one table."""
     return _stacked([np.array(texture.tensor()) for texture in light.textures], light.to_local)
 
 
