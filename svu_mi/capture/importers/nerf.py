@@ -19,6 +19,7 @@ from svu_mi.capture.importers.lens_distortion import COEFFICIENTS, Lens
 from svu_mi.capture.importers.source import OPENGL, Frame, Source
 from svu_mi.capture.importers.source_files import relative_name, safe_path
 from svu_mi.core.io.files import read_json, write_json
+from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, OptionError, excerpt
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
     frames = record.get("frames") if isinstance(record, dict) else None
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f'{path}: no poses; expected a list "frames" with transform_matrix.')
+    require_views(len(frames), f"{path}: frames", CaptureError)
     return record, frames
 
 
@@ -146,14 +148,15 @@ def parse_frame(
         image = _image_path(root, known.get("file_path"), label)
         masked = known.get("mask_path")
         size = width, height = _size(known, image, usual)
-        fl_x = _focal(known, "x", width)
+        fl_x = _focal(known, "x", width, label)
+        fl_y = _focal(known, "y", height, label, fl_x)
         with np.errstate(all="ignore"):  # the frame refuses infinite values
             return Frame(
                 label=label,
                 image=image,
                 mask=None if masked is None else safe_path(root, masked, label),
                 to_world=before @ matrix @ OPENGL,
-                focal=(fl_x, _focal(known, "y", height, fl_x)),  # camera_angle_y of instant-ngp
+                focal=(fl_x, fl_y),
                 center=(float(known.get("cx", width / 2)), float(known.get("cy", height / 2))),
                 size=size,
                 exposure=float(known.get("exposure", 1.0)),
@@ -224,13 +227,19 @@ def _default_size(
     )
 
 
-def _focal(known: Mapping[str, Any], axis: str, side: int, default: float | None = None) -> float:
-    """Return the focal length along an axis, given itself or as an angle over a side."""
+def _focal(
+    known: Mapping[str, Any], axis: str, side: int, label: str, default: float | None = None
+) -> float:
+    """Return the focal length along an axis in pixels, given directly or as an opening angle."""
+    key = f"camera_angle_{axis}"
     if f"fl_{axis}" in known:
         return float(known[f"fl_{axis}"])
-    if default is not None and f"camera_angle_{axis}" not in known:
+    if default is not None and key not in known:
         return default
-    return side / 2 / math.tan(float(known[f"camera_angle_{axis}"]) / 2)
+    angle = float(known[key])
+    if not 0 < angle < math.pi:  # NaN fails, too
+        raise CaptureError(f"{label}: {key} must be in (0, pi) radians, got {angle:g}; correct it.")
+    return side / 2 / math.tan(angle / 2)
 
 
 def _image_path(root: Path, given: Any, label: str) -> Path:

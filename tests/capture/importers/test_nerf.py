@@ -24,6 +24,14 @@ BROKEN = {
     "a focal length of nan": ({"fl_x": float("nan")}, "focal length"),
     "a height of nan": ({"fl_y": float("nan")}, "focal length"),
     "a height in words": ({"fl_y": "long"}, "a frame needs"),
+    **{
+        f"an angle of {angle}": (
+            {"fl_x": "drop", "camera_angle_x": angle},
+            r"camera_angle_x must be "
+            r"in \(0, pi\) radians",
+        )
+        for angle in (0, -1, 4, 1e308, float("nan"))
+    },
     "nan in the matrix": ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, "finite"),
 }
 
@@ -37,6 +45,13 @@ def test_a_broken_frame_is_named(tmp_path, case):
     with pytest.raises(CaptureError, match=sentence) as error:
         read_transforms(path)
     assert f"{path}: frame 1" in str(error.value)
+
+
+def test_too_many_frames_are_refused_unread(tmp_path):
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps({"frames": [0] * 10_001}))  # none of them is a frame
+    with pytest.raises(CaptureError, match="transforms.json: frames: at most 10000 .*got 10001"):
+        read_transforms(path)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"frames": []}', '{"frames": {}}', "[" * 100_000])
