@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-import tyro
 from rich.console import Console
+from tyro.conf import arg
 
 from svu_mi import _llvm
 from svu_mi.cli.shared_options import Output, Overwrite, as_dict, require_range
@@ -30,18 +30,15 @@ MAX_THREADS = 1024
 
 Threads = Annotated[
     int,
-    tyro.conf.arg(
-        aliases=["-t"],
-        metavar="N",
+    arg(
+        aliases=["-t"], metavar="N",
         help="CPU threads, at least 2, which Mitsuba needs to read EXR; 0: all cores.",
     ),
-]
-Verbose = Annotated[
-    bool, tyro.conf.arg(aliases=["-v"], help="Print log messages, and the traceback of errors.")
-]
+]  # fmt: skip
+Verbose = Annotated[bool, arg(aliases=["-v"], help="Print log messages and tracebacks of errors.")]
 Variant = Annotated[
     str,
-    tyro.conf.arg(
+    arg(
         aliases=["-m"], metavar="NAME",
         help="Mitsuba variant; auto: the first available of cuda, metal and llvm _ad_rgb.",
     ),
@@ -50,10 +47,10 @@ Variant = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class BaseCommand:
-    """Base class of commands: variant and threads, with Mitsuba's letters."""
+    """Base class of commands: variant and threads, with the same letters as mitsuba."""
 
     uses_matplotlib: ClassVar[bool] = True
-    """Whether the command imports matplotlib, for its pictures."""
+    """True if the command imports matplotlib for pictures."""
     first: ClassVar[str] = ""
     """Names of the options that ``--help`` shows first, in order."""
     variant: Variant = "auto"
@@ -76,7 +73,7 @@ class BaseCommand:
 
         require_own_plugins(self.trust)
         if self.threads == 1:
-            log.warning(f"--threads 1: {FEWEST_THREADS} are used, which Mitsuba needs to read EXR.")
+            log.warning(f"--threads 1: using {FEWEST_THREADS}, which Mitsuba needs to read EXR.")
         ensure_threads(self.threads)
         mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
 
@@ -94,12 +91,11 @@ class BaseCommand:
         if name not in ("auto", *known):
             usable = [each for each in VARIANTS if each in known]
             raise SvuEnvironmentError(
-                f"This Mitsuba has no variant '{name}'; leave -m out, or use {' or '.join(usable)}."
+                f"This Mitsuba has no variant '{name}'; omit -m, or use {' or '.join(usable)}."
             )
         if name.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA):
             raise SvuEnvironmentError(
-                f"No GPU that Dr.Jit can use was found, which {name} needs; leave -m out, or run "
-                "svu doctor."
+                f"Variant {name} needs a GPU, and Dr.Jit found none; omit -m, or run svu doctor."
             )
         try:
             mi.set_variant(*(VARIANTS if name == "auto" else (name,)))
@@ -117,9 +113,9 @@ class ResultCommand(BaseCommand):
     command: ClassVar[str]
     """Name in the record of the result."""
     keep: ClassVar[str] = ""
-    """Pattern of files that outlive a run that fails."""
+    """Pattern of files that are kept if a run fails."""
     page: ClassVar[str] = ""
-    """File of the result to look at first."""
+    """Main page of the result, if it has one."""
     output: Output = Path("out")
     overwrite: Overwrite = False
 
@@ -143,12 +139,12 @@ class ResultCommand(BaseCommand):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, with the sentence on how to continue."""
+    """Ctrl-C, with instructions on how to continue."""
 
 
 @contextmanager
 def interruptible(advice: Callable[[], str]) -> Iterator[None]:
-    """Raise ``Interrupted`` with a sentence where Ctrl-C ends the block."""
+    """Raise ``Interrupted`` with instructions if Ctrl-C ends the block."""
     try:
         yield
     except BaseException as error:
@@ -158,7 +154,7 @@ def interruptible(advice: Callable[[], str]) -> Iterator[None]:
 
 
 def was_interrupted(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C is behind an error: Dr.Jit wraps it, like all that a loop raises."""
+    """Return whether Ctrl-C caused an error: Dr.Jit wraps exceptions raised in loops."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
 from rich.console import Console
+from tyro.conf import Positional, arg
 
 from svu_mi.bench import ALL, BENCHMARKS
 from svu_mi.cli.base_command import BaseCommand
@@ -23,22 +23,18 @@ if TYPE_CHECKING:
     from svu_mi.bench.study import Selection
 
 What = Annotated[
-    str,
-    tyro.conf.Positional,
-    tyro.conf.arg(
-        metavar="[BENCHMARK]", help=f"Benchmark to run; all: {' and '.join(ALL)}, the fast ones."
-    ),
-]
-Photographs = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CAPTURE]")]
-Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
+    str, Positional,
+    arg(metavar="[BENCHMARK]", help=f"Benchmark to run; all: {' and '.join(ALL)}, the fast ones."),
+]  # fmt: skip
+Photographs = Annotated[Path | None, Positional, arg(metavar="[CAPTURE]")]
+Names = Annotated[str, arg(metavar="A,B,...")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(BaseCommand):
     """Measure accuracy, calibration and speed.
 
-    Writes STUDY.json, bench.md and plots. Run the same command again to continue an interrupted
-    run.
+    Writes STUDY.json, bench.md and plots. The same command continues an interrupted run.
     """
 
     first = "what capture output data objects lights rows quick fresh stored"
@@ -111,7 +107,7 @@ class Bench(BaseCommand):
         )  # fmt: skip
 
     def _missed(self, record: dict[str, Any]) -> list[str]:
-        """Return a line for each missed target of a record; none for quick sizes."""
+        """Return a line for each missed target of a record; empty with --quick."""
         return [
             f"Missed: {bar['what']}: {bar['value']:.3g} {bar['unit']}"
             for bar in record["bars"]
@@ -139,8 +135,8 @@ Bench.__doc__ = f"{Bench.__doc__}\n\n    Benchmarks: {LISTED}."  # printed by --
 
 
 def parse_names(words: str, option: str) -> tuple[str, ...]:
-    """Return the names of a comma-separated list; none for an empty one."""
+    """Return the names of a comma-separated list; an empty tuple for an empty text."""
     values = tuple(word.strip() for word in words.split(",")) if words.strip() else ()
     if not all(values):
-        raise OptionError(f"{option} takes names separated by commas, none empty, got {words!r}.")
+        raise OptionError(f"{option} takes names separated by commas, got {words!r}.")
     return values

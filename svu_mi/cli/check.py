@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from svu_mi.calibration.checks.check_result import Check
     from svu_mi.capture.capture import Capture
 
-SIDE = 1024  # pixels of large photographs, which are compared in far fewer
-SHOWN = 5  # views that fit worst, in the table
+SIDE = 1024  # maximum side of photographs in pixels; comparisons use far fewer
+SHOWN = 5  # worst views in the table
 WRONG = 3  # exit status with --strict
-SERIOUS = ("wrong", "unclear")  # verdicts in capital letters
+SERIOUS = ("wrong", "unclear")  # verdicts printed in capitals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ def _remedy(check: Check, capture: Capture) -> str:
 
 
 def _view_table(result: Check) -> Any:
-    """Return a table of the views that fit worst, and of all of them, before and after."""
+    """Return a table of the worst views and the mean of all views, before and after fixes."""
     from rich.table import Table
 
     from svu_mi.calibration.checks.check_result import ViewMeans

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
-import tyro
+from tyro.conf import Positional, arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand
@@ -16,9 +16,9 @@ from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import MODELS, Need
 from svu_mi.core.progress import Progress
 
-Result = Annotated[Path, tyro.conf.Positional]
+Result = Annotated[Path, Positional]
 Preset = Literal["default", "fixed", "fast", "paper"]
-Presets = Annotated[tuple[Preset, ...], tyro.conf.arg(metavar="PRESET [PRESET]")]
+Presets = Annotated[tuple[Preset, ...], arg(metavar="PRESET [PRESET]")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,9 +30,9 @@ class Compare(ResultCommand):
     compare.html, compare.json and a difference_*.exr (B minus A) per map.
     """
 
-    a: Annotated[Result, tyro.conf.arg(metavar="A")]
+    a: Annotated[Result, arg(metavar="A")]
     """First capture or result, such as before a change."""
-    b: Annotated[Result, tyro.conf.arg(metavar="B")]
+    b: Annotated[Result, arg(metavar="B")]
     """Second capture or result; differences are B minus A."""
     command, page = "compare", "compare.html"
     first = "a b output resolution preset tolerance overwrite"
@@ -40,14 +40,11 @@ class Compare(ResultCommand):
     preset: Presets = ("default",)
     """Preset of estimates of captures: default, fixed, fast or paper; two for A and B."""
     resolution: opt.Size = ()
-    """Texels per side, or width and height (default: those of the coarser textures; 512 for
-    captures)."""
+    """Texels per side, or width and height (default: of the coarser textures; captures: 512)."""
     tolerance: float = 0.05
     """Difference of a parameter, in [0, 1], that counts as a change where no standard
     deviation is known."""
     memory: opt.Memory = ""
-    """Memory for photographs, such as 4G or 800M; those beyond it are kept in a temporary file in
-    TMPDIR (default: half of the free memory)."""
 
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""
@@ -66,7 +63,7 @@ class Compare(ResultCommand):
         plan = ComparisonPlan(
             self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance
         )
-        # Of the one of the two estimates that takes more.
+        # The memory of the larger of the two estimates.
         model = max(self.preset, key=MODELS.__getitem__)
         need = with_light_search(partial(Need, "compare", resolution=plan.size, model=model))
         for index, path in plan.captures:

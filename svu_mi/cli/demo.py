@@ -35,14 +35,14 @@ class Demo(BaseCommand):
         from svu_mi import scenes
 
         with claimed(self.output, "entropy", overwrite=self.overwrite):
-            pass  # refused before any work
+            pass  # fail before any work
         with tempfile.TemporaryDirectory(prefix="svu-demo-") as folder:
             made = Path(folder) / "capture"
             common = {f.name: getattr(self, f.name) for f in dataclasses.fields(BaseCommand)}
             vase = SceneOptions(scene=scenes.path("vase"), define=(f"light={self.light}",))
             try:
                 Render(source=vase, output=made, spp=self.spp, **common).run(console)
-            except Interrupted:  # the temporary folder does not keep any views
+            except Interrupted:  # views in the temporary folder are lost
                 raise KeyboardInterrupt from None
             capture = CaptureOptions(source=SceneOptions(scene=made))
             return Entropy(

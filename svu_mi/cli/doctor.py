@@ -1,7 +1,7 @@
 """``svu doctor``: installed packages, usable variants, and remedies.
 
-An unusable LLVM or GPU driver can abort a process. Child processes therefore collect the facts of
-Dr.Jit and Mitsuba and render the test picture.
+An unusable LLVM or GPU driver can abort a process. Child processes therefore query Dr.Jit and
+Mitsuba and render the test picture.
 """
 
 from __future__ import annotations
@@ -48,21 +48,21 @@ class Doctor(BaseCommand):
     uses_matplotlib = False
 
     def run(self, console: Console) -> int:
-        """Print facts and checks; return 0 if all checks are passed, else 2."""
-        with console.status("Looking around; the first render compiles kernels"):
+        """Print facts and checks; return 0 if all checks passed, else 2."""
+        with console.status("Checking the installation; the first render compiles kernels"):
             facts, checks = diagnose()
         show(facts, checks, console)
         return 0 if all(check.ok for check in checks) else 2
 
 
 def diagnose() -> tuple[Facts, list[HealthCheck]]:
-    """Return facts by name, and test results; takes a few seconds, and never raises."""
+    """Return facts by name, and test results; takes a few seconds and never raises."""
     versions = {name: _version(name) for name in PACKAGES}
     loading = _run_child("mitsuba", "collect_facts", remedy=REINSTALL.format("mitsuba drjit"))
     child_facts, llvm = {}, _llvm.status()
     if loading.ok:
         child_facts, loading = json.loads(loading.detail), HealthCheck("mitsuba", True, "loads")
-        one = child_facts["llvm"]  # as Dr.Jit has loaded it; its source is known only here
+        one = child_facts["llvm"]  # as loaded by Dr.Jit
         llvm = _llvm.LlvmStatus(one["path"], tuple(one["version"]), llvm.source, one["problem"])
     variants = child_facts.get("variants", [])
     usable = [name for name in variants if _can_run(name, child_facts["backends"], llvm)]
@@ -74,7 +74,7 @@ def diagnose() -> tuple[Facts, list[HealthCheck]]:
         "Packages": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "Variants": ", ".join(variants) or "unknown",
         "Usable": ", ".join(usable) or "none",
-        # Not a failed check where a GPU does the work.
+        # Not a failed check, as a GPU may be used instead.
         "LLVM": f"{library}: not usable. {llvm.problem}" if llvm.problem else library,
         **child_facts.get("devices", {}),
         "Threads": str(child_facts.get("threads", 0)),
@@ -104,8 +104,8 @@ def check_packages(versions: dict[str, str]) -> HealthCheck:
 
 
 def check_renders(usable: list[str], llvm: _llvm.LlvmStatus) -> list[HealthCheck]:
-    """Render with each supported variant that should run; there must be one."""
-    why = llvm.problem or f"this Mitsuba has none of {', '.join(VARIANTS)}"
+    """Render with each usable supported variant; fail if there is none."""
+    why = llvm.problem or f"this Mitsuba lacks {', '.join(VARIANTS)}"
     checks = [check_render(name) for name in VARIANTS if name in usable]
     return checks or [HealthCheck("render", False, "no variant can run", why)]
 
@@ -119,7 +119,7 @@ def check_render(variant: str) -> HealthCheck:
 
 
 def check_exr() -> HealthCheck:
-    """Write an EXR file, which reads it back and compares it."""
+    """Write an EXR file, including the read-back comparison of ``write_exr``."""
     try:
         import numpy as np
 
@@ -127,7 +127,7 @@ def check_exr() -> HealthCheck:
 
         with tempfile.TemporaryDirectory() as folder:
             write_exr(Path(folder) / "doctor.exr", {"Y": np.eye(3, 4, dtype=np.float32)})
-    except Exception as error:  # whatever goes wrong is the finding
+    except Exception as error:  # any error is the finding
         return HealthCheck(
             "OpenEXR", False, f"{type(error).__name__}: {error}", REINSTALL.format("OpenEXR")
         )
@@ -149,7 +149,7 @@ def _run_child(name: str, function: str, *arguments: str, remedy: str) -> Health
     if done.returncode < 0:
         number = -done.returncode
         ended = {each.value: each.name for each in signal.Signals}.get(number, f"signal {number}")
-        words = f"the process was ended by {ended}: {words}"
+        words = f"{ended} terminated the process: {words}"
     return HealthCheck(name, False, words, remedy)
 
 
@@ -177,7 +177,7 @@ def collect_facts() -> None:
 
 
 def render_test(variant: str) -> None:
-    """Render a white sphere in white light, which shows 1 everywhere, and print its mean."""
+    """Render a white furnace test, whose image is 1, and print its mean."""
     import drjit as dr
     import mitsuba as mi
     import numpy as np
@@ -194,7 +194,7 @@ def render_test(variant: str) -> None:
         if not dr.all((dr.minimum(value, 1) == 1) & (dr.maximum(value, 3) == 3)):
             raise RuntimeError("a minimum or maximum is wrong")
     white = {"type": "rgb", "value": 1.0}
-    # With BSDF samples only, every path carries exactly 1: the furnace test without noise.
+    # With BSDF samples only, each path has radiance 1: a furnace test without noise.
     scene = mi.load_dict(
         {
             "type": "scene",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from tyro.conf import Positional, arg
 
 from svu_mi.cli.base_command import ResultCommand
 from svu_mi.cli.loading import require_memory
@@ -18,11 +18,11 @@ from svu_mi.core.progress import Progress
 if TYPE_CHECKING:
     from svu_mi.output.export.write_asset import ExportOptions
 
-Result = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]
+Result = Annotated[Path, Positional, arg(metavar="RESULT")]
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
-Formats = Annotated[tuple[Format, ...], tyro.conf.arg(metavar="{exr,png,glb,xml,materialx} ...")]
-Maps = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
-Gutter = Annotated[int | None, tyro.conf.arg(metavar="TEXELS")]
+Formats = Annotated[tuple[Format, ...], arg(metavar="{exr,png,glb,xml,materialx} ...")]
+Maps = Annotated[Path | None, arg(metavar="FOLDER")]
+Gutter = Annotated[int | None, arg(metavar="TEXELS")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class Export(ResultCommand):
     half: bool = False
     """Write EXR in half precision, which halves the size of files."""
     gutter: Gutter = None
-    """Texels by which UV charts are extended (default: all texels between charts are filled)."""
+    """Texels to extend UV charts by (default: fill all texels between charts)."""
     up: Literal["y", "z"] | None = None
     """Up axis of the capture, which is rotated to +Y in GLB files if it is z (default: inferred
     from the cameras)."""

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 from rich.console import Console
+from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.loading import EstimateCommand
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from svu_mi.posterior.estimate import Estimate
 
 SCENE = "scene"
-From = Annotated[str, tyro.conf.arg(metavar="N | FILE | scene")]
-Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="NUMBER ...")]
-Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
+From = Annotated[str, arg(metavar="N | FILE | scene")]
+Numbers = Annotated[tuple[int, ...], arg(metavar="NUMBER ...")]
+Up = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +51,8 @@ class Guide(EstimateCommand):
     overwrite: opt.Overwrite = False
     resolution: opt.Resolution = (512,)
     candidates: From = "100"
-    """Candidate poses: their number on a sphere around the object; a transforms.json, capture.json
-    or Mitsuba XML file; or scene: its sensors without a photograph."""
+    """Number of views on a sphere around the object; file of poses (transforms.json, capture.json
+    or Mitsuba XML); scene: its sensors without a photograph."""
     add: int = 5
     """Number of poses to propose, at least 1; each takes the earlier ones as photographed."""
     lowest: float | None = None
@@ -71,7 +71,7 @@ class Guide(EstimateCommand):
     guidance: GuidanceOptions = GuidanceOptions()
 
     def run(self, console: Console) -> int:
-        """Judge the candidates, and write the results."""
+        """Evaluate the candidates, and write the results."""
         from svu_mi.output.interval_summary import IntervalSummary
         from svu_mi.output.write_guidance import write_guidance
 
@@ -95,7 +95,7 @@ class Guide(EstimateCommand):
         from svu_mi.guidance.candidates import Candidates
         from svu_mi.guidance.next_view import next_best_view
 
-        # Errors in files are reported before photographs are read.
+        # Report errors in files before photographs are read.
         fixed = None if self._generated else self._reachable(Candidates.read(self.candidates))
         missing: opt.Missing | None = "leave-out" if self.candidates == SCENE else None
         size, model = opt.parse_resolution(self.resolution), self.estimation.model
@@ -111,7 +111,7 @@ class Guide(EstimateCommand):
 
     @property
     def _generated(self) -> bool:
-        """Whether candidates are generated from the capture."""
+        """True if candidates are generated from the capture."""
         return self.candidates == SCENE or _number(self.candidates) is not None
 
     def _place_candidates(self, capture: Capture) -> Candidates:
@@ -124,19 +124,19 @@ class Guide(EstimateCommand):
         return Candidates.around(capture, count, up=self.up, lowest=lowest, distance=self.distance)
 
     def _reachable(self, candidates: Candidates) -> Candidates:
-        """Return the candidates that can be reached."""
+        """Return the reachable candidates."""
         return candidates.restricted(self._reachable_flags(candidates.count))
 
     def _reachable_flags(self, count: int) -> np.ndarray:
-        """Return (count,) bool, which candidates can be reached."""
+        """Return (count,) bool flags of the reachable candidates."""
         flags = np.ones(count, bool)
         if self.reachable is not None:
             flags = _flags(_read_numbers(self.reachable), count, str(self.reachable))
         flags &= ~_flags(self.unreachable, count, "--unreachable")
         if not flags.any():
             raise OptionError(
-                f"None of the {count} candidates can be reached; change --reachable or "
-                "--unreachable, or give more --candidates."
+                f"All {count} candidates are unreachable; change --reachable or --unreachable, or "
+                "give more --candidates."
             )
         return flags
 
@@ -162,8 +162,8 @@ class Guide(EstimateCommand):
         for option in ("lowest", "distance"):
             if count is None and getattr(self, option) is not None:
                 raise OptionError(
-                    f"--{option} has no effect with --candidates {self.candidates}, which has its "
-                    "own poses; omit it."
+                    f"--{option} has no effect with --candidates {self.candidates}, which gives "
+                    "the poses; omit it."
                 )
         if self.lowest is not None and not -90 <= self.lowest < 90:
             raise OptionError(
@@ -179,13 +179,13 @@ class Guide(EstimateCommand):
         switches = find_preset(preset, method=method)
         if isinstance(switches, Preset) and switches.principled:
             raise OptionError(
-                f"--method spectrum --preset {preset} does not predict what new "
-                "photographs would show; add --preset paper, or omit --method."
+                f"--method spectrum --preset {preset} cannot predict new photographs; add "
+                "--preset paper, or omit --method."
             )
         if isinstance(switches, AngularPreset) and switches.fit is not None:
             raise OptionError(
-                f"--preset {preset} is the SH model, which knows light only where photographs "
-                "were taken; add --method spectrum for Eq. 13, or omit --preset."
+                f"--preset {preset} is the SH model, which fits the light at the poses of the "
+                "photographs only; add --method spectrum for Eq. 13, or omit --preset."
             )
         if self.guidance.band_limit == "growing" and method != "spectrum":
             raise OptionError("--band-limit growing needs --method spectrum.")
@@ -203,7 +203,7 @@ def _number(word: str) -> int | None:
 
 
 def _flags(numbers: Sequence[int], count: int, label: str) -> np.ndarray:
-    """Return (count,) bool from numbers of candidates, or from flags."""
+    """Return (count,) bool flags from numbers of candidates or from flags."""
     if numbers and isinstance(numbers[0], bool):
         if len(numbers) != count:
             raise OptionError(
@@ -219,7 +219,7 @@ def _flags(numbers: Sequence[int], count: int, label: str) -> np.ndarray:
 
 
 def _read_numbers(path: Path) -> list[Any]:
-    """Read numbers, or a JSON list of them or of flags."""
+    """Read numbers separated by white space, or a JSON list of numbers or flags."""
     try:
         text = path.read_text(encoding="utf-8")
         values = json.loads(text) if text.lstrip().startswith("[") else list(map(int, text.split()))
@@ -229,12 +229,12 @@ def _read_numbers(path: Path) -> list[Any]:
             "numbers or of booleans."
         ) from error
     if set(map(type, values)) not in ({int}, {bool}):
-        raise OptionError(f"{path}: expected a list of numbers, or of booleans.")
+        raise OptionError(f"{path}: not a list of numbers or of booleans; see --reachable.")
     return values
 
 
 def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
-    """Print the entropy now, and the proposals as a table."""
+    """Print the current entropy, and the proposals as a table."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
@@ -248,16 +248,17 @@ def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
         )  # fmt: skip
     seen = np.array(estimate.coverage) > 0
     words = (
-        f"Mean entropy now: {np.array(estimate.entropy)[seen].mean():.3f} of the texels seen, "
-        f"{guidance.entropy:.3f} of all, where unseen ones have "
-        f"{estimate.posterior.prior_entropy:.3g}."
+        f"Current mean entropy: {np.array(estimate.entropy)[seen].mean():.3f} of seen texels, "
+        f"{guidance.entropy:.3f} of all texels (unseen: {estimate.posterior.prior_entropy:.3g})."
     )
     if guidance.options.band_limit == "growing":
         words += (
-            " Candidates are judged in light that is filtered for one more photograph (Eq. 13), "
-            "which is sharper, so the entropy after one may exceed the entropy now."
+            " Candidates are evaluated in light filtered for one more photograph (Eq. 13), which "
+            "is sharper; the entropy after a photograph may therefore exceed the current one."
         )
     if TABLE[guidance.options.strategy].needs_forecast:
-        words += " By how much each photograph is expected to lower the latter (gain), and to what:"
+        words += (
+            " Expected reduction by each photograph (gain), and entropy of all texels after it:"
+        )
     console.print(words, highlight=False, soft_wrap=True)
     console.print(table, markup=False, highlight=False)

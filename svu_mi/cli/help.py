@@ -31,7 +31,7 @@ GROUPS = {
     "shrink render spp unwrap",
     "source": "reading undistort",
     "mesh": "mesh mesh-up world-up mesh-scale geometry-only",
-    "light": "light environment environment-axes environment-scale environment-view",
+    "light": "light environment environment-axes environment-scale environment-view light-scale",
     "estimate": "method preset known skip",
     "choice of views": "lowest up distance reachable unreachable guidance",
     "diffusion model": "diffusion",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
+from tyro.conf import Positional, arg
 
 from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES, ImportOptions, Light
 from svu_mi.capture.importers.registry import ReadOptions, read_source
@@ -28,13 +29,11 @@ from svu_mi.core.progress import Progress
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
 
-From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
-Gains = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE | exif")]
-Mesh = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE")]
-Curve = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-Fixes = Annotated[
-    tuple[str, ...], tyro.conf.arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction,
-]  # fmt: skip
+From = Annotated[Path, Positional, arg(metavar="SOURCE")]
+Gains = Annotated[str | Path | None, arg(metavar="FILE | exif")]
+Mesh = Annotated[str | Path | None, arg(metavar="FILE")]
+Curve = Annotated[Path | None, arg(metavar="FILE")]
+Fixes = Annotated[tuple[str, ...], arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction]
 
 
 def _light(
@@ -42,13 +41,13 @@ def _light(
     environment_axes: Literal["mitsuba", "opengl", "threejs", "blender"] = "mitsuba",
     environment_scale: float = 1.0,
 ) -> Light | None:
-    """Return the light that options describe.
+    """Return the light given by command-line options.
 
     Args:
-        environment: Environment map, a lat-long HDR or EXR file (default: that of the source).
+        environment: Environment map, a lat-long HDR or EXR file (default: the map of the source).
         environment_axes: Axes at the top and centre of the map: mitsuba +Y +Z, opengl +Y -Z,
             threejs +Y +X, blender +Z +X.
-        environment_scale: Factor of the map's radiance, if its unit is not that of the photographs.
+        environment_scale: Factor of the map's radiance, if its unit differs from the photographs.
     """
     if environment is None:
         return None
@@ -58,10 +57,10 @@ def _light(
 
 @dataclass(frozen=True, kw_only=True)
 class Conversion(ImportOptions):
-    """What the source does not say, or gets wrong."""
+    """Import options on the command line."""
 
     mesh: Mesh = None
-    environment: Annotated[Light | None, tyro.conf.arg(constructor=_light)] = None
+    environment: Annotated[Light | None, arg(constructor=_light)] = None
     exposures: Gains = None
     response: Curve = None
     fixes: Fixes = ()
@@ -108,9 +107,9 @@ class Import(BaseCommand):
             notes = self._import(Progress(console), place)
         for note in notes:
             print_line(console, note)
-        print_line(console, f"Wrote {self.output}; look at it with: svu check {self.output}")
+        print_line(console, f"Wrote {self.output}; check it with: svu check {self.output}")
         if NO_LIGHT in notes:
-            print_line(console, f"Then find its light with: svu light {self.output}")
+            print_line(console, f"Then estimate its light with: svu light {self.output}")
         return 0
 
     def _import(self, progress: Progress, place: Claim) -> list[str]:
@@ -136,17 +135,12 @@ class Import(BaseCommand):
 
 
 def reimport_command(capture: Capture, fixes: Sequence[str]) -> str:
-    """Return the command that imports a capture again with more corrections, ready to paste.
-
-    Args:
-        capture: as loaded from its folder.
-        fixes: names of further corrections.
-    """
+    """Return the command that imports a loaded capture again with additional ``fixes``."""
     from svu_mi.capture import capture_folder
 
     record = None if capture.source is None else capture_folder.read(capture.source)
     given = _parse_arguments(record.imported.get("options") if record else None)
-    if given is None:  # from Python, or an earlier version; or changed since
+    if given is None:  # imported from Python or by an earlier version, or changed since
         return " ".join(["svu import ...", *_arguments("fixes", _without_reverted(fixes))])
     every = _without_reverted((*given.conversion.fixes, *fixes))
     again = replace(given, conversion=replace(given.conversion, fixes=every))
@@ -154,8 +148,7 @@ def reimport_command(capture: Capture, fixes: Sequence[str]) -> str:
 
 
 def _parse_arguments(words: Any) -> Import | None:
-    """Return the options that a capture was imported with, which may be a stranger's; None if
-    they are invalid."""
+    """Return the recorded options of an import; None if invalid (the file is not trusted)."""
     is_text = isinstance(words, list) and all(isinstance(word, str) for word in words)
     if not is_text or not all(word.isprintable() and "=-" not in word for word in words):
         return None
@@ -171,7 +164,7 @@ def _parse_arguments(words: Any) -> Import | None:
 
 
 def _without_reverted(fixes: Iterable[str]) -> tuple[str, ...]:
-    """Return corrections without pairs that cancel."""
+    """Return the corrections without pairs that cancel each other."""
     import numpy as np
 
     from svu_mi.capture.importers.axis_fixes import FIXES
@@ -187,14 +180,14 @@ def _without_reverted(fixes: Iterable[str]) -> tuple[str, ...]:
 
 
 def _changed_options(options: Any) -> dict[str, Any]:
-    """Return options that differ from their defaults, without the light."""
+    """Return the options that differ from their defaults, except the light."""
     known = (field for field in fields(options) if field.name != "environment")
     pairs = ((field.name, getattr(options, field.name), field.default) for field in known)
     return {name: value for name, value, default in pairs if value != default}
 
 
 def _light_options(light: Light) -> dict[str, Any]:
-    """Return the options that describe a light, see ``_light``."""
+    """Return the options of a light (see ``_light``)."""
     axes = [name for name, axes in ENVIRONMENT_AXES.items() if (axes == light.to_world).all()]
     return {
         "environment": light.path,

@@ -9,7 +9,7 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from svu_mi.recovery.inpaint.fill_result import Filled
     from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-Weights = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+From = Annotated[Path, arg(metavar="FOLDER")]
+Weights = Annotated[Path | None, arg(metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ class Inpaint(CaptureCommand, ResultCommand):
         capture, texels = self.load_with_light(progress, need, size, self.light)
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
-        with progress.stage("How sure the textures are"):
+        with progress.stage("Estimating the uncertainty of textures"):
             used, around = recovery_settings(self.recovered), neighbors(texels, capture.mesh)
             names = used.get("parameters", NAMES)
             field = field_around(textures, known, around, names, tv_weights(used))
@@ -101,7 +101,7 @@ class Inpaint(CaptureCommand, ResultCommand):
         return fill_sentences(filled)
 
     def _load_model(self, progress: Progress) -> LatentDiffusion | None:
-        """Read the weights: before anything that takes long."""
+        """Read the weights of the diffusion model, before any long work."""
         if self.model is None:
             return None
         from svu_mi.recovery.inpaint.diffusion.load_weights import load_model

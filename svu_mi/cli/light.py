@@ -1,4 +1,4 @@
-"""``svu light``: estimate the light from the photographs."""
+"""``svu light``: estimate the light from photographs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from tyro.conf import FlagCreatePairsOff, arg
 
 from svu_mi.calibration.light.light_options import LightOptions
 from svu_mi.cli import shared_options as opt
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from svu_mi.calibration.light.light_estimate import LightEstimate
     from svu_mi.capture.capture import Capture
 
-Depths = Annotated[tuple[tuple[int, int], ...], tyro.conf.arg(metavar="CELLS ROUNDS ...")]
-Card = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="U V ALBEDO")]
-Switch = tyro.conf.FlagCreatePairsOff[bool]
+Depths = Annotated[tuple[tuple[int, int], ...], arg(metavar="CELLS ROUNDS ...")]
+Card = Annotated[tuple[float, float, float] | None, arg(metavar="U V ALBEDO")]
+Switch = FlagCreatePairsOff[bool]
 MIN_SCALE = 1e-6  # factor of brightness
-FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side that base colours are compared on
+FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side for comparing base colours
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +38,7 @@ class FindLight(CaptureCommand, ResultCommand):
     """
 
     command = "light"
-    first = (
-        "scene output images gains light-moves light-fixed background grey-card mean-albedo "
-        "light-scale"
-    )
+    first = "scene output images gains light-moves light-fixed background grey-card mean-albedo"
     output: opt.Output = Path("out/light")
     resolution: opt.Size = (256,)
     """Texels per side, or width and height, of the grid that texels are sampled from."""
@@ -53,20 +50,18 @@ class FindLight(CaptureCommand, ResultCommand):
     seed: int = LightOptions.seed
     """Random seed of the posterior samples of the light; at least 0."""
     light_moves: Switch = False
-    """The light rotates with the camera: a turntable, or a lamp on the camera (default: both
-    hypotheses are tested)."""
+    """The light moves with the camera: turntable or flash (default: both cases are tested)."""
     light_fixed: Switch = False
-    """The light is static: the camera was moved (default: both hypotheses are tested)."""
+    """The light is fixed: only the camera moved (default: both cases are tested)."""
     background: Literal["none", "distant"] = "none"
     """distant: pixels outside the object show the light; wrong in a light tent or near walls."""
     light_scale: float | None = None
     """Factor of the estimated radiance, if the brightness is known (default: 1)."""
     mean_albedo: float | None = None
-    """Mean base colour of the seen surface in (0, 1], if known; sets the brightness (default: the
-    prior)."""
+    """Mean base colour of the seen surface, in (0, 1]; sets the brightness (default: unknown)."""
     grey_card: Card = None
     """Texture coordinates of a grey spot that is not metallic, and its base colour, all in [0, 1];
-    sets brightness and colour (default: the prior)."""
+    sets brightness and colour (default: unknown)."""
     pictures: opt.Pictures = True
 
     def check(self) -> None:
@@ -82,7 +77,7 @@ class FindLight(CaptureCommand, ResultCommand):
                  "--grey-card": self.grey_card}  # fmt: skip
         several = [name for name, value in facts.items() if value is not None]
         if len(several) > 1:
-            raise OptionError(f"{' and '.join(several)} say the same thing twice; give one.")
+            raise OptionError(f"{' and '.join(several)} exclude each other; give one.")
         opt.require_range("--light-scale", self.light_scale, MIN_SCALE, 1 / MIN_SCALE)
         if self.mean_albedo is not None:
             require_albedo(self.mean_albedo, "--mean-albedo")
@@ -95,7 +90,7 @@ class FindLight(CaptureCommand, ResultCommand):
                 )
 
     def _options(self) -> LightOptions:
-        """Return the options of the search for the light."""
+        """Return the options of the estimate of the light."""
         moves = self.light_moves if self.light_moves or self.light_fixed else None
         return LightOptions(
             texels=self.texels, depths=self.depths, seed=self.seed, moves=moves,
@@ -115,7 +110,7 @@ class FindLight(CaptureCommand, ResultCommand):
         capture, grid = self.load(progress, need, size, surroundings=surroundings)
         own = capture.environment
         if own is not None:
-            progress.say("The capture has a light; it is not looked at, but compared with.")
+            progress.say("The light of the capture is used for comparison only.")
         with interruptible(lambda: "interrupted; run the same command again"):
             light = estimate_light(capture, grid, options, progress)
             light = self._scaled(progress, capture, light)
@@ -132,7 +127,7 @@ class FindLight(CaptureCommand, ResultCommand):
         return lines if against is None else [*lines, summary.comparison_sentence(against)]
 
     def _scaled(self, progress: Progress, capture: Capture, light: LightEstimate) -> LightEstimate:
-        """Return the light with its brightness from --light-scale, --mean-albedo or --grey-card."""
+        """Return the light scaled by --light-scale, --mean-albedo or --grey-card."""
         from svu_mi.calibration.exposure import equalized
         from svu_mi.calibration.light.grey_card import scaled_by_card, scaled_by_mean
         from svu_mi.geometry.texels import texels

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from svu_mi.geometry.texels import Texels
     from svu_mi.posterior.estimate import Estimate
 
-EQUATIONS = 26  # six matrices of 3 N x 3 N, in units of the memory of a look
+EQUATIONS = 26  # six 3 N x 3 N matrices, in units of the memory of one texel-cell pair
 NeedFunc = Callable[[Sizes], Need]
 
 
@@ -35,22 +35,22 @@ class CaptureCommand(BaseCommand):
 
     @property
     def side_folders(self) -> tuple[Path, Path]:
-        """Folders of rendered photographs, and of the estimated light."""
+        """Folders of the rendered photographs and of the estimated light."""
         return self.output / "capture", self.output / "light"
 
     def load(
         self, progress: Progress, need: NeedFunc, size: tuple[int, int], *, again: bool = False,
         missing: opt.Missing | None = None, surroundings: bool = False,
     ) -> tuple[Capture, Texels]:  # fmt: skip
-        """Read or render the photographs, and lay out texels; there may be no light.
+        """Read or render the photographs, and lay out texels; the light is optional.
 
         Args:
-            progress: shows stages.
-            need: memory of the command by sizes.
-            size: texels, (width, height).
+            progress: stages and memory are shown there.
+            need: memory of the command as a function of sizes.
+            size: number of texels, (width, height).
             again: read photographs that an earlier run has rendered.
-            missing: replaces the option of that name.
-            surroundings: whether pixels beside the object are used.
+            missing: replacement of the option ``missing``.
+            surroundings: keep pixels outside the object.
         """
         from svu_mi.capture.crop import Detail
         from svu_mi.capture.match_photographs import has_photographs
@@ -76,7 +76,7 @@ class CaptureCommand(BaseCommand):
         self, progress: Progress, need: NeedFunc, size: tuple[int, int], light: Path | None,
         **options: Any,
     ) -> tuple[Capture, Texels]:  # fmt: skip
-        """Load the capture with a given light, its own, or one from the photographs."""
+        """Load the capture with the given light, its own, or an estimated one."""
         from svu_mi.calibration.light.resolve_light import with_resolved_light
 
         need = with_light_search(need) if light is None else need
@@ -106,7 +106,7 @@ class CaptureCommand(BaseCommand):
             if photographs.images is not None or source.scene.suffix.lower() != ".xml":
                 raise
             raise OptionError(
-                f"{source.scene}: no photographs beside it; give their folder with --images, or "
+                f"{source.scene}: no photographs next to it; give their folder with --images, or "
                 f"--render to render the scene itself ({error.sensors} sensors)."
             ) from error
 
@@ -144,7 +144,7 @@ class EstimateCommand(CaptureCommand):
         self, progress: Progress, size: tuple[int, int], command: str,
         recovered: Path | None = None, **options: Any,
     ) -> tuple[Capture, Estimate]:  # fmt: skip
-        """Load the capture, which ``recovered`` must show, and estimate its posterior."""
+        """Load the capture, check that ``recovered`` belongs to it, and estimate its posterior."""
         from svu_mi.output.texture_files import require_textures_of
 
         need = partial(Need, command, resolution=size, model=self.estimation.model)
@@ -164,7 +164,7 @@ def read_capture(
     trust: bool,
     unwrap: bool = False,
 ) -> Capture:
-    """Plan a capture, check its memory, and read it (see ``capture.loading.plan_capture``)."""
+    """Check the memory that a capture needs, and read it (see ``plan_capture``)."""
     from svu_mi.capture.loading import plan_capture
 
     with progress.stage("Loading the capture"):
@@ -178,9 +178,9 @@ def read_capture(
 
 
 def photograph_memory(progress: Progress, label: str, need: NeedFunc, sizes: Sizes) -> float:
-    """Refuse sizes that need too much memory, announce others, and return bytes for photographs.
+    """Check and print the needed memory; return the bytes available for photographs.
 
-    The result is 0 if everything else needs the memory, unless --memory is given.
+    The result is 0 if the rest of the command needs all memory and --memory is not given.
     """
     required = need(sizes)
     if not (required.fits or sizes.asked):
@@ -190,23 +190,23 @@ def photograph_memory(progress: Progress, label: str, need: NeedFunc, sizes: Siz
 
 
 def require_memory(progress: Progress, label: str, need: Need) -> None:
-    """Refuse a need that exceeds the memory; print others."""
+    """Raise if the needed memory exceeds the available memory; print it otherwise."""
     need.require(label)
     progress.say(need.sentence())
 
 
 def light_search_need(sizes: Sizes, resolution: tuple[int, int], options: LightOptions) -> Need:
-    """Return the memory of a search for the light."""
+    """Return the memory of the estimate of the light."""
     cells = max(cells for cells, _ in options.depths)
-    # Of few texels, the normal equations of the cells take more than the texels' part of them.
+    # With few texels, the normal equations need more memory than the texel-cell pairs.
     equations = EQUATIONS * cells**2 // max(len(sizes.photographs), 1)
     looks = max(options.texels * cells, equations)
-    # No statistics are gathered: texels take no more than where spectra are fitted.
+    # No statistics are gathered, so texels need as little as in the spectrum model.
     return Need("light", sizes, resolution, looks=looks, model="spectrum")
 
 
 def with_light_search(need: NeedFunc) -> NeedFunc:
-    """Return the memory of a command that estimates a missing light first."""
+    """Return the memory of a command that first estimates a missing light."""
     from svu_mi.calibration.light.resolve_light import OPTIONS, RESOLUTION
 
     search = partial(light_search_need, resolution=(RESOLUTION, RESOLUTION), options=OPTIONS)
@@ -215,5 +215,5 @@ def with_light_search(need: NeedFunc) -> NeedFunc:
 
 
 def largest_need(*needs: NeedFunc) -> NeedFunc:
-    """Return the largest of some needs."""
+    """Return the maximum of several needs."""
     return lambda sizes: max((need(sizes) for need in needs), key=lambda one: one.bytes)

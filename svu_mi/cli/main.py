@@ -53,7 +53,7 @@ Command: Any = Union[  # noqa: UP007 - of a tuple
     tuple(Annotated[each, tyro.conf.subcommand(name)] for name, each in COMMANDS.items())
 ]
 DESCRIPTION = "Uncertainty of the reflectance of each texel, estimated from photographs."
-LONGEST = 200  # letters of a path in a sentence
+LONGEST = 200  # characters of a path in a message
 ROOM = "make room, or write to another disk"
 REMEDIES = {
     errno.ENAMETOOLONG: "give a shorter one", errno.ENOSPC: ROOM, errno.EDQUOT: ROOM,
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; works with closed streams.
 
     Args:
-        arguments: the words after ``svu``; those of this process by default.
+        arguments: words after ``svu`` (default: ``sys.argv[1:]``).
 
     Returns:
         0 on success, 2 on bad input (one line on stderr), 130 when interrupted.
@@ -98,7 +98,7 @@ def _run(arguments: Sequence[str]) -> int:
         require_start()
         if command.uses_matplotlib and getattr(command, "pictures", True):
             import_matplotlib()
-        return command.run(OneLine())  # stderr is for the line of an error
+        return command.run(OneLine())  # stderr is reserved for errors
     except KeyboardInterrupt as stop:
         return _fail(str(stop) or "interrupted", 130)
     except MemoryError:
@@ -112,15 +112,15 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _name_problem(word: str) -> str | None:
-    """Return why a word cannot be the name of a file; None if it can."""
+    """Return the reason why a word is not a valid file name; None if it is valid."""
     if "\0" in word:
-        return "it has a zero byte, which no name may have"
+        return "a file name must not contain a zero byte"
     try:
         word.encode()
     except UnicodeEncodeError:  # Mitsuba and OpenEXR take UTF-8 only
         encoding = sys.getfilesystemencoding()
         remedy = "rename it" if encoding == "utf-8" else "set PYTHONUTF8=1, or rename it"
-        return f"it has characters that are not valid {encoding}; {remedy}"
+        return f"it contains characters that are not valid {encoding}; {remedy}"
     return None
 
 
@@ -135,22 +135,22 @@ def _require_working_folder() -> None:
 
 
 def _sentence(error: Exception) -> tuple[str, int]:
-    """Return the sentence of an error, and the exit status."""
+    """Return the message of an error, and the exit status."""
     if isinstance(error, SvuError):
         return error.shell, 2
-    if isinstance(error, OSError):  # of the system: no space, no permission, a name too long, ...
+    if isinstance(error, OSError):  # no space, no permission, a name too long, ...
         named = isinstance(error.filename, str | bytes | os.PathLike)
         place = f"{excerpt(os.fsdecode(error.filename), LONGEST)}: " if named else ""
         remedy = f"; {REMEDIES[error.errno]}" if error.errno in REMEDIES else ""
         return f"{place}{error.strerror or error}{remedy}.", 2
-    if isinstance(error, ValueError) and "embedded null" in str(error):  # Python's own words
-        return "a file name must not have a zero byte.", 2
+    if isinstance(error, ValueError) and "embedded null" in str(error):  # raised by Python
+        return "a file name must not contain a zero byte.", 2
     kind = type(error).__name__
     return f"internal error ({kind}: {error}); please report it with the output of -v", 1
 
 
 def _fail(sentence: str, status: int) -> int:
-    # Not through rich: the line must stay one line, whatever the terminal's width.
+    # Not printed by rich, which would wrap the line.
     sys.stderr.write(f"svu: {_line(sentence)}\n")
     return status
 

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
+from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand, interruptible
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 MOST_DRAWS = 1000
 Name = Literal[NAMES]  # type: ignore[valid-type]
-Parameters = Annotated[tuple[Name, ...], tyro.conf.arg(metavar=f"{{{','.join(NAMES)}}} ...")]
-Drawn = Annotated[int, tyro.conf.arg(name="draws")]
-From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
+Parameters = Annotated[tuple[Name, ...], arg(metavar=f"{{{','.join(NAMES)}}} ...")]
+Drawn = Annotated[int, arg(name="draws")]
+From = Annotated[Path | None, arg(name="start", metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,7 @@ class Recover(CaptureCommand, ResultCommand):
         from svu_mi.recovery.recover import recover
         from svu_mi.recovery.uncertainty.texture_field import texture_field
 
-        options = self._options()  # refused before any work
+        options = self._options()  # fail before any work
         size = opt.parse_resolution(self.resolution)
         need = partial(Need, "recover", resolution=size, model="default")
         capture, texels = self.load_with_light(progress, need, size, self.light, again=self.resume)
@@ -132,7 +132,7 @@ class Recover(CaptureCommand, ResultCommand):
             resume=self.resume, checkpoint_seconds=self.checkpoint_seconds, progress=progress,
             **options,
         )  # fmt: skip
-        # The paper's losses come with the posterior of the paper's model.
+        # Losses of the paper are combined with the posterior of its model.
         model = "paper" if self.preset in PAPER_PRESETS else "default"
         known = recovery.estimate or estimate(seen, preset=model, progress=progress)
         warn_if_too_bright(known)
@@ -149,7 +149,7 @@ class Recover(CaptureCommand, ResultCommand):
             return IntervalSummary.of(known)
 
     def _options(self) -> dict[str, Any]:
-        """Return the options of the parts of the method."""
+        """Return the options of the parts of the method (sh, path)."""
         from svu_mi.recovery.recovery_options import method_options
 
         for option, unused in (("steps", "path"), ("epochs", "sh")):

@@ -1,4 +1,4 @@
-"""``svu relight``: recovered object under another light, with uncertainty per pixel."""
+"""``svu relight``: render recovered textures under another light, with uncertainty."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
+from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand
@@ -20,10 +20,10 @@ from svu_mi.errors import CaptureError, OptionError
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
 
-MOST_PIXELS = 8192  # per side of a picture
-From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-Map = Annotated[Path | None, tyro.conf.arg(metavar="MAP")]
-Poses = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+MOST_PIXELS = 8192  # per side of an image
+From = Annotated[Path, arg(metavar="FOLDER")]
+Map = Annotated[Path | None, arg(metavar="MAP")]
+Poses = Annotated[Path | None, arg(metavar="FILE")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +41,7 @@ class Relight(CaptureCommand, ResultCommand):
     recovered: From
     """Folder written by svu recover --draws N."""
     environment: Map = None
-    """Environment map, a lat-long EXR or HDR file (top +Y, centre +Z) (default: the light of the
-    capture)."""
+    """Lat-long EXR or HDR map, top +Y, centre +Z (default: the light of the capture)."""
     sensors: Poses = None
     """Poses of a transforms.json, capture.json or Mitsuba XML file (default: --views poses of the
     photographs)."""
@@ -103,7 +102,7 @@ class Relight(CaptureCommand, ResultCommand):
         return [uncertainty_sentence(relit)]
 
     def _sensors(self, capture: Capture) -> tuple[list[Any], list[str]]:
-        """Return the sensors that pictures are made from, and their names."""
+        """Return the sensors of the images, and their names."""
         from svu_mi.capture.sensors import scaled_sensor
         from svu_mi.guidance.candidates import Candidates
         from svu_mi.output.object_views import distant_views

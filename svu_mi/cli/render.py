@@ -1,4 +1,4 @@
-"""``svu render``: photographs of a scene."""
+"""``svu render``: render photographs of a scene."""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
 from rich.console import Console
+from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.loading import EstimateCommand
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from svu_mi.recovery.svbrdf_textures import Textures
 
 SUFFIXES = (".html", ".htm")
-SIDE = 256  # texels: as many as the maps on the page have pixels
-Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="Page to write.")]
+SIDE = 256  # texels per side: the maps on the page have 256 pixels
+Page = Annotated[Path, arg(aliases=["-o"], metavar="FILE.html", help="Page to write.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +37,7 @@ class Report(EstimateCommand):
     first = "scene output recovered resolution light images title overwrite"
     recovered: opt.Recovered = None
     resolution: opt.Size = ()
-    """Texels per side, or width and height (default: those of --recovered; otherwise 256, the size
-    of the maps on the page)."""
+    """Texels per side, or width and height (default: as --recovered, else 256)."""
     output: Page = Path("report.html")
     overwrite: opt.Overwrite = False
     title: str | None = None
@@ -75,8 +74,7 @@ class Report(EstimateCommand):
             raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")
         if self.output.suffix.lower() not in SUFFIXES:
             raise OptionError(
-                f"-o takes the name of a page, which ends in .html, such as report.html; got "
-                f"{self.output}."
+                f"-o takes a file name that ends in .html, such as report.html; got {self.output}."
             )
 
     def _write(

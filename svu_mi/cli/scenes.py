@@ -1,4 +1,4 @@
-"""``svu scenes``: the scenes that come with svu_mi, and copies of them."""
+"""``svu scenes``: list and copy the included scenes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-import tyro
 from rich.console import Console
+from tyro.conf import Positional, arg
 
 from svu_mi import scenes
 from svu_mi.cli.base_command import Verbose
 from svu_mi.cli.shared_options import Output
 from svu_mi.cli.streams import print_line
 
-Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")]
-# Further arguments of the next command.
+Name = Annotated[str, Positional, arg(metavar="[NAME]")]
+# Arguments of svu render that a scene needs.
 NEEDS = {"object": "-D object=FOLDER -D environment=FILE"}
 
 
@@ -36,7 +36,7 @@ class Scenes:
     verbose: Verbose = False
 
     def run(self, console: Console) -> int:
-        """List or copy."""
+        """List the scenes, or copy one."""
         if not self.name:
             for name, sentence in scenes.ABOUT.items():
                 print_line(console, f"{name:8} {sentence}")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
+from tyro.conf import Positional, UseAppendAction, arg
 
 from svu_mi.core.validation import require_spp, require_texels
 from svu_mi.errors import OptionError
@@ -26,60 +26,45 @@ if TYPE_CHECKING:
 UNITS = {"K": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # bytes
 SPECULAR = "specular"  # Ks, of the paper's power spectra
 
-Output = Annotated[
-    Path, tyro.conf.arg(aliases=["-o"], metavar="FOLDER", help="Folder of the results.")
-]
+Output = Annotated[Path, arg(aliases=["-o"], metavar="FOLDER", help="Folder of the results.")]
 Overwrite = Annotated[
-    bool,
-    tyro.conf.arg(
-        help="Write to a folder that contains other files, which is kept as NAME.before."
+    bool, arg(help="Write to a folder that contains other files, which is kept as NAME.before.")
+]
+Scene = Annotated[Path, Positional, arg(metavar="SCENE.xml")]
+Defines = Annotated[tuple[str, ...], arg(aliases=["-D"], metavar="KEY=VALUE"), UseAppendAction]
+Folder = Annotated[Path | None, arg(metavar="FOLDER")]
+Memory = Annotated[
+    str,
+    arg(
+        metavar="SIZE",
+        help="Memory for photographs, such as 4G or 800M; those beyond it are kept in a temporary "
+        "file in TMPDIR (default: half of the free memory).",
     ),
 ]
-Scene = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE.xml")]
-Defines = Annotated[
-    tuple[str, ...],
-    tyro.conf.arg(
-        aliases=["-D"],
-        metavar="KEY=VALUE",
-        help="Value of a $parameter of the "
-        "scene, such as light=window; repeatable (default: the scene's own).",
-    ),
-    tyro.conf.UseAppendAction,
-]
-Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
-Memory = Annotated[str, tyro.conf.arg(metavar="SIZE")]
 Missing = Literal["refuse", "leave-out"]
-Size = Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIZE | WIDTH HEIGHT")]
+Size = Annotated[tuple[int, ...], arg(metavar="SIZE | WIDTH HEIGHT")]
 Resolution = Annotated[
     tuple[int, ...],
-    tyro.conf.arg(
+    arg(
         metavar="SIZE | WIDTH HEIGHT",
-        help="Texels per side, or width and "
-        "height. Time and memory are proportional to the number of texels.",
+        help="Texels per side, or width and height. Time and memory are proportional.",
     ),
 ]
-Samples = Annotated[int, tyro.conf.arg(help="Samples per pixel with --render; more reduce noise.")]
-Pictures = Annotated[bool, tyro.conf.arg(help="Draw PNG pictures of the results.")]
+Samples = Annotated[int, arg(help="Samples per pixel with --render; more reduce noise.")]
+Pictures = Annotated[bool, arg(help="Draw PNG pictures of the results.")]
 Recovered = Annotated[
     Path | None,
-    tyro.conf.arg(
-        metavar="FOLDER",
-        help="Folder written by svu recover, whose textures are shown (default: none).",
-    ),
+    arg(metavar="FOLDER", help="Folder of svu recover, whose textures are shown (default: none)."),
 ]
 GivenLight = Annotated[
     Path | None,
-    tyro.conf.arg(
+    arg(
         metavar="FOLDER | MAP",
         help="Environment map: folder written by svu light, or lat-long EXR or HDR, top +Y, centre "
-        "+Z (default: that of the scene; estimated if it has none).",
+        "+Z (default: the map of the scene; estimated if it has none).",
     ),
 ]
-Known = Annotated[
-    tuple[str, ...],
-    tyro.conf.arg(metavar="NAME=VALUE | scene"),
-    tyro.conf.UseAppendAction,
-]
+Known = Annotated[tuple[str, ...], arg(metavar="NAME=VALUE | scene"), UseAppendAction]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +74,8 @@ class SceneOptions:
     scene: Scene
     """Capture folder, or Mitsuba scene with one sensor per photograph."""
     define: Defines = ()
+    """Value of a $parameter of the scene, such as light=window; repeatable (default: the values
+    in the scene)."""
     shape: str | None = None
     """Id of the object; needed if the scene contains several shapes (default: the only one)."""
 
@@ -114,23 +101,21 @@ class PhotographOptions:
     """Exposure and white balance: as recorded, or estimated per photograph and channel, for
     automatic cameras; inconsistent photographs are excluded."""
     memory: Memory = ""
-    """Memory for photographs, such as 4G or 800M; those beyond it are kept in a temporary file in
-    TMPDIR (default: half of the free memory)."""
 
     @property
     def bytes(self) -> float | None:
-        """Bytes that photographs may take; None by default."""
+        """Memory for photographs in bytes; None by default."""
         return parse_bytes(self.memory)
 
     @property
     def estimates_gains(self) -> bool:
-        """Whether exposures are estimated."""
+        """True if exposures are estimated."""
         return self.gains == "estimate"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
-    """Photographs that are rendered, and the mesh."""
+    """Options of rendered photographs and of the mesh."""
 
     render: bool = False
     """Render the photographs from the scene instead of reading them."""
@@ -140,11 +125,11 @@ class RenderOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureOptions:
-    """A scene with photographs, which may be rendered."""
+    """Scene with photographs, read or rendered."""
 
-    source: Annotated[SceneOptions, tyro.conf.arg(name="")]
-    photographs: Annotated[PhotographOptions, tyro.conf.arg(name="")] = PhotographOptions()
-    rendering: Annotated[RenderOptions, tyro.conf.arg(name="")] = RenderOptions()
+    source: SceneOptions
+    photographs: PhotographOptions = PhotographOptions()
+    rendering: RenderOptions = RenderOptions()
 
     def check(self, spp: int) -> None:
         """Refuse invalid options (OptionError)."""
@@ -162,7 +147,7 @@ class CaptureOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateOptions:
-    """How the posterior is estimated."""
+    """Options of the estimate of the posterior."""
 
     method: Literal["angular", "spectrum"] = "angular"
     """angular: compare radiance in all views; spectrum: compare power spectra as in the paper,
@@ -176,7 +161,7 @@ class EstimateOptions:
 
     @property
     def model(self) -> str:
-        """Key of ``memory.MODELS``, memory per texel."""
+        """Key of ``memory.MODELS``: memory per texel."""
         return self.preset if self.method == "angular" else self.method
 
     def check(self) -> None:
@@ -187,7 +172,7 @@ class EstimateOptions:
     def estimate(
         self, progress: Progress, capture: Capture, texels: Texels, **options: Any
     ) -> Estimate:
-        """Return the estimate of a capture; ``options`` are others of ``pipeline.estimate``."""
+        """Return the estimate of a capture; ``options`` are passed to ``pipeline.estimate``."""
         from svu_mi.pipeline import estimate
 
         return estimate(
@@ -197,7 +182,7 @@ class EstimateOptions:
 
 
 def require_range(option: str, value: float | None, low: float, high: float = math.inf) -> None:
-    """Refuse a number that is not in [low, high]; None is the default."""
+    """Refuse a number that is not in [low, high]; accept None."""
     if value is not None and not low <= value <= high:
         limits = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
         raise OptionError(f"{option} must be {limits}, got {value:g}.")
@@ -219,7 +204,7 @@ def parse_resolution(resolution: tuple[int, ...]) -> tuple[int, int]:
 
 
 def parse_bytes(text: str) -> float | None:
-    """Return how many bytes "4G" or "800M" of ``--memory`` are; None for an empty text."""
+    """Return the bytes of a size such as "4G" or "800M"; None for an empty text."""
     if not text:
         return None
     number, unit = (text[:-1], text[-1].upper()) if text[-1].upper() in UNITS else (text, "")
@@ -235,7 +220,7 @@ def parse_bytes(text: str) -> float | None:
 def repeat_known(words: Sequence[str]) -> list[str]:
     """Return the words of a command with ``--known a=0 b=1`` as ``--known a=0 --known b=1``.
 
-    An option that takes any number of words would take the scene after it, too.
+    An option with any number of values would also consume the scene after it.
     """
     spread: list[str] = []
     for word in words:
@@ -265,8 +250,7 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
     for name in known:
         if name not in (*NAMES, SPECULAR):
             raise OptionError(
-                f"--known: there is no parameter {name!r}; use {', '.join(NAMES[:-1])} or "
-                f"{NAMES[-1]}."
+                f"--known: unknown parameter {name!r}; use {', '.join(NAMES[:-1])} or {NAMES[-1]}."
             )
     return known or None
 
@@ -274,7 +258,7 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
 def read_recovered(
     folder: Path | None, resolution: tuple[int, ...], default: int = 0, one_run: bool = True
 ) -> tuple[tuple[int, int], Textures | None]:
-    """Return the (width, height) of a grid, and the textures of a folder, which must have it."""
+    """Return (width, height) of the texel grid, and the textures of a folder of that size."""
     from svu_mi.output.texture_files import read_textures
 
     if folder is None:
@@ -290,7 +274,7 @@ def read_recovered(
 
 
 def as_dict(options: Any) -> dict[str, Any]:
-    """Return all options of a command by name, also of its groups, for ``run.json``."""
+    """Return all options of a command by name, including its groups, for ``run.json``."""
     values: dict[str, Any] = {}
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)

@@ -1,4 +1,4 @@
-"""Standard streams that ignore write errors, and printing of plain lines."""
+"""Standard streams that ignore write errors, and plain printed lines."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ PLAIN = str.maketrans({"±": "+-", "·": "-", "•": "*", "×": "x", "\u2009": "
 
 
 class ForgivingStream:
-    """Stream that ignores failed writes: the reader has ended, or the disk is full.
+    """Stream that ignores failed writes, such as those to a closed pipe or a full disk.
 
-    Letters that the encoding does not have are spelt out or escaped.
+    Characters outside the stream's encoding are replaced or escaped.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -32,14 +32,14 @@ class ForgivingStream:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write text if possible; return its length in any case."""
+        """Write a text if possible; return its length."""
         try:
             self._stream.write(text)
         except UnicodeEncodeError:
             encoding = self._stream.encoding
             plain = text.translate(PLAIN).encode(encoding, "backslashreplace")
             self.write(plain.decode(encoding))
-        except (OSError, ValueError):  # ValueError: it is closed
+        except (OSError, ValueError):  # ValueError: closed
             self._give_up()
         return len(text)
 
@@ -51,7 +51,7 @@ class ForgivingStream:
             self._give_up()
 
     def _give_up(self) -> None:
-        # Python flushes the buffer again when it ends, and would change the exit status.
+        # Python flushes the buffer again at exit; an error would change the exit status.
         with suppress(OSError, ValueError):
             null = os.open(os.devnull, os.O_WRONLY)
             try:
@@ -63,9 +63,9 @@ class ForgivingStream:
 
 @contextmanager
 def forgiving_streams() -> Iterator[None]:
-    """Make ``sys.stdout`` and ``sys.stderr`` forgiving for a while."""
+    """Let ``sys.stdout`` and ``sys.stderr`` ignore write errors within the block."""
     _open_standard_files()
-    for descriptor in (1, 2):  # of a pipe that does not wait, a slow reader would miss the rest
+    for descriptor in (1, 2):  # a slow reader of a non-blocking pipe would lose output
         with suppress(OSError, AttributeError):  # not on Windows
             os.set_blocking(descriptor, True)
     before = sys.stdout, sys.stderr
@@ -84,28 +84,28 @@ def forgiving_streams() -> Iterator[None]:
 
 
 def _open_standard_files() -> None:
-    """Fill the places of standard files that are closed (``svu >&-``).
+    """Open closed standard descriptors (``svu >&-``).
 
-    The next opened file would take the descriptor, and receive output of C++ libraries.
+    Otherwise the next opened file gets the descriptor, and receives output of C++ libraries.
     """
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
             with suppress(OSError):
-                os.open(os.devnull, os.O_RDWR)  # takes the lowest free one: this
+                os.open(os.devnull, os.O_RDWR)  # gets this one, the lowest free
 
 
 class OneLine(Console):
-    """A console that prints strings, in tables too, without line ends or control characters."""
+    """Console that prints strings, also in tables, without line ends or control characters."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return a string as rich text; ``options`` are rich's."""
+        """Return a string as rich text; ``options`` are passed to rich."""
         return super().render_str(printable(text), **options)
 
 
 class LogLines(logging.Handler):
-    """Writes records to the ``sys.stderr`` of their time, one line each."""
+    """Handler that writes each record as one line to the current ``sys.stderr``."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record."""
@@ -113,10 +113,10 @@ class LogLines(logging.Handler):
 
 
 def print_line(console: Console, text: str) -> None:
-    """Print a line without wrapping or markup: a name may hold [brackets]."""
+    """Print a line without wrapping or markup; names may contain [brackets]."""
     console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def format_number(value: float | None, digits: int = 2) -> str:
-    """Return a number as the cell of a table; a dash if it is unknown."""
+    """Return a number as the cell of a table; a dash if it is missing."""
     return "-" if value is None or isnan(value) else f"{value:.{digits}f}"

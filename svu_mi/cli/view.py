@@ -26,7 +26,7 @@ class View(EstimateCommand):
     first = "scene recovered resolution light images port up"
     recovered: opt.Recovered = None
     resolution: opt.Size = ()
-    """Texels per side, or width and height (default: those of --recovered; otherwise 512)."""
+    """Texels per side, or width and height (default: as --recovered, else 512)."""
     port: int = 8080
     """Port of the page on this machine, in [1, 65535]; the next free one if it is in use."""
     up: Literal["y", "z"] | None = None

@@ -405,7 +405,7 @@ def test_textures_in_images_are_no_photographs(tmp_path, capsys, count):
     for name in ("base_color", "metallic", "roughness")[:count]:
         write_exr(folder / f"{name}.exr", {"RGB": np.ones((24, 24, 3))})
     assert fails(capsys, "entropy", path, "-o", tmp_path / "out") == (
-        f"svu: {path}: no photographs beside it; give their folder with --images, or --render to "
+        f"svu: {path}: no photographs next to it; give their folder with --images, or --render to "
         "render the scene itself (3 sensors)."
     )
     for index in range(3):  # beside the scene, by the ids of their sensors

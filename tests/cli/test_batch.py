@@ -79,15 +79,15 @@ def test_a_folder_of_captures_and_a_table_name_the_same(shelf_of, tmp_path):
 
 
 @pytest.mark.parametrize(("lines", "sentence"), [
-    (["capture,colour", "shelf/a,red"], "has the column 'colour'; its first line names columns"),
+    (["capture,colour", "shelf/a,red"], "has the column 'colour'; its first line must name"),
     (["name", "a"], "has other columns"),
-    (["capture", "shelf/c"], "line 2: 'shelf/c' is no capture"),
-    (["capture,name", "shelf/a,../b"], "line 2: '../b' cannot be the name of a folder"),
-    (["capture,name", "shelf/a,x", "shelf/a,X"], "two captures are called 'X'"),
-    (["capture"], "names no captures: has no rows"),
-    (["capture,resolution", "shelf/a,16 --trust"], "line 2: '16 --trust' is no resolution"),
-    (["capture,resolution", "shelf/a,16 8 4"], "line 2: '16 8 4' is no resolution"),
-    (["capture,resolution", "shelf/a,0"], "list.csv, line 2: '0' is no resolution"),
+    (["capture", "shelf/c"], "line 2: 'shelf/c' is not a capture"),
+    (["capture,name", "shelf/a,../b"], "line 2: '../b' is not a valid folder name"),
+    (["capture,name", "shelf/a,x", "shelf/a,X"], "two captures have the name 'X'"),
+    (["capture"], "contains no captures; expected one row per capture"),
+    (["capture,resolution", "shelf/a,16 --trust"], "line 2: '16 --trust' is not a resolution"),
+    (["capture,resolution", "shelf/a,16 8 4"], "line 2: '16 8 4' is not a resolution"),
+    (["capture,resolution", "shelf/a,0"], "list.csv, line 2: '0' is not a resolution"),
 ])  # fmt: skip
 def test_what_a_table_cannot_say_is_a_sentence(shelf_of, tmp_path, lines, sentence):
     shelf_of("a")
@@ -99,7 +99,7 @@ def test_what_a_table_cannot_say_is_a_sentence(shelf_of, tmp_path, lines, senten
 def test_a_list_that_is_not_there_and_steps_that_need_others(tmp_path, capsys):
     assert "no such folder or table" in fails(capsys, "batch", tmp_path / "x", "-o", tmp_path / "o")
     words = ("batch", tmp_path, "--steps", "export", "-o", tmp_path / "o")
-    assert "needs recover, too" in fails(capsys, *words)
+    assert "needs the textures of recover" in fails(capsys, *words)
 
 
 def test_results_among_the_files_of_captures_are_refused_before_anything_is_written(
@@ -121,7 +121,7 @@ def test_results_among_the_files_of_captures_are_refused_before_anything_is_writ
         (tmp_path / "scenes", tmp_path / "scenes"),
     ):  # fmt: skip
         said = fails(capsys, "batch", captures, "-o", output)
-        assert "among the files of the capture" in said and "another folder with -o" in said
+        assert "overlap the files of the capture" in said and "another folder with -o" in said
     assert set(tmp_path.rglob("*")) == before
     require_separate(shelf / "out", read_list(shelf))
     require_separate(tmp_path / "scenes" / "vase", read_list(tmp_path / "scenes"))
@@ -350,7 +350,7 @@ def test_a_file_that_vanishes_while_it_is_looked_at_is_a_row(shelf_of, tmp_path,
 def test_a_capture_that_is_called_like_a_file_of_the_batch_is_refused(shelf_of, tmp_path, name):
     folder = shelf_of("a", name)
     for path in (folder, table(tmp_path, "capture,name", f"shelf/a,{name}")):
-        with pytest.raises(OptionError, match=f"a capture is called '{name}'"):
+        with pytest.raises(OptionError, match=f"the capture name '{name}'"):
             read_list(path)
 
 

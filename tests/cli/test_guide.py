@@ -168,12 +168,12 @@ EARLY = {  # refused before anything is loaded
     "up": (["--up", "0", "0", "0"], "--up must be a direction"),
     "a sphere for a file": (["--candidates", "{tmp}", "--lowest", "0"], "--lowest has no effect"),
     "a sphere for scene": (["--candidates", "scene", "--distance", "2"], "--distance has no"),
-    "all unreachable": (["--candidates", "3", "--unreachable", "0", "1", "2"], "None of the 3"),
+    "all unreachable": (["--candidates", "3", "--unreachable", "0", "1", "2"], "are unreachable"),
     "no such number": (["--candidates", "3", "--unreachable", "3"], "numbered from 0 to 2"),
     "a negative number": (["--candidates", "3", "--unreachable", "-1"], "no candidate -1"),
     "no list": (["--reachable", "{tmp}/none.txt"], "none.txt: not a readable list"),
     "words": (["--reachable", "{words}"], "words.txt: not a readable list"),
-    "mixed": (["--reachable", "{mixed}"], "mixed.json: expected a list of numbers"),
+    "mixed": (["--reachable", "{mixed}"], "mixed.json: not a list of numbers"),
     "flags": (["--reachable", "{flags}"], "flags.json: 2 flags for 100 candidates"),
     "spectrum": (["--method", "spectrum"], "--preset paper"),
     "fixed": (["--method", "spectrum", "--preset", "fixed"], "Unknown preset"),
@@ -194,7 +194,10 @@ LATE = {
     "no pose": (["--candidates", "{words}"], "words.txt: not a readable JSON"),
     "no transforms": (["--candidates", "{flags}"], "no poses"),
     "no sensor": (["--candidates", "{empty}"], "no sensor"),
-    "scene": (["--candidates", "scene", "--unreachable", "0", "1", "2"], "None of the 3"),
+    "scene": (
+        ["--candidates", "scene", "--unreachable", "0", "1", "2"],
+        "3 candidates are unreachable",
+    ),
     "scene number": (["--candidates", "scene", "--unreachable", "3"], "numbered from 0 to 2"),
 }
 

@@ -84,7 +84,7 @@ def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, 
     assert run("light", around, *SMALL, "-o", tmp_path / "a") == 0
     said = capsys.readouterr().out
     assert names(tmp_path / "a") == sorted([*FILES, "light.png"])
-    assert "The capture has a light; it is not looked at, but compared with." in said
+    assert "The light of the capture is used for comparison only." in said
     assert "Base colours are known up to a common factor between " in said
     assert "Against the capture's own light: correlation " in said
     against = record(tmp_path / "a", "light.json")["against"]
@@ -101,7 +101,7 @@ def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, 
     ("words", "message"),
     [
         (("--light-moves", "--light-fixed"), "--light-moves and --light-fixed exclude each other"),
-        (("--light-scale", 2, "--mean-albedo", 0.3), "say the same thing twice; give one."),
+        (("--light-scale", 2, "--mean-albedo", 0.3), "exclude each other; give one."),
         (("--mean-albedo", 1.5), "--mean-albedo: a base colour must be in [0.01, 1], got 1.5."),
         (("--grey-card", 0.5, 0.5, 0), "--grey-card: a base colour must be in [0.01, 1], got 0."),
         (("--grey-card", 0.5, 2, 0.2), "texture coordinates are in [0, 1], got 0.5 2."),

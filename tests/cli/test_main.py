@@ -107,7 +107,7 @@ def test_without_photographs_a_scene_is_rendered_only_when_asked(tmp_path, capsy
     words = ("entropy", path, "-o", tmp_path / "out", "--resolution", 24)
     line = fails(capsys, *words)
     assert line == (
-        f"svu: {path}: no photographs beside it; give their folder with --images, or --render to "
+        f"svu: {path}: no photographs next to it; give their folder with --images, or --render to "
         "render the scene itself (4 sensors)."
     )
     assert run(*words, "--render", "--spp", 2) == 0
@@ -180,12 +180,11 @@ def test_what_has_nothing_to_do_with_photographs_is_refused_before_they_are_read
         "'fixed' is one of method 'angular'."
     )
     assert fails(capsys, "entropy", *words, "-m", "cuda") == (
-        "svu: This Mitsuba has no variant 'cuda'; leave -m out, or use cuda_ad_rgb or llvm_ad_rgb."
+        "svu: This Mitsuba has no variant 'cuda'; omit -m, or use cuda_ad_rgb or llvm_ad_rgb."
     )
     monkeypatch.setattr("drjit.has_backend", lambda backend: backend.name != "CUDA")
     assert fails(capsys, "entropy", *words, "-m", "cuda_ad_rgb") == (
-        "svu: No GPU that Dr.Jit can use was found, which cuda_ad_rgb needs; leave -m out, or run "
-        "svu doctor."
+        "svu: Variant cuda_ad_rgb needs a GPU, and Dr.Jit found none; omit -m, or run svu doctor."
     )
 
 

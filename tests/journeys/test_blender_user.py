@@ -16,8 +16,8 @@ def test_a_capture_needs_no_light_to_look_at_its_poses(shots):
         "The capture has no light, which is found in its photographs: look at what svu light "
         "finds, or go on. If there is a map of the light that they were taken under, import the "
         "capture again with --environment.",
-        "Wrote dark; look at it with: svu check dark",
-        "Then find its light with: svu light dark",
+        "Wrote dark; check it with: svu check dark",
+        "Then estimate its light with: svu light dark",
     ]
     said = done("check dark -o out/dark", shots)
     assert any(line.startswith("poses (fits): Cameras and mesh fit") for line in said.out)

@@ -422,8 +422,7 @@ def test_the_command_writes_a_page(scene, tmp_path, capsys):
     for name in (scene, tmp_path / "new" / "page"):
         assert main([*words, "-o", str(name)]) == 2
         assert capsys.readouterr().err == (
-            "svu: -o takes the name of a page, which ends in .html, such as report.html; got "
-            f"{name}.\n"
+            f"svu: -o takes a file name that ends in .html, such as report.html; got {name}.\n"
         )
     assert scene.read_bytes() == before
     assert main([*words, "--recovered", str(tmp_path / "none")]) == 2

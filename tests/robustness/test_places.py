@@ -100,7 +100,7 @@ LIGHT = ("-D", "light=window", "--views", "1", "--resolution", "8", "8", "--spp"
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
 @pytest.mark.parametrize(
     ("option", "said"),
-    [((), ""), (("-t", 1), "svu: --threads 1: 2 are used, which Mitsuba needs to read EXR.\n")],
+    [((), ""), (("-t", 1), "svu: --threads 1: using 2, which Mitsuba needs to read EXR.\n")],
 )
 def test_one_core_is_enough(tmp_path, option, said):
     """An environment map in EXR; Mitsuba waits for ever for a worker that one core has not."""

@@ -166,7 +166,7 @@ def test_arguments_that_are_no_text_are_one_sentence(tmp_path, utf8):
         env=os.environ | {"PYTHONUTF8": utf8, "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"},
     )  # fmt: skip
     assert done.returncode == 2 and done.stderr.count(b"\n") == 1
-    assert done.stderr.startswith(b"svu: out_?: it has characters that are not valid ")
+    assert done.stderr.startswith(b"svu: out_?: it contains characters that are not valid ")
 
 
 # --- foreign names in messages --------------------------------------------------------------
@@ -261,7 +261,7 @@ REFUSALS = {
     OSError(errno.EIO, os.strerror(errno.EIO)): "svu: Input/output error.\n",
     OSError("truncated file"): "svu: truncated file.\n",
     ValueError("embedded null byte"): (
-        "svu: a file name must not have a zero byte.\n"
+        "svu: a file name must not contain a zero byte.\n"
     ),
 }  # fmt: skip
 

@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-import tyro
 from rich.console import Console
+from tyro.conf import Positional, arg
 
 from svu_mi.cli.base_command import BaseCommand, interruptible
 from svu_mi.cli.shared_options import Output, Size, parse_size, require_range
@@ -21,12 +21,10 @@ from svu_mi.errors import OptionError
 if TYPE_CHECKING:
     from svu_mi.cli.batch.runner import BatchRunner, Outcome
 
-Address = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
+Address = Annotated[str, arg(metavar="ADDRESS")]
 FAILED = 1  # exit status if a capture failed
 StepName = Literal["entropy", "recover", "report", "export"]
-Steps = Annotated[
-    tuple[StepName, ...], tyro.conf.arg(metavar="{entropy,recover,report,export} ...")
-]
+Steps = Annotated[tuple[StepName, ...], arg(metavar="{entropy,recover,report,export} ...")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +38,7 @@ class Batch(BaseCommand):
 
     uses_matplotlib: ClassVar[bool] = False
     first = "captures output steps resolution preset workers scheduler"
-    captures: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER | LIST.csv")]
+    captures: Annotated[Path, Positional, arg(metavar="FOLDER | LIST.csv")]
     """Folder of capture folders; or a table with the column capture and optional columns name,
     resolution, preset, light, images and shape."""
     output: Output = Path("out/batch")
@@ -52,13 +50,12 @@ class Batch(BaseCommand):
     """Dask scheduler, such as tcp://10.0.0.5:8786; each worker processes one capture at a time and
     needs access to the same files (default: this machine)."""
     resolution: Size = ()
-    """Texels per side, or width and height, of captures without it in the list (default: that of
-    each command)."""
+    """Texels per side, or width and height, if not in the table (default: of each command)."""
     preset: Literal["default", "fixed", "fast", "paper"] | None = None
-    """Preset of entropy and report, of captures without it in the list (default: default)."""
+    """Preset of entropy and report, if not in the table (default: default)."""
 
     def run(self, console: Console) -> int:
-        """Work on all captures, and write the page after each."""
+        """Process all captures, and update the page after each."""
         from svu_mi.cli.batch.batch_page import write_index
         from svu_mi.cli.batch.capture_list import read_list, require_separate
 
@@ -69,14 +66,14 @@ class Batch(BaseCommand):
 
         def stopped() -> str:
             return (
-                f"Interrupted after {len(outcomes)} of {len(items)} captures; the same command "
-                "goes on."
+                f"Interrupted after {len(outcomes)} of {len(items)} captures; continue with the "
+                "same command."
             )
 
         with locked(self.output.resolve()):
             progress = Progress(console)
             work = partial(runner.run_on_cluster, self.scheduler) if self.scheduler else runner.run
-            with interruptible(stopped), progress.stage("Working on captures", len(items)) as stage:
+            with interruptible(stopped), progress.stage("Processing captures", len(items)) as stage:
                 for outcome in work(items):
                     outcomes.append(outcome)
                     write_index(self.output, outcomes, len(items) - len(outcomes))
@@ -95,9 +92,11 @@ class Batch(BaseCommand):
 
         require_range("--workers", self.workers, 1)
         if self.scheduler and self.workers > 1:
-            raise OptionError("--workers are of this machine; the scheduler has its own: omit it.")
+            raise OptionError(
+                "--workers has no effect with --scheduler, which has its own workers; omit it."
+            )
         if "export" in self.steps and "recover" not in self.steps:
-            raise OptionError("--steps export needs recover, too, whose textures it exports.")
+            raise OptionError("--steps export needs the textures of recover; add recover.")
         options: dict[str, str] = {} if self.preset is None else {"preset": self.preset}
         if self.resolution:
             width, height = parse_size(self.resolution)
@@ -106,7 +105,7 @@ class Batch(BaseCommand):
 
         threads = self.threads or max((os.cpu_count() or 1) // self.workers, FEWEST_THREADS)
         words = ["--trust"] if self.trust else []
-        if self.threads or not self.scheduler:  # workers of a cluster have their own
+        if self.threads or not self.scheduler:  # cluster workers have their own threads
             words += ["-t", str(threads)]
         return BatchRunner(
             output=self.output, steps=[name for name in STEPS if name in self.steps],
@@ -115,7 +114,7 @@ class Batch(BaseCommand):
 
 
 def _summary(outcomes: list[Outcome], failed: int) -> str:
-    """Return "11 of 12 captures done, 2 steps made; failed: ..."."""
+    """Return a summary such as "11 of 12 captures done, 2 steps made; failed: ..."."""
     made = sum(outcome.steps_run for outcome in outcomes)
     done = f"{len(outcomes) - failed} of {len(outcomes)} captures done, {made} steps made"
     entropies = [o.figures["entropy"] for o in outcomes if "entropy" in o.figures]

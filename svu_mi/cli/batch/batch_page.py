@@ -18,12 +18,12 @@ from svu_mi.cli.batch.steps import STEPS
 from svu_mi.core.io.files import write_text
 from svu_mi.output.html import PageImage, embedded_png, write_page
 
-SIDE = 160  # pixels of a thumbnail
+SIDE = 160  # width of a thumbnail in pixels
 COLUMNS = ("capture", "seen", "entropy", "known", "seconds", "peak_gb", "problem")
 
 
 def write_index(output: Path, outcomes: Sequence[Outcome], waiting: int = 0) -> None:
-    """Write ``index.html`` and ``index.csv``, each in one step."""
+    """Write ``index.html`` and ``index.csv``, each atomically."""
     rows = sorted(outcomes, key=lambda outcome: outcome.name)
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
@@ -51,7 +51,7 @@ def _row(outcome: Outcome) -> dict[str, Any]:
 
 
 def thumbnail(folder: Path) -> PageImage | None:
-    """Return the overview of a capture's results, small, or None."""
+    """Return a thumbnail of the overview of a capture; None if it is missing."""
     path = folder / "entropy" / "overview.png"
     try:
         return _draw_thumbnail(path, path.stat().st_mtime_ns)
@@ -61,7 +61,7 @@ def thumbnail(folder: Path) -> PageImage | None:
 
 @cache
 def _draw_thumbnail(path: Path, _time: int) -> PageImage:
-    """Draw a picture of some time, once: the page is written anew after every capture."""
+    """Return a thumbnail, cached by path and time, as the page is rewritten for each capture."""
     from PIL import Image
 
     with Image.open(path) as image:

@@ -12,23 +12,23 @@ from pathlib import Path
 from svu_mi.capture.capture_folder import FILE
 from svu_mi.errors import CaptureError, OptionError, OutputError, excerpt
 
-# Further columns of a table, besides "capture" and "name": options of the commands.
+# Optional columns of a table other than "name": options of the commands.
 OPTIONS = ("resolution", "preset", "light", "images", "shape")
 PATHS = ("light", "images")
-INDEX, TABLE = "index.html", "index.csv"  # of the batch, next to the folders of its captures
-NAME = re.compile(r"[\w][\w .+-]*")  # of a folder of results
+INDEX, TABLE = "index.html", "index.csv"  # next to the folders of results
+NAME = re.compile(r"[\w][\w .+-]*")  # valid names of folders of results
 SIZE = re.compile(r"[1-9][0-9]*(\s+[1-9][0-9]*)?")
 LONGEST = 80
 
 
 @dataclass(frozen=True)
 class BatchItem:
-    """A capture of a batch.
+    """Capture of a batch.
 
     Attributes:
-        name: of its results' folder.
-        capture: a capture folder, or a Mitsuba scene.
-        options: of its commands, by name without dashes.
+        name: Name of the folder of its results.
+        capture: Path of the capture folder or Mitsuba scene.
+        options: Options of its commands, by name without dashes.
     """
 
     name: str
@@ -37,10 +37,10 @@ class BatchItem:
 
 
 def read_list(path: Path) -> list[BatchItem]:
-    """Read a folder of captures, or a table (CSV).
+    """Read the captures of a folder or a CSV table.
 
-    A subfolder is a capture if it has a ``capture.json``, or one Mitsuba scene. A table has the
-    column ``capture``, a path relative to the table, and may have ``name`` and ``OPTIONS``.
+    A subfolder is a capture if it contains a ``capture.json`` or one Mitsuba scene. A table has the
+    column ``capture``, a path relative to the table, and optionally ``name`` and ``OPTIONS``.
     """
     if path.is_dir():
         items = _read_folder(path)
@@ -49,34 +49,36 @@ def read_list(path: Path) -> list[BatchItem]:
     else:
         raise CaptureError(f"{path}: no such folder or table of captures.")
     if not items:
-        what = f"no folder in it has a {FILE} or one scene.xml" if path.is_dir() else "has no rows"
-        raise CaptureError(f"{path}: names no captures: {what}.")
+        need = (
+            f"subfolders with {FILE} or one scene.xml" if path.is_dir() else "one row per capture"
+        )
+        raise CaptureError(f"{path}: contains no captures; expected {need}.")
     _require_names(path, items)
     return items
 
 
 def require_separate(output: Path, items: Sequence[BatchItem]) -> None:
-    """Refuse to write results among the files of captures."""
+    """Refuse an output folder whose results would overlap the files of captures."""
     captures = {real_path(item.capture) for item in items if item.capture.is_dir()}
     places = {place for item in items for place in capture_paths(item)}
     for item in items:
         results = real_path(output / item.name)
         if overlap := captures & {results, *results.parents} or places & {results}:
             raise OutputError(
-                f"{output}: results of {excerpt(item.name, LONGEST)} would lie among the files of "
+                f"{output}: results of {excerpt(item.name, LONGEST)} would overlap the files of "
                 f"the capture {excerpt(min(overlap))}; choose another folder with -o."
             )
 
 
 def capture_paths(item: BatchItem) -> list[Path]:
-    """Return the files and folders of a capture, except a scene that its folder only names."""
+    """Return the files and folders of a capture, except scenes named in ``capture.json``."""
     capture = item.capture if item.capture.is_dir() else item.capture.parent
     given = [Path(item.options[name]) for name in PATHS if name in item.options]
     return [real_path(path) for path in (capture, *given)]
 
 
 def real_path(path: Path) -> Path:
-    """Return a path without links; ``Path.resolve`` raises on those to themselves."""
+    """Return a path without links; ``Path.resolve`` raises on cyclic links."""
     return Path(os.path.realpath(path))
 
 
@@ -103,8 +105,8 @@ def _read_table(path: Path) -> list[BatchItem]:
     if "capture" not in head or unknown or len(set(head)) < len(head):
         cause = f"the column {excerpt(unknown[0], LONGEST)!r}" if unknown else "other columns"
         raise OptionError(
-            f"{path}: has {cause}; its first line names columns, once each: capture, and of name, "
-            f"{', '.join(OPTIONS)} those that are needed."
+            f"{path}: has {cause}; its first line must name capture and optionally name, "
+            f"{', '.join(OPTIONS)}, each once."
         )
     return [
         _parse_row(path, number, dict(zip(head, row, strict=False)))
@@ -122,35 +124,34 @@ def _parse_row(table: Path, line: int, row: dict[str, str]) -> BatchItem:
     capture = table.parent / word
     require(
         word and capture.exists(), word,
-        "is no capture; give the path of a folder or scene, relative to the table.",
+        "is not a capture; give the path of a folder or scene, relative to the table.",
     )  # fmt: skip
     default = capture.parent.name if capture.suffix == ".xml" else capture.resolve().name
     name = row.get("name") or default
     require(
         NAME.fullmatch(name), name,
-        "cannot be the name of a folder; use letters, digits, spaces and . + - _ in the column "
-        "name.",
+        "is not a valid folder name; use letters, digits, spaces and . + - _ in the column name.",
     )  # fmt: skip
     options = {key: row[key] for key in OPTIONS if row.get(key)}
     size = options.get("resolution", "1")
     require(
         SIZE.fullmatch(size), size,
-        "is no resolution; give one or two whole numbers, such as 512 or 1024 512.",
+        "is not a resolution; give one or two whole numbers, such as 512 or 1024 512.",
     )  # fmt: skip
     paths = {key: str(table.parent / options[key]) for key in PATHS if key in options}
     return BatchItem(name, capture, options | paths)
 
 
 def _require_names(path: Path, items: Sequence[BatchItem]) -> None:
-    names = [item.name.casefold() for item in items]  # of folders, on some systems
+    names = [item.name.casefold() for item in items]  # some file systems ignore case
     for number, name in enumerate(names):
         if name in (INDEX, TABLE):
             raise OptionError(
-                f"{path}: a capture is called {items[number].name!r}, as a file of the batch is; "
-                "rename it, or give it another name in the column name of a table."
+                f"{path}: the capture name {items[number].name!r} is reserved; rename it, or "
+                "change the column name of the table."
             )
         if name in names[:number]:
             raise OptionError(
-                f"{path}: two captures are called {items[number].name!r}; tell them apart in the "
-                "column name."
+                f"{path}: two captures have the name {items[number].name!r}; give each its own in "
+                "the column name."
             )

@@ -1,8 +1,8 @@
-"""Entry point of a command of a batch, which is killed when the batch ends.
+"""Entry point of a command of a batch, killed when the batch ends.
 
     python -m svu_mi.cli.batch.child_process PARENT MEMORY entropy capture -o out/entropy ...
 
-MEMORY is the number of bytes that it may take; 0 for all.
+MEMORY is the limit of its memory in bytes; 0 for no limit.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ import sys
 
 from svu_mi.core.memory import allow
 
-PR_SET_PDEATHSIG = 1  # of prctl, on Linux
+PR_SET_PDEATHSIG = 1  # option of prctl on Linux
 
 
 def end_with_parent(parent: int) -> None:
-    """Have this process killed when its parent ends (Linux only)."""
+    """Kill this process when its parent ends (Linux only)."""
     if sys.platform != "linux":
         return
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it has ended meanwhile
+    if os.getppid() != parent:  # the parent has already ended
         sys.exit(1)
 
 

@@ -1,7 +1,7 @@
 """Runner of batches: one process per command, on this machine or a Dask cluster.
 
-The batch itself computes nothing: its memory does not depend on the number of captures, and a
-command that dies does not end it.
+Commands run in child processes: the memory of the batch is independent of the number of captures,
+and a command that crashes does not end the batch.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.memory import free_memory
 from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
 
-TRIES = 3  # of a command that is killed from outside
-INTERRUPTED = 130  # exit status after Ctrl-C, which reaches the commands, too
+TRIES = 3  # if a command is killed from outside
+INTERRUPTED = 130  # exit status after Ctrl-C, which also reaches the commands
 KILOBYTE = 1024
-# Drawn around errors of options.
+# Boxes that tyro draws around option errors.
 CORNER, LAST_CORNER, RULE, BOX = "╭", "╯", "│ ─", "╭╮╰╯│─ "
 DAY = 86400.0  # seconds
-SECONDS = 30  # to reach a scheduler
-_one_at_a_time = threading.Lock()  # a worker has as many tasks at once as it has threads
+SECONDS = 30  # timeout of a connection to a scheduler
+_one_at_a_time = threading.Lock()  # a worker runs one task per thread
 
 
 class ProcessResult(NamedTuple):
-    """Exit status of a process, its last sentence, and bytes at its peak."""
+    """Exit status of a process, its last message, and its peak memory in bytes."""
 
     status: int
     message: str
@@ -57,14 +57,14 @@ class Outcome:
     """Result of one capture.
 
     Attributes:
-        name: of the capture.
-        folder: of its results.
-        sentence: why it failed; empty if it did not.
-        seconds: of all its steps, those of earlier runs too.
-        peak: bytes of the largest of its processes.
-        steps_run: number of steps that this run has done.
-        done: names of the steps whose results are up to date.
-        figures: ``seen``, ``entropy`` and ``known`` of ``svu entropy``, parts in [0, 1].
+        name: Name of the capture.
+        folder: Folder of its results.
+        sentence: Error message; empty on success.
+        seconds: Total time of its steps, including earlier runs.
+        peak: Peak memory of its processes in bytes.
+        steps_run: Number of steps of this run.
+        done: Names of the steps with current results.
+        figures: ``seen``, ``entropy`` and ``known`` from ``svu entropy``, in [0, 1].
     """
 
     name: str
@@ -82,13 +82,13 @@ class BatchRunner:
     """Runner of the steps of all captures.
 
     Attributes:
-        output: folder that gets a folder per capture.
-        steps: names of ``STEPS``, in their order.
-        workers: captures at a time, on this machine.
-        variant: of Mitsuba, which results depend on.
-        words: more words of every command, which do not change results, such as ``-t 2``.
-        patience: seconds to wait for others that work on the same capture.
-        options: of all captures (``BatchItem.options``), where they have none of their own.
+        output: Folder for the results, one subfolder per capture.
+        steps: Names of steps, in the order of ``STEPS``.
+        workers: Number of captures processed at the same time on this machine.
+        variant: Mitsuba variant.
+        words: Arguments of all commands that do not change results, such as ``-t 2``.
+        patience: Seconds to wait for a lock on the same capture.
+        options: Default options of all captures (``BatchItem.options``).
     """
 
     output: Path
@@ -100,9 +100,9 @@ class BatchRunner:
     options: dict[str, str] = field(default_factory=dict)
 
     def run(self, items: Sequence[BatchItem]) -> Iterator[Outcome]:
-        """Work on captures on this machine; yield their outcomes as they end.
+        """Process captures on this machine; yield outcomes as they finish.
 
-        Closing the iterator, or an exception such as Ctrl-C, ends the commands that are running.
+        Closing the iterator, or an exception such as Ctrl-C, kills running commands.
         """
         free, workers = free_memory(), max(min(self.workers, len(items)), 1)
         commands = CommandPool(0 if free is None or workers == 1 else free // workers)
@@ -117,9 +117,9 @@ class BatchRunner:
                 commands.end()
 
     def run_on_cluster(self, address: str, items: Sequence[BatchItem]) -> Iterator[Outcome]:
-        """Work on captures by the workers of a Dask scheduler, which see the same files.
+        """Process captures on the workers of a Dask scheduler, which share the file system.
 
-        A worker that ends costs the command it was at: another one continues.
+        If a worker dies, another worker repeats its current command.
         """
         with dask_client(address) as client:
             from distributed import KilledWorker, as_completed
@@ -128,7 +128,7 @@ class BatchRunner:
                 raise OptionError(
                     "The cluster has no workers; start some with: dask worker ADDRESS."
                 )
-            # Workers finish their capture after a batch was stopped: wait for them.
+            # Workers of a stopped batch finish their capture: wait for their locks.
             there = replace(self, output=self.output.absolute(), patience=DAY)
             futures = {
                 client.submit(work_on_cluster, there, _absolute(item), pure=False): item
@@ -140,13 +140,13 @@ class BatchRunner:
                     try:
                         yield future.result()
                     except KilledWorker:
-                        said = "ended every worker that it was given to; their logs may say why"
+                        said = "terminated all workers that tried it; see their logs"
                         yield Outcome(item.name, there.output / item.name, said)
             finally:
                 client.cancel(list(futures))
 
     def work(self, item: BatchItem, commands: CommandPool) -> Outcome:
-        """Run the missing steps of one capture; errors become its sentence."""
+        """Run the missing steps of one capture; return errors as its ``sentence``."""
         item = replace(item, options=self.options | item.options)
         folder = self.output / item.name
         outcome, done = Outcome(item.name, folder), {}
@@ -160,7 +160,7 @@ class BatchRunner:
             outcome = replace(outcome, sentence=error.shell)
         except OSError as error:
             place = folder if error.filename is None else error.filename
-            said = f"{excerpt(place)}: {error.strerror or error}; the same command tries it again."
+            said = f"{excerpt(place)}: {error.strerror or error}; run the same command to retry."
             outcome = replace(outcome, sentence=said)
         taken = [done[name] for name in outcome.done]
         return replace(
@@ -172,7 +172,7 @@ class BatchRunner:
     def _run_steps(
         self, item: BatchItem, folder: Path, done: dict[str, dict[str, Any]], commands: CommandPool
     ) -> Iterator[Outcome]:
-        """Yield the outcome after each step, up to the first that fails."""
+        """Yield the outcome after each step; stop at the first failure."""
         outcome, key = Outcome(item.name, folder), inputs_key(item, self.output)
         for name, step in STEPS.items():
             if name not in self.steps:
@@ -180,7 +180,7 @@ class BatchRunner:
             words = command_words(step, item, folder, self.steps)
             words += ["-m", self.variant]
             key = step_key(words, key)
-            # A result is moved into place in one step: with its last file it is complete.
+            # Results are written atomically: they are complete if their last file exists.
             if done.get(name, {}).get("key") != key or not (folder / step.proof).is_file():
                 left = folder / step.checkpoint if step.checkpoint else None
                 start = time.perf_counter()
@@ -198,7 +198,7 @@ class BatchRunner:
 
 
 def work_on_cluster(runner: BatchRunner, item: BatchItem) -> Outcome:
-    """Run the steps of one capture in a worker of a cluster, with its threads and memory."""
+    """Run the steps of one capture in a cluster worker, with its threads and memory."""
     from distributed import get_worker
 
     from svu_mi.core.threads import FEWEST_THREADS
@@ -212,7 +212,7 @@ def work_on_cluster(runner: BatchRunner, item: BatchItem) -> Outcome:
 
 
 def _absolute(item: BatchItem) -> BatchItem:
-    """Return an item whose paths are valid in every working directory."""
+    """Return an item with absolute paths."""
     paths = {
         name: str(Path(item.options[name]).absolute()) for name in PATHS if name in item.options
     }
@@ -228,38 +228,38 @@ def dask_client(address: str) -> Iterator[Any]:
     """
     try:
         from distributed import Client
-        from distributed.comm import CommClosedError  # of a result that is on its way
+        from distributed.comm import CommClosedError  # while receiving a result
     except ImportError as error:
         raise SvuEnvironmentError(
             "A scheduler needs Dask; install it with: pip install 'svu_mi[cluster]'."
         ) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # we raise errors
+    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # errors are raised here
     label = f"--scheduler {excerpt(address, 80)}"
     try:
         client = Client(address, timeout=SECONDS)
     except (OSError, ValueError, TimeoutError) as error:
         raise OptionError(
-            f"{label}: nobody answers there within {SECONDS} s ({excerpt(error, 80)}); start one "
-            "with: dask scheduler."
+            f"{label}: no answer within {SECONDS} s ({excerpt(error, 80)}); start one with: "
+            "dask scheduler."
         ) from error
     try:
         yield client
     except (CancelledError, CommClosedError) as error:
         raise SvuError(
-            f"{label}: the connection was lost; what is done is kept, and the same command goes on."
+            f"{label}: the connection was lost; run the same command to continue."
         ) from error
     finally:
-        with suppress(Exception):  # it may have gone
+        with suppress(Exception):  # the connection may be lost
             client.close()
 
 
 def _run_command(commands: CommandPool, words: Sequence[str], left: Path | None) -> ProcessResult:
-    """Run a command, again if it is killed from outside; resume from its checkpoint if possible."""
+    """Run a command; retry if it is killed from outside, from its checkpoint if possible."""
     for _ in range(TRIES):
         resumes = left is not None and left.is_file()
         ended = commands.run([*words, "--resume"] if resumes else words)
         if resumes and left is not None and ended.status > 0 and ended.status != INTERRUPTED:
-            left.unlink(missing_ok=True)  # of other inputs, or damaged
+            left.unlink(missing_ok=True)  # damaged, or from other inputs
             ended = commands.run(words)
         if ended.status >= 0:
             return ended
@@ -267,7 +267,7 @@ def _run_command(commands: CommandPool, words: Sequence[str], left: Path | None)
 
 
 class CommandPool:
-    """Running commands; after ``end``, none starts."""
+    """Pool of running commands; after ``end``, no command starts."""
 
     def __init__(self, memory: int = 0) -> None:
         self._memory = memory
@@ -276,13 +276,13 @@ class CommandPool:
         self._over = False
 
     def run(self, words: Sequence[str]) -> ProcessResult:
-        """Run ``svu`` with words, to its end."""
+        """Run ``svu`` with the given words, and wait for it."""
         own = [str(os.getpid()), str(self._memory)]
-        # -P: Python would look for every module in the working directory first.
+        # Without -P, modules in the working directory take precedence.
         line = [sys.executable, "-P", "-m", "svu_mi.cli.batch.child_process", *own, *words]
         with self._lock:
             if self._over:
-                return ProcessResult(INTERRUPTED, "not begun", 0)
+                return ProcessResult(INTERRUPTED, "not started", 0)
             process = subprocess.Popen(
                 line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
             )
@@ -299,7 +299,7 @@ class CommandPool:
         return ProcessResult(status, last_sentence(said), peak)
 
     def end(self) -> None:
-        """Kill running commands; results are moved into place in one step, so none is partial."""
+        """Kill running commands; results stay complete, as they are written atomically."""
         with self._lock:
             self._over = True
             for process in self._running:
@@ -307,8 +307,8 @@ class CommandPool:
 
 
 def last_sentence(said: str) -> str:
-    """Return the last sentence of a command: its last line with words, or the text of a box at
-    the end, which wraps an error of options and ends with a hint below a rule."""
+    """Return the error message of a command: its last line, or the wrapped text of a final box,
+    which contains an option error and a hint below a rule."""
     said = said.rstrip()
     if said.endswith(LAST_CORNER):
         text, _, _hint = said[said.rfind(CORNER) :].partition(RULE)
@@ -318,7 +318,7 @@ def last_sentence(said: str) -> str:
 
 
 def _wait_for(process: subprocess.Popen[bytes]) -> tuple[int, int]:
-    """Return the exit status of a process, and bytes at its peak; 0 if unknown."""
+    """Return the exit status of a process, and its peak memory in bytes (0 if unknown)."""
     if not hasattr(os, "wait4"):  # Windows
         return process.wait(), 0
     _, status, usage = os.wait4(process.pid, 0)
@@ -328,7 +328,7 @@ def _wait_for(process: subprocess.Popen[bytes]) -> tuple[int, int]:
 
 
 def _figures_of(folder: Path) -> dict[str, float]:
-    """Read the figures of ``svu entropy``; empty if they are missing."""
+    """Read the figures of ``svu entropy``; an empty dictionary if missing."""
     try:
         result = read_json(folder / "entropy" / "run.json")["result"]
         intervals = result["intervals"]

@@ -18,19 +18,19 @@ from svu_mi.core.io.hashes import Key
 from svu_mi.core.io.output_folder import CHECKPOINT
 from svu_mi.errors import SvuError
 
-DONE = "batch.json"  # in the folder of a capture's results
+DONE = "batch.json"  # in the folder of results of a capture
 
 
 @dataclass(frozen=True)
 class Step:
-    """A command of a batch.
+    """Command of a batch.
 
     Attributes:
-        command: its first word.
-        output: file or folder that it writes, in the folder of the capture's results.
-        proof: file that is there when it is done.
-        options: those of ``OPTIONS`` that it takes.
-        checkpoint: file that it leaves when it is killed, for ``--resume``; empty if none.
+        command: Name of the command.
+        output: Output file or folder, relative to the results of the capture.
+        proof: File that exists when the step is complete.
+        options: Subset of ``OPTIONS`` that the command accepts.
+        checkpoint: File for ``--resume`` that remains if the command is killed; may be empty.
     """
 
     command: str
@@ -56,7 +56,7 @@ STEPS = {
 
 
 def command_words(step: Step, item: BatchItem, folder: Path, steps: Sequence[str]) -> list[str]:
-    """Return the words of a command."""
+    """Return the arguments of ``svu`` for a step."""
     recovered, output = (
         path_word(folder / STEPS[name].output) for name in ("recover", step.command)
     )
@@ -66,7 +66,7 @@ def command_words(step: Step, item: BatchItem, folder: Path, steps: Sequence[str
     for name in step.options:
         if name == "resolution" and name in item.options:
             words += [f"--{name}", *item.options[name].split()]
-        elif name in item.options:  # one word, whatever it begins with
+        elif name in item.options:  # one word, as the value may start with a dash
             words.append(f"--{name}={item.options[name]}")
     if step.command == "report" and "recover" in steps:
         words += ["--recovered", recovered]
@@ -79,12 +79,12 @@ def path_word(path: Path) -> str:
 
 
 def step_key(words: Sequence[str], before: str) -> str:
-    """Return the key of a step: version, words, and key of the step before (or of the inputs)."""
+    """Return the key of a step from its version, its words, and the key of its input."""
     return Key(__version__, list(words), before).digest()
 
 
 def inputs_key(item: BatchItem, output: Path | None = None) -> str:
-    """Return a digest of the files of a capture and of its scene, by their sizes and times."""
+    """Return a digest of the sizes and times of the files of a capture and its scene."""
     places, own = capture_paths(item), None if output is None else real_path(output)
     folders = {place for place in places if place.is_dir()}
     described = [read(folder) for folder in places if folder in folders]
@@ -98,12 +98,12 @@ def inputs_key(item: BatchItem, output: Path | None = None) -> str:
 
 
 def _is_separate(output: Path | None, folder: Path) -> bool:
-    """Return whether a folder next to a scene is unrelated: a capture, results, or hidden."""
+    """Return whether a folder next to a scene is unrelated: a capture, results or hidden."""
     return folder == output or folder.name.startswith(".") or (folder / FILE).is_file()
 
 
 def read_done(folder: Path) -> dict[str, dict[str, Any]]:
-    """Read key, seconds and peak memory of the steps that are done, by name; empty if damaged."""
+    """Read key, seconds and peak memory of completed steps; an empty dictionary if damaged."""
     try:
         return {
             name: {"key": str(step["key"]), "seconds": in_range(step["seconds"]),
