@@ -1,4 +1,4 @@
-"""Mitsuba plugins built on svu_mi; importing this package registers them."""
+"""Mitsuba plugins of svu_mi, registered on import of this package."""
 
 from svu_mi.plugins import registry
 

@@ -1,8 +1,8 @@
-"""Register svu_mi's Mitsuba plugins for the active variant.
+"""Registration of the Mitsuba plugins for the active variant.
 
-A plugin class derives from a base of the variant that was active when its module ran, so
-each module is reloaded after every variant change. This module itself is never reloaded:
-Mitsuba keeps callbacks in a set, and a second function object would run twice.
+Base classes of plugins belong to a variant, so plugin modules are reloaded after each change of the
+variant. This module is never reloaded: Mitsuba stores callbacks in a set, and would call both the
+old and the new function.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _loaded_for: str | None = None
 
 
 def load(old_variant: str | None = None, new_variant: str | None = None) -> None:
-    """Import or reload every plugin module; nothing to do if already done."""
+    """Import or reload all plugin modules, unless they are loaded for the active variant."""
     del old_variant, new_variant
     global _loaded_for
     variant = mi.variant()
@@ -35,10 +35,11 @@ def load(old_variant: str | None = None, new_variant: str | None = None) -> None
 
 
 def require_variant(plugin: str) -> None:
-    """Refuse variants that a plugin does not run in."""
+    """Raise an error if the active variant is not an ``*_ad_rgb`` one."""
     if not mi.variant().endswith("_ad_rgb"):
         raise SvuEnvironmentError(
-            f"{plugin}: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active."
+            f"{plugin}: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active; call "
+            "mi.set_variant('llvm_ad_rgb') first."
         )
 
 

@@ -1,4 +1,4 @@
-"""Mitsuba integrator that shows a per-texel map on its surface."""
+"""Mitsuba integrator that displays a per-texel map on a surface."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError, SceneError
 from svu_mi.plugins.registry import require_variant
 
-# Control points at equal steps over [0, 1], sRGB-encoded; between them is interpolated. The
-# first two are matplotlib's maps of these names (CC0), to within 0.007.
+# Control points at equal steps over [0, 1], sRGB-encoded; interpolated linearly. viridis and
+# inferno approximate matplotlib's colormaps (CC0) to within 0.007.
 COLORMAPS = {
     "grey": "000000 ffffff",
     "viridis": (
@@ -25,7 +25,7 @@ COLORMAPS = {
         "f1711e f67f14 f98d0a fb9c06 fcab0f fbba1f f9ca32 f5d949 f2e865 f3f586 fcffa4"
     ),
 }
-AMBIENT = 0.35  # what is left of the shading where the surface turns away
+AMBIENT = 0.35  # shading factor at grazing angles
 
 
 class EntropyIntegrator(mi.SamplingIntegrator):
@@ -39,53 +39,51 @@ class EntropyIntegrator(mi.SamplingIntegrator):
 
      * - map
        - |string|
-       - File name of an EXR with the map, laid out by the surface's UVs (the first row is
-         :math:`v = 0`): ``entropy.exr``, ``coverage.exr``, or any other. Read is the channel
-         ``Y``, else the first one; with the colormap ``none``, R, G, B if there are.
+       - File name of an EXR image with the map in UV space (the first row is :math:`v = 0`),
+         such as ``entropy.exr`` or ``coverage.exr``. The channel ``Y`` is used, or else the
+         first one. With the colormap ``none``, channels R, G and B are used if present.
 
      * - texture
        - |texture|
-       - The map as a nested texture (under any name), in place of ``map``. Bitmaps need
+       - The map as a nested texture (of any name), instead of ``map``. Bitmaps need
          ``raw`` set to |true|. |exposed|
 
      * - filter_type
        - |string|
-       - ``nearest`` shows the texels of ``map`` as they are, ``bilinear`` interpolates.
-         (Default: ``nearest``)
+       - Filter of ``map``: ``nearest`` or ``bilinear``. (Default: ``nearest``)
 
      * - colormap
        - |string|
-       - ``viridis``, ``inferno``, ``grey``; or ``none`` to return the map's values, or its
-         colours, unchanged. (Default: ``viridis``)
+       - ``viridis``, ``inferno`` or ``grey``; or ``none`` to output values, or RGB, unchanged.
+         (Default: ``viridis``)
 
      * - range_min, range_max
        - |float|
-       - Values at the two ends of the colormap; values outside take the colour of the nearer
-         end. Ignored without a colormap. (Default: 0 and 1)
+       - Values at the ends of the colormap; values outside are clamped. Ignored with the
+         colormap ``none``. (Default: 0 and 1)
 
      * - shape
        - |string|
-       - The id of the shape to show the map on. (Default: every shape that has UVs and is
-         not a light)
+       - Id of the shape to display the map on. (Default: all shapes with UVs that are not
+         emitters)
 
      * - background
        - |rgb|
-       - Linear colour of all other pixels, whose alpha is 0. (Default: 0)
+       - Linear colour of all other pixels; their alpha is 0. (Default: 0)
 
      * - shading
        - |bool|
-       - Darken surfaces that turn away from the camera, so that the form can be seen. Values
-         can then no longer be read off the colours exactly. (Default: |false|)
+       - Darken surfaces at grazing angles to make the shape visible. Colours then no longer
+         match the colormap exactly. (Default: |false|)
 
-    This integrator shows results of svu_mi, such as the entropy of an object's reflectance,
-    in the scene they were computed in: lights and materials of the scene do not matter.
-    Texels that are NaN show the background. Colours are linear; saved as sRGB (PNG), they
-    are exactly those of the colormap.
+    This integrator displays maps of svu_mi, such as the entropy of the reflectance, on the
+    object. Lights and materials of the scene have no effect. NaN texels show the background.
+    Output colours are linear; after conversion to sRGB (PNG) they equal the colormap's.
 
     .. warning::
-        This integrator needs an RGB variant of the LLVM, CUDA or Metal backend. Load scenes
-        with ``optimize=False`` if ``shape`` is given: Mitsuba otherwise merges shapes and
-        drops their ids.
+        This integrator needs an RGB variant of the LLVM, CUDA or Metal backend. If ``shape``
+        is given, load the scene with ``optimize=False``: Mitsuba otherwise merges shapes and
+        removes their ids.
 
     .. tabs::
         .. code-tab:: xml
@@ -111,7 +109,7 @@ class EntropyIntegrator(mi.SamplingIntegrator):
         self.colormap = props.get("colormap", "viridis")
         if self.colormap not in (*COLORMAPS, "none"):
             raise OptionError(
-                f"svu_entropy: there is no colormap {self.colormap!r}; "
+                f"svu_entropy: unknown colormap {self.colormap!r}; "
                 f"use {', '.join(COLORMAPS)} or none."
             )
         self.low, self.high = props.get("range_min", 0.0), props.get("range_max", 1.0)
@@ -126,7 +124,7 @@ class EntropyIntegrator(mi.SamplingIntegrator):
         self.table = None if self.colormap == "none" else _table(self.colormap)
 
     def _map(self, props: mi.Properties) -> tuple[str, mi.Texture]:
-        """Return the texture to show and a word on where it is from."""
+        """Return the source of the map (file name or ``nested texture``), and its texture."""
         filename, filter_type = props.get("map", ""), props.get("filter_type", "nearest")
         if filter_type not in ("nearest", "bilinear"):
             raise OptionError(
@@ -137,7 +135,8 @@ class EntropyIntegrator(mi.SamplingIntegrator):
             filename = ""
         if len(nested) + bool(filename) != 1:
             raise OptionError(
-                "svu_entropy: needs one map: the file name 'map', or one nested texture."
+                "svu_entropy: needs exactly one map: either the file name 'map', or a nested "
+                "texture."
             )
         if nested:
             return "nested texture", nested[0]
@@ -151,8 +150,8 @@ class EntropyIntegrator(mi.SamplingIntegrator):
         medium: mi.Medium | None = None,
         active: bool | mi.Bool = True,
     ) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
-        """Return the map's colour where the ray meets a chosen shape, else the background."""
-        del sampler, medium  # one look, straight along the ray
+        """Return the colour of the map if the ray hits a selected shape, else the background."""
+        del sampler, medium
         si = scene.ray_intersect(ray, active)
         shown = si.is_valid() & self._chosen(scene, si.shape)
         if self.table is None:
@@ -168,7 +167,7 @@ class EntropyIntegrator(mi.SamplingIntegrator):
         return dr.select(shown, color, mi.Color3f(self.background)), shown, []
 
     def _chosen(self, scene: mi.Scene, shape: mi.ShapePtr) -> mi.Bool:
-        """Return whether a ray met a shape that the map is shown on."""
+        """Return whether a ray hit a shape that displays the map."""
         shapes = scene.shapes()
         if self.shape_id:
             targets = [s for s in shapes if s.id() == self.shape_id]
@@ -183,27 +182,27 @@ class EntropyIntegrator(mi.SamplingIntegrator):
         return ~dr.any([shape == mi.ShapePtr(s) for s in others]) if others else mi.Bool(True)
 
     def _color(self, value: mi.Float, active: mi.Bool) -> mi.Color3f:
-        """Look a value up in the colormap; returns linear RGB."""
+        """Convert a value to linear RGB by the colormap."""
         steps = dr.width(self.table) // 3 - 1
         t = dr.clip((value - self.low) / (self.high - self.low), 0, 1)
-        t = dr.select(active, t, 0) * steps  # NaN is no index
+        t = dr.select(active, t, 0) * steps  # NaN cannot be converted to an index
         first = dr.minimum(mi.UInt32(t), steps - 1)
         below, above = (dr.gather(mi.Color3f, self.table, first + k, active) for k in (0, 1))
         encoded = dr.lerp(below, above, t - first)
-        # The inverse of the sRGB transfer function (IEC 61966-2-1).
+        # Inverse sRGB transfer function (IEC 61966-2-1).
         curve = dr.power((encoded + 0.055) / 1.055, 2.4)
         return dr.select(encoded <= 0.04045, encoded / 12.92, curve)
 
     def aov_names(self) -> list[str]:
-        """Return no names: there is only the colour."""
+        """Return an empty list, because there are only colour channels."""
         return []
 
     def traverse(self, cb: mi.TraversalCallback) -> None:
-        """Expose the map, so that it can be exchanged for another of the same kind."""
+        """Expose the texture of the map."""
         cb.put("texture", self.texture, mi.ParamFlags.NonDifferentiable)
 
     def to_string(self) -> str:
-        """Return the settings."""
+        """Return a description with all settings."""
         return (
             "EntropyIntegrator[\n"
             f"  map = {self.source},\n"
@@ -220,7 +219,7 @@ def _has_uvs(shape: mi.Shape) -> bool:
 
 
 def _load(filename: str, filter_type: str, colors: bool) -> mi.Texture:
-    """Read a map as a texture; relative names are looked up where the scene is."""
+    """Read a map as a texture; relative paths are resolved in the folder of the scene."""
     channels = read_exr(str(mi.file_resolver().resolve(filename)))
     if colors and all(name in channels for name in "RGB"):
         image = np.stack([channels[name] for name in "RGB"], axis=-1)
@@ -234,12 +233,12 @@ def _load(filename: str, filter_type: str, colors: bool) -> mi.Texture:
             "filter_type": filter_type,
             "wrap_mode": "clamp",
         },
-        parallel=False,  # a scene that is itself being loaded in parallel may be waiting
+        parallel=False,  # avoids a deadlock while the scene is loaded in parallel
     )
 
 
 def _table(name: str) -> mi.Float:
-    """Return the control points of a colormap as flat sRGB-encoded values in [0, 1]."""
+    """Return the control points of a colormap, flat sRGB-encoded RGB in [0, 1]."""
     code = bytes.fromhex(COLORMAPS[name])
     return mi.Float(np.frombuffer(code, np.uint8).astype(np.float32) / 255)
 

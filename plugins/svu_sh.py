@@ -1,4 +1,4 @@
-"""Differentiable Mitsuba integrator with the reflection model of svu_mi."""
+"""Differentiable Mitsuba integrator with the reflection model of svu_mi (filtered light)."""
 
 from __future__ import annotations
 
@@ -24,68 +24,68 @@ from svu_mi.reflection.render_model import PrefilteredModel, prefiltered_model, 
 from svu_mi.reflection.two_ray_visibility import FacingFrame, sample_light_visibility
 from svu_mi.statistics.gather_statistics import mixing_values
 
-# A scene has no photographs that light could be fitted to, as ``paper`` does at every texel.
+# ``paper`` fits light to photographs, which a scene does not have; ``gaussian`` omits the fit.
 PRESETS = {name: each for name, each in ANGULAR_PRESETS.items() if each.fit is None} | {
     "gaussian": preset("paper", method="angular", name="gaussian", fit=None)
 }
-REMEMBERED = 4  # lights that are kept filtered
+REMEMBERED = 4  # size of the cache of filtered lights
 
 
 class ShIntegrator(mi.SamplingIntegrator):
     r"""
     .. _integrator-svu_sh:
 
-    Reflection by filtered light (:monosp:`svu_sh`)
+    Reflection of filtered light (:monosp:`svu_sh`)
     -----------------------------------------------
 
     .. pluginparameters::
 
      * - preset
        - |string|
-       - The reflection model: ``default``, or ``gaussian`` for the lobes of Eq. 6 of the paper,
-         with Schlick's Fresnel term at the camera's angle and Lambert's diffuse one; what the
-         paper fits to the photographs of a texel, the light, is known here in all directions.
-         Also ``fast`` and ``fixed``, as in ``svu_mi.preset``. (Default: ``default``)
+       - Reflection model: ``default``; ``gaussian`` for the lobes of Eq. 6 of the paper, with
+         Schlick's Fresnel term at the camera angle and Lambertian diffuse reflection; ``fast``
+         or ``fixed``, see ``svu_mi.preset``. The paper fits light to photographs; this plugin
+         reads it from the scene. (Default: ``default``)
 
      * - levels
        - |int|
-       - Number of roughness levels that the light is filtered for; between two of them, it is
-         interpolated. (Default: 16)
+       - Number of roughness levels of the prefiltered light, 2 to 256; the light is
+         interpolated between levels. (Default: 16)
 
      * - occlusion
        - |bool|
-       - Trace what the scene itself hides of the light: for every camera ray, one ray for the
-         specular lobe and one for diffuse light. (Default: |true|; |false| with
-         ``gaussian`` and ``fast``)
+       - Trace occlusion of the light: one ray for the specular lobe and one for diffuse light
+         per camera ray. (Default: |true|; |false| with ``gaussian`` and ``fast``)
 
      * - hide_emitters
        - |bool|
-       - Hide the environment from the camera; alpha is then that of the surfaces.
+       - Hide the environment from the camera; alpha is then 0 in the background.
          (Default: |false|)
 
      * - max_depth, rr_depth
        - |int|
-       - Accepted so that this plugin can stand in for :ref:`prb <integrator-prb>`, and not
-         used: light is reflected once.
+       - Ignored; accepted so that this plugin can replace :ref:`prb <integrator-prb>`.
+         Light is reflected once.
 
-    This integrator renders surfaces with the :ref:`principled <bsdf-principled>` BSDF (also in a
-    :ref:`twosided <bsdf-twosided>` one) under one environment emitter, in closed form: light is
-    filtered once for every level of roughness, and then looked up where a lobe points. Without
-    occlusion there is no noise but that of antialiasing, so that few samples are enough.
+    This integrator renders surfaces with the :ref:`principled <bsdf-principled>` BSDF (also in
+    :ref:`twosided <bsdf-twosided>`) under one environment emitter. Light is prefiltered once per
+    roughness level and read in the direction of each lobe. Without occlusion, antialiasing is
+    the only source of noise. Few samples are then sufficient.
 
-    Images are differentiable in the base colour, roughness and metallic textures of the BSDF.
-    In a script that optimises them with ``prb``, put it in place of that integrator:
+    Images are differentiable in the base colour, roughness and metallic textures of the BSDF. A
+    script that optimises these with ``prb`` can use this integrator instead:
 
         image = mi.render(scene, params, integrator=mi.load_dict({'type': 'svu_sh'}))
         dr.backward(loss(image))
 
-    Other parameters of the BSDF are taken to be at their defaults. Shapes with another BSDF are
-    black, and say so once; they occlude. The light is read when the first image is rendered,
-    and again after its parameters were changed. It is not differentiable, nor is visibility.
+    Other parameters of the BSDF are assumed to have their default values. Shapes with other
+    BSDFs are rendered black, with one warning; they occlude. The light is read at the first
+    render, and again after a change of its parameters. Light and visibility are not
+    differentiable.
 
     .. warning::
-        This integrator needs an RGB variant of the LLVM, CUDA or Metal backend. There are no
-        interreflections: compare with ``direct``, or ``path`` with a ``max_depth`` of 2.
+        This integrator needs an RGB variant of the LLVM, CUDA or Metal backend. It does not
+        compute interreflections: compare it with ``direct``, or ``path`` with ``max_depth`` 2.
 
     .. tabs::
         .. code-tab:: xml
@@ -108,7 +108,7 @@ class ShIntegrator(mi.SamplingIntegrator):
         require_variant("svu_sh")
         name, self.levels = props.get("preset", "default"), props.get("levels", 16)
         if name not in PRESETS:
-            raise OptionError(f"svu_sh: there is no preset {name!r}; use {', '.join(PRESETS)}.")
+            raise OptionError(f"svu_sh: unknown preset {name!r}; use {', '.join(PRESETS)}.")
         if not 2 <= self.levels <= 256:
             raise OptionError(f"svu_sh: levels must be in [2, 256], got {self.levels}.")
         self.switches = PRESETS[name]
@@ -126,7 +126,7 @@ class ShIntegrator(mi.SamplingIntegrator):
         medium: mi.Medium | None = None,
         active: bool | mi.Bool = True,
     ) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
-        """Return the radiance that reaches the camera along a ray."""
+        """Return the radiance along a camera ray."""
         del medium
         light = self._light(scene)
         with dr.suspend_grad():
@@ -156,7 +156,7 @@ class ShIntegrator(mi.SamplingIntegrator):
         return color + dr.select(hit, 0, sky), mi.Bool(active), []
 
     def _light(self, scene: mi.Scene) -> _Light:
-        """Return the scene's light, filtered once for as long as it stays the same."""
+        """Return the prefiltered light of a scene, cached until its parameters change."""
         emitter = find_environment(scene, "svu_sh")
         parameters = dict(mi.traverse(emitter).items())
         key = _identity(emitter, parameters)
@@ -174,31 +174,32 @@ class ShIntegrator(mi.SamplingIntegrator):
         return self._lights[key]
 
     def _check_materials(self, scene: mi.Scene) -> None:
-        """Refuse scenes that would be all black, and say what else will be."""
+        """Raise an error if no shape can be rendered; warn about shapes that are black."""
         shapes = scene.shapes()
         black = [shape for shape in shapes if not is_principled(shape.bsdf())]
         if len(black) == len(shapes):
             raise SceneError(
-                "svu_sh: the scene has no shape with a 'principled' BSDF, the only one it renders."
+                "svu_sh: no shape has a 'principled' BSDF, the only supported one; change the "
+                "BSDF of the object."
             )
         new = [shape for shape in black if not any(shape == known for known in self._warned)]
         if new:
             self._warned += new
             names = ", ".join(repr(shape.id()) for shape in new)
             warnings.warn(
-                f"svu_sh: shapes without a 'principled' BSDF are black: {names}.",
+                f"svu_sh: shapes without a 'principled' BSDF are rendered black: {names}.",
                 SvuWarning, stacklevel=2,
             )  # fmt: skip
 
     def aov_names(self) -> list[str]:
-        """Return no names: there is only the colour."""
+        """Return an empty list, because there are only colour channels."""
         return []
 
     def traverse(self, cb: mi.TraversalCallback) -> None:
-        """Expose nothing: what is differentiable belongs to the scene."""
+        """Expose no parameters; all differentiable ones belong to the scene."""
 
     def to_string(self) -> str:
-        """Return the settings."""
+        """Return a description with all settings."""
         return (
             "ShIntegrator[\n"
             f"  preset = {self.switches.name},\n"
@@ -211,7 +212,7 @@ class ShIntegrator(mi.SamplingIntegrator):
 
 @dataclass(frozen=True)
 class _Light:
-    """Filtered light, and what it was read from: kept, so that its identity stays taken."""
+    """Prefiltered light and its source, which is kept alive so that its key stays unique."""
 
     model: PrefilteredModel
     moments: MomentMap
@@ -219,7 +220,7 @@ class _Light:
 
 
 def _facing(scene: Any, si: Any, ray: Any) -> tuple[FacingFrame, Any]:
-    """Return the side of the surface that a ray meets, and whether it reflects there."""
+    """Return the frame of the side that a ray hits, and whether that side reflects."""
     cosine = dr.dot(si.sh_frame.n, -ray.d)
     turn = dr.select((cosine < 0) & _two_sided(scene, si), mi.Float(-1), mi.Float(1))
     side = FacingFrame(normal=turn * si.sh_frame.n, geometric=turn * si.n, direction=-ray.d)
@@ -227,7 +228,7 @@ def _facing(scene: Any, si: Any, ray: Any) -> tuple[FacingFrame, Any]:
 
 
 def _two_sided(scene: Any, si: Any) -> Any:
-    """Return whether the surface looks the same from behind; the BSDF's flags do not tell."""
+    """Return whether the BSDF is two-sided, which its flags do not indicate."""
     kinds = {shape: is_two_sided(shape.bsdf()) for shape in scene.shapes()}
     if len(set(kinds.values())) == 1:
         return mi.Bool(all(kinds.values()))
@@ -235,7 +236,7 @@ def _two_sided(scene: Any, si: Any) -> Any:
 
 
 def _identity(emitter: Any, parameters: dict[str, Any]) -> tuple[Any, ...]:
-    """Return a key of a light and its parameters."""
+    """Return a hashable key of an emitter and its parameters."""
     plain = tuple(value for value in parameters.values() if isinstance(value, int | float))
     return hash(emitter), plain, tuple(dr.detail.collect_indices(parameters))
 

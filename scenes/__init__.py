@@ -1,4 +1,4 @@
-"""Small Mitsuba scenes with assets of our own making (see ``make_assets.py``)."""
+"""Example scenes for Mitsuba, with procedural assets (``make_assets.py``)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from svu_mi.core.io.files import prepare_folder, replacing
 from svu_mi.errors import OptionError, OutputError
 
 ABOUT = {
-    "planes": "two upright squares of copper, one matt, one glossy, seen from the front",
-    "spheres": "eight spheres, from glossy to matt, four of plastic and four of metal",
-    "vase": "unglazed clay, a glaze, painted bands and a golden rim, open at the top",
-    "knot": "a tube that hides parts of itself: ribbons of brass, lacquer and rubber",
-    "object": "any textured mesh of yours, under any environment map",
+    "planes": "two upright copper squares, one matte and one glossy, seen from the front",
+    "spheres": "eight spheres from glossy to matte, four plastic and four metal",
+    "vase": "a vase of clay with glaze, painted bands and golden rim, open at the top",
+    "knot": "a knotted tube with self-occlusion: ribbons of brass, lacquer and rubber",
+    "object": "any textured mesh under any environment map (your files)",
 }
 NAMES = tuple(name for name in ABOUT if name != "object")
 LIGHTS = ("studio", "overcast", "clear", "window")
@@ -23,29 +23,27 @@ ASSETS = (".xml", ".ply", ".exr")
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of the scenes that need no files of the user's."""
+    """Return the names of the scenes that need no user files."""
     return NAMES
 
 
 def path(name: str) -> Path:
-    """Return the XML file of a scene.
+    """Return the path of a scene's XML file.
 
-    Parameters of every scene (``-D key=value``): ``light`` (one of ``LIGHTS``),
-    ``resolution`` (pixels per side), ``spp``, ``max_depth``, and ``integrator``: a type that
-    takes a ``max_depth``, such as ``path`` or ``prb``.
+    Scene parameters (``-D key=value``): ``light`` (one of ``LIGHTS``), ``resolution`` (pixels per
+    side), ``spp`` (samples per pixel), ``max_depth`` (maximum path length) and ``integrator``
+    (``path``, ``prb``, or another type with a ``max_depth``).
     """
     if name not in (*NAMES, "object"):
-        raise OptionError(f"There is no scene {name!r}; use one of {', '.join(NAMES)} or object.")
+        raise OptionError(f"Unknown scene {name!r}; use one of {', '.join(NAMES)} or object.")
     return FOLDER / name / f"{name}.xml"
 
 
 def copy(name: str, folder: str | Path) -> Path:
-    """Copy a scene with its assets and lights, so that it loads from there.
+    """Copy a scene with its assets and lights to a folder; return the path of its XML file.
 
-    Files that are there already and are the same are left; the folder may hold other scenes.
-
-    Returns:
-        The XML file of the copy.
+    The folder may contain other scenes. Identical files are kept; an existing file with other
+    contents raises an ``OutputError``.
     """
     scene, folder = path(name), Path(folder)
     places = [scene.parent] if name == "object" else [scene.parent, FOLDER / "lights"]
@@ -54,8 +52,8 @@ def copy(name: str, folder: str | Path) -> Path:
     missing = {target: file for target, file in copies.items() if not target.exists()}
     for target, file in copies.items():
         if target not in missing and (target.is_dir() or target.read_bytes() != file.read_bytes()):
-            raise OutputError(f"{target}: is there and differs; choose another folder.")
-    with ExitStack() as together:  # all files, or none if the disk is full
+            raise OutputError(f"{target}: exists with other contents; choose another folder.")
+    with ExitStack() as together:  # writes all files, or none if the disk is full
         for target, file in missing.items():
             prepare_folder(target.parent)
             shutil.copyfile(file, together.enter_context(replacing(target)))

@@ -1,7 +1,7 @@
-"""The environments of the scenes, as lat-long images: +Y is the top row, +Z the centre.
+"""Environment maps of the scenes, as lat-long images with +Y at the top and +Z in the centre.
 
-Linear RGB radiance on Mitsuba's own grid: rows on the poles, columns texel-centred. The
-fourth light, ``clear``, is Mitsuba's sunsky emitter and needs no image.
+Linear RGB radiance on Mitsuba's grid: the first and last rows are the poles, columns are
+texel-centred. The fourth light, ``clear``, is Mitsuba's sunsky emitter and needs no image.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ WIDTH, HEIGHT = 192, 97
 
 
 def directions() -> np.ndarray:
-    """(H, W, 3) unit directions of the texels."""
+    """Return the unit directions of the texels, (H, W, 3)."""
     theta = np.pi * np.arange(HEIGHT)[:, None] / (HEIGHT - 1)
     phi = 2 * np.pi * (np.arange(WIDTH)[None] + 0.5) / WIDTH
     y = np.broadcast_to(np.cos(theta), (HEIGHT, WIDTH))
@@ -20,7 +20,7 @@ def directions() -> np.ndarray:
 
 
 def box(center: tuple[float, float, float], half: tuple[float, float], soft: float) -> np.ndarray:
-    """A rectangle on the sphere around a direction, (H, W) in [0, 1], with soft edges."""
+    """Return the mask (H, W) of a rectangle; sizes are tangents of angles, ``soft`` of the edge."""
     d = directions()
     z = np.array(center) / np.linalg.norm(center)
     x = np.cross([0.0, 1.0, 0.0], z)
@@ -33,7 +33,7 @@ def box(center: tuple[float, float, float], half: tuple[float, float], soft: flo
 
 
 def studio() -> np.ndarray:
-    """Two soft boxes and a strip in a grey room."""
+    """Return two soft boxes and a strip light in a grey room."""
     up = directions()[..., 1:2]
     room = (0.16 + 0.08 * up) * np.array([1.0, 1.0, 1.0])
     key = 9.0 * box((1.0, 0.9, 0.8), (0.35, 0.35), 0.06)
@@ -43,13 +43,13 @@ def studio() -> np.ndarray:
 
 
 def overcast() -> np.ndarray:
-    """A sky without features over bright ground: a gradient, nothing above degree 1."""
+    """Return an overcast sky over bright ground: a gradient of SH degree 1."""
     up = directions()[..., 1:2]
     return (0.9 + 0.3 * up) * np.array([1.0, 1.02, 1.06])
 
 
 def window() -> np.ndarray:
-    """A dark room with one bright window of four panes, and a lamp."""
+    """Return a dark room with a bright window of four panes, and a lamp."""
     up = directions()[..., 1:2]
     room = (0.05 + 0.02 * up) * np.array([1.0, 0.9, 0.8])
     frame = box((0.9, 0.45, 1.0), (0.42, 0.5), 0.03)

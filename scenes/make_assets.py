@@ -1,6 +1,6 @@
-"""Make the assets of the scenes: ``python -m svu_mi.scenes.make_assets [FOLDER]``.
+"""Generator of the scenes' assets: ``python -m svu_mi.scenes.make_assets [FOLDER]``.
 
-Deterministic: the same numbers every time. Meshes are PLY, images half-float EXR.
+The output is deterministic. Meshes are PLY files, images are half-float EXR files.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ FOV = 36.0
 
 
 def vertex_normals(mesh: meshes.Mesh) -> np.ndarray:
-    """Area-weighted normals, shared by vertices at one place so that seams do not show."""
+    """Return area-weighted normals, equal for vertices at the same position to hide seams."""
     positions, faces, _ = mesh
     a, b, c = (positions[faces[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
@@ -33,7 +33,7 @@ def vertex_normals(mesh: meshes.Mesh) -> np.ndarray:
 
 
 def write_mesh(path: Path, mesh: meshes.Mesh) -> None:
-    """Write a binary PLY with normals and the properties s, t that Mitsuba reads as UVs."""
+    """Write a binary PLY with normals, and UVs as the properties s and t of Mitsuba."""
     positions, faces, uvs = mesh
     made = trimesh.Trimesh(positions, faces, process=False)
     made.vertex_normals = vertex_normals(mesh)
@@ -42,11 +42,11 @@ def write_mesh(path: Path, mesh: meshes.Mesh) -> None:
 
 
 def sensor_directions(front_only: bool) -> np.ndarray:
-    """(VIEWS, 3) directions from the object to the cameras, evenly spread."""
+    """Return evenly distributed directions from the object to the cameras, (VIEWS, 3)."""
     index = np.arange(VIEWS) + 0.5
     height = 1 - (0.8 if front_only else 2) * index / VIEWS
     ring, angle = np.sqrt(1 - height**2), GOLDEN_ANGLE * index
-    # The spiral's pole is +Z: in front of the planes, and no camera looks straight down.
+    # The pole of the spiral is +Z, in front of the planes; no camera is exactly above the object.
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=-1)
 
 
@@ -84,7 +84,7 @@ def sensors_xml(positions: np.ndarray, front_only: bool) -> str:
 
 
 def make(folder: Path) -> None:
-    """Write all assets below a folder."""
+    """Write all assets into a folder."""
     (folder / "lights").mkdir(parents=True, exist_ok=True)
     for name in ("studio", "overcast", "window"):
         image = getattr(lights, name)()

@@ -1,22 +1,22 @@
-"""The meshes of the scenes: +Y up, centred, about one unit in radius.
+"""Meshes of the scenes: +Y up, centred, radius about 1.
 
-Each is a tuple (positions (N, 3), faces (F, 3), uvs (N, 2)) with float64 values; UVs are
-Mitsuba's (v = 0 is row 0 of a bitmap) and stay MARGIN away from the borders of their chart.
-Faces wind counter-clockwise seen from outside.
+A mesh is a tuple (positions (N, 3), faces (F, 3), uvs (N, 2)) with float64 values. v = 0 is row 0
+of a bitmap, as in Mitsuba. UVs keep a distance of MARGIN from the borders of their chart. Faces
+are counter-clockwise seen from outside.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-MARGIN = 0.012  # of the map: 3 texels at 256
+MARGIN = 0.012  # in units of the map; 3 texels at a resolution of 256
 KNOT_CHARTS = 3
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def grid_faces(columns: int, rows: int) -> np.ndarray:
-    """Two triangles per cell of a (rows + 1) x (columns + 1) grid of vertices."""
+    """Return two triangles per cell of a (rows + 1) x (columns + 1) grid of vertices."""
     i, j = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
     a = (i * (columns + 1) + j).ravel()
     b, c, d = a + 1, a + columns + 1, a + columns + 2
@@ -24,7 +24,7 @@ def grid_faces(columns: int, rows: int) -> np.ndarray:
 
 
 def join(meshes: list[Mesh]) -> Mesh:
-    """Put several meshes into one."""
+    """Concatenate several meshes."""
     starts = np.cumsum([0] + [len(positions) for positions, _, _ in meshes[:-1]])
     return (
         np.concatenate([m[0] for m in meshes]),
@@ -34,9 +34,9 @@ def join(meshes: list[Mesh]) -> Mesh:
 
 
 def sheet(surface: np.ndarray, low: tuple[float, float], high: tuple[float, float]) -> Mesh:
-    """Turn a (rows + 1, columns + 1, 3) grid of points into a mesh with one chart.
+    """Convert a (rows + 1, columns + 1, 3) grid of points to a mesh with one chart.
 
-    Rows run down the chart, columns to the right; ``low`` and ``high`` are its corners.
+    v increases with the row, u with the column. ``low`` and ``high`` are corners of the chart.
     """
     rows, columns = surface.shape[0] - 1, surface.shape[1] - 1
     u = np.linspace(low[0] + MARGIN, high[0] - MARGIN, columns + 1)
@@ -50,7 +50,7 @@ def sheet(surface: np.ndarray, low: tuple[float, float], high: tuple[float, floa
 
 
 def planes() -> Mesh:
-    """Two upright squares side by side, facing +Z; charts in the left and right half."""
+    """Return two upright squares that face +Z, with charts in the left and right half."""
     x = np.linspace(-0.95, -0.05, 17)
     y = np.linspace(0.45, -0.45, 17)
     left = np.stack([*np.meshgrid(x, y), np.zeros((17, 17))], axis=-1)
@@ -61,7 +61,7 @@ def planes() -> Mesh:
 
 
 def revolve(profile: np.ndarray, columns: int) -> np.ndarray:
-    """Revolve (rows + 1, 2) points (radius, height), listed from the top, around +Y."""
+    """Revolve a profile, (rows + 1, 2) points (radius, height) from the top, around +Y."""
     angle = np.linspace(0, 2 * np.pi, columns + 1)
     radius, height = profile[:, :1], profile[:, 1:]
     y = np.broadcast_to(height, (len(profile), columns + 1))
@@ -69,7 +69,7 @@ def revolve(profile: np.ndarray, columns: int) -> np.ndarray:
 
 
 def spheres() -> Mesh:
-    """Four columns by two rows of spheres; one lat-long chart each, two side by side."""
+    """Return two rows of four spheres, each with a lat-long chart, two charts per row."""
     theta = np.linspace(0, np.pi, 25)
     ball = revolve(0.23 * np.stack([np.sin(theta), np.cos(theta)], axis=-1), 48)
     parts = []
@@ -83,8 +83,8 @@ def spheres() -> Mesh:
 
 
 def vase() -> Mesh:
-    """A vase with a foot, a belly, a neck and an open mouth that one can look into."""
-    # From the inside's bottom up its wall, over the lip, and down the outside.
+    """Return a vase with foot, belly, neck and an open mouth, with inner and outer wall."""
+    # Profile from the inner bottom up the inner wall, over the lip, and down the outer wall.
     control = np.array([
         [0.00, -0.62], [0.30, -0.60], [0.44, -0.30], [0.36, 0.10], [0.20, 0.45], [0.19, 0.66],
         [0.27, 0.86], [0.31, 0.90], [0.32, 0.86], [0.24, 0.66], [0.25, 0.45], [0.42, 0.10],
@@ -94,10 +94,10 @@ def vase() -> Mesh:
 
 
 def knot() -> Mesh:
-    """A tube along a (2, 3) torus knot; it hides parts of itself from every side.
+    """Return a tube along a (2, 3) torus knot, which occludes itself in every view.
 
-    Three charts one above the other, a third of the tube each: u runs along it, v around it.
-    One chart would be eight times longer than wide on the surface.
+    Three charts contain a third of the tube each, with u along and v around the tube. One chart
+    would be eight times longer than wide.
     """
     rings = 86 * KNOT_CHARTS
     t = 2 * np.pi * np.arange(rings) / rings
@@ -116,10 +116,10 @@ def knot() -> Mesh:
 
 
 def _frames(center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normals and sides (N, 3) along a closed curve, twisting evenly and no more than needed.
+    """Return normals and binormals (N, 3) of a closed curve, with minimal and even twist.
 
-    Transported without twist by double reflection [Wang et al., ACM TOG 27(1), 2008]; the
-    angle that is then missing where the curve closes is spread over its length.
+    Frames are transported without twist by double reflection [Wang et al., ACM TOG 27(1), 2008].
+    The angle between the last and the first frame is then distributed over the curve.
     """
     count = len(center)
     tangent = np.roll(center, -1, 0) - np.roll(center, 1, 0)
@@ -142,7 +142,7 @@ def _frames(center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _smooth(control: np.ndarray, steps: int) -> np.ndarray:
-    """Catmull-Rom spline through control points, ends repeated."""
+    """Interpolate control points by a Catmull-Rom spline, with repeated ends."""
     padded = np.concatenate([control[:1], control, control[-1:]])
     t = np.arange(steps)[:, None] / steps
     pieces = []

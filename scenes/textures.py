@@ -1,6 +1,6 @@
-"""The materials of the scenes, painted in texture space.
+"""Procedural materials of the scenes.
 
-Each is (base_color (H, W, 3) linear, roughness (H, W), metallic (H, W)) in [0, 1].
+A material is a tuple (base_color (H, W, 3), roughness (H, W), metallic (H, W)) in [0, 1], linear.
 """
 
 from __future__ import annotations
@@ -22,17 +22,16 @@ def coordinates() -> tuple[np.ndarray, np.ndarray]:
 
 
 def along(coordinate: np.ndarray, charts: int = 1) -> np.ndarray:
-    """Where a texel lies in its chart: 0 and 1 at the ends of the mesh, beyond them in gutters.
+    """Return the position within a chart: 0 and 1 at its borders, values beyond in the gutters.
 
-    A pattern with period 1 in this meets itself where the chart's borders meet on the surface,
-    and the gutters show what is on the other side.
+    Patterns of period 1 are continuous across the seam, and continue into the gutters.
     """
     start = np.floor(coordinate * charts) / charts
     return (coordinate - start - MARGIN) / (1 / charts - 2 * MARGIN)
 
 
 def noise(seed: int, waves: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Smooth noise in [0, 1] with period 1 in u and v: a few random plane waves."""
+    """Return smooth noise in [0, 1] with period 1 in u and v, a sum of random plane waves."""
     rng = np.random.default_rng(seed)
     total = np.zeros_like(u)
     for _ in range(24):
@@ -43,7 +42,7 @@ def noise(seed: int, waves: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def paint(layers: list[tuple[np.ndarray, tuple[float, float, float], float, float]]) -> Material:
-    """Paint (mask in [0, 1], colour, roughness, metallic) one over the other."""
+    """Blend layers (mask in [0, 1], colour, roughness, metallic) from first to last."""
     color = np.zeros((SIZE, SIZE, 3))
     rough, metal = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
     for mask, paint_color, paint_rough, paint_metal in layers:
@@ -54,9 +53,9 @@ def paint(layers: list[tuple[np.ndarray, tuple[float, float, float], float, floa
 
 
 def planes() -> Material:
-    """Left half matte, right half glossy, the same colour and metallic.
+    """Return a matte left half and a glossy right half of the same metal.
 
-    Glossy, but not a mirror: what 24 views can tell from a perfect one.
+    The glossy roughness is large enough for 24 views to distinguish it from a perfect mirror.
     """
     u, _ = coordinates()
     one = np.ones_like(u)
@@ -65,7 +64,7 @@ def planes() -> Material:
 
 
 def spheres() -> Material:
-    """Roughness from .1 to .85 along a row; the second row is metal."""
+    """Return roughness from 0.1 to 0.85 along a row; the second row is metallic."""
     u, v = coordinates()
     index = (np.floor(v * 4) * 2 + np.floor(u * 2)).astype(int)
     rough = np.array([0.1, 0.3, 0.55, 0.85])[index % 4]
@@ -75,7 +74,7 @@ def spheres() -> Material:
 
 
 def vase() -> Material:
-    """Unglazed clay, a blue glaze with a wave, painted bands, and a golden rim."""
+    """Return unglazed clay, blue glaze with a wavy border, painted bands, and a golden rim."""
     u, v = coordinates()
     one, u = np.ones_like(u), along(u)
     clay = noise(7341, 9, u, v)
@@ -97,7 +96,7 @@ def vase() -> Material:
 
 
 def knot() -> Material:
-    """Ribbons of brass, lacquer and rubber wound around the tube, worn here and there."""
+    """Return ribbons of brass, lacquer and rubber wound around the tube, with varying wear."""
     u, v = coordinates()
     length = (np.floor(v * KNOT_CHARTS) + along(u)) / KNOT_CHARTS
     around = along(v, KNOT_CHARTS)

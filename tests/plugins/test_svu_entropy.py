@@ -150,9 +150,9 @@ def test_xml_finds_the_map_beside_the_scene(tmp_path, file, values):
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        ({}, "needs one map"),
+        ({}, "needs exactly one map"),
         ({"map": "missing.exr"}, "missing.exr: no such file"),
-        ({"colormap": "jet"}, "no colormap 'jet'; use grey, viridis, inferno or none"),
+        ({"colormap": "jet"}, "unknown colormap 'jet'; use grey, viridis, inferno or none"),
         ({"range_min": 1.0, "range_max": 1.0}, "range_min must be below"),
         ({"filter_type": "cubic"}, "nearest or bilinear"),
         ({"colour_map": "viridis"}, "colour_map"),

@@ -251,7 +251,7 @@ def test_scenes_that_it_cannot_render_are_refused():
     assert "PointLight" in refusal(ball(paint(), point))
     lamp = {"type": "sphere", "emitter": {"type": "area"}}
     assert "AreaLight" in refusal(ball(paint(), lamp=lamp))
-    assert "no shape with a 'principled' BSDF" in refusal(ball({"type": "diffuse"}))
+    assert "no shape has a 'principled' BSDF" in refusal(ball({"type": "diffuse"}))
 
 
 def test_other_materials_are_black_and_named_once():
@@ -259,7 +259,7 @@ def test_other_materials_are_black_and_named_once():
              "to_world": mi.ScalarTransform4f().translate([0, -1, 0]).rotate([1, 0, 0], -90)
              .scale(9)}  # fmt: skip
     scene, integrator = ball(paint(), floor=floor), load(hide_emitters=True)
-    with pytest.warns(SvuWarning, match="'principled' BSDF are black: 'floor'"):
+    with pytest.warns(SvuWarning, match="'principled' BSDF are rendered black: 'floor'"):
         image = picture(scene, integrator, sensor=0)
     assert not image[-1].any() and image[SIZE // 2, SIZE // 2].any()
     with warnings.catch_warnings(action="error"):
@@ -289,8 +289,8 @@ def test_xml(tmp_path, parallel):
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        ({"preset": "best"}, "no preset 'best'; use default, fixed, fast, gaussian"),
-        ({"preset": "paper"}, "no preset 'paper'"),
+        ({"preset": "best"}, "unknown preset 'best'; use default, fixed, fast, gaussian"),
+        ({"preset": "paper"}, "unknown preset 'paper'"),
         ({"levels": 1}, r"levels must be in \[2, 256\], got 1"),
         ({"ocllusion": True}, "ocllusion"),
     ],

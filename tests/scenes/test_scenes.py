@@ -103,7 +103,7 @@ def test_the_script_makes_the_committed_assets(tmp_path):
 
 
 def test_an_unknown_scene_is_named():
-    with pytest.raises(OptionError, match="no scene 'teapot'; use one of planes, spheres"):
+    with pytest.raises(OptionError, match="Unknown scene 'teapot'; use one of planes, spheres"):
         scenes.path("teapot")
 
 
@@ -112,7 +112,7 @@ def test_the_command_lists_them(capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[:-1]] == [*scenes.NAMES, "object"]
     assert lines[2] == (
-        "vase     unglazed clay, a glaze, painted bands and a golden rim, open at the top"
+        "vase     a vase of clay with glaze, painted bands and golden rim, open at the top"
     )
     assert lines[-1] == "Copy one with: svu scenes NAME"
 
@@ -141,11 +141,13 @@ def test_the_command_copies_one_that_loads_from_there(tmp_path, monkeypatch, cap
 def test_a_copy_replaces_nothing(tmp_path, capsys):
     copy = scenes.copy("vase", tmp_path)
     copy.write_text("mine")
-    with pytest.raises(OutputError, match=r"vase\.xml: is there and differs; choose another fol"):
+    with pytest.raises(
+        OutputError, match=r"vase\.xml: exists with other contents; choose another fol"
+    ):
         scenes.copy("vase", tmp_path)
     assert copy.read_text() == "mine"
     assert fails(capsys, "scenes", "teapot", "-o", tmp_path) == (
-        "svu: There is no scene 'teapot'; use one of planes, spheres, vase, knot or object."
+        "svu: Unknown scene 'teapot'; use one of planes, spheres, vase, knot or object."
     )
 
 
