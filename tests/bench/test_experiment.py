@@ -173,7 +173,7 @@ def test_an_unknown_benchmark_is_one_line(tmp_path, capsys, variant):
     assert main(["bench", "power", "-o", str(tmp_path)]) == 2
     assert f"use one of {', '.join(BENCHMARKS)}, all" in capsys.readouterr().err
     assert main(["bench", "recovery", "--rows", "poth", "--stored", "-o", str(tmp_path)]) == 2
-    assert "no row 'poth'" in capsys.readouterr().err
+    assert "Unknown row 'poth'" in capsys.readouterr().err
 
 
 def test_bad_folders_end_with_one_line_and_status_2(tmp_path, capsys, variant):

@@ -426,9 +426,9 @@ def test_names_are_looked_up_before_anything_is_run(data):
     folders = find_captures(data)
     assert chosen_captures(folders, ["vase"]) == chosen_captures(folders, []) == folders
     assert [path.name for path in chosen_captures(folders, [SECOND])] == [SECOND]
-    with pytest.raises(OptionError, match="no capture or object 'cup'"):
+    with pytest.raises(OptionError, match="Unknown capture or object 'cup'"):
         chosen_captures(folders, ["cup"])
-    with pytest.raises(OptionError, match="no row 'best'"):
+    with pytest.raises(OptionError, match="Unknown row 'best'"):
         chosen_rows(["best"])
     labels = [row.label for row in chosen_rows([])]
     assert labels == ["SH (ours)", "SH (paper)", "spectrum (paper)"]

@@ -83,7 +83,7 @@ def test_parts_of_the_paper_are_chosen_by_name(tmp_path):
     assert [names.count(part) for part in paper.PARTS] == [4, 3, 2]
     one = paper.STUDY.experiment(bench, Selection(cases=cases, rows=["table2"])).subjects
     assert [subject.name for subject in one] == [s.name for s in every if "table2" in s.name]
-    with pytest.raises(OptionError, match="no part of the paper 'table9'"):
+    with pytest.raises(OptionError, match="Unknown part of the paper 'table9'"):
         paper.STUDY.experiment(bench, Selection(cases=cases, rows=["table9"]))
 
 

@@ -234,7 +234,7 @@ def test_the_truth_of_a_scene_is_its_textures():
     np.testing.assert_allclose(truth.grey("base_color"), truth.base_color.mean(axis=1))
     assert truth.grey("roughness").shape == (grid.count,)
     np.testing.assert_array_equal(truth.grey("specular"), truth.specular.mean(axis=1))
-    with pytest.raises(OptionError, match="no parameter 'rouhgness'; use one of base_color"):
+    with pytest.raises(OptionError, match="Unknown parameter 'rouhgness'; use one of base_color"):
         truth.grey("rouhgness")
 
 

@@ -92,7 +92,7 @@ def test_foreign_chromaticities_are_said(given, said, scene):
     assert all("view_0000.exr: its chromaticities are not Rec. 709" in n for n in notes)
     photograph = convert_photograph(frame(path), scene.parent / "out.exr", (1, 1))
     notes = photograph_notes([frame(path)], [photograph])
-    assert sum("have chromaticities other" in note for note in notes) == said
+    assert sum("have chromaticities that differ" in note for note in notes) == said
     light = write_channels(scene.parent / "light.exr", "RGB", given, colors(8, 16))
     notes = read_environment_map(Light(path=light, to_world=np.eye(3)))[2]
     assert sum("chromaticities" in note for note in notes) == said
@@ -138,7 +138,7 @@ def test_what_counts_as_clipped_goes_by_the_bits(bits, tmp_path):
     wanted, kept = decoded(values[1:, :, 0] / most), 1e-3 if bits == 8 else 1e-6  # half floats
     np.testing.assert_allclose(written[1:], wanted, rtol=kept)
     (note, *_) = photograph_notes([frame(path)], [photograph])
-    assert f"are not HDR: of {bits} bits, decoded as srgb, " in note
+    assert f"are not HDR: of {bits} bits, decoded as srgb. " in note
 
 
 def test_inks_are_refused(tmp_path):

@@ -1,7 +1,7 @@
 """Named corrections of common mistakes with coordinate axes.
 
-``svu check`` finds which of them explains the photographs better, ``svu import --fix NAME``
-applies it; the names are the same. Each is relative to how the capture was read.
+``svu check`` finds the correction that explains the photographs better; ``svu import --fix NAME``
+applies it. Each correction is relative to the axes that the capture was read with.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Kind = Literal["camera", "mesh", "light", "texture", "winding"]
 
 @dataclass(frozen=True)
 class AxisFix:
-    """One correction.
+    """Correction of a mistake with axes.
 
     Attributes:
-        name: as ``--fix`` takes it.
-        kind: target: ``camera`` (all sensors), ``mesh`` (against the cameras), ``light``,
-            ``texture`` or ``winding`` (which side of the surface is its front).
-        cause: the probable mistake, as half a sentence.
+        name: name for ``--fix``.
+        kind: corrected part: ``camera`` (all sensors), ``mesh`` (relative to the cameras),
+            ``light``, ``texture`` or ``winding`` (front side of the surface).
+        cause: probable mistake, as a clause for messages.
         matrix: (3, 3). ``camera``: multiplied from the right to each ``to_world``; ``mesh``: from
             the left to each position; ``light``: in the frame of Mitsuba's envmap, from the right
             to the emitter's rotation (det < 0: the map is mirrored left to right). None for
@@ -88,7 +88,7 @@ def find_fixes(names: Sequence[str]) -> tuple[AxisFix, ...]:
 
 
 def fix_rotation(fixes: Sequence[AxisFix], kind: Literal["mesh", "light"]) -> np.ndarray:
-    """Return the (3, 3) product of the corrections of mesh or light, see ``AxisFix.matrix``."""
+    """Return the product (3, 3) of all corrections of the mesh or the light."""
     turn = np.eye(3)
     for fix in fixes:
         if fix.kind == kind and fix.matrix is not None:
@@ -97,14 +97,14 @@ def fix_rotation(fixes: Sequence[AxisFix], kind: Literal["mesh", "light"]) -> np
 
 
 def correct_poses(poses: np.ndarray, fix: AxisFix, camera_axes: np.ndarray) -> np.ndarray:
-    """Correct camera-to-world matrices (V, 4, 4); see ``apply_fixes`` for ``camera_axes``."""
+    """Correct camera-to-world matrices (V, 4, 4); ``camera_axes`` as in ``Source``."""
     if fix.matrix is None:
         return np.linalg.inv(poses @ np.linalg.inv(camera_axes)) @ camera_axes
     return poses @ affine(fix.matrix)
 
 
 def correct_mesh(mesh: MeshArrays, fix: AxisFix) -> MeshArrays:
-    """Return a mesh turned, mirrored, inside out, or with V flipped."""
+    """Return a mesh that is rotated, mirrored, turned inside out, or has flipped V."""
     if fix.kind == "winding":
         normals = None if mesh.normals is None else -mesh.normals
         return replace(mesh, normals=normals, faces=mesh.faces[:, ::-1])

@@ -13,21 +13,21 @@ from svu_mi.capture.photographs import SATURATED
 from svu_mi.capture.quantization import CURVE, Rounding
 from svu_mi.errors import CaptureError, excerpt
 
-SMALLEST = 1e-9  # step, of a curve that is flat
-TYPICAL = 0.9  # quantile of the steps that stands for all
-LARGEST = (1, 255, 65535)  # codes that may stand for white
+SMALLEST = 1e-9  # quantisation step of a flat curve
+TYPICAL = 0.9  # quantile of all steps that is used as the typical one
+LARGEST = (1, 255, 65535)  # valid codes of white
 COLUMNS = "ENCODED LINEAR or ENCODED R G B"
 FIX = f"write one line {COLUMNS} for each sample of the curve"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraResponse:
-    """A measured response, linear between samples.
+    """Measured response curve, linear between samples.
 
     Attributes:
-        name: of its file, for messages.
-        codes: (N,) float32, ascending from 0 to 1: encoded values, relative to the largest.
-        values: (N, 3) float64, ascending linear values of R, G and B; the last are 1.
+        name: name of its file, for messages.
+        codes: (N,) float32, encoded values relative to the largest, ascending from 0 to 1.
+        values: (N, 3) float64, linear values of R, G and B, ascending to 1.
     """
 
     name: str
@@ -35,11 +35,11 @@ class CameraResponse:
     values: np.ndarray
 
     def __str__(self) -> str:
-        return f"{self.name} says"
+        return f"in {self.name}"
 
 
 def linearize(encoded: np.ndarray, transfer: Transfer | CameraResponse, channel: int) -> np.ndarray:
-    """Return linear values (float32) of one channel's encoded ones in [0, 1], of any shape."""
+    """Return the linear values (float32) of encoded values in [0, 1] of one channel."""
     if isinstance(transfer, CameraResponse):
         values = transfer.values[:, channel]
         return np.interp(encoded, transfer.codes, values).astype(np.float32)
@@ -47,7 +47,7 @@ def linearize(encoded: np.ndarray, transfer: Transfer | CameraResponse, channel:
 
 
 def saturation_radiance(transfer: Transfer | CameraResponse, bits: int) -> float:
-    """Return the least linear value of a clipped channel of 8 or 16 bits, over all channels."""
+    """Return the smallest linear value of a saturated channel of 8 or 16 bits."""
     most = np.array(SATURATED[bits], np.float32)
     return min(float(linearize(most, transfer, channel)) for channel in range(3))
 
@@ -55,7 +55,7 @@ def saturation_radiance(transfer: Transfer | CameraResponse, bits: int) -> float
 def quantization_steps(transfer: Transfer | CameraResponse, bits: int) -> tuple[float, float]:
     """Return the largest first step and slope over channels of 8 or 16 bits (``Rounding``).
 
-    Codes with equal values form one step; clipped codes are ignored.
+    Codes with equal values form one step; saturated codes are ignored.
     """
     last = 2**bits - 1
     if not isinstance(transfer, CameraResponse):
@@ -73,26 +73,29 @@ def quantization_steps(transfer: Transfer | CameraResponse, bits: int) -> tuple[
 
 
 def read_response(path: Path) -> CameraResponse:
-    """Read a measured response.
+    """Read a measured response curve.
 
-    The text file has one line ``ENCODED LINEAR``, or ``ENCODED R G B``, for each sample, with
-    blanks or commas between; empty lines and comments (``#``) are ignored. Encoded values ascend
-    from 0 to 1, to 255 or to 65535. Linear ones are in any unit, also per channel.
+    The text file has one line ``ENCODED LINEAR`` or ``ENCODED R G B`` per sample, separated by
+    blanks or commas; empty lines and comments (``#``) are ignored. Encoded values ascend from 0 to
+    1, 255 or 65535. Linear values can have any unit, which may differ between channels.
+
+    Raises:
+        CaptureError: the file cannot be read, or has an invalid line.
     """
     rows: list[list[float]] = []
-    for number, text in read_lines(path, "a camera's response", FIX):
+    for number, text in read_lines(path, "a response curve", FIX):
         row = _numbers(text, f"{path}: line {number}")
         _require_order(row, rows, f"{path}: line {number}")
         rows.append(row)
     if len(rows) < 2:
         raise CaptureError(
-            f"{path}: a response needs 2 samples or more, and this has {len(rows)}; {FIX}."
+            f"{path}: a response curve needs at least 2 samples, got {len(rows)}; {FIX}."
         )
     table = np.array(rows)
     if table[0, 0] != 0 or table[-1, 0] not in LARGEST:
         raise CaptureError(
-            f"{path}: its codes go from {table[0, 0]:g} to {table[-1, 0]:g}, and must go from 0 to "
-            "1, 255 or 65535; add lines for the first and the last code."
+            f"{path}: its codes range from {table[0, 0]:g} to {table[-1, 0]:g}, not from 0 to 1, "
+            "255 or 65535; add lines for the first and the last code."
         )
     # Single precision, as in photographs: a measured code then equals its sample.
     codes = (table[:, 0] / table[-1, 0]).astype(np.float32)
@@ -100,14 +103,14 @@ def read_response(path: Path) -> CameraResponse:
     if same.size:
         raise CaptureError(
             f"{path}: the encoded values {table[same[0], 0]:.9g} and {table[same[0] + 1, 0]:.9g} "
-            "are too close together to differ in a photograph; leave one out."
+            "are equal in single precision; remove one."
         )
     values = table[:, 1:] if table.shape[1] == 4 else np.repeat(table[:, 1:], 3, axis=1)
     # No camera is dark just below white; such a curve has no saturation radiance.
     if not all(np.interp(min(SATURATED.values()), codes, curve) > 0 for curve in values.T):
         raise CaptureError(
-            f"{path}: a channel has no light up to {min(SATURATED.values()):.0%} of the largest "
-            "code; give samples between black and white."
+            f"{path}: a channel is 0 up to {min(SATURATED.values()):.0%} of the largest code; add "
+            "samples between black and white."
         )
     return CameraResponse(name=path.name, codes=codes, values=values / values[-1])
 
@@ -130,13 +133,13 @@ def _numbers(text: str, label: str) -> list[float]:
 
 
 def _require_order(row: list[float], before: list[list[float]], label: str) -> None:
-    """Refuse a sample that does not ascend."""
+    """Raise CaptureError unless a sample ascends from the samples before."""
     if not before:
         return
     last = before[-1]
     if len(row) != len(last):
         raise CaptureError(
-            f"{label}: has {len(row)} numbers, the lines before have {len(last)}; give one curve "
+            f"{label}: has {len(row)} numbers, but earlier lines have {len(last)}; give one curve "
             "for all channels, or three, in all lines."
         )
     if row[0] <= last[0]:
@@ -146,6 +149,6 @@ def _require_order(row: list[float], before: list[list[float]], label: str) -> N
         )
     if any(value < earlier for value, earlier in zip(row[1:], last[1:], strict=True)):
         raise CaptureError(
-            f"{label}: the linear value falls, but a brighter code cannot mean less light; "
-            "correct the line, or smooth the measurement."
+            f"{label}: the linear value decreases with the code; correct the line, or smooth "
+            "the measurement."
         )

@@ -38,13 +38,13 @@ from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError
 
 JPEG = (".jpg", ".jpeg")
-BORDER = 0.9  # part of a photograph's border that no object covers
-CLIPPED_LAYER = "clipped."  # and R, G or B
-# Part of the object's pixels from which blacks count as crushed. A mask that is a pixel too large
-# takes in 1 % of background; grooves and contact shadows are black in any photograph.
+BORDER = 0.9  # share of the border in a mask from which it counts as inverted
+CLIPPED_LAYER = "clipped."  # prefix of R, G or B
+# Share of the object's pixels from which blacks count as crushed. A mask that is a pixel too large
+# includes 1 % of background; grooves and contact shadows are black in any photograph.
 CRUSHED = 0.02
 BLACK = np.zeros(1, np.float32)  # the code 0
-PART = 1e-6  # of a new pixel that an unusable one may cover, which is rounding
+PART = 1e-6  # share of a resampled pixel that unusable ones may cover, for rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,16 +52,16 @@ class ConvertedPhotograph:
     """Properties of a converted photograph.
 
     Attributes:
-        bits: 8 or 16 for integers; 0 for floats.
-        foreign: whether its chromaticities differ from Rec. 709.
-        turned: whether its EXIF data set an orientation.
-        saturated: number of clipped pixels, on the object if there is a mask.
-        crushed: part of the object's pixels with a channel as dark as code 0; 0 for floats, and
-            without a mask, as the background may be black.
+        bits: bits per channel: 8 or 16 for integers; 0 for floats.
+        foreign: True if the chromaticities differ from Rec. 709.
+        turned: True if the EXIF data set an orientation.
+        saturated: number of saturated pixels, only on the object if there is a mask.
+        crushed: share of the object's pixels with a channel of code 0; 0 for floats, and without
+            a mask, as the background may be black.
         invalid: number of pixels that are NaN, infinite or negative.
-        masked: whether it has a mask; an alpha channel that is opaque everywhere does not count.
-        empty: whether its mask is empty.
-        inverted: whether its mask covers the border of the photograph, but not all of it.
+        masked: True if there is a mask; an alpha channel that is opaque everywhere does not count.
+        empty: True if the mask is empty.
+        inverted: True if the mask covers the border of the photograph, but not all pixels.
     """
 
     bits: int
@@ -76,29 +76,29 @@ class ConvertedPhotograph:
 
 
 def with_response(frames: Sequence[Frame], response: str | Path | None) -> Sequence[Frame]:
-    """Return frames with a measured response, which ``read_response`` reads; None changes none."""
+    """Return frames with the response curve of a file; unchanged if ``response`` is None."""
     if response is None:
         return frames
     if not any(open_image(frame.image).bits for frame in frames):
         raise OptionError(
             f"--response: {frames[0].image.name} and all other photographs are linear (EXR, HDR, "
-            "PFM), and need none; leave it out."
+            "PFM); omit this option."
         )
     transfer = read_response(Path(response))
     return [replace(frame, transfer=transfer) for frame in frames]
 
 
 def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> ConvertedPhotograph:
-    """Write a photograph as EXR: R, G, B linear, and A = 1 on the object if there is a mask.
+    """Write a photograph as EXR: linear R, G, B, and A = 1 on the object if there is a mask.
 
     A large JPEG that needs no change is copied, with its mask as a PNG next to it: an EXR would be
-    ten times larger. Clipped channels become -2, and their least radiance is in the header. Pixels
-    without radiance, and mixtures of clipped and other pixels, become -1.
+    ten times larger. Saturated channels become -2; the header contains their smallest radiance.
+    Invalid pixels, and averages of saturated and other pixels, become -1.
 
     Args:
-        frame: the photograph with its mask; its size is that of the file.
-        path: the EXR file.
-        scale: of width and height, as ``square_pixel_frame`` returns it.
+        frame: photograph with its mask; its size is the size of the file.
+        path: path of the EXR file.
+        scale: scale of width and height, from ``square_pixel_frame``.
     """
     picture = open_image(frame.image)
     jpeg = picture.path.suffix.lower() in JPEG and picture.bits == 8
@@ -131,7 +131,7 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
     if bits:
         first, last = quantization_steps(frame.transfer, bits)
         header |= {FIRST_STEP: first, LAST_STEP: last}
-    # Eight bits lose nothing in half floats, unless a curve puts some close together.
+    # Half floats represent all 8-bit codes, unless a response curve puts some close together.
     half = bits == 8 and not isinstance(frame.transfer, CameraResponse)
     write_exr(path, channels, header, half=half)
     return _describe(picture, mask, clipped, black, int(invalid.sum()))
@@ -159,7 +159,7 @@ def _describe(
     black: np.ndarray,
     invalid: int,
 ) -> ConvertedPhotograph:
-    """Return the properties of a photograph with masks (H, W) of clipped and black pixels."""
+    """Return the properties of a photograph with masks (H, W) of saturated and black pixels."""
     return ConvertedPhotograph(
         bits=picture.bits, foreign=picture.header.foreign, turned=picture.is_turned(),
         saturated=int(clipped.sum()),
@@ -170,7 +170,7 @@ def _describe(
 
 
 def _mark_unusable(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str, float]:
-    """Mark unusable pixels and clipped channels in place; return header entries about them."""
+    """Mark unusable pixels and saturated channels in place; return header entries."""
     touched = channels.pop("bad") > PART
     over = {name: channels.pop(CLIPPED_LAYER + name, None) for name in "RGB"}
     parts = {name: part for name, part in over.items() if part is not None}
@@ -193,7 +193,7 @@ def _is_inverted(mask: np.ndarray) -> bool:
 def _resample(
     layers: dict[str, np.ndarray], frame: Frame, scale: tuple[float, float]
 ) -> dict[str, np.ndarray]:
-    """Straighten and shrink layers, freeing each one: photographs may be huge."""
+    """Undistort and shrink layers, and free each input: photographs may be huge."""
     names = list(layers)
     straight = undistort_planes([np.asarray(layers.pop(name), np.float32) for name in names], frame)
     return {
@@ -203,7 +203,7 @@ def _resample(
 
 
 def _read_mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray | None:
-    """Return (H, W) bool from the alpha channel, the mask's file, or both; None without any."""
+    """Return the mask (H, W) from the alpha channel, a file, or both; None without any."""
     opaque = None
     if len(planes) > 3 and planes[3].min() < 1:
         opaque = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
@@ -214,7 +214,7 @@ def _read_mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.nd
 
 
 def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograph]) -> list[str]:
-    """Return sentences about problems of V photographs."""
+    """Return sentences about the problems of V photographs."""
     count, low = len(views), {c.bits for c in views if c.bits}
 
     def those(chosen: Sequence[bool], words: str, least: float = 0) -> list[str]:
@@ -227,27 +227,26 @@ def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograp
     kinds = " and ".join(map(str, sorted(low)))
     return [
         *those([c.bits > 0 for c in views],
-              f"are not HDR: of {kinds} bits, decoded as {frames[0].transfer}, {clipped} clipped "
-              "pixels count as at least so bright. Clipped highlights hide gloss: use HDR."),
+              f"are not HDR: of {kinds} bits, decoded as {frames[0].transfer}. {clipped} saturated "
+              "pixels are used as lower bounds. Clipped highlights hide gloss: use HDR."),
         *those([c.crushed > CRUSHED for c in views],
               f"have crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
-              "have a channel of 0): all that is darker looks the same; expose longer or use HDR."),
+              "have a channel of 0): darker radiance is lost; expose longer or use HDR."),
         *those([c.turned for c in views],
-              "are stored rotated; their EXIF orientation is ignored, because poses must be of the "
+              "are stored rotated; their EXIF orientation is ignored, because poses refer to the "
               "pixels as stored. If svu check shows them rotated, save their pixels upright and "
               "import again."),
         *those([f.lens is not None for f in frames],
-              "are straightened, since their lenses are distorted; the focal length is kept, and "
-              "borders are cut where nothing was seen."),
+              "are undistorted; the focal length is kept, and empty borders are cropped."),
         *those([c.foreign for c in views],
-              "have chromaticities other than those of Rec. 709; their values are used as they "
-              "are: convert them if colours matter."),
+              "have chromaticities that differ from Rec. 709; their values are not converted: "
+              "convert them if colours matter."),
         *those([c.invalid > 0 for c in views],
-              f"have {invalid} pixels that are NaN, infinite or negative; left out."),
-        *those([c.empty for c in views], "have an empty mask: nothing of them is used."),
+              f"have {invalid} pixels that are NaN, infinite or negative; these are ignored."),
+        *those([c.empty for c in views], "have an empty mask and are not used."),
         *those([c.inverted for c in views],
-              "have a mask with their border in it; if the object is black there, invert the "
+              "have a mask that includes the border; if the object is black in it, invert the "
               "masks: white is the object.", least=count / 2),
         *those([not c.masked for c in views],
-              "have no mask: anything in front of the object is taken for it."),
+              "have no mask: anything in front of the object is treated as its surface."),
     ]  # fmt: skip

@@ -14,30 +14,32 @@ from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import CaptureError
 
 SUFFIXES = (".exr", ".hdr", ".pfm")
-FINE = 512  # rows; larger maps get only Mitsuba's rows, between the rows of the file
+FINE = 512  # rows; larger maps are not doubled, only resampled
 ASPECT, OFF = 2, 0.05  # width over height of a lat-long map, and its tolerance
 MIRROR = np.diag([-1.0, 1.0, 1.0])  # of the envmap's frame: u becomes 1 - u
 
 
 def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Write a map as EXR; return the emitter's ``to_world`` (4, 4), a rotation, and notes."""
+    """Write a map as EXR; return the emitter's rotation ``to_world`` (4, 4), and notes."""
     pixels, matrix, notes = read_environment_map(light)
     write_exr(path, {"RGB": pixels}, {ROWS: POLES})
     return matrix, notes
 
 
 def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Read a map, mirrored if its matrix is, so that the remaining matrix is a rotation.
+    """Read a map with rows as in Mitsuba's envmap; mirror it if its matrix is mirrored.
 
-    Rows of a file are those of pixels, whose centres are half a row away from the poles. Mitsuba
-    takes the first and the last row for the poles, so others are put between. Maps that were made
-    for Mitsuba have their rows there already: they say so, as those of ``write_environment``, or
-    have one row more than half their columns.
+    The first row of most files is centred half a row below the pole. Mitsuba's first and last rows
+    are the poles, so rows are interpolated. Maps for Mitsuba are not resampled: they have the mark
+    of ``write_environment``, or one row more than half the number of columns.
 
     Returns:
-        (N, W, 3) float32 radiance, the (4, 4) ``to_world`` of Mitsuba's envmap with these pixels,
-        and sentences about the map. Of a file with H rows N is 2 H + 1, every second row as it is,
-        or H + 1 if there are more than ``FINE``; it is H if they are Mitsuba's.
+        Radiance (N, W, 3) as float32, the rotation ``to_world`` (4, 4) of the emitter, and
+        sentences about the map. A file with H rows has N = 2 H + 1 (every second row is original),
+        N = H + 1 if H exceeds ``FINE``, or N = H if it was made for Mitsuba.
+
+    Raises:
+        CaptureError: the map is not a readable HDR lat-long map with finite, positive radiance.
     """
     if light.path.suffix.lower() not in SUFFIXES:
         raise CaptureError(
@@ -69,7 +71,7 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
 
 
 def _with_pole_rows(pixels: np.ndarray) -> np.ndarray:
-    """Return rows at the poles and evenly between of (H, W, 3) pixels, by linear interpolation."""
+    """Resample (H, W, 3) pixels linearly to rows that begin and end at the poles."""
     between = np.empty((len(pixels) + 1, *pixels.shape[1:]), np.float32)
     between[1:-1] = (pixels[1:] + pixels[:-1]) / 2
     between[0], between[-1] = pixels[0].mean(axis=0), pixels[-1].mean(axis=0)

@@ -20,14 +20,14 @@ EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
 
 
 def with_gains(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame]:
-    """Return frames with the gains of a list or of ``exif``; None changes none."""
+    """Return frames with gains from a file or from ``exif``; unchanged if None."""
     if gains is None:
         return frames
     return with_exif_gains(frames) if gains == "exif" else with_listed_gains(frames, Path(gains))
 
 
 def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
-    """Return frames with the gains of a text file, which has one line per photograph.
+    """Return frames with gains from a text file with one line per photograph.
 
     A line is ``NAME GAIN``, such as ``IMG_0012.jpg 0.25`` or ``left/IMG_0012.jpg 0.25``; empty
     lines and comments (``#``) are ignored.
@@ -54,7 +54,7 @@ def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
             )
         if key == frame.image.name and counts[key] > 1:
             raise CaptureError(
-                f"{path}: {counts[key]} photographs are called {key}; name them with their "
+                f"{path}: {counts[key]} photographs are named {key}; name them with their "
                 f"folder, as {frame.image.parent.name}/{key}."
             )
         changed.append(replace(frame, exposure=gains[key]))
@@ -64,7 +64,7 @@ def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
 def with_exif_gains(frames: Sequence[Frame]) -> list[Frame]:
     """Return frames with gains of time * ISO / aperture^2, relative to the median photograph.
 
-    A missing aperture (a lens without contacts) is taken to be the same in all.
+    A missing aperture (lenses without contacts) is assumed to be equal in all photographs.
     """
     gains = [_exif_gain(frame.image) for frame in frames]
     middle = median(gains)
@@ -84,13 +84,13 @@ def _exif_gain(path: Path) -> float:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # damage that matters ends in an error
+            warnings.simplefilter("ignore")  # relevant damage raises an error
             with Image.open(path) as image:
                 tags = image.getexif().get_ifd(EXIF)
         time, aperture = float(tags[TIME]), float(tags.get(APERTURE, 1) or 1)
         speed = tags.get(ISO, 100)
         gain = time * float(speed[0] if isinstance(speed, tuple) else speed) / 100 / aperture**2
-    except Exception as error:  # whatever Pillow's parsers meet
+    except Exception as error:  # Pillow's parsers raise any type
         raise CaptureError(
             f"{path}: no exposure time in its EXIF data; give exposures as a list with --exposures."
         ) from error

@@ -97,7 +97,7 @@ def test_codes_become_what_was_measured(bits, largest, tmp_path):
     assert least == pytest.approx(gamma(SATURATED[bits]), abs=1e-5)
     assert picture.saturated == 2 and picture.invalid == 0
     (note, *_) = photograph_notes([frame], [picture])
-    assert f"are not HDR: of {bits} bits, decoded as curve.txt says, 2 clipped pixels" in note
+    assert f"are not HDR: of {bits} bits, decoded as in curve.txt. 2 saturated pixels" in note
 
 
 def test_eight_bits_hit_samples_exactly(tmp_path):
@@ -138,29 +138,29 @@ def test_a_table_goes_before_what_the_source_says_and_leaves_floats_alone(tmp_pa
     picture, image, _ = converted(given[1], tmp_path / "out.exr")
     assert picture.bits == 0 and (image == 0.5).all() and picture.crushed == 0
     assert with_response(frames, None) is frames
-    with pytest.raises(svu.SvuError, match=r"--response: b.exr and all other.* leave it out\."):
+    with pytest.raises(svu.SvuError, match=r"--response: b.exr and all other.* omit this option\."):
         with_response(frames[1:], response)
 
 
 ORDER = "order the lines, each code once"
 WRONG = {
-    "empty": ("# nothing\n", r"a response needs 2 samples or more, and this has 0; write one"),
-    "one line": ("255 1\n", r"a response needs 2 samples or more, and this has 1; write"),
+    "empty": ("# nothing\n", r"a response curve needs at least 2 samples, got 0; write one"),
+    "one line": ("255 1\n", r"a response curve needs at least 2 samples, got 1; write"),
     "words": ("code,radiance\n0 0\n1 1\n", r"line 1: expected ENCODED LINEAR or .* with #"),
     "three": ("0 0 0\n1 1 1\n", r"line 1: expected ENCODED LINEAR or ENCODED R G B, got '0 0 0'"),
-    "another count": ("0 0 0 0\n1 1\n", r"line 2: has 2 numbers, the lines before have 4; give"),
+    "another count": ("0 0 0 0\n1 1\n", r"line 2: has 2 numbers, but earlier lines have 4; give"),
     "descending": ("0 0\n\n200 1\n100 2", rf"line 4: the encoded value 100 comes .*; {ORDER}"),
     "twice": ("0 0\n128 1\n128 2\n255 3", rf"line 3: the encoded value 128 .*; {ORDER}"),
-    "falling": ("0 0\n128 2\n255 1", r"line 3: the linear value falls, .* smooth the measure"),
-    "falling in blue": ("0 0 0 2\n255 1 1 1", r"line 2: the linear value falls"),
+    "falling": ("0 0\n128 2\n255 1", r"line 3: the linear value decreases .* smooth the measure"),
+    "falling in blue": ("0 0 0 2\n255 1 1 1", r"line 2: the linear value decreases"),
     "NaN": ("0 0\n128 nan\n255 1", r"line 2: numbers must be finite and not .*; correct or remove"),
     "infinite": ("0 0\n255 1e999", r"line 2: numbers must be finite"),
     "negative": ("0 -0.1\n255 1", r"line 1: numbers must be finite and not negative, got '0 -0.1'"),
-    "no black": ("16 0\n255 1", r"its codes go from 16 to 255, and must go from 0 to 1, 255 or "),
-    "no white": ("0 0\n235 1", r"its codes go from 0 to 235, .*; add lines for the first and"),
-    "dark": ("0 0\n255 0", r"a channel has no light up to 98% of the largest code; give samples"),
+    "no black": ("16 0\n255 1", r"its codes range from 16 to 255, not from 0 to 1, 255 or "),
+    "no white": ("0 0\n235 1", r"its codes range from 0 to 235, .*; add lines for the first and"),
+    "dark": ("0 0\n255 0", r"a channel is 0 up to 98% of the largest code; add samples"),
     "too close": ("0 0\n0.5 1\n0.500000001 2\n1 3", r"the encoded values 0.5 and 0.500000001 are"),
-    "a threshold": ("0 0 0 0\n254 1 0 1\n255 1 1 1", r"a channel has no light up to 98%"),
+    "a threshold": ("0 0 0 0\n254 1 0 1\n255 1 1 1", r"a channel is 0 up to 98%"),
 }  # fmt: skip
 
 
@@ -181,11 +181,11 @@ def refused(path, said) -> None:
 
 def test_files_that_are_no_text_are_a_sentence(tmp_path):
     path = tmp_path / "curve.txt"
-    refused(path, r"not a camera's response that can be read .*; write one line ENCODED LINEAR or")
+    refused(path, r"not a response curve that can be read .*; write one line ENCODED LINEAR or")
     Image.fromarray(random(8)).save(path, "png")
-    refused(path, r"not a camera's response that can be read .*; write one line")
+    refused(path, r"not a response curve that can be read .*; write one line")
     path.write_bytes(b"0 0\n1 1\n" + b"#" * 2**24)
-    refused(path, r"too large for a camera's response, more than 16 MiB; write one line")
+    refused(path, r"too large for a response curve, more than 16 MiB; write one line")
 
 
 def test_numbers_that_single_precision_cannot_hold_decode_to_numbers(tmp_path):
@@ -221,7 +221,7 @@ def test_crushed_blacks_are_said_and_stay_what_they_are(tmp_path):
     frames = [dark(tmp_path / "other", 0.0), dark(tmp_path, 0.25)]
     assert blacks(frames, tmp_path) == [
         "1 of 2 photographs, a.png first, have crushed blacks (25% of the object's pixels have a "
-        "channel of 0): all that is darker looks the same; expose longer or use HDR."
+        "channel of 0): darker radiance is lost; expose longer or use HDR."
     ]
     picture, image, _ = converted(frames[1], tmp_path / "out.exr")
     assert picture.crushed == 0.25 and picture.invalid == 0
@@ -276,7 +276,7 @@ WORDS = ("import", "shots", "--mesh", "shots/ball.ply")
 def test_an_import_decodes_by_the_response_and_says_so_again(shots, capsys):
     assert run(*WORDS, "--response", "curve.txt", "-o", "mine") == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "are not HDR: of 8 bits, decoded as curve.txt says, 4 clipped pixels" in said
+    assert "are not HDR: of 8 bits, decoded as in curve.txt. 4 saturated pixels" in said
     capture = svu.load_capture("mine", light="optional")
     for view in range(2):
         pixels = random(8, view) / 255
@@ -299,8 +299,8 @@ def test_the_command_refuses_in_one_line(shots, capsys):
     words = (*WORDS, "-o", "mine", "--response")
     (shots.parent / "curve.txt").write_text("0 0\n")
     assert fails(capsys, *words, "curve.txt") == (
-        "svu: curve.txt: a response needs 2 samples or more, and this has 1; write one line "
+        "svu: curve.txt: a response curve needs at least 2 samples, got 1; write one line "
         "ENCODED LINEAR or ENCODED R G B for each sample of the curve."
     )
-    assert "none.txt: not a camera's response that can be read" in fails(capsys, *words, "none.txt")
+    assert "none.txt: not a response curve that can be read" in fails(capsys, *words, "none.txt")
     assert not (shots.parent / "mine").exists()

@@ -556,7 +556,7 @@ def test_what_is_missing_is_asked_for(source, tmp_path):
         import_capture(replace(source, mesh=None), tmp_path / "capture")
     for options, sentence in (
         ({"every": 0}, "--every"), ({"mesh_scale": -1.0}, "positive"), ({"shrink": 0.5}, "shrink"),
-        ({"fixes": ("up",)}, "no fix 'up'"), ({"world_up": "z"}, "give both"),
+        ({"fixes": ("up",)}, "Unknown fix 'up'"), ({"world_up": "z"}, "give both"),
     ):  # fmt: skip
         with pytest.raises(OptionError, match=sentence):
             import_capture(source, tmp_path / "capture", ImportOptions(**options))
@@ -661,7 +661,7 @@ def test_masks_that_say_nothing_or_the_opposite(source, tmp_path):
     around = np.full_like(GREY[..., 0], 255)
     around[5:15, 5:30] = 0
     Image.fromarray(around).save(tmp_path / "mask.png")
-    for mask, said in ((None, "have no mask"), (tmp_path / "mask.png", "have a mask with")):
+    for mask, said in ((None, "have no mask"), (tmp_path / "mask.png", "have a mask that")):
         frames = [photograph(source.root / f"{k}.png", opaque, mask=mask) for k in range(2)]
         notes = import_capture(replace(source, frames=frames), tmp_path / "capture")
         assert any(f"2 of 2 photographs, 0.png first, {said}" in note for note in notes)
@@ -697,7 +697,7 @@ def test_photographs_of_one_name_in_two_folders(source, tmp_path):
     source = replace(source, frames=frames)
     gains = ImportOptions(exposures=tmp_path / "gains.txt")
     (tmp_path / "gains.txt").write_text("1.png 2\n")
-    with pytest.raises(CaptureError, match="2 photographs are called 1.png.*left/1.png"):
+    with pytest.raises(CaptureError, match="2 photographs are named 1.png.*left/1.png"):
         import_capture(source, tmp_path / "capture", gains)
     (tmp_path / "gains.txt").write_text("left/1.png 2\nright/1.png 4\n")
     import_capture(source, tmp_path / "capture", gains)
@@ -764,7 +764,7 @@ def test_a_format_is_a_module_and_a_line_of_the_table(tmp_path, monkeypatch):
     monkeypatch.setitem(FORMATS, "mine", "mine")
     for chosen in ("auto", "mine"):
         assert read_source(tmp_path, ReadOptions(format=chosen)) is source
-    with pytest.raises(OptionError, match="no format 'theirs'; use one of auto, .*, mine"):
+    with pytest.raises(OptionError, match="Unknown format 'theirs'; use one of auto, .*, mine"):
         read_source(tmp_path, ReadOptions(format="theirs"))
 
 

@@ -64,8 +64,8 @@ def test_a_phones_photographs_lie_on_their_object(tmp_path, capsys):
     words = ["--mesh", str(scenes.path("knot").parent / "mesh.ply"), "-o"]
     assert main(["import", str(path), *words, str(tmp_path / "capture")]) == 0
     said = (
-        f"{VIEWS} of {VIEWS} photographs, IMG_0.exr first, are straightened, since their lenses "
-        "are distorted; the focal length is kept, and borders are cut where nothing was seen."
+        f"{VIEWS} of {VIEWS} photographs, IMG_0.exr first, are undistorted; the focal length is "
+        "kept, and empty borders are cropped."
     )
     assert said in capsys.readouterr().out
     record = json.loads(path.read_text())
