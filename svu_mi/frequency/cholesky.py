@@ -1,8 +1,8 @@
-"""Symmetric positive definite systems, one per lane, in local memory.
+"""Solver of symmetric positive definite systems in local memory, one system per lane.
 
-Square tiles of the lower triangle are held in registers while they are in use. Loops over tiles
-are symbolic: compile time is independent of the size, which may differ between lanes. Unrolled
-code is in plain helpers, since ``@dr.syntax`` would trace their loops.
+The lower triangle is divided into square tiles, which are in registers while in use. Loops over
+tiles are symbolic, so compile time is independent of the size, which can differ between lanes.
+Unrolled loops are in plain helpers, because ``@dr.syntax`` would trace them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from svu_mi.core.local_memory import Block, load, store
 
 
 def packed_count(blocks: Any) -> Any:
-    """Tiles in the lower triangle of ``blocks`` x ``blocks`` tiles; int or UInt32."""
+    """Return the number of tiles in the lower triangle of ``blocks`` x ``blocks`` tiles."""
     return (blocks * (blocks + 1)) >> 1
 
 
@@ -33,7 +33,7 @@ def _subtract_outer(tile: Block, a: Block, b: Block, size: int, lower: bool = Fa
 
 
 def _factor(tile: Block, size: int) -> Block:
-    """Cholesky factor of a diagonal tile; its diagonal holds the reciprocals 1 / L_jj."""
+    """Return the Cholesky factor of a diagonal tile, with reciprocals 1 / L_jj on the diagonal."""
     out = list(tile)
     for j in range(size):
         pivot = dr.rcp(dr.sqrt(out[j * size + j]))
@@ -48,7 +48,7 @@ def _factor(tile: Block, size: int) -> Block:
 
 
 def _divide_right(tile: Block, lower: Block, size: int) -> Block:
-    """Return X with X L^T = tile; the diagonal of ``lower`` holds reciprocals."""
+    """Return X with X L^T = tile; ``lower`` is L, with reciprocals on the diagonal."""
     out = list(tile)
     for j in range(size):
         for i in range(size):
@@ -95,11 +95,11 @@ def factor_and_forward(
     matrix: Callable[[Any, Any, bool], Block] | None = None,
     right: Callable[[Any], Block] | None = None,
 ) -> tuple[list[Any], list[Any]]:
-    """Factor M = L L^T and solve L z = b; return ``lower`` (L) and ``solution`` (z), filled.
+    """Factorise M = L L^T and solve L z = b; return ``lower`` (L) and ``solution`` (z), filled.
 
     Tile (i, j) of L is at i (i + 1) / 2 + j; z has ``size`` rows per tile row. ``matrix(i, j,
-    diagonal)`` returns a block of M, identity past the end; ``right(i)`` the right-hand sides, zero
-    past the end. None: ``lower`` holds M, or ``solution`` holds b.
+    diagonal)`` returns a tile of M, padded with the identity; ``right(i)`` returns rows of b,
+    padded with zeros. Without them, ``lower`` contains M, and ``solution`` contains b.
     """
     entry = matrix or (lambda bi, bj, _: load(lower, packed_count(bi) + bj))
     given = right or (lambda bi: load(solution, bi))
@@ -132,9 +132,9 @@ def factor_and_forward(
 
 @dr.syntax
 def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int, held: int) -> list[Any]:
-    """Solve L^T x = z in place, from the last of ``held`` tile rows; return ``solution``.
+    """Solve L^T x = z in place; return ``solution``.
 
-    All lanes start at ``held``, not at their own ``blocks``: loads rather than gathers.
+    All lanes start at tile row ``held``, not at their own ``blocks``: loads instead of gathers.
     """
     past = mi.UInt32(held)
     while past > 0:

@@ -1,4 +1,4 @@
-"""Samples and fits of Eq. 12: radiance of texels, and the light that they mirror."""
+"""Samples and fits of Eq. 12: radiance of texels, and light from their mirror directions."""
 
 from __future__ import annotations
 
@@ -25,39 +25,39 @@ from svu_mi.light.light_visibility import trace_mirror
 from svu_mi.presets import Fit, Preset
 
 Masking = Callable[[Any, Any], list[Any]]
-"""Cosines and numbers of texels to F factors."""
+"""``(cosine, texel) -> F factors``: masking of the light (see ``FitSamples``)."""
 
 
 class FitSource(Protocol):
-    """Photographs of texels under a light, as ``observations.Observed`` has them."""
+    """Interface: the part of ``observations.Observed`` that fits use."""
 
     @property
     def views(self) -> Views:
-        """The packed capture."""
+        """Packed photographs and cameras."""
 
     @property
     def lighting(self) -> Lighting:
-        """Its band-limited light."""
+        """Band-limited light."""
 
     @property
     def texels(self) -> Texels:
-        """The T texels."""
+        """T texels."""
 
     @property
     def visibility(self) -> Visibility:
-        """Which views see which texels."""
+        """Visibility of texels in views."""
 
 
 @dataclass(frozen=True)
 class FitSamples:
-    """Rows of Eq. 12, of the texels ``surface``.
+    """Samples of Eq. 12 for the texels ``surface``.
 
     Attributes:
         occluded: exclude light that the object occludes.
-        channels: C of the photographs, 1 or 3; 0 leaves them out.
-        light_channels: of the light, C or 1.
-        masking: factors of the light, by cos theta_i (cos theta_o of a mirror) and texel: one
-            right-hand side per factor and channel. Default 1.
+        channels: number of channels C of the photographs, 1 or 3; 0: fit the light only.
+        light_channels: number of channels of the light, C or 1.
+        masking: function from cos theta_i and texel to F factors of the light; each factor adds
+            right-hand sides. Default: one factor of 1.
     """
 
     observed: FitSource
@@ -68,7 +68,7 @@ class FitSamples:
     masking: Masking | None = None
 
     def at(self, slot: Any) -> tuple[Any, Any, list[Any]]:
-        """Return view direction, w = |cos theta|, and both right-hand sides of one row."""
+        """Return view direction, w = |cos theta|, and radiance of photographs and light."""
         views, lighting = self.observed.views, self.observed.lighting
         visibility = self.observed.visibility
         seen = visibility.sample(views, self.surface, slot)
@@ -91,7 +91,7 @@ class FitSamples:
 
 @dataclass(frozen=True)
 class FitJob:
-    """Fit of all texels, (T,) ``counts`` views each; may be repeated with another masking."""
+    """Fits of all texels with (T,) ``counts`` of views; repeatable with other maskings."""
 
     observed: FitSource
     switches: Preset | Fit
@@ -102,20 +102,20 @@ class FitJob:
 
     @cached_property
     def launches(self) -> list[tuple[SolverGroup, TexelLanes]]:
-        """The texels of each solver."""
+        """Texels of each solver."""
         groups = solver_groups(self.counts, self.switches.degree)
         return [(group, TexelLanes.of(self.observed.texels, group.selection)) for group in groups]
 
     def solutions(
         self, masking: Masking | None = None, factors: int = 1
     ) -> Iterator[tuple[Any, list[list[Any]]]]:
-        """Yield the texels of each solver, UInt32, and their coefficients, not evaluated yet."""
+        """Yield the texels of each solver, UInt32, and their unevaluated coefficients."""
         fit = self.switches
         system = FitSystem.of(
             fit.degree, self.channels + factors * self.light_channels, fit.regularizer,
             fit.penalize_constant,
         )  # fmt: skip
-        # Made now: a texture that is made while a loop is recorded does not outlive the recording.
+        # Evaluated here: Dr.Jit frees a texture that is created while a loop is recorded.
         dr.eval(self.observed.lighting.filtered)
         for group, surface in self.launches:
             samples = FitSamples(
@@ -129,7 +129,7 @@ class FitJob:
 
 @dataclass(frozen=True)
 class MirroredLight:
-    """Light that S ``chosen`` texels mirror into their photographs, to be fitted (Eq. 12)."""
+    """Light that S ``chosen`` texels mirror into their views, to be fitted (Eq. 12)."""
 
     observed: FitSource
     fit: Fit
@@ -137,13 +137,13 @@ class MirroredLight:
     chosen: np.ndarray
 
     def allocate(self, rows: int) -> Any:
-        """Return zeros for ``rows`` numbers per lane, evaluated: (rows S,) Float."""
+        """Return evaluated zeros, (rows S,) Float."""
         size = rows * len(self.chosen)
         if size >= 2**32:
             raise OptionError(
-                f"The SH model keeps {rows} numbers per texel, which is too much for "
-                f"{len(self.chosen)} texels that are seen: {(2**32 - 1) // rows} at most; lower "
-                "the resolution, or the degree of the fit."
+                f"The SH model stores {rows} numbers per texel, so at most {(2**32 - 1) // rows} "
+                f"seen texels are possible, got {len(self.chosen)}; lower the resolution or the "
+                "degree of the fit."
             )
         values = dr.zeros(mi.Float, size)
         dr.eval(values)
@@ -151,19 +151,19 @@ class MirroredLight:
 
     @cached_property
     def lane(self) -> Any:
-        """(T,) UInt32, the lane of each texel; 0 for others."""
+        """(T,) UInt32, lane of each texel; 0 if not chosen."""
         lane = np.zeros(self.observed.texels.count, np.uint32)
         lane[self.chosen] = np.arange(len(self.chosen))
         return to_drjit(mi.UInt32, lane)
 
     def solutions(self, masking: Masking, count: int) -> Iterator[tuple[Any, list[list[Any]]]]:
-        """Yield UInt32 lanes of seen texels, and (l* + 1)^2 lists of F C Floats, unevaluated."""
+        """Yield lanes of texels, UInt32, and (l* + 1)^2 lists of F C unevaluated Floats."""
         for texel, coefficients in self._job.solutions(masking, count):
             yield dr.gather(mi.UInt32, self.lane, texel), coefficients
 
     @cached_property
     def _job(self) -> FitJob:
-        """The fit, cached: texels keep their solver in all steps of a recovery."""
+        """Fit; cached, because all steps of a recovery use the same solvers."""
         counts = np.zeros(self.observed.texels.count, np.uint32)
         counts[self.chosen] = self.observed.visibility.coverage.numpy()[self.chosen]
         return FitJob(self.observed, self.fit, counts, 0, self.channels)

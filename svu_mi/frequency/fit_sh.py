@@ -29,23 +29,23 @@ from svu_mi.presets import Preset
 from svu_mi.presets import preset as named_preset
 
 CAPACITIES = (32, 64, 128, 256)
-"""Sizes of the dual's local memory. Each is a kernel that takes a second to compile, while a lane
-only works on, and touches, what its own views need: one size for all texels of a call."""
+"""Sizes of the dual's local memory, in views. A call uses one size for all texels: each size takes
+a second to compile, but a lane only reads and writes the part that its own views need."""
 
 AUTO_CAPACITY = 128
-"""The most views ``auto`` gives to the dual: 64 kB per lane, 1 MB of stack for 16 lanes."""
+"""Maximum number of views in the dual with ``auto``: 64 kB per lane, 1 MB of stack for 16 lanes."""
 
 VIEWS_PER_COEFFICIENT = 2.5
-"""Up to so many visible views per coefficient the dual is the faster one (measured at degree 6,
-80, 98 and 128 visible views: 0.44, 0.59 and 0.82 of the time of the primal)."""
+"""Maximum number of visible views per coefficient in the dual with ``auto`` (measured at degree 6:
+0.44, 0.59 and 0.82 of the primal's time at 80, 98 and 128 visible views)."""
 
 
 def fit_lanes(sample: ReadSample, views: Any, system: FitSystem, capacity: int) -> list[list[Any]]:
-    """Fit Eq. 12 in every lane; return (degree + 1)^2 coefficients, each ``channels`` Floats.
+    """Fit Eq. 12 in each lane; return (degree + 1)^2 coefficients, each ``channels`` Floats.
 
     ``sample(view)`` returns unit direction, weight w (0: unseen) and values. Coefficient (l, m) is
-    at l*l + l + m, 0 in a lane without views. ``capacity`` is the most visible views of the dual,
-    which takes about 4 capacity^2 bytes per lane; 0 solves the primal.
+    at l*l + l + m; it is 0 in lanes without views. ``capacity`` is the maximum number of visible
+    views in the dual, which needs about 4 capacity^2 bytes per lane; 0 selects the primal.
     """
     if capacity:
         return fit_dual(sample, views, system, capacity)
@@ -54,10 +54,11 @@ def fit_lanes(sample: ReadSample, views: Any, system: FitSystem, capacity: int) 
 
 @dataclass(frozen=True)
 class SolverGroup:
-    """Texels of one call of ``fit_lanes``: ascending UInt32 ``selection``, not empty.
+    """Texels of one call of ``fit_lanes``.
 
     Attributes:
-        capacity: of the dual: the most views of a texel, rounded up; 0 for the primal.
+        selection: UInt32, ascending texels.
+        capacity: maximum number of views in the dual; 0 for the primal.
     """
 
     selection: Any
@@ -65,7 +66,7 @@ class SolverGroup:
 
 
 def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[SolverGroup]:
-    """Group texels with views by the fastest solver; ``primal`` or ``dual`` prescribes one."""
+    """Group texels with views by the fastest solver, or select ``primal`` or ``dual`` for all."""
     counts = np.asarray(visible).reshape(-1)
     limits = {
         "auto": min(int(VIEWS_PER_COEFFICIENT * (degree + 1) ** 2), AUTO_CAPACITY),
@@ -76,7 +77,7 @@ def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[Solve
         raise OptionError(f"The method of a fit must be auto, primal or dual, got {method!r}.")
     if method == "dual" and counts.max(initial=0) > CAPACITIES[-1]:
         raise OptionError(
-            f"Texel {int(counts.argmax())} sees {counts.max()} views; the dual holds "
+            f"Texel {int(counts.argmax())} has {counts.max()} views; the dual is limited to "
             f'{CAPACITIES[-1]}. Use method="auto" or "primal".'
         )
     few = (counts > 0) & (counts <= limits[method])
@@ -89,7 +90,7 @@ def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[Solve
 
 
 UNIT_TOLERANCE = 1e-3
-"""How far from 1 the length of a direction may be; the fit makes it 1."""
+"""Maximum deviation of the length of a direction from 1; the fit normalises directions."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class _Samples:
     channels: int
 
     def at(self, texel: Any, view: Any) -> tuple[Any, Any, list[Any]]:
-        """Read one sample per lane; nothing but the weight is read where that is not > 0."""
+        """Read one sample per lane; direction and values only where the weight is positive."""
         index = texel * self.views + view
         weight = dr.gather(mi.Float, self.weights, index)
         seen = weight > 0
@@ -128,29 +129,34 @@ def fit_sh(
 
         (Y^T W^2 Y + lambda R) c = Y^T W^2 f,    R = diag(e^l),    W = diag(w)
 
-    Accuracy: single precision in and out, double precision inside. The power spectrum is within
-    1e-6 of the texel's largest degree for 1 to 200 views and lmax 1 to 9, views spread over a
-    hemisphere, all grazing, all equal or on one line alike. Memory: inputs and output.
+    Inputs and outputs are in single, computations in double precision. Errors of the power spectrum
+    are below 1e-6 of the largest degree for 1 to 200 views and lmax 1 to 9, also if all views are
+    grazing, equal or collinear.
 
     Args:
-        directions: (T, V, 3) unit directions, texels x views, in any one frame per texel.
-        weights: (T, V) w of W, >= 0; 0 means that the texel does not see the view, and the
-            direction and value there are not looked at (they may be NaN).
-        values: (T, V, C) samples f, radiance up to exposure.
+        directions: (T, V, 3) unit directions of V views from T texels, in any frame.
+        weights: (T, V) diagonals of W, >= 0; 0: the view does not show the texel, and its
+            direction and value are ignored (NaN is permitted).
+        values: (T, V, C) samples f, radiance in any unit.
         lmax: highest degree, in [0, 9].
-        regularizer: lambda in [1e-12, 1e12].
-        preset: supplies only R_00: 1 in ``paper``, 0 (the constant is free) in ``default``.
-        method: ``primal`` (normal equations), ``dual`` (one unknown per visible view, at most
-            256 of them), or per texel the faster of both; they agree to rounding.
+        regularizer: lambda, in [1e-12, 1e12].
+        preset: preset that defines R_00: 1 in ``paper``, 0 (constant unpenalised) in ``default``.
+        method: ``primal`` (normal equations), ``dual`` (one unknown per visible view, at most 256
+            views) or ``auto``: the faster of both for each texel. Results agree to rounding.
 
     Returns:
-        (T, (lmax + 1)^2, C) coefficients in the order l*l + l + m; 0 for a texel that sees
-        no view.
+        (T, (lmax + 1)^2, C) coefficients in the order l*l + l + m; 0 for texels without views.
 
     Raises:
-        ShapeError: arrays that do not fit each other.
-        OptionError: an option outside its range, a weight that is negative or not finite, a
-            visible sample that is not finite, a direction that is not of unit length.
+        ShapeError: arrays with inconsistent shapes.
+        OptionError: an option outside its range, a negative or infinite weight, a visible sample
+            that is not finite, or a direction that is not of unit length.
+
+    Example:
+        >>> directions = np.random.default_rng(0).normal(size=(2, 20, 3))  # 2 texels, 20 views
+        >>> directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        >>> svu.fit_sh(directions, np.ones((2, 20)), np.ones((2, 20, 3)), lmax=6).shape
+        (2, 49, 3)
     """
     lmax = harmonics.check_degree(lmax)
     if not (isinstance(regularizer, Real) and 1e-12 <= regularizer <= 1e12):
@@ -189,13 +195,13 @@ def _fitted(samples: _Samples, system: FitSystem, groups: list[SolverGroup], tex
 def _check_size(*counts: int) -> None:
     if max(counts) >= 2**32:
         raise OptionError(
-            f"fit_sh(): {max(counts)} numbers in one array are more than a 32-bit index reaches; "
-            "call it on blocks of texels."
+            f"fit_sh(): an array of {max(counts)} numbers exceeds 32-bit indices; call it on "
+            "blocks of texels."
         )
 
 
 def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
-    """Count the visible views of every texel and refuse samples that cannot be fitted."""
+    """Return the number of visible views of each texel; raise an error if a sample is invalid."""
     visible, first_bad = _count_visible(samples.at, dr.arange(mi.UInt32, texels), samples.views)
     dr.eval(visible, first_bad)
     bad = first_bad.numpy()
@@ -204,7 +210,7 @@ def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
         view = int(bad[texel])
         direction, weight, values = samples.at(mi.UInt32(texel), mi.UInt32(view))
         raise OptionError(
-            f"fit_sh(): texel {texel}, view {view} cannot be used: weight {weight[0]:g}, direction "
+            f"fit_sh(): texel {texel}, view {view} is invalid: weight {weight[0]:g}, direction "
             f"({', '.join(f'{x[0]:g}' for x in direction)}), values "
             f"({', '.join(f'{v[0]:g}' for v in values)}). Weights must be finite and >= 0 and, "
             "where they are > 0, directions of unit length and values finite."
@@ -214,12 +220,12 @@ def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
 
 @dr.syntax
 def _count_visible(at: Any, texel: Any, views: Any) -> tuple[Any, Any]:
-    """Return, per texel, the number of visible views and the first unusable one (or views)."""
+    """Return the number of visible views and the first invalid view (or ``views``) per texel."""
     visible, first_bad = mi.UInt32(0), mi.UInt32(views)
     view = mi.UInt32(0)
     while view < views:
         direction, weight, values = at(texel, view)
-        # Written so that NaN fails every test.
+        # NaN fails every comparison.
         usable = (weight == 0) | (
             (weight > 0)
             & dr.isfinite(weight)

@@ -1,13 +1,13 @@
-"""Real spherical harmonics in lanes: basis, ridge and kernel of Eq. 12, power spectra.
+"""Real spherical harmonics: basis, ridge and kernel of Eq. 12, power spectra.
 
     S(l) = sum over m = -l ... l of c_lm^2                                        (Eq. 8)
 
-A sum, not a mean: white noise of unit variance has 2l + 1 on average. Conventions:
+S is a sum, not a mean: its expectation for white noise of unit variance is 2l + 1. Conventions:
 
 * order ``index = l*l + l + m``: (0,0), (1,-1), (1,0), (1,1), (2,-2), ...
 * orthonormal on the sphere, real, with the Condon-Shortley sign of ``dr.sh_eval``
   [Sloan, JCGT 2013]: the degree 1 functions are ``sqrt(3/4pi) * (-y, z, -x)``;
-* lanes run over texels, coefficients are Python lists of Dr.Jit arrays.
+* one lane per texel, coefficients as Python lists of Dr.Jit arrays.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from svu_mi.core.arrays import tensor
 from svu_mi.errors import OptionError, ShapeError
 
 MAX_DEGREE = 9
-"""The highest degree of ``dr.sh_eval``."""
+"""Highest degree of ``dr.sh_eval``."""
 
 
 def degree_of(count: int) -> int:
@@ -41,7 +41,7 @@ def degree_of(count: int) -> int:
 
 
 def check_degree(degree: Any) -> int:
-    """Return ``degree`` as an int in [0, 9]."""
+    """Return ``degree`` as an int; raise an error outside [0, 9]."""
     whole = isinstance(degree, Integral) and not isinstance(degree, bool)
     if not whole or not 0 <= degree <= MAX_DEGREE:
         raise OptionError(f"fit_sh(): the degree must be a whole number in [0, 9], got {degree!r}.")
@@ -54,12 +54,12 @@ def basis(direction: Any, degree: int) -> list[Any]:
 
 
 def ridge(degree: int, penalize_constant: bool) -> list[float]:
-    """Diagonal of R in Eq. 12, one entry per degree: e^l, with R_00 = 1 or 0."""
+    """Return the diagonal of R in Eq. 12, one entry per degree: e^l, with R_00 = 1 or 0."""
     return [math.exp(l) if l or penalize_constant else 0.0 for l in range(degree + 1)]
 
 
 def zonal_polynomial(degree: int, penalize_constant: bool) -> list[float]:
-    """Powers of t in lambda * k(t) = sum_l (2l + 1) / (4 pi R_l) P_l(t), R_l = 0 left out."""
+    """Return powers of t in lambda k(t) = sum_l (2l + 1) / (4 pi R_l) P_l(t), for R_l > 0."""
     penalty = ridge(degree, penalize_constant)
     weights = [(2 * l + 1) / (4 * math.pi * r) if r else 0.0 for l, r in enumerate(penalty)]
     return [float(power) for power in legendre.leg2poly(weights)]
@@ -84,31 +84,31 @@ class FitSystem:
     degree: int
     channels: int
     ridge: list[float]  # e^l, 0 where a degree is free
-    regularizer: Any  # lambda, an opaque double: a new value must not mean a new kernel
+    regularizer: Any  # lambda, opaque: a new value must not compile a new kernel
 
     @staticmethod
     def of(degree: int, channels: int, regularizer: float, penalize_constant: bool) -> FitSystem:
-        """Set up the fit."""
+        """Return the parameters of a fit."""
         penalty = ridge(degree, penalize_constant)
         return FitSystem(degree, channels, penalty, dr.opaque(mi.Float64, regularizer))
 
     @property
     def degrees(self) -> list[int]:
-        """The degree of every coefficient."""
+        """Degree of each coefficient."""
         return [l for l in range(self.degree + 1) for _ in range(2 * l + 1)]
 
     def basis(self, direction: list[Any]) -> list[Any]:
-        """Y_lm of a unit direction, in double precision."""
+        """Evaluate Y_lm of a unit direction in double precision."""
         return basis(mi.Vector3d(*direction), self.degree)
 
 
 def normalized_double(direction: Any) -> Any:
-    """Normalise a direction in double precision, which fits of close views need."""
+    """Normalise a direction in double precision, as fits of close views require."""
     return dr.normalize(mi.Vector3d(direction))
 
 
 def power_per_degree(coefficients: list[list[Any]]) -> list[list[Any]]:
-    """Return S(l) of every lane (Eq. 8): lmax + 1 lists of C arrays, squared radiance."""
+    """Return S(l) of each lane (Eq. 8): lmax + 1 lists of C arrays, in squared radiance."""
     spectrum = []
     for l in range(degree_of(len(coefficients)) + 1):
         orders = coefficients[l * l : (l + 1) ** 2]  # m = -l ... l
@@ -118,17 +118,22 @@ def power_per_degree(coefficients: list[list[Any]]) -> list[list[Any]]:
 
 
 def power_spectrum(coefficients: Any) -> Any:
-    """Return the power of every degree (Eq. 8).
+    """Return the power of each degree (Eq. 8).
 
     Args:
-        coefficients: (T, (lmax + 1)^2, C), texels x coefficients x channels, in the order
-            l*l + l + m; a tensor or anything NumPy understands.
+        coefficients: (T, (lmax + 1)^2, C) coefficients of T texels in the order l*l + l + m.
 
     Returns:
         (T, lmax + 1, C) TensorXf, in squared radiance.
 
     Raises:
-        ShapeError: not three axes, or a second axis that is not a square.
+        ShapeError: not three axes, or the length of the second axis is not a square.
+
+    Example:
+        >>> svu.power_spectrum(np.ones((5, 49, 3))).shape
+        (5, 7, 3)
+        >>> np.array(svu.power_spectrum(np.ones((1, 9, 1)))).ravel()
+        array([1., 3., 5.], dtype=float32)
     """
     axes = ("T", "(lmax+1)^2", "C")
     given = tensor(coefficients, "power_spectrum()", "coefficients", axes)

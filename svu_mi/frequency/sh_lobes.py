@@ -1,9 +1,9 @@
-"""Lobes by spherical harmonics of each texel's mirrored light (Eq. 6).
+"""Specular lobes from spherical harmonics of each texel's mirrored light (Eq. 6).
 
     B(omega_o) = Kd / pi E + F(theta_o) G1(theta_o; alpha) [S_alpha * G1(theta_i; alpha) L](omega_o)
 
 L(omega_o) is the light from the mirror direction of omega_o. G1(theta_i) L is expanded to degree l*
-for each texel (Eq. 12); the convolution multiplies degree l by exp(-(alpha l)^2).
+for each texel (Eq. 12). The convolution with S_alpha multiplies degree l by exp(-(alpha l)^2).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from svu_mi.reflection.wide_lobes import Lobe
 
 @dataclass(frozen=True)
 class ShLobes:
-    """Specular lobes of K widths from the SH fit of each texel's light.
+    """Specular lobes of K widths from SH fits of each texel's light.
 
     Attributes:
         alpha: (K,) float64 widths.
-        values: (K n C S,) Float, n = (l* + 1)^2: coefficients of S_alpha * G1 L, of the width, then
-            l*l + l + m, then channel, one per lane, in radiance; 0 where unseen.
+        values: (K n C S,) Float, n = (l* + 1)^2: coefficients of S_alpha * G1 L, in radiance, by
+            width, l*l + l + m, channel and lane; 0 where unseen.
     """
 
     fresnel: Fresnel
@@ -42,7 +42,7 @@ class ShLobes:
 
     @staticmethod
     def of(light: MirroredLight, alpha: np.ndarray, switches: AngularPreset) -> ShLobes:
-        """Fit and convolve the light with a lobe of each width; 4 n C bytes per texel and width."""
+        """Fit the light and convolve it with lobes; 4 n C bytes per texel and width."""
         rows, count = (light.fit.degree + 1) ** 2 * light.channels, len(light.chosen)
         values = light.allocate(len(alpha) * rows)
         for level, width in enumerate(alpha.tolist()):
@@ -59,7 +59,7 @@ class ShLobes:
         return ShLobes(switches.fresnel, alpha, values, light)
 
     def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
-        """Reflect light towards a camera: the lobe of each width."""
+        """Return the light reflected towards a camera by the lobe of each width."""
         light, channels = self.light, self.light.channels
         stride, rows = len(light.chosen), (light.fit.degree + 1) ** 2 * channels
         columns = [
@@ -72,7 +72,7 @@ class ShLobes:
         )  # fmt: skip
         result = []
         for level, alpha in enumerate(self.alpha.tolist()):
-            # Opaque: as a literal, every grid would compile kernels of its own.
+            # Opaque: with a literal, Dr.Jit would compile another kernel for each grid.
             A, B, D = view_albedo(self.fresnel, cosine, dr.opaque(mi.Float, alpha))
             own = radiance[level * channels : (level + 1) * channels]
             result.append([(A * value, B * value, D * value) for value in own])
@@ -81,10 +81,11 @@ class ShLobes:
 
 @dataclass(frozen=True)
 class ConvolvedLight:
-    """Light under a lobe of every texel's own width.
+    """Light convolved with a lobe of a different width for each texel.
 
     Attributes:
-        values: (2 n C S,) Float: coefficient, then value and roughness derivative, then channel.
+        values: (2 n C S,) Float: values and roughness derivatives of the coefficients, by
+            l*l + l + m, (value, derivative), channel and lane.
     """
 
     values: Any
@@ -92,7 +93,7 @@ class ConvolvedLight:
 
     @staticmethod
     def of(light: MirroredLight, roughness: Any) -> ConvolvedLight:
-        """Fit and convolve, exactly: every texel's light is fitted under its own masking."""
+        """Fit and convolve the light, with the masking of each texel's roughness."""
         values = light.allocate(2 * (light.fit.degree + 1) ** 2 * light.channels)
         stride = dr.opaque(mi.UInt32, len(light.chosen))
 
@@ -118,7 +119,7 @@ class ConvolvedLight:
         return ConvolvedLight(values, light)
 
     def evaluate(self, direction: Any) -> list[tuple[Any, Any]]:
-        """Evaluate in angle: (S_alpha * G1 L, its derivative for roughness) of each channel."""
+        """Return S_alpha * G1 L in a direction and its roughness derivative, per channel."""
         channels, count = self.light.channels, len(self.light.chosen)
         stride = dr.opaque(mi.UInt32, count)
         values = _evaluate(
@@ -129,26 +130,26 @@ class ConvolvedLight:
 
 
 def _masking(alpha: float) -> Callable[[Any, Any], list[Any]]:
-    """G1(theta_i; alpha), with an opaque alpha."""
+    """Return the masking function G1(theta_i; alpha), with an opaque alpha."""
     width = dr.opaque(mi.Float, alpha)
     return lambda cosine, _: [smith_g1(cosine, width)]
 
 
 def _widths(roughness: Any) -> tuple[Any, Any]:
-    """Return alpha, and its derivative for roughness."""
+    """Return alpha and its roughness derivative."""
     alpha = alpha_from_roughness(roughness)
     return alpha, dr.select(roughness * roughness < alpha, 0, 2 * roughness)
 
 
 def _square(light: MirroredLight, alpha: Any) -> Any:
-    """alpha^2; less alpha'^2, what light is filtered by already, if that is undone."""
+    """Return alpha^2; minus the band limit alpha'^2 of the light with ``undo_prefilter``."""
     undone = light.observed.lighting.prefilter**2 if light.fit.undo_prefilter else 0.0
     maximum = dr.maximum if dr.is_array_v(alpha) else np.maximum
     return maximum(alpha * alpha - undone, 0)
 
 
 def _decay(square: Any, row: int) -> Any:
-    """exp(-(alpha l)^2) of coefficient l*l + l + m."""
+    """Return exp(-(alpha l)^2) of coefficient ``row`` = l*l + l + m."""
     l = int(row**0.5)
     return dr.exp(-square * (l * l))
 
@@ -157,7 +158,7 @@ def _decay(square: Any, row: int) -> Any:
 def _evaluate(
     values: Any, direction: Any, degree: int, place: Any, advance: Any, columns: list[Any]
 ) -> list[Any]:
-    """Return the sum of Y_lm(direction) times each of some columns over all coefficients."""
+    """Return the sum over (l, m) of Y_lm(direction) times coefficients, for each column."""
     number = (degree + 1) ** 2
     basis = dr.alloc_local(mi.Float, number)
     for k, y in enumerate(harmonics.basis(mi.Vector3f(direction), degree)):

@@ -1,10 +1,10 @@
-"""Eq. 12 in its dual form: one unknown per visible view.
+"""Dual solver of Eq. 12: one unknown per visible view.
 
-M a = W f with M = W K W + I, K_ij = k(d_i . d_j) and k the zonal kernel of (lambda R)^-1;
-then c = (lambda R)^-1 Y^T W a. With R_00 = 0 the constant is an extra, unpenalised unknown:
-for u = W Y_00, c_00 = u^T M^-1 W f / u^T M^-1 u and a = M^-1 (W f - u c_00).
+Solve M a = W f with M = W K W + I, K_ij = k(d_i . d_j), where k is the zonal kernel of
+(lambda R)^-1. Then c = (lambda R)^-1 Y^T W a. If R_00 = 0, the constant is another, unpenalised
+unknown: for u = W Y_00, c_00 = u^T M^-1 W f / u^T M^-1 u and a = M^-1 (W f - u c_00).
 
-In double precision: single loses 1e-3 of the spectrum where views are close together.
+Double precision, because single precision has errors of 1e-3 of the spectrum for close views.
 """
 
 from __future__ import annotations
@@ -21,19 +21,18 @@ from svu_mi.frequency import cholesky, harmonics
 from svu_mi.frequency.harmonics import FitSystem, ReadSample, normalized_double
 
 TILE = 4
-"""Edge of a tile: 16 double precision values, half of which stay in registers while it is
-updated. Measured from 2 to 8: the fastest."""
+"""Edge of a tile. Fastest of 2 to 8: half of the 16 double precision values stay in registers."""
 
 Y00 = 1 / math.sqrt(4 * math.pi)
 
 
 def fit_dual(sample: ReadSample, views: Any, system: FitSystem, capacity: int) -> list[list[Any]]:
-    """Compact the visible samples of the lane, solve for them, and go back to coefficients."""
+    """Fit the visible samples of each lane; return coefficients (see ``fit_lanes``)."""
     channels = system.channels
     free = system.ridge[0] == 0
     columns = channels + free
     held = -(-max(capacity, 1) // TILE)  # tile rows
-    # One local array per number of a sample: x, y, z, w, values.
+    # Local arrays: x, y, z, w and values of the samples.
     types = [mi.Float64] * 4 + [mi.Float] * channels
     samples = [dr.alloc_local(Type, held * TILE) for Type in types]
     samples, count = _compact(sample, views, samples, held * TILE)
@@ -61,14 +60,14 @@ def fit_dual(sample: ReadSample, views: Any, system: FitSystem, capacity: int) -
 
 @dr.syntax
 def _compact(sample: ReadSample, views: Any, samples: list, capacity: int) -> tuple[list, Any]:
-    """Store the visible samples of each lane one after the other."""
+    """Store the visible samples of each lane consecutively; return them and their number."""
     count = mi.UInt32(0)
     view = mi.UInt32(0)
     while view < views:
         direction, weight, values = sample(view)
         held = (weight > 0) & (count < capacity)
-        # Local memory takes an index of width 1 (such as a counter that starts from a literal)
-        # for the same in all lanes; the select gives it the width of the lanes.
+        # Local memory treats an index of width 1 (a counter that starts from a literal) as uniform
+        # over lanes. The select gives it the width of the lanes.
         slot = dr.select(held, count, 0)
         if held:
             store(samples, slot, [*normalized_double(direction), mi.Float64(weight), *values])
@@ -86,7 +85,7 @@ def _pad(samples: list, count: Any, blocks: Any) -> None:
 
 
 def _kernel_tile(samples: list, bi: Any, bj: Any, diagonal: bool, system: FitSystem) -> list:
-    """Return tile (bi, bj) of M = W K W + 1; only its lower triangle if it is diagonal."""
+    """Return tile (bi, bj) of M = W K W + I; only its lower triangle if it is diagonal."""
     powers = harmonics.zonal_polynomial(system.degree, system.ridge[0] > 0)
     scale = dr.rcp(system.regularizer)
 
@@ -107,7 +106,7 @@ def _kernel_tile(samples: list, bi: Any, bj: Any, diagonal: bool, system: FitSys
 
 
 def _dual_right(samples: list, bi: Any, free: bool) -> list:
-    """Return rows of W f and, if the constant is free, of u = W Y_00 as the last column."""
+    """Return rows of W f; if the constant is unpenalised, with u = W Y_00 as last column."""
     out = []
     for i in range(TILE):
         weight, *values = (mi.Float64(s[bi * TILE + i]) for s in samples[3:])
@@ -117,7 +116,7 @@ def _dual_right(samples: list, bi: Any, free: bool) -> list:
 
 @dr.syntax
 def _free_constant(solution: list, blocks: Any, products: list) -> tuple[list, list]:
-    """Return c_00 and right-hand sides without it: c_00 = v.z / v.v, z - v c_00; v = L^-1 u."""
+    """Return z - v c_00 and c_00 = v.z / v.v, with v = L^-1 u."""
     norm = type(products[0])(0)
     bi = mi.UInt32(0)
     while bi < blocks:
@@ -154,7 +153,7 @@ def _remove_constant(z: list, constant: list) -> list:
 
 @dr.syntax
 def _weigh(samples: list, solution: list, rows: list, blocks: Any) -> list:
-    """Write W a sample by sample."""
+    """Write W a, one row per sample."""
     bi = mi.UInt32(0)
     while bi < blocks:
         _weigh_block(samples[3], load(solution, bi), rows, bi)
@@ -173,7 +172,7 @@ def _weigh_block(weights: Any, a: list, rows: list, bi: Any) -> None:
 def _sum_samples(
     directions: list, rows: list, count: Any, total: list, basis: Callable[[list], list]
 ) -> list:
-    """Add Y^T W a to ``total``, channels per coefficient, one sample at a time (no spills)."""
+    """Add Y^T W a to ``total``, one sample at a time to avoid register spills."""
     row = mi.UInt32(0)
     while row < count:
         wa = load(rows, row)
@@ -190,7 +189,7 @@ def _add_outer(total: list, y: list, wa: list) -> list:
 def _scale_coefficients(
     total: list, system: FitSystem, constant: list | None, seen: Any
 ) -> list[list[Any]]:
-    """c = (lambda R)^-1 Y^T W a; the constant itself where it is free."""
+    """Return c = (lambda R)^-1 Y^T W a; ``constant`` for degrees that are unpenalised."""
     out = []
     for l, row in zip(system.degrees, total, strict=True):
         if system.ridge[l] > 0:

@@ -1,7 +1,8 @@
-"""Eq. 12 by its normal equations: (degree + 1)^2 unknowns, any number of views.
+"""Primal solver of Eq. 12: normal equations with (degree + 1)^2 unknowns, any number of views.
 
-Also fits with one added sample, for each of several: with A = Y^T W^2 Y + lambda R factored once, a
-sample of direction y, weight w and value f changes c to [Sherman and Morrison 1950]
+``fit_candidates`` also returns fits with one additional sample, for each of several candidates.
+With A = Y^T W^2 Y + lambda R factorised once, a sample with basis values y, weight w and value f
+changes c to [Sherman and Morrison 1950]
 
     c' = c + A^-1 w y  w (f - y . c) / (1 + w y . A^-1 w y).
 """
@@ -21,7 +22,7 @@ from svu_mi.frequency.harmonics import FitSystem, ReadSample, normalized_double,
 
 
 def fit_primal(sample: ReadSample, views: Any, system: FitSystem) -> list[list[Any]]:
-    """Accumulate the normal equations view by view, then solve them in place."""
+    """Fit the samples of each lane; return coefficients (see ``fit_lanes``)."""
     solved = SolvedSystem.of(sample, views, system)
     return [
         [dr.select(solved.seen, mi.Float(value), 0) for value in row]
@@ -31,12 +32,12 @@ def fit_primal(sample: ReadSample, views: Any, system: FitSystem) -> list[list[A
 
 @dataclass
 class SolvedSystem:
-    """Normal equations in local memory, factored and solved.
+    """Factorised and solved normal equations, in local memory.
 
     Attributes:
-        factor: of A = Y^T W^2 Y + lambda R, packed lower tiles.
-        solution: c, one block of degree + 1 rows per tile row.
-        rows: memory for one more row of Y.
+        factor: Cholesky factor of A = Y^T W^2 Y + lambda R, packed lower tiles.
+        solution: c, in blocks of degree + 1 rows per tile row.
+        rows: working memory for one row of Y.
     """
 
     factor: list
@@ -47,8 +48,8 @@ class SolvedSystem:
 
     @staticmethod
     def of(sample: ReadSample, views: Any, system: FitSystem) -> SolvedSystem:
-        """Accumulate the equations view by view, and solve them."""
-        size = system.degree + 1  # tiles of this edge fill the matrix without padding
+        """Accumulate the equations over the views and solve them."""
+        size = system.degree + 1  # tiles with this edge need no padding
         blocks, memory = dr.opaque(mi.UInt32, size), cholesky.packed_count(size)
         gram = allocate(mi.Float64, size * size, memory)
         right = allocate(mi.Float64, size * system.channels, size)
@@ -62,12 +63,12 @@ class SolvedSystem:
         return SolvedSystem(gram, right, rows, blocks, seen)
 
     def coefficients(self, system: FitSystem) -> list[list[Any]]:
-        """Read c: (degree + 1)^2 rows of channels, Float64."""
+        """Return c: (degree + 1)^2 rows of channels, Float64."""
         return read_rows(self.solution, system)
 
 
 def read_rows(memory: list, system: FitSystem) -> list[list[Any]]:
-    """Read (degree + 1)^2 rows of channels from blocks."""
+    """Return (degree + 1)^2 rows of channels, read from blocks."""
     size, channels = system.degree + 1, system.channels
     return [
         [memory[i % size * channels + c][i // size] for c in range(channels)]
@@ -77,7 +78,7 @@ def read_rows(memory: list, system: FitSystem) -> list[list[Any]]:
 
 @dr.syntax
 def _clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list]:
-    """Fill both with zeros."""
+    """Fill ``gram`` and ``right`` with zeros."""
     i = mi.UInt32(0)
     while i < tiles:
         store(gram, i, [mi.Float64(0) for _ in gram])
@@ -101,7 +102,7 @@ def _accumulate(
     sample: ReadSample, views: Any, memory: tuple[list, list, list, Any],
     basis: Callable[[list], list],
 ) -> tuple[list, list, Any]:  # fmt: skip
-    """Add Y^T W^2 Y and Y^T W^2 f; return them and the lanes with samples."""
+    """Add Y^T W^2 Y and Y^T W^2 f to memory; return both, and the lanes with samples."""
     gram, right, rows, blocks = memory
     seen = mi.Bool(False)
     view = mi.UInt32(0)
@@ -127,7 +128,7 @@ def _accumulate(
 
 
 def write_row(rows: list, y: list, weight: Any) -> None:
-    """Write w Y_lm(d) of one sample as blocks of len(rows)."""
+    """Write w Y_lm(d) of one sample, in blocks of len(rows)."""
     for i, value in enumerate(y):
         rows[i % len(rows)][i // len(rows)] = weight * value
 
@@ -138,19 +139,20 @@ def _add_outer(tile: list, a: list, b: list) -> list:
 
 
 FREE = 1e-12
-"""Stands for R_00 = 0: a lane without samples has a matrix, too. Changes c by 1e-12 of itself."""
+"""Replaces R_00 = 0, so that the matrix of a lane without samples is regular. The relative change
+of c is 1e-12."""
 
 TakeSpectrum = Callable[[Any, list[list[Any]]], None]
-"""Consumer of (j, power): the spectrum with sample j added, Float64 by degree and channel."""
+"""Callback (j, power): spectrum with candidate j added, Float64 by degree and channel."""
 
 
 def fit_candidates(
     known: tuple[ReadSample, Any], added: tuple[ReadSample, Any], system: FitSystem,
     take: TakeSpectrum,
 ) -> list[list[Any]]:  # fmt: skip
-    """Fit the ``known`` samples and their count, then each of the ``added`` in addition.
+    """Return the spectrum of the ``known`` samples; call ``take`` with each candidate added.
 
-    Returns the power of the known; calls ``take`` where an added sample's weight is positive.
+    ``known`` and ``added`` are sample functions and numbers of samples.
     """
     system = replace(system, ridge=[max(value, FREE) for value in system.ridge])
     solved = SolvedSystem.of(*known, system)
@@ -160,23 +162,23 @@ def fit_candidates(
 
 
 class _AddedSample:
-    """Rank-one update by one sample; not a dataclass, whose fields would be loop state."""
+    """Rank-one update by one sample. Not a dataclass: Dr.Jit would treat fields as loop state."""
 
     def __init__(self, system: FitSystem, added: ReadSample, take: TakeSpectrum) -> None:
         self._system, self.added, self._take = system, added, take
 
     def basis(self, direction: Any) -> list[Any]:
-        """y of a direction."""
+        """Return the basis values y of a direction."""
         return self._system.basis(normalized_double(direction))
 
     def norm(self, step: list) -> Any:
-        """1 + w y . A^-1 w y, from z = L^-1 w y."""
+        """Return 1 + w y . A^-1 w y, from z = L^-1 w y."""
         size = self._system.degree + 1
         z = [step[i % size][i // size] for i in range(size * size)]
         return 1 + sum(value * value for value in z)
 
     def errors(self, fitted: list, y: list, values: list, scale: Any) -> list[Any]:
-        """scale (f - y . c) of every channel."""
+        """Return scale (f - y . c) for each channel."""
         old = read_rows(fitted, self._system)
         return [
             scale * (mi.Float64(f) - sum(b * c[k] for b, c in zip(y, old, strict=True)))
@@ -184,7 +186,7 @@ class _AddedSample:
         ]
 
     def take(self, j: Any, fitted: list, step: list, errors: list) -> None:
-        """Consume the changed spectrum; ``step`` holds A^-1 w y."""
+        """Call ``take`` with the changed spectrum; ``step`` contains A^-1 w y."""
         size, old = self._system.degree + 1, read_rows(fitted, self._system)
         new = [
             [dr.fma(step[i % size][i // size], e, c) for e, c in zip(errors, row, strict=True)]

@@ -1,4 +1,4 @@
-"""SH fits and power spectra of each texel's radiance and mirrored light."""
+"""Spherical harmonic fits and power spectra of each texel's radiance and mirrored light."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from svu_mi.presets import Preset
 
 @dataclass(frozen=True)
 class Spectra:
-    """Power spectra of T texels, TensorXf (T, l* + 1, C) in squared radiance; C is 3, or 1."""
+    """Power spectra of the light and of radiance, TensorXf (T, l* + 1, C) in squared radiance."""
 
     incoming: Any
     outgoing: Any
@@ -31,7 +31,7 @@ def fit_spectra(
     light_channels: int | None = None,
     skip_unseen: bool = True,
 ) -> Spectra:
-    """Gather, fit and take power spectra in one kernel per solver; samples are never stored."""
+    """Return the power spectra of all texels; one kernel per solver, without stored samples."""
     colors = channels or switches.colors
     light = light_channels or colors
     counts = np.maximum(observed.visibility.coverage.numpy(), 0 if skip_unseen else 1)
@@ -49,11 +49,10 @@ def fit_spectra(
 
 @dataclass(frozen=True)
 class Coefficients:
-    """SH coefficients of the radiance and the mirrored light of T texels.
+    """SH coefficients of radiance (C channels) and mirrored light (C' channels) of T texels.
 
     Attributes:
-        values: (K (C + C') T,) Float: for coefficient l*l + l + m, then channel of photographs
-            or light, one value per texel, in radiance; 0 where not seen.
+        values: (K (C + C') T,) Float, radiance by l*l + l + m, channel, texel; 0 where unseen.
     """
 
     values: Any
@@ -63,11 +62,11 @@ class Coefficients:
     count: int
 
     def outgoing(self, index: int, channel: int, texel: Any) -> Any:
-        """Read a coefficient of the photographs for texels."""
+        """Return a coefficient of the radiance of texels."""
         return self._read(index, channel, texel)
 
     def incoming(self, index: int, channel: int, texel: Any) -> Any:
-        """Read a coefficient of the light, where channel may be any of the photographs'."""
+        """Return a coefficient of the light of texels, for a channel in [0, C)."""
         return self._read(index, self.channels + channel % self.light_channels, texel)
 
     def _read(self, index: int, row: int, texel: Any) -> Any:
@@ -78,7 +77,7 @@ class Coefficients:
 def fit_coefficients(
     observed: FitSource, switches: Preset, *, light_channels: int = 3
 ) -> Coefficients:
-    """Fit three channels as ``fit_spectra`` does and keep the coefficients, 24 bytes each."""
+    """Return the coefficients of three channels, fitted as in ``fit_spectra``."""
     count = observed.texels.count
     values = dr.zeros(mi.Float, (switches.degree + 1) ** 2 * (3 + light_channels) * count)
     dr.eval(values)

@@ -1,8 +1,8 @@
 """Specular lobes: profiles, directions and albedos.
 
-A lobe of width alpha is approximated by one that is symmetric around a direction: light is
-filtered once for every alpha (light/prefiltered.py) and looked up there. The directional albedo,
-and the lobe's direction, depend on the angle of view.
+A lobe of width alpha is approximated by a lobe that is rotationally symmetric around a direction,
+so one prefiltered light per alpha (light/prefiltered.py) serves all views. The direction and the
+directional albedo of the lobe depend on the viewing angle.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from numpy.polynomial import legendre
 from svu_mi.presets import Fresnel, Lobe
 from svu_mi.reflection.principled import F0
 
-INDEX = 1.5  # of refraction of dielectrics: specular = 0.5
-ALBEDO_NODES = 32  # of cos theta_o, at (i + 0.5) / 32
-FLAT = 0.01  # alpha below which a Gaussian lobe does not feel that the sphere is curved
-ANGLES = 4097  # that wider ones are tabulated at
-SERIES = 6.0  # alpha l from which on degrees are left out, exp(-36)
-LEAST = 0.3  # part of its peak that a lobe keeps over a disk that is too large for it
-_U, _V = 64, 16  # stratified samples of visible normals per table entry
+INDEX = 1.5  # index of refraction of dielectrics (specular = 0.5)
+ALBEDO_NODES = 32  # number of nodes of cos theta_o, at (i + 0.5) / 32
+FLAT = 0.01  # alpha below which the sphere under a Gaussian lobe counts as flat
+ANGLES = 4097  # number of tabulated angles of Gaussian lobes
+SERIES = 6.0  # series of Gaussian lobes end at degree SERIES / alpha, where terms are exp(-36)
+LEAST = 0.3  # minimum of a lobe averaged over a disk, relative to its centre
+_U, _V = 64, 16  # number of stratified samples of visible normals per table entry
 
 
 def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
-    """Return a lobe's unnormalised weight at an angle theta from its centre.
+    """Return a lobe's unnormalised weight at angles from its centre, given their cosines.
 
     ``gaussian`` scales degree l by exp(-(alpha l)^2) (Eq. 6). ``ggx`` is D(theta / 2) G1(theta),
-    the lobe along the normal [Walter et al. 2007].
+    the lobe of a view along the normal [Walter et al. 2007].
     """
     if lobe == "gaussian":
-        if alpha < FLAT:  # the sphere is flat under it
+        if alpha < FLAT:
             return np.exp(-((np.arccos(cosine) / (2 * alpha)) ** 2))
         return np.interp(np.arccos(cosine), *_gaussian(alpha))
     distribution = (alpha / ((1 + cosine) / 2 * (alpha**2 - 1) + 1)) ** 2
@@ -44,8 +44,8 @@ def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _gaussian(alpha: float) -> tuple[np.ndarray, np.ndarray]:
-    """Angles from 0 to pi, and sum_l (2 l + 1) exp(-(alpha l)^2) P_l there, 1 in the middle."""
-    angle = np.pi * np.linspace(0, 1, ANGLES) ** 2  # dense where narrow ones are steep
+    """Return angles in [0, pi], and sum_l (2 l + 1) exp(-(alpha l)^2) P_l, 1 at the centre."""
+    angle = np.pi * np.linspace(0, 1, ANGLES) ** 2  # denser at the centre, for narrow lobes
     l = np.arange(int(np.ceil(SERIES / alpha)) + 1)
     decay = (2 * l + 1) * np.exp(-((alpha * l) ** 2))
     return angle, legendre.legval(np.cos(angle), decay / decay.sum())
@@ -53,33 +53,33 @@ def _gaussian(alpha: float) -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache
 def lobe_profile(lobe: Lobe) -> Callable[[float, np.ndarray], np.ndarray]:
-    """Return ``zonal_profile`` of a lobe by width and cosine; the same function every time."""
+    """Return ``zonal_profile`` of a lobe as a cached function of width and cosine."""
     return partial(zonal_profile, lobe)
 
 
 def smith_g1(cosine: Any, alpha: Any) -> Any:
-    """Return G1 = 2 / (1 + sqrt(1 + alpha^2 tan^2 theta)) (Eq. 6), without the tangent."""
+    """Return G1 = 2 / (1 + sqrt(1 + alpha^2 tan^2 theta)) (Eq. 6) from the cosine."""
     root = _root(cosine)(cosine * cosine * (1 - alpha * alpha) + alpha * alpha)
     return 2 * cosine / (cosine + root)
 
 
 def smith_g1_slope(cosine: Any, alpha: Any) -> Any:
-    """Derivative of ``smith_g1`` for alpha."""
+    """Return the derivative of ``smith_g1`` with respect to alpha."""
     square = 1 - cosine * cosine
     root = _root(cosine)(cosine * cosine + alpha * alpha * square)
     return -2 * cosine * alpha * square / (root * (cosine + root) ** 2)
 
 
 def ggx(cosine: Any, alpha: Any) -> Any:
-    """Distribution of normals D, by their cosine [Walter et al. 2007, Eq. 33]."""
+    """Return the GGX distribution of normals D at a cosine [Walter et al. 2007, Eq. 33]."""
     return (alpha / (cosine * cosine * (alpha * alpha - 1) + 1)) ** 2 / np.pi
 
 
 def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> list[Any]:
-    """Return D G1 averaged over a disk of light, one value for each width.
+    """Return D G1 averaged over a disk of light, for each width.
 
-    To first order, D changes by (rho^2 / s) (1 / 2 - 3 alpha^2 / 4 s) of itself, for the radius rho
-    and s = sin^2 theta_h + alpha^2 cos^2 theta_h.
+    To first order, the relative change of D is (rho^2 / s) (1 / 2 - 3 alpha^2 / 4 s), where
+    s = sin^2 theta_h + alpha^2 cos^2 theta_h. ``up`` is cos theta_h, ``square`` is rho^2.
     """
     squares = [alpha * alpha for alpha in widths]
     s = [dr.fma(up * (a - 1), up, 1) for a in squares]
@@ -95,7 +95,7 @@ def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> lis
 
 
 def reciprocals(values: list[Any]) -> list[Any]:
-    """Return 1 / x of some numbers, none near 0, by a single division [Montgomery 1987]."""
+    """Return 1 / x of each number by a single division [Montgomery 1987]; all far from 0."""
     below = list(accumulate(values, lambda product, x: product * x))
     rest, inverses = dr.rcp(below[-1]), []
     for x, product in zip(values[:0:-1], below[-2::-1], strict=True):
@@ -105,7 +105,7 @@ def reciprocals(values: list[Any]) -> list[Any]:
 
 
 def dielectric_fresnel(cosine: Any) -> Any:
-    """Unpolarised reflectance of a dielectric of index 1.5 [Fresnel's equations]."""
+    """Return the unpolarised Fresnel reflectance of a dielectric of index 1.5."""
     inner = _root(cosine)(1 - (1 - cosine * cosine) / INDEX**2)
     below_s, below_p = cosine + INDEX * inner, INDEX * cosine + inner
     inverse = (dr.rcp if dr.is_array_v(cosine) else np.reciprocal)(below_s * below_p)
@@ -115,7 +115,7 @@ def dielectric_fresnel(cosine: Any) -> Any:
 
 
 def view_albedo(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any, Any]:
-    """Return (A, B, D) of Eq. 6: Fresnel reflectance at the camera's angle."""
+    """Return (A, B, D), for albedos R0 A + B and D (dielectric), by Fresnel at theta_o (Eq. 6)."""
     masking = smith_g1(cosine, alpha)
     schlick = (1 - cosine) ** 5 if rule == "schlick" else 0.0
     A, B = masking * (1 - schlick), masking * schlick
@@ -123,8 +123,8 @@ def view_albedo(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any, Any]:
 
 
 def _root(like: Any) -> Any:
-    """Return the square root of positive numbers for an array of this kind."""
-    # A processor's reciprocal roots, refined once, take a third of the time of its roots.
+    """Return a square root function for positive numbers of this array type."""
+    # In Dr.Jit, refined reciprocal square roots take a third of the time of square roots.
     return (lambda x: x * dr.rsqrt(x)) if dr.is_array_v(like) else np.sqrt
 
 
@@ -132,13 +132,13 @@ def dominance(alpha: Any) -> Any:
     """Return a lobe's direction between normal (0) and mirror (1) [Lagarde, de Rousiers 2014]."""
     if not dr.is_array_v(alpha):
         return (1 - alpha) * (np.sqrt(np.maximum(1 - alpha, 0)) + alpha)
-    # The root has no derivative at alpha = 1, the product has.
+    # Clamped, because the derivative of the root is infinite at alpha = 1.
     return (1 - alpha) * (dr.sqrt(dr.maximum(1 - alpha, 1e-12)) + alpha)
 
 
 @lru_cache(maxsize=256)
 def _albedo(alpha: float) -> np.ndarray:
-    """(3, ALBEDO_NODES): the pair (A, B), and D, of a GGX lobe, by importance sampling."""
+    """Return A, B and D of a GGX lobe by importance sampling, (3, ALBEDO_NODES)."""
     mu = (np.arange(ALBEDO_NODES) + 0.5)[:, None] / ALBEDO_NODES
     view = np.stack([np.sqrt(1 - mu**2), np.zeros_like(mu), mu], axis=-1)
     half = _visible_normals(view, alpha)
@@ -153,22 +153,22 @@ def _albedo(alpha: float) -> np.ndarray:
 
 
 def split_sum(alpha: np.ndarray) -> np.ndarray:
-    """Return A and B of GGX's albedo R0 A + B [Karis 2013], (R, ALBEDO_NODES, 2), even cosines."""
+    """Return A and B of GGX's albedo R0 A + B [Karis 2013], (R, ALBEDO_NODES, 2)."""
     return np.stack([_albedo(float(a))[:2].T for a in alpha])
 
 
 def mean_albedo(alpha: np.ndarray) -> np.ndarray:
-    """Part of constant light that lobes with R0 = 1 reflect, mean over cos theta_o: (R,)."""
+    """Return the albedo of lobes with R0 = 1, averaged over cos theta_o, (R,)."""
     return split_sum(alpha).sum(axis=2).mean(axis=1)
 
 
 def dielectric_albedo(alpha: np.ndarray) -> np.ndarray:
-    """Return the albedo of a dielectric's GGX lobe with exact Fresnel: (R, ALBEDO_NODES)."""
+    """Return the albedo of a dielectric's GGX lobe with exact Fresnel, (R, ALBEDO_NODES)."""
     return np.stack([_albedo(float(a))[2] for a in alpha])
 
 
 def _visible_normals(view: np.ndarray, alpha: float) -> np.ndarray:
-    """Half vectors (views, samples, 3), distributed as seen from ``view`` [Heitz 2018]."""
+    """Sample visible half vectors, (views, samples, 3) [Heitz 2018]."""
     u = np.repeat((np.arange(_U) + 0.5) / _U, _V)
     phi = 2 * np.pi * (np.tile(np.arange(_V), _U) + (np.repeat(np.arange(_U), _V) % 7) / 7) / _V
     stretched = view * [alpha, alpha, 1.0]

@@ -1,4 +1,4 @@
-"""Radiance of one sample: diffuse and specular parts that material parameters mix."""
+"""Radiance of one sample as a mixture of diffuse and specular parts."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from svu_mi.presets import Diffuse
 from svu_mi.reflection.principled import columns, mixture
 
 Parts = tuple[Any, Any, Any, Any]
-"""(e, p, q, d) of one channel of the light, Floats: radiance (``reflection/principled.py``)."""
+"""(e, p, q, d) of one channel, Floats in radiance (see ``reflection/principled.py``)."""
 
 
 def combine_parts(
     diffuse: list[tuple[Any, Any]], roughness: Any, reflected: tuple[Any, Any, Any],
     light: list[Any],
 ) -> list[Parts]:  # fmt: skip
-    """Return the parts of every channel of the light."""
+    """Return the parts of each channel from diffuse shading (a, b), albedos and lobe light."""
     A, B, D = reflected
     return [
         (dr.fma(roughness, b, a), A * value, B * value, D * value)
@@ -30,7 +30,7 @@ def combine_parts(
 def mixed_radiance(
     parts: list[Parts], base_color: Sequence[Any], mixed: Sequence[Any]
 ) -> list[Any]:
-    """Return outgoing radiance, a Float per channel of the base colour."""
+    """Return the outgoing radiance, a Float per channel of the base colour."""
     mix = mixture(*mixed)
     return [
         dot(mix.at(color), columns(*parts[k % len(parts)])) for k, color in enumerate(base_color)
@@ -38,7 +38,7 @@ def mixed_radiance(
 
 
 def linear_weights(roughness: Any, levels: int) -> list[Any]:
-    """Return the weights of linear interpolation between evenly spaced levels of roughness."""
+    """Return weights of linear interpolation between roughness levels, uniform on [0, 1]."""
     place = roughness * (levels - 1)
     return [dr.maximum(1 - dr.abs(place - k), 0) for k in range(levels)]
 
@@ -47,7 +47,7 @@ def interpolate_radiance(
     levels: Sequence[list[Parts]], shares: Sequence[Any], base_color: Sequence[Any],
     mixed: Sequence[Any],
 ) -> list[Any]:  # fmt: skip
-    """Return outgoing radiance, interpolated between levels of roughness by ``shares``."""
+    """Return the outgoing radiance, interpolated between roughness levels by ``shares``."""
     total = [dr.zeros(type(shares[0]))] * len(base_color)
     for level, share in zip(levels, shares, strict=True):
         added = mixed_radiance(level, base_color, mixed)
@@ -56,7 +56,7 @@ def interpolate_radiance(
 
 
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    """Return the sum of products."""
+    """Return the scalar product."""
     total: Any = 0.0
     for x, y in zip(a, b, strict=True):
         total = dr.fma(x, y, total)
@@ -66,15 +66,15 @@ def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
 def diffuse_shading(
     model: Diffuse, moments: list[Any], direction: Any, cosine: Any
 ) -> tuple[Any, Any]:
-    """Return (a, b): radiance a + roughness b of a white diffuse surface.
+    """Return (a, b): a white diffuse surface has the radiance a + roughness b.
 
     Disney's model [Burley 2015] as in Mitsuba's ``principled``, with Schlick weights
-    F = (1 - cos)^5 of the incident (i) and outgoing (o) direction:
+    F = (1 - cos)^5 of the incident (i) and outgoing (o) direction, is
 
         f = ((1 - F_o / 2) (1 - F_i / 2) + R (F_o + F_i + F_o F_i (R - 1))) / pi,
         R = roughness (1 + w_i . w_o).
 
-    Without R^2 F_o F_i, it is linear in four moments of the light (``LightVisibility.diffuse``).
+    Without R^2 F_o F_i, it is linear in the eight ``moments`` (``LightVisibility.diffuse``).
     """
     c0, m0, c1, m1 = moments[0], moments[1:4], moments[4], moments[5:8]
     if model == "lambert":

@@ -1,8 +1,8 @@
-"""Narrow lobes, as look-ups of prefiltered light.
+"""Narrow specular lobes, evaluated by reading prefiltered light.
 
-A lobe is approximated by a round one, with the mean Fresnel term (split sum) or that of the
-camera's angle (Eq. 6). The error vanishes for mirrors. One ray in the mirror direction decides
-about visibility.
+A lobe is approximated by a rotationally symmetric one. Its Fresnel term is averaged over the lobe
+(split sum) or taken at the viewing angle (Eq. 6). Errors decrease with the width. A ray in the
+mirror direction determines the visibility of the light.
 """
 
 from __future__ import annotations
@@ -33,12 +33,13 @@ from svu_mi.reflection.wide_lobes import Lobe, LobeSums
 
 @dataclass(frozen=True)
 class NarrowLobes:
-    """Lobes of K widths as look-ups of filtered light.
+    """Narrow lobes of K widths.
 
     Attributes:
-        albedo: (K * ALBEDO_NODES * 2,) Float, the split-sum pair.
+        levels: light prefiltered for each width.
+        albedo: (K * ALBEDO_NODES * 2,) Float, split-sum pairs (A, B).
         dielectric: (K * ALBEDO_NODES,) Float, albedo with exact dielectric reflectance.
-        sun: cells of a sun's disk that is not in the filtered light, or None.
+        sun: cells of the sun's disk if the prefiltered light excludes it, else None.
     """
 
     switches: AngularPreset
@@ -53,7 +54,7 @@ class NarrowLobes:
         lighting: Lighting, alpha: np.ndarray, switches: AngularPreset, channels: int,
         *, disk: bool = True,
     ) -> NarrowLobes:  # fmt: skip
-        """Filter the light."""
+        """Prefilter the light; ``disk`` False sums the sun's disk separately."""
         profile = lobe_profile(switches.lobe)
         return NarrowLobes(
             switches=switches,
@@ -65,7 +66,7 @@ class NarrowLobes:
         )
 
     def reflect(self, normal: Any, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
-        """Reflect light towards a camera: the lobe of each width."""
+        """Return reflected light, by width; ``free`` is the visibility of the mirror direction."""
         mirror = mirror_direction(normal, direction)
         result = []
         for level, alpha in enumerate(self.alpha.tolist()):
@@ -83,7 +84,7 @@ class NarrowLobes:
     def _with_sun(
         self, lobes: list[Lobe], normal: Any, direction: Any, cosine: Any, free: Any
     ) -> list[Lobe]:
-        """Add a sun's disk; where a narrow lobe meets it, the mirror direction does."""
+        """Add the sun's disk, with the visibility ``free`` of the mirror direction."""
         sun = self.sun
         assert sun is not None
         sums = LobeSums(self.alpha, len(lobes[0]), normal, direction)
@@ -98,7 +99,7 @@ class NarrowLobes:
         ]  # type: ignore[misc]
 
     def _reflected(self, level: int, alpha: float, cosine: Any) -> tuple[Any, Any, Any]:
-        """(A, B, D): the lobe reflects R0 A + B, and that of a dielectric D."""
+        """Return albedos (A, B, D): metals of R0 reflect R0 A + B, dielectrics D."""
         rule = self.switches.fresnel
         if rule != "split_sum":
             return view_albedo(rule, cosine, alpha)

@@ -1,7 +1,7 @@
-"""Reflection model (Eq. 6): radiance of texels at every level of roughness.
+"""Reflection model (Eq. 6): radiance of texels at each roughness level.
 
-Four parts of the light, e, p, q and d, are mixed by the parameters (``principled.py``). Narrow
-lobes look up filtered light, wide ones sum cells; ``fast`` only looks up, ``paper`` fits harmonics.
+Radiance is a mixture of four parts e, p, q and d (``principled.py``). Narrow lobes read prefiltered
+light, wide lobes sum light cells. ``fast`` has no wide lobes; ``paper`` uses spherical harmonics.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes
 
 @dataclass(frozen=True)
 class IncidentLight:
-    """Light in 3 channels or 1, and its visibility (None: unoccluded)."""
+    """Light, its visibility (None: unoccluded), and number of channels, 3 or 1."""
 
     lighting: Lighting
     visibility: LightVisibility | None
@@ -33,22 +33,22 @@ class IncidentLight:
 
 
 class FittedLobes(Protocol):
-    """Lobes of each texel's fitted light (``frequency/sh_lobes.py``)."""
+    """Interface of lobes of each texel's fitted light (``frequency/sh_lobes.py``)."""
 
     def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
-        """Reflect light towards a camera: the lobe of each level."""
+        """Return the light reflected towards a camera by the lobe of each level."""
 
 
 @dataclass(frozen=True)
 class ReflectionModel:
-    """Reflection of S texels at R levels of roughness.
+    """Reflection of S texels at R roughness levels.
 
     Attributes:
-        roughness: (R,) float64 of the levels, ascending.
-        narrow: lobes of the first levels, or None.
-        wide: those of the others, or None.
-        fitted: all lobes, if light is fitted per texel; or None.
-        moments: of diffuse light (``LightVisibility.diffuse``), 8 Floats (S,) per channel.
+        roughness: (R,) float64, roughness of the levels, ascending.
+        narrow: narrow lobes, of the first levels; or None.
+        wide: wide lobes, of the remaining levels; or None.
+        fitted: lobes of all levels if light is fitted per texel; or None.
+        moments: moments of diffuse light (``LightVisibility.diffuse``), 8 (S,) Floats per channel.
     """
 
     roughness: np.ndarray
@@ -64,9 +64,9 @@ class ReflectionModel:
         surface: TexelLanes, light: IncidentLight, roughness: np.ndarray, switches: AngularPreset,
         fitted: FittedLobes | None = None,
     ) -> ReflectionModel:  # fmt: skip
-        """Filter the light, unless its lobes are fitted, and sum its diffuse moments."""
+        """Prefilter the light (unless lobes are fitted) and sum its diffuse moments."""
         if np.any(np.diff(roughness) <= 0):
-            raise OptionError(f"Roughness levels must ascend, got {roughness.tolist()}.")
+            raise OptionError(f"Roughness levels must be ascending, got {roughness.tolist()}.")
         lighting, visibility, channels = light.lighting, light.visibility, light.channels
         alpha = alpha_from_roughness(roughness)
         split = len(alpha) if visibility is None else int(np.searchsorted(alpha, NARROW, "right"))
@@ -84,21 +84,21 @@ class ReflectionModel:
 
     @property
     def channels(self) -> int:
-        """C, of the light."""
+        """Number of channels of the light."""
         return len(self.moments)
 
     @property
     def levels(self) -> int:
-        """R."""
+        """Number of roughness levels R."""
         return len(self.roughness)
 
     @property
     def reads_mirrors(self) -> bool:
-        """Whether ``columns`` depends on the visibility of the mirror direction."""
+        """True if ``columns`` depends on the visibility of the mirror direction."""
         return self.narrow is not None and self.switches.traced and self.switches.occluded
 
     def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Parts]]:
-        """Evaluate (e, p, q, d) of each level and channel for one view of every texel."""
+        """Return (e, p, q, d) of each level and channel for one view; ``free``: mirror visible."""
         normal, lobes = mi.Vector3f(self.surface.normal), []
         if self.fitted is not None:
             lobes += self.fitted.reflect(direction, cosine)

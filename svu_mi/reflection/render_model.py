@@ -1,8 +1,7 @@
-"""Reflection of prefiltered light at any roughness per lane, for rendering; no rays.
+"""Reflection model for rendering: any roughness per lane, prefiltered light, no rays.
 
-Light under the lobe, and its albedo, are interpolated linearly between two levels of roughness.
-An oblique lobe is replaced by a round one of the same solid angle, of width
-alpha sqrt(cos theta_h).
+Prefiltered light and albedo are interpolated linearly between two roughness levels. An oblique lobe
+is replaced by a symmetric one of equal solid angle, with width alpha sqrt(cos theta_h).
 """
 
 from __future__ import annotations
@@ -31,17 +30,17 @@ from svu_mi.reflection.mix_columns import Parts, combine_parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
 
-NARROWEST = 1e-3  # cosine: more grazing views are treated like this one
+NARROWEST = 1e-3  # minimum cosine of the viewing angle
 
 
 @dataclass(frozen=True)
 class PrefilteredModel:
-    """Prefiltered light and its reflection by lobes of any roughness.
+    """Prefiltered light and albedo of lobes.
 
     Attributes:
-        light: R levels, uniform in roughness on [0, 1].
-        albedo: (R * ALBEDO_NODES * 4,) Float: A and B of the split sum, D of a dielectric, 0.
-        narrow: whether oblique lobes are narrower; False for Eq. 6.
+        light: light prefiltered at R roughness levels, uniform on [0, 1].
+        albedo: (R * ALBEDO_NODES * 4,) Float: split-sum pair (A, B), D of a dielectric, 0.
+        narrow: True: oblique lobes are narrower; False: as in Eq. 6.
     """
 
     switches: AngularPreset
@@ -51,14 +50,14 @@ class PrefilteredModel:
 
     @property
     def channels(self) -> int:
-        """Of the light, 3 or 1."""
+        """Number of channels of the light, 3 or 1."""
         return self.light.channels
 
 
 def prefiltered_model(
     lighting: Lighting, switches: AngularPreset, levels: int = 16, channels: int = 3
 ) -> PrefilteredModel:
-    """Filter the light at evenly spaced levels of roughness."""
+    """Prefilter the light at roughness levels that are uniform on [0, 1]."""
     lobes = NarrowLobes.of(
         lighting, alpha_from_roughness(np.linspace(0, 1, levels)), switches, channels
     )
@@ -80,7 +79,11 @@ def shade(
     visible: Callable[[Any, Any], Any] | None = None,
     to_moments: Any | None = None,
 ) -> list[Parts]:
-    """Evaluate the model for one direction of view per lane."""
+    """Return the parts (e, p, q, d) of each channel for one view per lane.
+
+    ``moments`` are diffuse moments (``LightVisibility.diffuse``), in a frame rotated by
+    ``to_moments``. ``visible(mirror, alpha)`` returns the visibility of the lobe.
+    """
     normal, rule = mi.Vector3f(normal), model.switches.diffuse
     cosine = dr.maximum(dr.dot(normal, direction), NARROWEST)
     outgoing = direction if to_moments is None else to_moments @ mi.Vector3f(direction)
@@ -99,10 +102,10 @@ def shade(
 
 
 def _narrower(model: PrefilteredModel, center: Any, direction: Any) -> Any:
-    """Return the factor of roughness, sqrt of that of alpha, for oblique lobes."""
+    """Return the factor of roughness for oblique lobes, sqrt(sqrt(cos theta_h))."""
     if not model.narrow:
         return 1.0
-    # The half vector of the lobe's centre: cos^2 theta_h = (1 + center . direction) / 2.
+    # Half vector of the lobe's centre: cos^2 theta_h = (1 + center . direction) / 2.
     square = (1 + dr.dot(center, mi.Vector3f(direction))) / 2
     return dr.maximum(square, NARROWEST) ** 0.125
 
@@ -110,7 +113,7 @@ def _narrower(model: PrefilteredModel, center: Any, direction: Any) -> Any:
 def _reflected(
     model: PrefilteredModel, place: Any, alpha: Any, cosine: Any
 ) -> tuple[Any, Any, Any]:
-    """(A, B, D): the lobe reflects R0 A + B, and that of a dielectric D."""
+    """Return albedos (A, B, D): metals of R0 reflect R0 A + B, dielectrics D."""
     rule = model.switches.fresnel
     if rule == "split_sum":
         level = dr.clip(mi.Int32(dr.detach(place)), 0, model.light.count - 2)

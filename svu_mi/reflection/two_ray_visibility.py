@@ -1,10 +1,9 @@
-"""Shadows of surface points by two rays per sample.
+"""Shadows of surface points, estimated by two rays per sample.
 
-A few directions are drawn from the light and from the specular lobe; one is chosen for diffuse and
-one for specular reflection (resampled importance sampling [Talbot et al. 2005], balance heuristic).
-Its visibility, 0 or 1, multiplies the known unshadowed integral: low variance, never negative.
-Normalising few weights is biased: a surface whose brightest light is hidden is up to 10 % too
-bright, with any number of samples.
+Directions are sampled from the light and the specular lobe; one is selected for diffuse and one for
+specular reflection (resampled importance sampling [Talbot et al. 2005], balance heuristic). Their
+visibility, 0 or 1, multiplies the known unshadowed integrals, which has low variance. Normalising
+few weights is biased: surfaces whose brightest light is occluded are up to 10 % too bright.
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-FROM_LIGHT, FROM_LOBE = 4, 2  # directions drawn
+FROM_LIGHT, FROM_LOBE = 4, 2  # number of sampled directions
 
 
 @dataclass(frozen=True)
 class FacingFrame:
-    """Shading and true normal, facing the camera, and the direction to it."""
+    """Shading normal and geometric normal, facing the camera, and direction to the camera."""
 
     normal: Any
     geometric: Any
@@ -42,7 +41,7 @@ class _Reservoir:
 def sample_light_visibility(
     scene: Any, sampler: Any, si: Any, side: FacingFrame, alpha: Any, active: Any
 ) -> tuple[Any, Any]:
-    """Estimate the visible part of diffuse and specular light: 0 or 1 per lane."""
+    """Estimate the visibility of diffuse and specular light: two Floats, 0 or 1 per lane."""
     with dr.suspend_grad():
         frame, alpha = mi.Frame3f(side.normal), dr.detach(alpha)
         lobe = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
@@ -75,14 +74,14 @@ def sample_light_visibility(
 
 
 def _density(lobe: Any, outgoing: Any, incoming: Any) -> Any:
-    """Density of local directions that are reflected off visible normals [1/sr]."""
+    """Return the density of local directions from visible normal sampling [1/sr]."""
     half = dr.normalize(outgoing + incoming)
     density = lobe.pdf(outgoing, half) / (4 * dr.dot(outgoing, half))
     return dr.select((incoming.z > 0) & (outgoing.z > 0), density, 0)
 
 
 def _light_from(scene: Any, si: Any, direction: Any, active: Any) -> tuple[Any, Any]:
-    """Radiance of the environment, mean over colour, and the density it would be drawn with."""
+    """Return radiance (mean over channels) and sampling density of the environment."""
     emitter = scene.environment()
     away = dr.zeros(mi.SurfaceInteraction3f, dr.width(direction))
     away.wi = -direction
@@ -92,6 +91,6 @@ def _light_from(scene: Any, si: Any, direction: Any, active: Any) -> tuple[Any, 
 
 
 def _is_open(scene: Any, si: Any, side: FacingFrame, direction: Any, active: Any) -> Any:
-    """Whether a direction is unoccluded; False below the horizon."""
+    """Return True where a direction is unoccluded and above the horizon."""
     above = active & (dr.dot(side.geometric, direction) > 0)
     return above & ~scene.ray_test(si.spawn_ray(direction), above)

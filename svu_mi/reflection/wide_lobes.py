@@ -1,9 +1,9 @@
-"""Wide lobes, by summing cells of the light with the exact BRDF and traced visibility.
+"""Wide specular lobes: sums over light cells with the exact BRDF and traced visibility.
 
-Over a cell of radius rho the half vector turns by up to rho / (2 cos theta_d), with theta_d the
-angle between it and either direction, and GGX falls off as 1 / s^2 with s = sin^2 theta_h +
-alpha^2 cos^2 theta_h. Cells where rho^2 / (s cos^2 theta_d) is too large (near the mirror
-direction, mostly in grazing views) are replaced by their smaller ones.
+Within a cell of radius rho, the half vector rotates by up to rho / (2 cos theta_d), where theta_d
+is its angle with the light. GGX is proportional to 1 / s^2 with s = sin^2 theta_h + alpha^2 cos^2
+theta_h. Cells with large rho^2 / (s cos^2 theta_d) are subdivided; they are near the mirror
+direction, mostly in grazing views.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from svu_mi.light.light_tree import LightCells
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
 
-NARROW = 0.03  # lobe alpha up to which light is looked up; its leaves are as far apart
-LARGE = 1.6  # rho^2 / (s cos^2 theta_d) from which a cell is too large
+NARROW = 0.03  # maximum alpha of narrow lobes; about the distance of leaf cells
+LARGE = 1.6  # rho^2 / (s cos^2 theta_d) above which a cell is subdivided
 
 Lobe = list[tuple[Any, Any, Any]]
-"""(p, q, d) per colour channel: a metal of base colour c reflects c p + q, a dielectric d."""
+"""(p, q, d) per channel: a metal of base colour c reflects c p + q, a dielectric d."""
 
 
 class _CellAngles(NamedTuple):
-    """A cell's radius and its square; cosines of (normal, light), (normal, half), (light, half)."""
+    """Radius of a cell, its square, and cosines (normal, light), (normal, half), (light, half)."""
 
     radius: Any
     square: Any
@@ -40,14 +40,14 @@ class _CellAngles(NamedTuple):
 
 
 class LobeSums:
-    """Sums of cells under lobes of K ascending widths; a plain class, opaque to loops."""
+    """Sums of cells under lobes of K ascending widths (no dataclass: not part of loop state)."""
 
     def __init__(self, alpha: np.ndarray, channels: int, normal: Any, direction: Any) -> None:
         self.alpha, self.channels = alpha.tolist(), channels
         self.normal, self.direction = normal, direction
 
     def integrate(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
-        """Sum all cells into lobes; ``add(cell, sums)`` returns the next cell, and sums."""
+        """Return lobes summed over all cells; ``add(cell, sums)`` returns next cell and sums."""
         size = 3 * self.channels
         sums = dr.alloc_local(mi.Float, size * len(self.alpha))
         for k in range(size * len(self.alpha)):
@@ -72,7 +72,7 @@ class LobeSums:
     def add(
         self, cells: LightCells, cell: Any, angles: _CellAngles, free: Any, sums: Any
     ) -> tuple[Any]:
-        """Add one cell, if visible, to the lobe of every width."""
+        """Add one cell to the lobe of each width where ``free`` (visible)."""
         _, square, incident, up, across = angles
 
         def reflected(sums: Any) -> tuple[Any]:
@@ -82,7 +82,7 @@ class LobeSums:
                 for value in cells.light(cell, self.channels)
                 for factor in (1 - schlick, schlick, dielectric)
             ]
-            # Across the plane of incidence the half vector turns by more, 1 / cos theta_d as far.
+            # Perpendicular to the plane of incidence, the half vector rotates 1 / cos theta_d more.
             spread = 0.5 * square * (1 + dr.rcp(across * across))
             lobes = blurred_ggx(up, incident, self.alpha, spread)
             for k, (lobe, part) in enumerate(product(lobes, parts)):
@@ -95,21 +95,21 @@ class LobeSums:
 
 @dataclass(frozen=True)
 class WideLobes:
-    """Lobes of (K,) ascending widths, summed over the visible light of S texels."""
+    """Lobes of (K,) ascending widths, as sums over the visible light of S texels."""
 
     visibility: LightVisibility
     alpha: np.ndarray
     channels: int
 
     def reflect(self, lane: Any, normal: Any, direction: Any, cosine: Any) -> list[Lobe]:
-        """Reflect the visible light towards a camera: the lobe of each width."""
+        """Return the visible light reflected towards a camera by the lobe of each width."""
         sums = LobeSums(self.alpha, self.channels, normal, direction)
         traversal = _Traversal(self.visibility, lane, sums)
         return sums.integrate(self.visibility.tree.coarse.count, traversal.coarse, cosine)
 
 
 class _TreeLevel(NamedTuple):
-    """Cells of one depth, the first child of each, and the function that adds a child."""
+    """Cells of one level, index of the first child of each, and function that adds a child."""
 
     cells: LightCells
     first: Any
@@ -117,22 +117,22 @@ class _TreeLevel(NamedTuple):
 
 
 class _Traversal:
-    """Traversal of the light tree, as deep as the narrowest lobe needs."""
+    """Traversal of the light tree to the depth that the narrowest wide lobe needs."""
 
     def __init__(self, visibility: LightVisibility, lane: Any, sums: LobeSums) -> None:
         self.visibility, self.lane, self.sums = visibility, lane, sums
-        # The same cells for any set of widths: a known roughness must not change the others.
+        # Independent of the widths, so that a known roughness does not change other results.
         self.flat = 1 - NARROW**2
         self.limit = dr.opaque(mi.Float, LARGE)
 
     def coarse(self, cell: Any, sums: Any) -> tuple[Any, Any]:
-        """Add a coarse cell, or its fine cells."""
+        """Add a coarse cell or its fine cells; return next cell and sums."""
         cells = self.visibility.tree
         free = self.visibility.coarse.test(cell, self.lane)
         return self._add(_TreeLevel(cells.coarse, cells.first, self.fine), cell, free, sums)
 
     def fine(self, cell: Any, sums: Any) -> tuple[Any, Any]:
-        """Add a fine cell, or its leaves, with the visibility of the cell."""
+        """Add a fine cell or its leaves, which inherit its visibility."""
         cells, free = self.visibility.tree, self.visibility.fine.test(cell, self.lane)
 
         def leaf(below: Any, sums: Any) -> tuple[Any, Any]:
@@ -145,7 +145,7 @@ class _Traversal:
     def _add(
         self, depth: _TreeLevel, cell: Any, free: Any, sums: Any, inside: Any = True
     ) -> tuple[Any, Any]:
-        """Add a cell, or its children where it is too large; only where ``inside``."""
+        """Add a cell, or its children if it is too large; only where ``inside``."""
         cells, first, below = depth
         angles = self.sums.angles(cells, cell)
 

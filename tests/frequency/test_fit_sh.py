@@ -185,7 +185,7 @@ def test_options_outside_their_range_are_refused(options):
 
 def test_the_dual_says_when_there_are_too_many_views():
     d, w, f = samples(np.random.default_rng(6022), 2, 300, 1)
-    with pytest.raises(OptionError, match='sees 300 views.*method="auto"'):
+    with pytest.raises(OptionError, match='has 300 views.*method="auto"'):
         fit_sh(d, w, f, method="dual")
     assert spectrum_error(fit_sh(d, w, f), oracle.fit(d, w, f, 6, LAMBDA, False)) < 1e-6
 

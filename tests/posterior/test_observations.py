@@ -167,7 +167,7 @@ def test_a_spectrum_may_trace_few_cells(capture, layout):
 def test_models_and_weights_that_cannot_be_are_refused(capture, layout):
     observed = module.observe(capture, layout)
     switches = svu.preset("default", method="angular")
-    with pytest.raises(svu.SvuError, match="must ascend"):
+    with pytest.raises(svu.SvuError, match="must be ascending"):
         observed.model(np.array([0.9, 0.1]), switches, 1)
     with pytest.raises(svu.SvuError, match="current needs a finite kappa"):
         zeros = as_values(np.zeros((5, len(observed.seen))))
