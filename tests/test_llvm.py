@@ -149,7 +149,7 @@ def test_no_library_at_all_leaves_the_variable_alone(machine):
     assert os.environ[_llvm.VARIABLE] == ""
 
 
-def test_newest_of_a_folder_comes_first_and_other_libraries_are_not_confused(tmp_path):
+def test_newest_library_of_a_folder_comes_first(tmp_path):
     for name in ("libLLVM-9.so", "libLLVM-15.so.1", "libLLVM.so.19.1", "libLLVMSPIRVLib.so.19.1",
                  "libLLVM.so.20.1-rust-1.88.0-stable", "libLLVM.so"):  # fmt: skip
         (tmp_path / name).write_bytes(b"")
@@ -185,7 +185,7 @@ def test_versions_that_paths_state(path, version):
     assert _llvm.stated_version(path) == version
 
 
-def test_a_library_whose_name_tells_nothing_is_asked_in_a_subprocess():
+def test_library_without_version_in_name_is_queried():
     """The one that Dr.Jit uses now knows its version as well as its name does."""
     used = os.environ[_llvm.VARIABLE]
     stated = _llvm.stated_version(os.path.realpath(used))

@@ -201,7 +201,7 @@ def test_memory_does_not_grow_with_texels_times_views(tmp_path, method, many):
 
 
 @pytest.mark.slow
-def test_the_oracle_and_the_posterior_agree_on_a_rendered_object(glossy):
+def test_oracle_and_posterior_agree_on_a_rendered_object(glossy):
     capture, texels = glossy
     switches = preset("paper", sigma=0.05)
     d, w, f = stored_samples(capture, texels, switches)

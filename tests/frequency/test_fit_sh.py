@@ -74,7 +74,7 @@ def test_lowest_and_highest_degree_can_be_fitted(lmax):
     )
 
 
-def test_neighbours_that_see_different_views_do_not_disturb_each_other():
+def test_texels_with_different_views_are_independent():
     """Lanes of one packet hold different numbers of samples, none included."""
     rng = np.random.default_rng(4404823)
     d, w, f = samples(rng, 70, 24, 2)

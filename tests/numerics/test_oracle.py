@@ -31,7 +31,7 @@ def test_the_oracle_uses_nothing_of_svu_mi(root):
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.1, 3.0, 40.0]),
        error=st.sampled_from([1e-6, 1e-3, 0.1]))  # fmt: skip
-def test_no_error_of_the_energies_moves_entropy_beyond_its_bound(channels, seed, size, error):
+def test_entropy_error_is_bounded_by_energy_error(channels, seed, size, error):
     rng = np.random.default_rng(seed)
     x = [size * rng.exponential(size=(5, 4)) for _ in range(channels)]
     dx = [np.full((5, 4), error) for _ in range(channels)]

@@ -162,7 +162,7 @@ def test_copies_of_all_views_are_no_new_evidence(seed, copies):
 
 @few(25)
 @given(SEEDS, st.integers(0, 7), st.integers(0, 7), st.integers(0, 7), st.integers(1, 12))
-def test_a_view_without_noise_dilutes_the_truth_by_no_more_than_its_share(seed, r, m, c, views):
+def test_view_without_noise_dilutes_truth_by_at_most_its_share(seed, r, m, c, views):
     """Adding view n + 1 turns d into (n d + e) / (n + 1), where e >= 0, and 0 at the truth.
 
     So p(truth) = 1 / sum exp(-(d / 2 sigma^2)) does not fall below that of n views with sigma

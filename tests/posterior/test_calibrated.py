@@ -537,7 +537,7 @@ def test_a_prior_of_one_cell_leaves_nothing_open() -> None:
 
 
 @pytest.mark.parametrize("levels", [[0.2, 1.0], [0.0, 0.1, 0.5, 1.0], [0.3], [0.0, 0.5, 1.0]])
-def test_levels_that_nothing_can_be_interpolated_between_are_refused(levels: list[float]) -> None:
+def test_levels_that_cannot_be_interpolated_are_refused(levels: list[float]) -> None:
     samples, _ = simulate(8, 4, 0.1)
     table = samples.sums()[: len(levels)]
     source = Statistics.of(table, samples.w.sum(axis=1), np.full(8, 4), np.array(levels), 0.5)

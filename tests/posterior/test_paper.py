@@ -121,7 +121,7 @@ def exact_distances(S_L: np.ndarray, S_B: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("uniform", [True, False])
-def test_eq01_02_04_the_posterior_is_normalised_likelihood_times_prior(uniform):
+def test_eq01_02_04_posterior_is_likelihood_times_prior(uniform):
     rng = np.random.default_rng(50311)
     S_L, S_B = spectra(rng, 20)
     prior = None if uniform else rng.uniform(0.2, 1, GRID.shape)
@@ -131,7 +131,7 @@ def test_eq01_02_04_the_posterior_is_normalised_likelihood_times_prior(uniform):
 
 
 @pytest.mark.parametrize("sigma", [0.5, 2.0])
-def test_eq03_the_likelihood_falls_with_the_distance_over_two_sigma_squared(sigma):
+def test_eq03_log_likelihood_is_distance_over_2_sigma_squared(sigma):
     """The ratio of two cells has no normalisation in it."""
     S_L, S_B = spectra(np.random.default_rng(911382), 20)
     p = np.array(of_paper(S_L, S_B, sigma).probabilities, np.float64)
@@ -155,7 +155,7 @@ def test_eq05_entropy(sigma):
     )  # fmt: skip
 
 
-def test_eq05_entropy_is_one_where_nothing_is_known_and_where_nobody_looked():
+def test_eq05_entropy_is_1_without_information_or_unseen():
     flat = np.ones((2, L + 1, 3), np.float32) * np.r_[1, np.zeros(L)][:, None].astype(np.float32)
     posterior = svu.spectrum_posterior(flat, flat, GRID, preset="paper", observed=[True, False])
     np.testing.assert_allclose(np.array(posterior.entropy()), 1, atol=1e-6)
@@ -221,7 +221,7 @@ def samples(observed) -> Samples:
                    mirrored.astype(np.float64), E.astype(np.float64), observed.seen)  # fmt: skip
 
 
-def test_sec_332_light_is_band_limited_for_the_number_of_photographs(observed):
+def test_sec_332_band_limit_follows_number_of_photographs(observed):
     lighting = observed.lighting
     assert lighting.prefilter == pytest.approx(14**-0.5, rel=1e-12)
     limited = paper.band_limited(lighting.coefficients, 14)
@@ -523,7 +523,7 @@ def test_eq13_expected_entropy(observed, samples):
     assert checked > 40 and high - low > 0.2
 
 
-def test_eq13_the_light_is_band_limited_for_the_new_number_of_views(observed, samples):
+def test_eq13_band_limit_follows_new_number_of_views(observed, samples):
     """What a candidate mirrors is that light, at the mirror direction of its own."""
     candidates = svu.Candidates.around(observed.capture, 2)
     estimate = svu.estimate(observed.capture, observed.texels, "spectrum", "paper", grid=GRID)

@@ -77,7 +77,7 @@ def test_figure_2_clear_light_tells_more_about_the_glossy_plane(planes, method, 
     assert clear_matte - clear_glossy > 1.2 * abs(overcast_matte - overcast_glossy)
 
 
-def test_clear_light_tells_more_about_the_glossy_plane_where_noise_is_estimated(planes):
+def test_clear_light_helps_glossy_plane_with_estimated_noise(planes):
     """Of renders, which the model explains well, even overcast light says much."""
     switches = preset(method="angular")
     overcast_matte, overcast_glossy = plane_entropies(planes, "overcast", "angular", switches)

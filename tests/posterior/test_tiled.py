@@ -100,7 +100,7 @@ def test_guidance_and_recovery_go_on_from_tiles(vase, tiled):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("preset", ["default", "fixed"])
-def test_statistics_of_tiles_are_kept_for_those_who_go_on_from_them(vase, shown, tiled, preset):
+def test_whole_keeps_statistics_of_all_tiles(vase, shown, tiled, preset):
     together = svu.estimate(shown, vase.texels, preset=preset)
     apart = tiled(shown, vase.texels, preset=preset, whole=True)
     assert type(apart.posterior.kernel) is type(together.posterior.kernel)
@@ -114,7 +114,7 @@ def test_statistics_of_tiles_are_kept_for_those_who_go_on_from_them(vase, shown,
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("sharing", [False, True])
-def test_textures_recovered_in_tiles_are_those_recovered_in_one_piece(vase, shown, tiled, sharing):
+def test_recovery_is_equal_with_and_without_tiles(vase, shown, tiled, sharing):
     together = svu.recover(shown, vase.texels, sharing=sharing)
     apart = tiled(shown, vase.texels, do=svu.recover, sharing=sharing)
     sure = tiled(apart, None, shown.mesh, do=texture_field)
@@ -124,7 +124,7 @@ def test_textures_recovered_in_tiles_are_those_recovered_in_one_piece(vase, show
         np.testing.assert_allclose(sure.sd(name), usual.sd(name), rtol=1e-3, atol=1e-4)
 
 
-def test_the_same_few_texels_are_gathered_once_for_several_questions(vase, tiled, monkeypatch):
+def test_kernel_of_few_texels_is_cached(vase, tiled, monkeypatch):
     posterior = tiled(vase.capture, vase.texels).posterior
     made = []
 
@@ -148,9 +148,7 @@ def test_the_same_few_texels_are_gathered_once_for_several_questions(vase, tiled
     np.testing.assert_array_equal(np.array(first[0]), np.array(again))
 
 
-def test_more_statistics_than_can_be_counted_are_refused_before_any_are_made(
-    vase, tiled, monkeypatch
-):
+def test_too_many_statistics_are_refused_before_gathering(vase, tiled, monkeypatch):
     """Dr.Jit counts entries in 32 bits: 16 million texels of 260 in three channels."""
     limit = 260 * 1000
     monkeypatch.setattr(estimators, "_factors", None)

@@ -213,7 +213,7 @@ def test_a_known_value_is_a_prior_that_says_so(grey, method, rule, name, node):
 
 
 @pytest.mark.slow
-def test_a_known_value_is_a_prior_on_a_narrow_cell_where_cells_are_integrated(grey):
+def test_known_value_equals_prior_on_a_narrow_bin(grey):
     """With the usual prior of the others; the narrower the cell, the nearer to what is known."""
     capture, texels = grey
     off = []

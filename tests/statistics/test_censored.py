@@ -35,7 +35,7 @@ LIMIT = float(decoded(np.array(SATURATED[8], np.float32)))
 # --- the parabola -----------------------------------------------------------------------------
 
 
-def test_the_parabola_has_the_slope_and_curvature_of_the_likelihood():
+def test_parabola_has_slope_and_curvature_of_likelihood():
     z = np.concatenate([np.linspace(-30, 4.5, 300), [-3.001, -2.999, 0]])
     least, noise = 2.0, 0.4
     r = least + noise * z
@@ -47,7 +47,7 @@ def test_the_parabola_has_the_slope_and_curvature_of_the_likelihood():
     np.testing.assert_allclose(h * (r - t) / noise**2, slope, rtol=0.02, atol=2e-3)
 
 
-def test_what_is_far_below_is_an_error_and_what_is_far_above_is_none():
+def test_weight_is_1_far_below_bound_and_0_far_above():
     t, h = parabola(mi.Float([0.0, 100.0]), mi.Float(2.0), mi.Float(0.01))
     np.testing.assert_allclose([t[0], h[0]], [2, 1], rtol=1e-3)
     assert h[1] < 1e-5 and np.isfinite(t[1])
@@ -151,7 +151,7 @@ def test_what_is_clipped_in_all_views_is_seen_to_be_bright(vase):
     assert errors[0] < 0.7 * errors[1]
 
 
-def test_presets_that_leave_clipped_samples_out_do_not_see_such_texels(vase):
+def test_texels_are_unseen_if_preset_ignores_saturated_samples(vase):
     stored, _ = in_integers(vase.capture, vase.estimate.observed, 0.3)
     observed = observe(stored, vase.texels)
     always = (observed.coverage == 0) & (observed.shown > 0)
@@ -195,7 +195,7 @@ def test_a_clipped_highlight_still_says_that_it_is_one(shiny):
 
 
 @pytest.mark.slow
-def test_more_is_known_where_something_is_clipped_and_nothing_changes_elsewhere(shiny):
+def test_bounds_add_weight_to_saturated_texels_only(shiny):
     texels = svu.texels(shiny.mesh, 32)
     hdr = observe(shiny, texels)
     stored, _ = in_integers(shiny, hdr, 0.05)

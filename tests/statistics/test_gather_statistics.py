@@ -276,7 +276,7 @@ def test_many_views_add_up(scene, places):
 # --- what does not add ----------------------------------------------------------------------
 
 
-def test_sums_of_other_texels_levels_channels_or_kappa_are_refused():
+def test_sums_with_other_shape_or_kappa_are_refused():
     rng = np.random.default_rng(2)
     one = summed(random_columns(rng, 4), np.arange(4), 0.5)
     shape = "5 texels x 3 levels x 2 channels"
@@ -425,7 +425,7 @@ def test_statistics_of_some_lanes_and_back(count):
 @pytest.mark.slow
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kappa", [np.inf, 0.8], ids=["plain", "kappa"])
-def test_statistics_of_two_captures_are_those_of_one_with_all_views(scene, kappa):
+def test_statistics_of_two_captures_add(scene, kappa):
     """Through rays, photographs and kernels; and in halves, a shuffle and single views."""
     texels, places = svu.texels(noise_capture(scene, [0]).mesh, 8), 9
     switches = angular(channels="joint")
