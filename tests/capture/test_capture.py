@@ -77,7 +77,7 @@ def test_a_rendered_folder_is_read_again_as_it_was(tmp_path):
         assert not mask[0, 0]
 
 
-def test_rendering_twice_with_one_seed_is_the_same_and_views_differ(tmp_path):
+def test_renders_with_one_seed_are_equal_and_views_differ(tmp_path):
     path = write_scene(tmp_path)
 
     def image(seed):
@@ -159,7 +159,7 @@ def test_defines_reach_the_scene(tmp_path):
         load_capture(path, defines={"colour": "red"})
 
 
-def test_photographs_beside_the_scene_are_found_although_there_is_an_empty_folder(tmp_path):
+def test_empty_images_folder_does_not_hide_photographs(tmp_path):
     path = write_scene(tmp_path)
     write_images(tmp_path, 3)
     (tmp_path / "images").mkdir()
@@ -365,7 +365,7 @@ def test_photographs_are_matched_by_the_ids_of_their_sensors(scene):
 
 
 @pytest.mark.parametrize("mask", ["IMG_{}_mask", "mask_IMG_{}"])
-def test_photographs_of_any_name_are_taken_in_their_natural_order(tmp_path, mask):
+def test_photographs_of_any_name_are_in_natural_order(tmp_path, mask):
     """2 before 10; their masks are none of them, nor what macOS hides beside them."""
     path = write_scene(tmp_path, sensors=sensor_xml(11))
     folder = tmp_path / "images"
@@ -482,7 +482,7 @@ def test_photographs_that_will_not_do_are_named(scene, spoil, message):
 
 
 @pytest.mark.parametrize("worst", [0, 7])
-def test_the_first_bad_image_in_order_is_named_whichever_thread_meets_it_first(tmp_path, worst):
+def test_error_names_first_bad_image_for_any_thread_order(tmp_path, worst):
     path = write_scene(tmp_path, sensors=sensor_xml(12))
     folder = write_images(tmp_path / "images", 12)
     for index in range(worst, 12):
@@ -491,7 +491,7 @@ def test_the_first_bad_image_in_order_is_named_whichever_thread_meets_it_first(t
         load_capture(path)
 
 
-def test_a_photograph_that_is_exchanged_while_it_is_read_is_refused(scene):
+def test_photograph_replaced_while_read_is_refused(scene):
     path = scene.parent / "images" / "view_0000.exr"
     picture = open_image(path)
     write_exr(path, {"RGB": np.ones((24, 24, 3))}, {"svu:run": "12ab"})
@@ -648,7 +648,7 @@ def shape_of(bsdf, name="ball", **changes):
 
 
 @pytest.mark.parametrize(("bsdf", "words"), IGNORED.values(), ids=IGNORED)
-def test_parts_of_a_material_that_are_not_accounted_for_are_said(bsdf, words):
+def test_unsupported_material_features_cause_a_warning(bsdf, words):
     shape = shape_of(bsdf)
     assert unsupported(make_scene([shape]), shape) == [
         f"Shape 'ball' has {words}, which svu does not account for: if the photographs show that, "

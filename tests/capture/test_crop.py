@@ -68,7 +68,7 @@ def _pixels(sensor, points):
     return np.array(sample.uv).T.astype(np.float64)
 
 
-def test_the_object_is_kept_whole_with_the_pixels_that_texels_can_use(shot, large):
+def test_crop_keeps_object_and_pixels_that_texels_need(shot, large):
     whole = svu.load_capture(shot)
     seen = [int(np.array(pack_views(whole).usable).sum())]
     fine, coarse = (
@@ -179,7 +179,7 @@ except CaptureError as error:
 """
 
 
-def test_more_files_than_a_process_may_open_by_default_are_opened():
+def test_files_above_the_default_limit_are_opened():
     """In a process of its own: how many are open in this one depends on the tests before."""
     pytest.importorskip("resource")
     done = python("-c", MANY_FILES)

@@ -94,7 +94,7 @@ def brute_force(where: Texels, reach: float) -> set[tuple[int, int]]:
     return set(zip(first.tolist(), second.tolist(), strict=True))
 
 
-def test_a_plane_cut_into_charts_has_the_neighbours_of_a_whole_one():
+def test_plane_cut_into_charts_keeps_its_neighbours():
     """Two halves lie apart in the map and one of them on its side; in space they are a square."""
     left = quad((0, 0, 0), (4, 0, 0), (0, 8, 0), (0, 0, 0.25, 0.5))
     turned = quad((8, 0, 0), (0, 8, 0), (-4, 0, 0), (0.5, 0.5, 1.0, 0.75))

@@ -208,7 +208,7 @@ def test_photographs_that_were_read_are_not_copied(tmp_path):
     assert some[:960].all() and (some[960:] == masks[960:]).all()
 
 
-def test_photographs_in_any_order_are_found_and_shared_ones_are_copied():
+def test_reordered_photographs_are_found_and_shared_ones_copied():
     buffer = PixelBuffer.allocate([(4, 2), (3, 5), (2, 2)])
     a, b, c = buffer.images
     assert buffer.offsets.tolist() == [0, 8, 23]
@@ -233,7 +233,7 @@ def test_one_photograph_for_two_cameras_is_judged_twice(tmp_path):
 
 
 @pytest.mark.parametrize("wrong", ["larger", "turned", "alpha", "mask"])
-def test_photographs_of_another_size_than_their_film_are_refused(tmp_path, wrong):
+def test_photograph_of_another_size_than_film_is_refused(tmp_path, wrong):
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
     sensors = sphere_sensors(scene.shapes()[0], 2, (24, 16))
     sizes = {"larger": (32, 48, 3), "turned": (24, 16, 3), "alpha": (16, 24, 4)}

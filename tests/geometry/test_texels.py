@@ -40,7 +40,7 @@ def test_every_texel_of_the_charts_is_found():
     assert layout.inside().sum() <= 1.005 * si.is_valid().numpy().sum()
 
 
-def test_a_quad_is_covered_once_although_its_diagonal_crosses_texel_centres():
+def test_texels_on_the_diagonal_of_a_quad_are_covered_once():
     """The diagonal of the unit square runs through every centre of the grid's diagonal."""
     square = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], float)
     faces = square[[[0, 1, 2], [2, 1, 3]]]
@@ -111,7 +111,7 @@ def test_resolutions_that_are_no_whole_numbers_are_refused(resolution):
         texels(make_mesh("ball", ball()), resolution)
 
 
-def test_numpy_numbers_are_resolutions_and_spheres_have_no_texels():
+def test_numpy_resolution_is_accepted_and_sphere_is_refused():
     assert texels(make_mesh("ball", ball()), np.int64(16)).resolution == (16, 16)
     with pytest.raises(MeshError, match="not a triangle mesh"):
         texels(mi.load_dict({"type": "sphere"}), 16)

@@ -94,7 +94,7 @@ def test_numbers_are_fine_where_text_is_expected_of_parameters(capture):
     assert description.defines == {"a": "1", "b": "0.5", "c": "True", "d": "x"}
 
 
-def test_more_sensors_than_photographs_have_numbers_are_refused_at_once(capture):
+def test_more_sensors_than_the_limit_are_refused_at_once(capture):
     path = capture / "capture.json"
     record = json.loads(path.read_text())
     text = json.dumps({**record, "sensors": record["sensors"] * 5_001})

@@ -74,7 +74,7 @@ def capture(scene):
     return load_capture(scene)
 
 
-def test_the_same_files_have_one_key_in_every_process_and_folder(scene, tmp_path):
+def test_key_of_files_is_equal_in_every_process_and_folder(scene, tmp_path):
     """Although Mitsuba sums up missing normals in an order of its own each time."""
     copy = shutil.copytree(scene.parent, tmp_path / "copied to another place")
     with pytest.warns(SvuWarning, match="unwrapped again"):
@@ -161,7 +161,7 @@ def test_a_live_scene_that_was_edited_has_another_key(scene):
     assert {key for key in after if after[key] != before[key]} == {"shapes"}
 
 
-def test_photographs_are_not_copied_and_views_without_one_take_no_time(capture):
+def test_keys_copy_no_photographs_and_skip_missing_views(capture):
     size = (1024, 1024, 3)
     images = [np.ones(size, np.float32) for _ in range(4)]
     nothing = np.broadcast_to(np.float32(np.nan), (60_000, 60_000, 3))
@@ -188,7 +188,7 @@ def test_lists_and_numbers_do_not_run_together():
     assert len(set(digests)) == len(digests)
 
 
-def test_computed_normals_are_no_other_capture_to_references_and_checkpoints(scene, tmp_path):
+def test_computed_normals_do_not_change_the_capture_key(scene, tmp_path):
     """The mesh of the object has no normals in its file; Mitsuba computes them at every start."""
     options = ReferenceOptions(2, PrincipledGrid(2, 2, 2), 0.5, 2, "linear", 0)
     text = scene.read_text().replace('<string name="filename" value="ball.ply"/>', (

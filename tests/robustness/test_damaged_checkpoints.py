@@ -159,7 +159,7 @@ def test_foreign_words_are_shortened_and_printable(path):
         assert str(caught.value).isprintable() and len(str(caught.value)) < 700
 
 
-def test_a_result_of_a_benchmark_that_is_no_record_is_computed_again(tmp_path):
+def test_invalid_benchmark_record_is_computed_again(tmp_path):
     store = Store(tmp_path)
     for text in (DEEP, '{"key": "a"', "[]", '{"key": "b"}', "\0"):
         store.path("x").write_text(text)

@@ -57,9 +57,7 @@ def killed_at(step: int, work: Callable[[], Any]) -> bool:
 @pytest.mark.parametrize("next_is", ["a reader", "a writer"])
 @pytest.mark.parametrize("atomic", [True, False], ids=["exchange", "two renames"])
 @pytest.mark.parametrize("others", [False, True], ids=["own", "others"])
-def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(
-    tmp_path, monkeypatch, next_is, atomic, others
-):
+def test_kill_at_any_step_leaves_old_or_new_result(tmp_path, monkeypatch, next_is, atomic, others):
     if not atomic:
         monkeypatch.setattr(folder_exchange, "_exchange", lambda *_: False)
     old_files, new_files = ("a", "b", "assets/c", "gone"), ("a", "b", "assets/c", "added")

@@ -70,7 +70,7 @@ def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
     assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8 GB.")
 
 
-def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(monkeypatch, shot):
+def test_photographs_leave_memory_for_texels_by_default(monkeypatch, shot):
     machine(monkeypatch, 4e9)
 
     need = partial(Need, "recover", resolution=(1024, 1024), model="default")
@@ -157,7 +157,7 @@ def test_free_memory_is_that_of_the_container(proc):
     assert memory.free_memory() == 123456
 
 
-def test_free_memory_is_that_of_the_tightest_group_around_this_process(proc):
+def test_free_memory_is_limited_by_tightest_control_group(proc):
     """What a group has used is gone, files aside, which are dropped when it is short."""
     (proc / "cgroup").write_text("0::/user.slice/session.scope\n")
     root = proc / "groups"
@@ -217,9 +217,7 @@ def test_half_of_the_address_space_is_refused_in_a_sentence(command, tmp_path):
     ("entropy", 1.4e9),  # works tile by tile: 1.9e9 are enough
     pytest.param("guide", 1.4e9, marks=pytest.mark.slow),
 ])  # fmt: skip
-def test_less_address_space_than_texels_need_is_refused_before_they_are_laid_out(
-    command, space, shot, tmp_path
-):
+def test_too_little_address_space_for_texels_is_refused_early(command, space, shot, tmp_path):
     """It was signal 11, in the middle of the work."""
     done = python("-c", RUN, space, *words(command, shot, tmp_path, 1024))
     assert done.returncode == 2, done.stderr
@@ -231,7 +229,7 @@ def test_less_address_space_than_texels_need_is_refused_before_they_are_laid_out
 
 
 @linux
-def test_films_that_do_not_fit_into_the_address_space_are_not_rendered(tmp_path):
+def test_films_above_the_address_space_are_not_rendered(tmp_path):
     """It was signal 11, too, after half of the views."""
     place = ("render", scenes.path("vase"), "--views", 20, "--resolution", 2048)
     done = python("-c", RUN, 1.3e9, *place, "-D", "light=window", "-o", tmp_path / "out")

@@ -137,7 +137,7 @@ def test_a_photograph_of_another_run_is_refused(made, tmp_path, capsys):
     assert run("entropy", shot, *SMALL, "-o", tmp_path / "out") == 0
 
 
-def test_a_capture_that_is_exchanged_while_it_is_read_is_refused(made, monkeypatch):
+def test_capture_replaced_while_read_is_refused(made, monkeypatch):
     shot = shutil.copytree(made / "a" / "shot", made / "a" / "exchanged")
 
     read = loading.read_photographs

@@ -44,7 +44,7 @@ def test_settings_of_the_working_directory_are_not_read(tmp_path, end, backend):
     assert done.stdout.splitlines() == ["[]", f"False {tmp_path} {backend or ''}"]
 
 
-def test_commands_that_draw_import_it_before_anything_else_and_others_do_not():
+def test_only_commands_that_draw_import_matplotlib():
     """What renders, imports or diagnoses, the photographs of others too, needs none of it."""
     code = (
         "import sys, svu_mi.cli.main as program\n"

@@ -84,7 +84,7 @@ def test_a_library_where_mitsuba_would_look_is_refused(
     load_scene(path)
 
 
-def test_a_linked_folder_and_other_systems_libraries_are_refused(tmp_path, library, loaded):
+def test_linked_folder_and_foreign_libraries_are_refused(tmp_path, library, loaded):
     path = scene_of(tmp_path / "scene")
     (tmp_path / "far").mkdir()
     (path.parent / "plugins").symlink_to(tmp_path / "far")
