@@ -20,7 +20,7 @@ from svu_mi.errors import CaptureError, excerpt
 FILE = "capture.json"
 FORMAT = "svu-capture"
 VERSION = 1
-MAX_BYTES = 2**26  # of capture.json; ten times the size with the maximal number of sensors
+MAX_BYTES = 2**26  # limit for capture.json; ten times its size with the most sensors allowed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Crop photographs to the object and downsample them to about one pixel per texel.
+"""Cropping of photographs to the object, and downsampling to about one pixel per texel.
 
 More pixels per texel need memory but do not improve the estimates.
 """
@@ -21,7 +21,7 @@ ENOUGH = 0.9  # pixels across a texel (notebooks/design/photographs.md)
 MARGIN = 0.02  # margin around the object, as a fraction of its size in the photograph
 BORDER = 8  # additional margin, in pixels
 FACES = 20_000  # faces in the sample that measures texel sizes
-SMALL = 0.1  # fraction of the surface whose texels may have less than ENOUGH pixels
+SMALL = 0.1  # fraction of the surface on which texels may have less than ENOUGH pixels
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class _ObjectExtent:
         return _ObjectExtent(source.positions, source.positions[chosen].mean(axis=1), sides, areas)
 
     def bounds_in(self, sensor: Any, film: Size) -> tuple[np.ndarray, np.ndarray]:
-        """Return the object's bounds with a margin: first and end (x, y), each (2,) int64 pixels.
+        """Return the object's bounds with a margin: first pixel and end, (x, y) int64 each.
 
         Return the whole film if a part of the object is not in front of the camera.
         """
@@ -167,7 +167,7 @@ class _ObjectExtent:
     def pixels_across(self, sensor: Any) -> float | None:
         """Return the width in pixels of a texel seen face on; None if unknown.
 
-        It is a low quantile: texels on ``SMALL`` of the surface are smaller.
+        Texels on a fraction ``SMALL`` of the surface are smaller.
         """
         _, depth = projected(sensor, self.middles)
         seen = depth > float(sensor.near_clip())

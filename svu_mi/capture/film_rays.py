@@ -52,7 +52,7 @@ def ray_table(sensors: Sequence[Any]) -> Any:
 
 
 def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:
-    """Make the ``mi.Ray3f`` of a view through a point of its film, in pixels.
+    """Make the camera ray (``mi.Ray3f``) of a view through a film position in pixels.
 
     Args:
         floats: (V * 24,) Float, see ``ray_table``.

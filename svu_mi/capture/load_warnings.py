@@ -1,7 +1,7 @@
 """Warnings about photographs, materials and shapes of a capture.
 
-Vertex normals define the front of a surface; without them, the winding of the triangles does. Only
-for a closed surface this can be checked, because its front must be outside.
+The front of a surface is defined by its vertex normals, or by the winding of the triangles. It is
+known to be correct only for closed surfaces, whose front must be outside.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ WRAPPERS = {  # names of unsupported BSDFs in Mitsuba's text form, and their des
     "BumpMap[": "a bump map", "NormalMap[": "a normal map", "Mask[": "an opacity",
     "BlendBSDF[": "a blend of two materials", "Thin Principled": "a thin, transparent surface",
 }  # fmt: skip
-NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # before parameters of a BSDF in another
+NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # prefix of parameters of nested BSDFs
 BLACK = 0.05  # largest reflectance of black cloth, paper or paint
 BESIDE = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brighten a dark BSDF
 SMALL = 0.01  # fraction of all directions; shapes that cover less are ignored
 SHAPES = 5  # shapes that a message lists by name
 MOST = 0.6  # share of back faces that causes a warning; 0.5 for a plate seen from both sides
 POINTS, EYES = 400, 32  # sample sizes: surface points, and cameras
-OFFSET = 1e-4  # of rays above the surface, relative to the object's size
+OFFSET = 1e-4  # distance of ray origins from the surface, relative to the object's size
 
 
 def check_photographs(

@@ -55,7 +55,7 @@ class Rounding:
 
     @staticmethod
     def of(bits: int, transfer: Transfer = "srgb") -> Rounding:
-        """Return the steps of 8- or 16-bit integers; the largest means radiance 1."""
+        """Return the steps of 8- or 16-bit integers whose largest value is radiance 1."""
         last = 2**bits - 1
         ends = np.array([1 / last, 1 - 1 / last, 1], np.float64)
         first, below, white = map(float, decoded(ends, transfer))
@@ -63,7 +63,7 @@ class Rounding:
 
     @staticmethod
     def between(first: float, last: float) -> Rounding:
-        """Make steps from those above black and below white (radiance 1), for all channels."""
+        """Make equal steps for all channels: ``first`` above black, ``last`` below radiance 1."""
         return Rounding(np.full(3, first, np.float32), np.full(3, last, np.float32))
 
     def divided(self, gain: np.ndarray | np.floating | float) -> Rounding:

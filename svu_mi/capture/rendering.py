@@ -96,7 +96,7 @@ def render_capture(
 
 @dataclass(frozen=True, kw_only=True)
 class RenderPlan:
-    """Render job that is not started; other attributes as for ``render_capture``.
+    """A render job, not yet started; other attributes as for ``render_capture``.
 
     Attributes:
         light: Environment emitter.
@@ -210,7 +210,7 @@ def plan_render(
 
 
 def require_rendered(capture: Capture, spp: int) -> None:
-    """Raise if a rendered capture differs from the scene's present sensors or from ``spp``."""
+    """Raise if a capture was rendered with other sensors or samples per pixel than now given."""
     if capture.source is None or (description := capture_folder.read(capture.source)) is None:
         return
     own = [describe(sensor) for sensor in find_sensors(capture.scene, str(description.scene))]

@@ -121,17 +121,17 @@ class _Reader:
         for name in sorted(filter(None, self._parameters), key=len, reverse=True):
             value = self._parameters[name]
             if len(text) + text.count(f"${name}") * len(value) > LONGEST_VALUE:
-                problem = f"a value has more than {LONGEST_VALUE} letters with its $parameters"
+                problem = f"with its $parameters, a value has over {LONGEST_VALUE} characters"
                 raise self._error(problem, "shorten it")
             text = text.replace(f"${name}", value)
         self._letters += len(text)
         if self._letters > FILLED_PER_FILE:
-            problem = f"values have more than {FILLED_PER_FILE} letters with their $parameters"
+            problem = f"with their $parameters, values have over {FILLED_PER_FILE} characters"
             raise self._error(problem, "shorten them")
         return text
 
     def _error(self, problem: str, remedy: str) -> SceneError:
-        """Return an error with the file and the present line."""
+        """Return an error with the file and the current line."""
         line = self._parser.CurrentLineNumber
         return SceneError(f"{excerpt(self._path, LONGEST)}: {problem} at line {line}; {remedy}.")
 

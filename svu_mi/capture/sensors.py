@@ -241,7 +241,7 @@ def directions_of(sensors: Iterable[Any], center: np.ndarray) -> np.ndarray:
 
 
 def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.ndarray:
-    """Return a look-at matrix (camera to world); replace ``up`` if it is the viewing direction."""
+    """Return a look-at matrix (camera to world); replace ``up`` if parallel to the view."""
     forward = (target - origin) / np.linalg.norm(target - origin)
     above = np.array(up, np.float64) / np.linalg.norm(up)
     if abs(forward @ above) >= 0.999:  # any other direction will do

@@ -1,4 +1,4 @@
-"""Bit sets of kernel lanes: one bit per lane and number (view or light cell)."""
+"""Bit sets: one bit per lane (element of a kernel launch) and number (view or light cell)."""
 
 from __future__ import annotations
 

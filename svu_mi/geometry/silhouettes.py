@@ -157,7 +157,7 @@ def _lane(lane: Any, column: Any, row: Any) -> Any:
 
 
 def _trace(scene: Any, target: Any, ray: Any, active: Any) -> tuple[Any, Any]:
-    """Return distance along a ray to the target (infinite for a miss), and tan(ray, normal)."""
+    """Return distance to the target along a ray (infinite for a miss), and tan(ray, normal)."""
     hit = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
     # Opaque: a literal would recompile the kernel for every scene.
     on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))

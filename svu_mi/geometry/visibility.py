@@ -36,7 +36,7 @@ class Visibility:
         total: (T,) Float64, sum of grey (channel mean) radiance over these views.
         per_view: (V,) int64, number of visible texels in each view.
         bits: Visibility bits of V views and T texels.
-        order: (N,) UInt32, views that a pass loops over.
+        order: (N,) UInt32, views that a pass loops over; an index into it is called slot.
         dense: True processes all lanes, without skipping invisible pairs.
         clipped: Bits of texels visible only through saturated pixels; None without any.
     """

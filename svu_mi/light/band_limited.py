@@ -153,7 +153,7 @@ class MomentMap:
 
 
 def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
-    """Convolve the light with the cosine lobes of diffuse reflection, x and x (1 - x)^5."""
+    """Convolve the light with the diffuse lobes x and x (1 - x)^5, x = cos theta."""
     factors = zonal_cosine(COSINE_DEGREE, 0), zonal_cosine(COSINE_DEGREE, 5)
     expanded = [environment.coefficients(COSINE_DEGREE)]
     expanded += [_directional(environment, axis).coefficients(COSINE_DEGREE) for axis in range(3)]

@@ -48,7 +48,7 @@ class Environment:
 
     @property
     def grey(self) -> bool:
-        """True if the colour channels are equal in every direction (relative to each)."""
+        """True if the colour channels are equal in every direction (relative tolerance 1e-6)."""
         return all(
             bool((np.ptp(values, axis=-1) <= GREY * values.max(axis=-1)).all())
             for values in (self.radiance, self.disk_radiance)

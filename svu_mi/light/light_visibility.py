@@ -1,7 +1,7 @@
 """Visibility of light cells from texels: one traced bit per texel and cell.
 
-All coarse cells are traced. Fine cells inherit the bit of their coarse cell, unless it is below the
-horizon, or they are bright and some coarse cells of the group are hidden: these cells are traced.
+All coarse cells are traced. A fine cell inherits the bit of its coarse cell. It is traced instead
+if the coarse cell is below the horizon, or if it is bright and its group is partly hidden.
 """
 
 from __future__ import annotations
