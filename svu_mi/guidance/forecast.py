@@ -24,12 +24,9 @@ from svu_mi.posterior.grid import Grid
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Hypotheses psi_0 of T texels.
+    """Hypotheses psi_0 of T texels: cells and probabilities, (K T,), at k T + t.
 
-    Attributes:
-        bins: (K T,) UInt32, cell or row of hypothesis k of texel t at k T + t.
-        weights: (K T,) Float, probabilities.
-        counts: (T,) UInt32, number of used hypotheses, at most K.
+    ``counts`` (T,) is the number of used hypotheses of each texel, at most K.
     """
 
     bins: Any
@@ -57,8 +54,7 @@ class Hypotheses:
     ) -> Hypotheses:
         """Draw ``most`` cells from (T, N) probabilities; enumerate if no more are possible.
 
-        ``starts`` are (T,) random numbers in [0, 1). ``possible`` is the number of cells that the
-        prior allows, by default N.
+        ``starts`` are (T,) random in [0, 1); ``possible`` (default N) cells have a prior above 0.
         """
         total = probabilities.sum(axis=1, keepdims=True, dtype=np.float64)
         if most >= (probabilities.shape[1] if possible is None else possible):
@@ -96,10 +92,8 @@ class Forecast(ABC):
     """Expected entropies of T texels. View indices: photographs first, then candidates.
 
     Attributes:
-        responses: Predicted reflectance columns of all views.
         hypotheses: psi of Eq. 13 and p(psi | B, L).
         prior: Float, -log prior of every cell or row; None if uniform.
-        measure: Uncertainty of a texel: entropy or variance.
     """
 
     responses: Responses

@@ -36,7 +36,7 @@ class Proposal:
         entropy: Expected mean entropy with this view: present entropy minus all gains up to
             here. NaN without a forecast.
         sees: Fraction of the texels that the view sees, in [0, 1].
-        new: Fraction of the texels that only this view sees, in [0, 1].
+        new: Fraction of the texels that no photograph or earlier proposal sees, in [0, 1].
     """
 
     candidate: int

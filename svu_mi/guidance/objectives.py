@@ -28,13 +28,11 @@ FAR = 60.0  # exp(-FAR) is negligible in a sum over cells whose largest term is 
 
 
 class ColorMarginal(NamedTuple):
-    """Integrals over the base colours of a row, for C channels.
+    """Integrals over the base colours of a row, for C channels; lists have C Floats.
 
     Attributes:
         weight: Float, sum of exp(-energy).
         entropy: Float, entropy of the colour cells given the row in nats, mean over channels.
-        mean: C Floats, mean colour.
-        variance: C Floats, variance of the colour.
     """
 
     weight: Any

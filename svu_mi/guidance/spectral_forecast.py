@@ -63,13 +63,7 @@ def respond(
 
 @dataclass(frozen=True)
 class SpectrumForecast(Forecast):
-    """``Forecast`` on a grid of (roughness, Ks).
-
-    Attributes:
-        switches: Preset of the estimate.
-        sigma: Standard deviation of spectra in Eq. 11.
-        prefilter: Roughness alpha' of the light's band limit.
-    """
+    """``Forecast`` on a grid of (roughness, Ks), with ``sigma`` of Eq. 11 and alpha' of L'."""
 
     grid: ParameterGrid
     switches: Preset

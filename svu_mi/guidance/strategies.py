@@ -31,14 +31,7 @@ class ViewScorer(Protocol):
 
 @dataclass(frozen=True)
 class GuidanceStrategy:
-    """Criterion for candidates.
-
-    Attributes:
-        unit: Description of the score, for output.
-        make_scorer: Constructor of the scorer.
-        needs_forecast: Whether scores need predicted photographs.
-        method: Required method of the estimate; None accepts all.
-    """
+    """Criterion, and the ``unit`` of its scores; ``method`` is required unless None."""
 
     unit: str
     make_scorer: Callable[[StrategyInputs], ViewScorer]

@@ -68,7 +68,7 @@ class CoarseIntervals(Intervals):
 
 
 def picture_intervals(estimate: Any, side: int) -> Intervals:
-    """Return intervals for a map with ``side`` pixels on its longer side, subsampled if smaller."""
+    """Return intervals, subsampled for a map whose longer side has ``side`` pixels."""
     texels, seen = estimate.texels, is_seen(estimate)
     index, step = np.array(texels.index), -(-max(texels.resolution) // side)
     rows, columns = np.divmod(index, texels.resolution[0])
