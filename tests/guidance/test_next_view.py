@@ -906,7 +906,7 @@ class TestCandidates:
                 svu.Candidates.around(capture, 5).restricted(flags)
         for words, sentence in (
             ({"count": 0}, "Cannot place 0"), ({"lowest": 1.0}, "lowest elevation"),
-            ({"up": (0, 0, 0)}, "up must be a direction"), ({"distance": -1}, "positive distance"),
+            ({"up": (0, 0, 0)}, "up must be a direction"), ({"distance": -1}, "must be positive"),
         ):  # fmt: skip
             with pytest.raises(svu.SvuError, match=sentence):
                 svu.Candidates.around(capture, **{"count": 5} | words)
