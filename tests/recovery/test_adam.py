@@ -108,7 +108,7 @@ def test_it_stops_when_the_loss_falls_no_further():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_bad_loss_is_named_with_its_step_and_leaves_the_checkpoint(tmp_path, bad):
+def test_nan_loss_names_its_step_and_keeps_the_checkpoint(tmp_path, bad):
     path = tmp_path / "c.npz"
 
     def objective(textures, step):
@@ -180,7 +180,7 @@ def test_progress_says_loss_rate_and_time_left():
     assert watcher.texts[1].endswith("s left")
 
 
-def test_interrupt_saves_the_last_whole_step_and_is_raised_again(tmp_path):
+def test_interrupt_saves_the_last_complete_step(tmp_path):
     path = tmp_path / "c.npz"
 
     def stopping(textures, step):

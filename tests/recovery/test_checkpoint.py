@@ -196,7 +196,7 @@ def whole(tmp_path_factory):
     return textures
 
 
-def test_killed_at_a_random_moment_and_resumed_it_ends_with_the_same_textures(tmp_path, whole):
+def test_killed_and_resumed_run_has_the_same_textures(tmp_path, whole):
     """Bit for bit: one thread, and no sum whose order depends on chance."""
     interrupt(tmp_path, float(np.random.default_rng(1).uniform(0, 0.7)), signal.SIGKILL)
     resumed, first = finish(tmp_path, "resumed.npz", resume=True)

@@ -204,7 +204,7 @@ def test_over_groups_values_spread_as_far_as_over_texels(monkeypatch, title: str
     assert np.sqrt(((coarse[:, second[first]] - fine)[:, hole] ** 2).mean()) < 0.008
 
 
-def test_groups_are_no_help_where_known_texels_lie_here_and_there(monkeypatch) -> None:
+def test_scattered_known_texels_form_no_groups(monkeypatch) -> None:
     monkeypatch.setattr(texel_hierarchy, "MOST_TEXELS", 100)
     hole = np.indices((40, 40)).sum(axis=0).ravel() % 2 > 0
     graph, true = sheet(40, hole, np.zeros_like(hole))
@@ -219,7 +219,7 @@ def judged_of(errors: np.ndarray) -> PredictorErrors:
     return PredictorErrors.of(trials, slice(0, 1))
 
 
-def test_what_is_filled_in_is_never_worse_than_spreading_where_it_was_tried() -> None:
+def test_filling_is_never_worse_than_tv_on_held_out_parts() -> None:
     random = np.random.default_rng(0)
     for _ in range(20):
         size = (2, len(TITLES), 50)

@@ -90,7 +90,7 @@ def blended(free: int, predict: Callable[[Any, float], Any], steps: int = 50) ->
 
 
 @pytest.mark.parametrize("free", [0, 10, 20, 50])
-def test_what_is_certain_is_put_back_after_every_step_but_the_last(free: int) -> None:
+def test_certain_latents_are_restored_until_the_last_steps(free: int) -> None:
     """n(x, t) stands where M is 1 in whatever the model is given, as long as it is put back."""
     run = blended(free, lambda latent, time: np.tanh(3 * latent + time))
     assert len(run.given) == 50

@@ -213,7 +213,7 @@ def test_a_device_that_is_not_there(folders) -> None:
         load_model(folders[MARIGOLD], "a toaster")
 
 
-def test_where_nothing_is_certain_it_is_the_pipeline_of_diffusers(folders) -> None:
+def test_without_certain_pixels_it_equals_diffusers(folders) -> None:
     """From the same noise, the published loop of Marigold makes the same maps."""
     from diffusers import MarigoldIntrinsicsPipeline
 

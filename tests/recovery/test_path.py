@@ -85,7 +85,7 @@ def test_losses_are_their_equations(name):
 # ---- the scene ----
 
 
-def test_repainting_leaves_the_capture_alone_and_shares_the_rest(capture):
+def test_repainting_does_not_modify_the_capture(capture):
     before = arrays(capture.mesh)
     material = mi.load_dict({"type": "twosided", "bsdf": {"type": "diffuse"}})
     bsdf = str(capture.shape.bsdf())
@@ -340,7 +340,7 @@ def test_descent_finds_the_colour_of_a_surface(capture, grid):
 
 
 @pytest.mark.slow
-def test_resumed_in_the_middle_of_an_epoch_it_ends_as_if_uninterrupted(capture, grid, tmp_path):
+def test_resumed_run_equals_uninterrupted_run(capture, grid, tmp_path):
     """Up to the order in which threads add gradients up, which Adam's division can enlarge."""
     settings = DescentOptions(steps=15, learning_rate=0.01)
     start = dict(uniform_textures(grid).items())
@@ -381,7 +381,7 @@ def test_with_one_thread_it_is_the_same_to_the_last_bit(capture, grid):
 
 
 @pytest.mark.slow
-def test_no_kernel_after_the_second_step_not_even_in_a_new_epoch(capture, grid):
+def test_later_steps_and_epochs_compile_no_kernel(capture, grid):
     objective = path_objective(capture, grid, options(pixels_per_batch=512))
     compiled = {}
 

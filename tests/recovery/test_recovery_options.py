@@ -51,7 +51,7 @@ def expected(method: str, name: str) -> dict[str, dict[str, Any]]:
     return {method: {"sh": SH, "path": PATH}[method][name]}
 
 
-def test_a_preset_that_a_method_does_not_have_is_refused_and_others_are_listed():
+def test_unknown_preset_is_refused_with_alternatives():
     """So is the method that has it: "'coefficients' is a preset of method 'sh'."."""
     tables = {"sh": SH, "path": PATH, "sh+path": BOTH}
     for method, table in tables.items():
@@ -244,7 +244,7 @@ def test_sharing_goes_on_from_power_spectra_that_are_there(seen, recorded):
     assert recorded.sharing[1].estimate.preset == PRESETS["paper"]
 
 
-def test_what_is_known_of_roughness_is_known_to_the_printed_posterior(seen, recorded):
+def test_known_roughness_reaches_the_papers_posterior(seen, recorded):
     own = svu.estimate(seen, known={"roughness": 0.4})
     recovery = svu.recover(own, preset="paper", sharing=True)
     assert list(recorded.sharing[0].estimate.posterior.axes["roughness"]) == [0.4]

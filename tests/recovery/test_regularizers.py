@@ -134,7 +134,7 @@ def printed_variation(where: Texels, image: np.ndarray) -> tuple[float, np.ndarr
 @pytest.mark.parametrize("scene", [sphere, two_charts])
 @pytest.mark.parametrize("steps", [3, 1 << 20])
 @pytest.mark.parametrize("channels", [3, 1, None])
-def test_in_texture_space_it_is_the_mean_absolute_difference_as_printed(scene, steps, channels):
+def test_tv_in_texture_space_is_the_papers(scene, steps, channels):
     """With steps so coarse that many neighbours are equal, which pull at nobody."""
     where, _ = scene()
     values = np.round(a_texture(1663204127, channels) * steps) / np.float32(steps)

@@ -195,7 +195,7 @@ def test_nothing_is_compiled_between_steps(observed, kind):
 
 @pytest.mark.parametrize("domain", ["coefficients", "spectrum"])
 @pytest.mark.parametrize("name", ["default", "paper"])
-def test_the_spectral_losses_and_their_slopes_are_those_of_float64(observed, name, domain):
+def test_spectral_losses_and_gradients_match_float64(observed, name, domain):
     texels, switches = observed.texels, preset(name, degree=4)
     objective = spectral_objective(observed, switches, domain)
     fitted = fit_coefficients(observed, switches)

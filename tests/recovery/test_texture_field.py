@@ -133,7 +133,7 @@ def test_moments_of_clipped_normals(place: float, width: float) -> None:
     assert 0 <= low[0] <= high[0] <= 1
 
 
-def test_widths_are_found_that_leave_a_standard_deviation_when_clipped() -> None:
+def test_width_of_inverts_clipping() -> None:
     place, wanted = np.meshgrid(np.linspace(0, 1, 41), np.geomspace(1e-4, 0.4, 60))
     width = clipped_normal.width_of(place, wanted)
     assert (width >= wanted).all() and (width < clipped_normal.WIDEST).all()
