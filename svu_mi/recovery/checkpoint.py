@@ -68,9 +68,6 @@ class Checkpoint:
             content: Digests of the inputs, by names that messages use, such as ``sensors``.
             resume: True to start descents from the stored state.
             every: Seconds between saved states; 0 saves whenever losses are read.
-
-        Raises:
-            OptionError: A setting is not a JSON value, or ``every`` is negative.
         """
         if not every >= 0:
             raise OptionError(f"Checkpoint: every must be at least 0 seconds, got {every!r}.")

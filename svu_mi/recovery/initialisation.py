@@ -28,14 +28,8 @@ def estimate_for_textures(
     """Return an RGB estimate with a noise level per texel (``CalibratedKernel``).
 
     If ``given`` has another posterior, it is recomputed with the same reflection model and known
-    values; visibility is reused.
-
-    Args:
-        given: Estimate to use, or None to compute one.
-        observed: Capture with texels, visibility and light.
-        robust: Number of re-weighting passes.
-        sharing: True to learn a prior of all texels.
-        progress: Display of stages.
+    values; visibility is reused. ``robust`` is the number of re-weighting passes. ``sharing``
+    replaces the prior by one that is learned from all texels.
     """
     estimated = materialized(given or estimate(observed, whole=True, progress=progress), progress)
     kernel = estimated.posterior.kernel

@@ -144,8 +144,7 @@ class RecoveryRun:
     def tv_weight(self, options: ShOptions | PathOptions) -> float:
         """Return the weight of total variation.
 
-        In nats it grows with the square root of the number of texels: differences between
-        neighbours shrink with the texel size, and edges cost the same at any resolution.
+        In nats it is multiplied by sqrt(T), so that the cost of an edge is independent of T.
         """
         in_nats = isinstance(options, ShOptions) and options.loss == "statistics"
         return options.tv * (sqrt(self.texels.count) if in_nats else 1.0)

@@ -160,8 +160,7 @@ def relight_draws(
 ) -> list[RelitView]:
     """Path-trace the object with its textures and with draws from their distribution.
 
-    All draws use the same random numbers. The standard deviation thus contains no Monte Carlo
-    noise of the path tracer.
+    All draws use the same random numbers, so the standard deviation contains no Monte Carlo noise.
 
     Args:
         capture: Capture with the scene, which is not modified.

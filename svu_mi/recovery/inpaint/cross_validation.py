@@ -116,10 +116,7 @@ def distances_to_known(graph: TexelGraph, texels: np.ndarray) -> np.ndarray:
 
 
 def importance_weights(target: np.ndarray, sampled: np.ndarray) -> np.ndarray:
-    """Return weights of ``sampled`` distances (w,) that reproduce the distribution of ``target``.
-
-    Target distances beyond the last bin of ``sampled`` are clipped.
-    """
+    """Return weights (w,) that give ``sampled`` distances the distribution of ``target``."""
     target = np.minimum(target, np.quantile(sampled, 1 - 1 / DISTANCE_BINS))
     edges = np.quantile(target, np.linspace(0, 1, DISTANCE_BINS + 1)[1:-1])
     groups = np.digitize(sampled, edges)

@@ -118,18 +118,18 @@ class PathObjective:
         )
 
     def render(self, textures: Mapping[str, Any], step: int) -> tuple[Any, Any]:
-        """Return rendered and photographed radiance of a step.
+        """Return rendered and photographed radiance of a step, two Floats (3 N ``halves``,).
 
-        Both are interleaved RGB Floats (3 N ``halves``,); the halves of a pixel are adjacent.
+        RGB is interleaved; the halves of a pixel are adjacent.
         """
         self.target.paint(textures)
         radiance, photograph, _ = self._trace(self.batches.at(step), self._seed(step))
         return radiance, photograph
 
     def _trace(self, batch: PixelBatch, seed: Any) -> tuple[Any, Any, Callable[[Any], None]]:
-        """Trace a batch; return the results of ``render``, and a function that backpropagates.
+        """Trace a batch; return the results of ``render``, and a function for the backward pass.
 
-        The function takes the derivative of a loss in the radiance of every path.
+        The function takes the derivatives of a loss in the radiance of each path.
         """
         count, views = len(batch.index), self.batches.views
         sampler = mi.load_dict({"type": "independent"})
@@ -187,15 +187,7 @@ def path_objective(
     fixed: Textures | None = None,
     views: Views | None = None,
 ) -> PathObjective:
-    """Return the objective of a capture.
-
-    Args:
-        capture: Capture with scene and photographs.
-        texels: Texels that define the resolution of the textures.
-        options: Options with a ``max_depth``.
-        fixed: Textures that the descent does not change; default: constant.
-        views: Packed photographs; packed here if None.
-    """
+    """Return the objective of a capture; ``fixed``: textures that the descent does not change."""
     return PathObjective(
         target=PathScene.of(capture, uniform_textures(texels) if fixed is None else fixed),
         batches=PixelBatches(capture, options.pixels_per_batch, options.seed, views),

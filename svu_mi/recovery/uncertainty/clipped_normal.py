@@ -24,10 +24,7 @@ def moments(place: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of x for which clipped x has standard deviation ``sd``.
-
-    Newton's method; the result is at most ``WIDEST``, which is reached at ``sd`` = 0.46.
-    """
+    """Return the standard deviation of x, at most ``WIDEST``, for which clipped x has ``sd``."""
     width, places = np.array(sd, np.float64).ravel(), place.ravel()
     for part in _chunks(place.size):
         mean, wanted = places[part], width[part]

@@ -46,12 +46,9 @@ def smooth_fields(number: int, place: Any, random: np.random.Generator) -> list[
 def correlation_roots(
     posterior: Posterior[CalibratedKernel], values: dict[str, np.ndarray]
 ) -> np.ndarray:
-    """Return Cholesky factors of the posterior correlation of each texel's N values.
+    """Return Cholesky factors of each texel's posterior correlations, (T, N, N) float32.
 
     The posterior is approximated by a normal distribution around ``values`` (Laplace).
-
-    Returns:
-        (T, N, N) float32, lower triangular; the identity for unobserved texels.
     """
     factors = posterior.kernel.problem.factors
     chosen = factors.texel.numpy()

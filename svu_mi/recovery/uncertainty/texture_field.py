@@ -104,10 +104,7 @@ class TextureField:
     min_width: np.ndarray | None = None
 
     def mean(self, name: str) -> np.ndarray:
-        """Return means of a parameter, (T, C) or (T,).
-
-        They differ from the texture near 0 and 1, because values are clipped on one side.
-        """
+        """Return means, (T, C) or (T,). Clipping shifts them from the texture near 0 and 1."""
         rows = self.rows(name)
         return self._laid_out(name, clipped_normal.moments(self.values[rows], self.width[rows])[0])
 
@@ -116,14 +113,10 @@ class TextureField:
         return self._laid_out(name, self.sds[self.rows(name)])
 
     def interval(self, name: str, level: float = INTERVAL_MASS) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds of the central credible interval, (T, C) or (T,) each.
-
-        Args:
-            name: Parameter.
-            level: Probability of the interval, in (0, 1).
+        """Return the bounds of the central interval of probability ``level``, (T, C) or (T,) each.
 
         Raises:
-            OptionError: The parameter is unknown, or the level is invalid.
+            OptionError: The parameter is unknown, or ``level`` is not in (0, 1).
         """
         if not 0 < level < 1:
             raise OptionError(f"TextureField.interval(): level must be in (0, 1), got {level}.")
@@ -136,11 +129,9 @@ class TextureField:
         return lay_out(self.texels, {name: values[self.rows(name)].T for name in NAMES})
 
     def draw(self, count: int, seed: int = 0) -> Iterator[Textures]:
-        """Yield random textures from the distribution, clipped to [0, 1].
+        """Yield ``count`` random textures from the distribution, clipped to [0, 1].
 
-        Args:
-            count: Number of draws.
-            seed: Seed; the first draws do not depend on ``count``.
+        The first draws of a seed do not depend on ``count``.
 
         Raises:
             OptionError: ``count`` is negative.
@@ -226,9 +217,9 @@ class TextureField:
 
     @property
     def _variance(self) -> np.ndarray:
-        """Approximate diagonal of (D + K)^-1, (N, T).
+        """Diagonal of (D + K)^-1, (N, T), exact for constant D and links.
 
-        It is exact for constant D and links: the lattice Green's function [Economou 2006].
+        It is the Green's function of the square lattice [Economou 2006].
         """
         links, whole = self.smoother.links, self.smoother.precision
         whole += links
@@ -291,9 +282,9 @@ def texture_field(
 
 
 def tv_weights(settings: Mapping[str, Any]) -> ShOptions:
-    """Return options with the total variation of a recovery (``Recovery.settings``).
+    """Return options with the total variation of a recovery, given its settings.
 
-    Defaults if its loss was not ``statistics``, whose weights alone are in nats.
+    Defaults for losses other than ``statistics``, because their weights are not in nats.
     """
     used = settings.get("sh", {})
     if used.get("loss") != "statistics":
