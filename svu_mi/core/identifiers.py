@@ -1,4 +1,4 @@
-"""Sanitise names for JSON, OBJ, Mitsuba XML and MaterialX.
+"""Sanitise names for JSON, Markdown, OBJ, Mitsuba XML and MaterialX.
 
 Ids of shapes and sensors can contain line breaks, quotes and unpaired surrogates.
 """
@@ -15,6 +15,15 @@ NAMELESS = "object"
 def plain_name(name: str) -> str:
     """Return a non-empty printable line for JSON, glTF, HTML pages and pictures."""
     return excerpt(name) or NAMELESS
+
+
+def markdown_text(text: str) -> str:
+    """Return Markdown (MDX) that shows a text from elsewhere as it is.
+
+    The viewer's page would run braces and tags as code: all but letters, digits, spaces, dots and
+    hyphens become character references.
+    """
+    return re.sub(r"[^\w .-]|_", lambda match: f"&#{ord(match[0])};", plain_name(text))
 
 
 def obj_name(name: str) -> str:

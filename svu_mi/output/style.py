@@ -59,6 +59,10 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):  # names from elsewhere may contain a $
+        text.set_parse_math(False)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", pil_kwargs={"compress_level": PNG_LEVEL})
 
@@ -66,7 +70,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 def heading(figure: Figure, text: str, notes: Sequence[str] = ()) -> None:
     """Write the title of a page, and notes in a line below."""
     height = figure.get_size_inches()[1]
-    same: Any = {"va": "center", "parse_math": False}  # names may contain a $
+    same: Any = {"va": "center"}
     figure.text(LEFT, 1 - 0.36 / height, text, size=19, weight="bold", color=INK, **same)
     line = "   ·   ".join(notes)
     figure.text(LEFT, 1 - 0.73 / height, line, size=11.5, color=FAINT, **same)
@@ -121,12 +125,12 @@ def write_page(
 def title(axes: Axes, text: str, pad: float = 6) -> None:
     """Write a title over the left end of axes."""
     # With a given y, matplotlib does not measure all ticks of the figure.
-    axes.set_title(text, loc="left", y=1.0, size=11.5, color=INK, pad=pad, parse_math=False)
+    axes.set_title(text, loc="left", y=1.0, size=11.5, color=INK, pad=pad)
 
 
 def caption(axes: Axes, text: str) -> None:
     """Write a smaller title over the middle of axes."""
-    axes.set_title(text, loc="center", y=1.0, size=10, color=INK, pad=4, parse_math=False)
+    axes.set_title(text, loc="center", y=1.0, size=10, color=INK, pad=4)
 
 
 def labels(axes: Axes, across: str = "", up: str = "", size: float = TEXT) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import object_only_scene
 from svu_mi.core.arrays import to_drjit
+from svu_mi.core.identifiers import markdown_text
 from svu_mi.errors import OptionError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
@@ -151,7 +152,7 @@ def _seen_by(capture: Capture, pick: Pick) -> str:
     count = len(pick.seen_by)
     if not count:
         return f"not seen by any of {sum(capture.used)} views"
-    names = [capture.names[view] for view in pick.seen_by[:NAMED]]
+    names = [markdown_text(capture.names[view]) for view in pick.seen_by[:NAMED]]
     more = [f"and {count - NAMED} more"] if count > NAMED else []
     return f"seen by **{count}** of {sum(capture.used)} views: {', '.join([*names, *more])}"
 

@@ -16,7 +16,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import srgb
 from svu_mi.capture.sensors import bounding_sphere
-from svu_mi.core.identifiers import obj_name
+from svu_mi.core.identifiers import markdown_text
 from svu_mi.output.estimate_arrays import is_seen
 from svu_mi.output.html import percent
 from svu_mi.output.interval_summary import Intervals
@@ -206,12 +206,11 @@ class Viewer:
             self._plot = gui.add_image(draw_scale(None), format="png", visible=False)
 
     def _heading(self) -> str:
-        # obj_name removes braces: viser would execute an id in braces.
         seen = is_seen(self._estimate)
         entropy = np.array(self._estimate.entropy)
         mean = (entropy[seen] if seen.any() else entropy).mean()
         return (
-            f"**{obj_name(self._capture.shape.id())}**: {sum(self._capture.used)} views, "
+            f"**{markdown_text(self._capture.shape.id())}**: {sum(self._capture.used)} views, "
             f"{self._estimate.texels.count} texels, {percent(seen.mean())} seen, mean entropy "
             f"{mean:.2f}. Grey: never seen."
         )
