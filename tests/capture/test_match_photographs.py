@@ -51,10 +51,10 @@ def test_missing_photographs_of_an_import_are_counted(nerf, capsys):
     assert run(*words(nerf)) == 2
     lack = f"{nerf}: 2 of 4 photographs are missing, first shots/DSC_2"
     assert capsys.readouterr().err == (
-        f"svu: {lack}; add them, or --missing leave-out to go on without them.\n"
+        f"svu: {lack}; add them, or continue without them by --missing leave-out.\n"
     )
     assert run(*words(nerf, "--missing", "leave-out")) == 0
-    assert f"{lack}; left out." in capsys.readouterr().out.splitlines()
+    assert f"{lack}; ignored." in capsys.readouterr().out.splitlines()
     assert svu.load_capture(nerf.parent / "capture").count == 2
 
 
@@ -64,16 +64,16 @@ def test_without_any_photograph_nothing_is_imported(nerf, capsys):
     for more in ((), ("--missing", "leave-out")):
         assert run(*words(nerf, *more)) == 2
         assert capsys.readouterr().err == (
-            f"svu: {nerf}/transforms.json: 4 of 4 photographs are missing, first shots/DSC_0; put "
-            "them where the poses name them.\n"
+            f"svu: {nerf}/transforms.json: 4 of 4 photographs are missing, first shots/DSC_0; move "
+            "them to the paths in the poses.\n"
         )
 
 
 def test_a_missing_light_is_no_photograph(nerf, capsys):
     assert run(*words(nerf, "--environment", nerf / "probe.hdr")) == 2
     assert capsys.readouterr().err == (
-        f"svu: {nerf}/probe.hdr: no such file, which should be the light; give an HDR or EXR map "
-        "with --environment.\n"
+        f"svu: {nerf}/probe.hdr: no such environment map; give an HDR or EXR map with "
+        "--environment.\n"
     )
 
 

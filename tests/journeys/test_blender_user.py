@@ -13,9 +13,8 @@ def test_a_capture_needs_no_light_to_look_at_its_poses(shots):
     """No map of the light: are the poses right? And then it is found."""
     said = done("import blender --mesh scan.ply -o dark", shots)
     assert said.out[-3:] == [
-        "The capture has no light, which is found in its photographs: look at what svu light "
-        "finds, or go on. If there is a map of the light that they were taken under, import the "
-        "capture again with --environment.",
+        "The capture has no light. Commands estimate it from the photographs; svu light shows the "
+        "estimate. If you have an environment map, import again with --environment.",
         "Wrote dark; check it with: svu check dark",
         "Then estimate its light with: svu light dark",
     ]

@@ -50,12 +50,11 @@ from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, OptionError
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
-MAX_DEPTH = 6  # of paths, for renderings of the written scene
-PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 60 bytes each
+MAX_DEPTH = 6  # path depth for renderings of the written scene
+PIXELS_AT_A_TIME = 2**26  # pixels that are converted in parallel, about 60 bytes each
 NO_LIGHT = (
-    "The capture has no light, which is found in its photographs: look at what svu light finds, "
-    "or go on. If there is a map of the light that they were taken under, import the capture "
-    "again with --environment."
+    "The capture has no light. Commands estimate it from the photographs; svu light shows the "
+    "estimate. If you have an environment map, import again with --environment."
 )
 
 
@@ -67,33 +66,44 @@ def import_capture(
     words: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> list[str]:
-    """Write a capture folder: ``scene.xml`` with all it refers to, photographs, ``capture.json``.
+    """Write a capture folder: ``scene.xml`` with its files, photographs, ``capture.json``.
 
-    The folder appears complete in one step at the end.
+    The folder is created or replaced in one step at the end.
 
     Args:
-        source: of a reader.
-        folder: made if missing. An earlier import is replaced; a folder that holds anything else,
-            or a file that was changed since, is refused.
-        options: see there.
-        words: of the command, without ``svu import`` and the folder; kept in ``capture.json``.
-        progress: called with (photographs done, total).
+        source: capture of another tool, from ``read_source``.
+        folder: path of the folder. An earlier import is replaced; other or edited files are an
+            error.
+        options: import options; defaults if None.
+        words: arguments of ``svu import`` without the folder, for ``capture.json``.
+        progress: callback with (photographs done, total).
 
     Returns:
         Sentences about decisions and changes.
 
     Raises:
-        CaptureError: a photograph, a mask or the environment is missing or damaged.
-        MeshError: the mesh is.
-        OptionError: an option is out of range, or the mesh is missing.
-        OutputError: the folder cannot be written, or holds something else.
+        CaptureError: a photograph, a mask or the environment map is missing or damaged.
+        MeshError: the mesh is missing or damaged.
+        OptionError: an option is out of range, or no mesh is given.
+        OutputError: the folder cannot be written, or contains other files.
+
+    Example:
+        >>> from svu_mi.capture.importers.source import Source, frame_of
+        >>> files = [capture.source / name for name in capture.names]
+        >>> frames = list(map(frame_of, capture.sensors, files))
+        >>> source = Source(format="mine", root=capture.source, frames=frames)
+        >>> notes = svu.import_capture(
+        ...     source, "imported", svu.ImportOptions(mesh="scenes/vase/mesh.ply", every=3)
+        ... )
+        >>> svu.load_capture("imported", light="optional").count
+        4
     """
     return plan_import(source, options or ImportOptions()).write(folder, words, progress)
 
 
 @dataclass(frozen=True)
 class ImportPlan:
-    """An import before any pixel is read, with frames of the size of their photographs."""
+    """Import before any pixel is read; frames have the size of their photographs."""
 
     source: Source
     options: ImportOptions
@@ -105,7 +115,7 @@ class ImportPlan:
 
     @property
     def sizes(self) -> Sizes:
-        """Sizes of the photographs that are in memory at a time, and of the light."""
+        """Sizes of the photographs that are in memory in parallel, and of the light."""
         largest = sorted((frame.size for frame in self.frames), key=lambda size: size[0] * size[1])
         light = (0, 0) if self.light is None else open_image(self.light.path).size
         return Sizes(largest[-_parallel_count(self.frames) :], light)
@@ -138,7 +148,7 @@ class ImportPlan:
 
 
 def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
-    """Find all files of an import, and read their headers (see ``import_capture``)."""
+    """Find the files of an import, and read their headers (see ``import_capture``)."""
     require_variant()
     up = {("y", "z"): ["mesh-x90"], ("z", "y"): ["mesh-x270"]}
     between = up.get((options.mesh_up or "", options.world_up or ""), [])
@@ -148,22 +158,21 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
     mesh, light = options.mesh or source.mesh, options.environment or source.light
     if light is not None and not light.path.is_file():
         raise CaptureError(
-            f"{light.path}: no such file, which should be the light; give an HDR or EXR map with "
-            "--environment."
+            f"{light.path}: no such environment map; give an HDR or EXR map with --environment."
         )
     if mesh is None:
-        raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
+        raise OptionError(f"{source.root}: contains no mesh of the object; give it with --mesh.")
     return ImportPlan(source, options, fixes, frames, str(mesh), light, left_out)
 
 
 def _parallel_count(frames: Sequence[Frame]) -> int:
-    """Return the number of photographs that are converted at a time."""
+    """Return the number of photographs that are converted in parallel."""
     largest = max(frame.size[0] * frame.size[1] for frame in frames)
     return max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
 
 
 def _existing_frames(source: Source, options: ImportOptions) -> tuple[list[Frame], list[str]]:
-    """Return the requested frames that have a photograph, and a note about others."""
+    """Return the requested frames with a photograph, and a note about missing ones."""
     asked = source.frames[:: options.every]
     require_views(len(asked), f"{source.root}: photographs", CaptureError)
     there = [frame for frame in asked if frame.image.is_file()]
@@ -175,10 +184,10 @@ def _existing_frames(source: Source, options: ImportOptions) -> tuple[list[Frame
         f"{relative_name(source.root, absent[0].image)}"
     )
     if not there:
-        raise CaptureError(f"{lack}; put them where the poses name them.")
+        raise CaptureError(f"{lack}; move them to the paths in the poses.")
     if options.missing == "refuse":
-        raise CaptureError(f"{lack}; add them, or --missing leave-out to go on without them.")
-    return there, [f"{lack}; left out."]
+        raise CaptureError(f"{lack}; add them, or continue without them by --missing leave-out.")
+    return there, [f"{lack}; ignored."]
 
 
 def _prepare_frames(
@@ -197,7 +206,7 @@ def _prepare_frames(
         if picture.header.cropped:
             raise CaptureError(
                 f"{frame.image}: its data window differs from its display window, so its pixels "
-                "are not the camera's; save it again without crop or overscan."
+                "do not match the camera; save it again without crop or overscan."
             )
         frames.append(with_size(replace(frame, to_world=poses[0]), picture.size))
     return frames
@@ -206,7 +215,7 @@ def _prepare_frames(
 def _read_object(
     label: str, frames: Sequence[Frame], options: ImportOptions, fixes: Sequence[AxisFix]
 ) -> TexturedMesh:
-    """Read the mesh, correct and scale it, and lay out missing UVs."""
+    """Read the mesh, correct and scale it, and compute missing UVs."""
     geometry = read_textured_mesh(label, geometry_only=options.geometry_only)
     mesh = geometry.mesh
     for fix in fixes:
@@ -216,12 +225,12 @@ def _read_object(
     mesh, notes = _facing_cameras(mesh, frames, fixes, label)
     if mesh.uvs is None:
         mesh = capture_mesh.arrays(unwrap(capture_mesh.make_mesh(OBJECT, mesh), label))
-        notes.append(f"{label}: has no UVs; they are laid out by xatlas and kept in {MESH}.")
+        notes.append(f"{label}: has no UVs; UVs by xatlas are stored in {MESH}.")
     return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes])
 
 
 def _clip_planes(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
-    """Return near and far planes that suit the object, whatever its units."""
+    """Return near and far planes for the size and distance of the object."""
     low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
     distance = np.linalg.norm(frame.to_world[:3, 3] - (low + high) / 2)
     reach = float(max(distance, np.linalg.norm(high - low) / 2))
@@ -231,24 +240,24 @@ def _clip_planes(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
 def _facing_cameras(
     mesh: MeshArrays, frames: Sequence[Frame], fixes: Sequence[AxisFix], label: str
 ) -> tuple[MeshArrays, list[str]]:
-    """Turn an open surface that is seen from behind, unless a correction exists; with a note."""
+    """Flip an open surface that is seen from behind, unless a fix is given; return notes."""
     scene = make_scene([capture_mesh.make_mesh(OBJECT, mesh)])
     behind = back_face_share(scene, mesh, [frame.to_world[:3, 3] for frame in frames])
     if behind < MOST:
         return mesh, []
     what = "its triangles are flipped."
     if any(fix.kind == "winding" for fix in fixes):
-        what = "--fix mesh-inside-out has turned it so: leave it out if that was not meant."
+        what = "--fix mesh-inside-out is the cause: omit it if that was not intended."
     elif faces_outward(mesh):
         what = (
-            "it is closed, so the cameras are inside it: see that its units are those of the poses "
+            "it is closed, so the cameras are inside: check that mesh and poses have the same unit "
             "(--mesh-scale)."
         )
     else:
         mesh = correct_mesh(mesh, FIXES["mesh-inside-out"])
     return mesh, [
-        f"{label}: {behind:.0%} of what the photographs show of it is its back, where nothing can "
-        f"be found; {what}"
+        f"{label}: {behind:.0%} of its visible area are back faces, where nothing is estimated; "
+        f"{what}"
     ]
 
 
@@ -256,10 +265,10 @@ def _write_photographs(
     frames: Sequence[Frame], folder: Path, shrink: float,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Sequence[Frame], list[ConvertedPhotograph]]:  # fmt: skip
-    """Write ``view_0000.exr``, ...; return the frames with square pixels, and remarks on them."""
+    """Write ``view_0000.exr``, ...; return frames with square pixels, and properties."""
     squares, scales = zip(*(square_pixel_frame(frame, shrink) for frame in frames), strict=True)
     views = [folder / f"view_{index:04d}.exr" for index in range(len(frames))]
-    contexts = [copy_context() for _ in frames]  # threads know nothing of the run's marks
+    contexts = [copy_context() for _ in frames]  # threads do not inherit the run's marks
     converted: list[ConvertedPhotograph] = []
     with ThreadPoolExecutor(_parallel_count(frames)) as threads:
         work = contexts, [convert_photograph] * len(frames), frames, views, scales
@@ -292,7 +301,7 @@ def _write_scene(
     shape = scene_xml.plugin("shape", "ply", id=OBJECT, filename=MESH)
     material = scene_xml.plugin("bsdf", "principled", id=f"{OBJECT}_material")
     for name in geometry.textures:
-        raw = name != "base_color"  # that one is sRGB
+        raw = name != "base_color"  # which is sRGB
         material.append(scene_xml.bitmap(name, f"{name}.png", raw=raw, id=name))
     shape.append(material)
     root.append(shape)

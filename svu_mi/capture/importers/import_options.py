@@ -17,7 +17,7 @@ from svu_mi.errors import OptionError
 Up = Literal["y", "z"]
 
 # Rotations from the frame of Mitsuba's envmap (+Y top row, +Z centre, +X at u = 1/4) to the world,
-# by the convention that a map was made in.
+# by the convention of the map.
 ENVIRONMENT_AXES = {
     "mitsuba": np.eye(3),
     "opengl": np.diag([-1.0, 1.0, -1.0]),  # +Y top, -Z centre, -X at u = 1/4
@@ -28,14 +28,19 @@ ENVIRONMENT_AXES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """An environment map.
+    """Environment map of a capture.
 
     Attributes:
-        path: an HDR or EXR lat-long map, whose rows are those of pixels: the first is half a row
-            away from the pole, unless it was made for Mitsuba (text becomes a path).
-        to_world: (3, 3) float64, from the frame of Mitsuba's envmap to the world: a rotation,
-            such as one of ``ENVIRONMENT_AXES``.
-        scale: factor of its radiance.
+        path: path (or text) of an HDR or EXR lat-long map. Its first row is centred half a row
+            below the pole, unless it was made for Mitsuba.
+        to_world: (3, 3) rotation from the frame of Mitsuba's envmap to the world, such as one of
+            ``ENVIRONMENT_AXES``.
+        scale: factor of the radiance.
+
+    Example:
+        >>> light = svu.Light(path="scenes/lights/window.exr", scale=2.0)
+        >>> light.to_world.shape
+        (3, 3)
     """
 
     path: Path
@@ -48,37 +53,48 @@ class Light:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """Overrides of missing or wrong metadata."""
+    """Options of an import: mesh, light, and overrides of missing or wrong metadata.
+
+    Example:
+        >>> options = svu.ImportOptions(mesh="scan.obj", mesh_up="z", world_up="y", shrink=2)
+        >>> options.every
+        1
+    """
 
     mesh: str | Path | None = None
-    """The object: GLB, glTF, OBJ, PLY or STL; by default the mesh that the source names."""
+    """Mesh of the object: GLB, glTF, OBJ, PLY or STL. Default: the mesh of the data set; most
+    sources have none and need this option."""
     mesh_up: Up | None = None
-    """Axis that is up in the mesh's file (glTF: y), if it is not that of the poses."""
+    """Up axis in the mesh file: y (glTF) or z. Default: no rotation. Set it with --world-up if mesh
+    and poses have different up axes."""
     world_up: Up | None = None
-    """Axis that is up in the world of the poses (Blender, nerfstudio: z); needs --mesh-up."""
+    """Up axis of the poses: y or z (Blender, nerfstudio). Needs --mesh-up."""
     mesh_scale: float = 1.0
-    """Units of the poses per unit of the mesh: 0.001 for a mesh in mm and poses in m."""
+    """Factor of the mesh's coordinates, above 0: units of the poses per unit of the mesh. 0.001 for
+    a mesh in mm and poses in m."""
     geometry_only: bool = False
-    """Ignore UVs and textures of the mesh, and lay out new UVs."""
+    """Ignore UVs and textures of the mesh, and compute new UVs. Use it for several materials, or if
+    the UVs overlap."""
     environment: Light | None = None
-    """The light; by default the one that the source names."""
+    """Environment map. Default: the map of the data set, or no light."""
     exposures: str | Path | None = None
-    """Gains of the photographs: a file with lines NAME GAIN, or exif; by default those of the
-    source."""
+    """Exposure gains (positive factors of radiance): a text file with lines NAME GAIN, or exif for
+    EXIF data. Default: gains in the source, else 1. Set it if exposures differ."""
     response: str | Path | None = None
-    """What codes of PNG and JPEG mean, measured: a file with lines ENCODED LINEAR, or ENCODED R G
-    B; by default sRGB, or what the source says. EXR, HDR and PFM are linear."""
+    """Measured response curve of PNG and JPEG: a text file with lines ENCODED LINEAR, or ENCODED R
+    G B. Default: sRGB, or the curve of the data set. EXR, HDR and PFM are linear."""
     shrink: float = 1.0
-    """Shrink photographs by this factor."""
+    """Factor, at least 1, that divides width and height of photographs. Increase it to save memory
+    if pixels are smaller than texels."""
     every: int = 1
-    """Take every N-th photograph."""
+    """Import only every N-th photograph, N at least 1. Increase it for video frames."""
     missing: Literal["refuse", "leave-out"] = "refuse"
-    """What to do if poses have no photograph: leave-out goes on with the others."""
+    """Poses without a photograph: refuse stops with an error, leave-out ignores them."""
     fixes: Sequence[str] = ()
-    """Correction that svu check proposed; can be repeated."""
+    """Name of an axis correction that svu check has proposed, such as mesh-x90; can be repeated."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range, and one axis without the other (OptionError)."""
+        """Raise OptionError for numbers out of range, and for one up axis without the other."""
         if self.every < 1:
             raise OptionError(f"--every must be 1 (all photographs) or more, got {self.every}.")
         if self.missing not in ("refuse", "leave-out"):

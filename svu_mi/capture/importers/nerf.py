@@ -223,7 +223,7 @@ def _default_size(
         return open_image(first).size
     raise CaptureError(
         f"{path}: {len(named)} of {len(frames)} photographs are missing, first "
-        f"{relative_name(path.parent, images[0])}; put them where the poses name them."
+        f"{relative_name(path.parent, images[0])}; move them to the paths in the poses."
     )
 
 

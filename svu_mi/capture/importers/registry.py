@@ -1,9 +1,8 @@
-"""Registry of formats: recognise and read a capture of another tool.
+"""Registry of formats: detection and reading of captures of other tools.
 
-A format is a module of this package with two functions: ``recognises(path, split)`` says
-whether a path is such a capture (splits may have separate files), and ``read(path, options)``
-makes a ``Source`` of it. Modules are imported on first use, since the command line reads
-this table at its start.
+A format is a module of this package with two functions. ``recognises(path, split)`` returns
+whether a path is a capture of the format (splits may have separate files); ``read(path, options)``
+returns a ``Source``. Modules are imported on first use, to keep the start of the command line fast.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
 
     Format = str
 
-# Module of each format, in the order of detection: Stanford-ORB has transforms_train.json, too, and
-# LLFF's and IDR's tables are often made of a COLMAP model beside them, which knows the lens.
+# Module of each format, in the order of detection. Stanford-ORB also has transforms_train.json; the
+# COLMAP model next to tables of LLFF and IDR contains the lens.
 FORMATS = {
     "stanford-orb": "stanford_orb",
     "transforms": "nerf",
@@ -32,7 +31,7 @@ FORMATS = {
     "owl": "objects_with_lighting",
 }
 AUTO = "auto"
-FOLDERS = ("colmap", "llff", "idr")  # formats without paths of photographs and masks
+FOLDERS = ("colmap", "llff", "idr")  # formats that contain no paths of photographs and masks
 TABLES = ("llff", "idr")  # formats whose file may lie next to files of other formats
 
 if not TYPE_CHECKING:
@@ -44,34 +43,46 @@ class ReadOptions:
     """Options of reading a source."""
 
     format: Format = AUTO
-    """Format of the source; auto detects it."""
+    """Format of the source; auto detects it. Set it if the folder contains several formats."""
     images: Path | None = None
-    """COLMAP, LLFF, IDR: folder of the photographs, such as images_4."""
+    """COLMAP, LLFF, IDR: folder of the photographs, such as images_4. Default: images (IDR: image)
+    near the poses."""
     masks: Path | None = None
-    """COLMAP, LLFF, IDR: folder of the masks."""
+    """COLMAP, LLFF, IDR: folder of the masks, white on the object. Default: masks (IDR: mask) near
+    the poses, if it exists."""
     split: str = "train"
-    """Part of the data set: train, test, val, or X of transforms_X.json; Stanford-ORB: train,
-    test, or another capture of the same object."""
+    """Part of the data set: train, test, val, or X of transforms_X.json. Stanford-ORB: train, test,
+    or the name of another capture of the same object."""
     environment_view: str | None = None
-    """Stanford-ORB: test photograph whose environment is the light; by default the first."""
+    """Stanford-ORB: test photograph, such as 0003, whose environment map is the light. Default: the
+    first."""
     original_world: bool = False
-    """Undo the applied_transform of nerfstudio."""
+    """Undo nerfstudio's applied_transform. Use it if the mesh comes from the photogrammetry before
+    nerfstudio."""
     normalized: bool = False
-    """IDR, NeuS: poses in the unit sphere of scale_mat, as meshes of NeuS are."""
+    """IDR, NeuS: convert poses to the unit sphere of scale_mat. Use it for meshes of NeuS."""
 
 
 def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
-    """Read a capture.
+    """Read cameras and paths of a capture of another tool.
 
     Args:
-        path: ``transforms.json``, ``poses_bounds.npy`` (LLFF), ``cameras_sphere.npz`` or
-            ``cameras.npz`` (IDR, NeuS), the folder of one of these, a COLMAP project or model, a
-            scene of Stanford-ORB or an object of Objects with Lighting.
-        options: see there.
+        path: path of ``transforms.json``, ``poses_bounds.npy`` (LLFF), ``cameras_sphere.npz`` or
+            ``cameras.npz`` (IDR, NeuS), or of the folder with this file; of a COLMAP project or
+            model, a scene of Stanford-ORB or an object of Objects with Lighting.
+        options: options of reading; defaults if None.
 
     Raises:
-        CaptureError: it is missing, damaged, or none of these.
-        OptionError: an unknown format, or folders that it has no use for.
+        CaptureError: the capture is missing, damaged, or of an unknown format.
+        OptionError: the format is unknown, or does not support the options.
+
+    Example:
+        >>> from svu_mi.capture.importers.nerf import write_transforms
+        >>> from svu_mi.capture.importers.source import frame_of
+        >>> files = [capture.source / name for name in capture.names]
+        >>> write_transforms("capture/transforms.json", map(frame_of, capture.sensors, files))
+        >>> len(svu.read_source("capture/transforms.json").frames)
+        12
     """
     path, options = Path(path), options or ReadOptions()
     kind = options.format or AUTO  # None means the same from Python
@@ -83,7 +94,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         kind = next((name for name in FORMATS if _recognises(name, path, options.split)), AUTO)
     if kind == AUTO:
         raise CaptureError(
-            f"{path}: not a known kind of capture; expected transforms.json, a COLMAP model, "
+            f"{path}: not a capture of a known format; expected transforms.json, a COLMAP model, "
             "poses_bounds.npy, cameras_sphere.npz, Stanford-ORB or Objects with Lighting: choose "
             "one with --format."
         )
@@ -94,7 +105,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         )
     source: Source = _reader(kind).read(path, options)
     others = [
-        f"{path}: is read as {kind}, but has poses of {name}, too; --format {name} reads these."
+        f"{path}: is read as {kind}, but also contains poses of {name}; --format {name} reads them."
         for name in (TABLES if recognised and kind not in TABLES else ())
         if _recognises(name, path, options.split)
     ]

@@ -276,8 +276,8 @@ def test_folders_with_several_formats_are_read_as_before(tmp_path):
         both = read_source(folder)
         assert both.format == "colmap"
         assert both.notes[-1] == (
-            f"{folder}: is read as colmap, but has poses of {name}, too; --format {name} reads "
-            "these."
+            f"{folder}: is read as colmap, but also contains poses of {name}; --format {name} "
+            "reads them."
         )
         assert len(read_source(folder, ReadOptions(format="colmap")).notes) == 1
         (folder / "sparse").rename(model / "sparse")

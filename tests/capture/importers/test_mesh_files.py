@@ -552,7 +552,7 @@ def test_photographs_are_shrunk_with_their_cameras(source, tmp_path):
 
 
 def test_what_is_missing_is_asked_for(source, tmp_path):
-    with pytest.raises(OptionError, match="does not name the object's mesh; give it with --mesh"):
+    with pytest.raises(OptionError, match="contains no mesh of the object; give it with --mesh"):
         import_capture(replace(source, mesh=None), tmp_path / "capture")
     for options, sentence in (
         ({"every": 0}, "--every"), ({"mesh_scale": -1.0}, "positive"), ({"shrink": 0.5}, "shrink"),
@@ -570,9 +570,8 @@ def test_a_capture_without_a_light_says_so_and_can_be_checked(source, tmp_path):
     """Poses may be looked at before anybody has taken a picture of the light."""
     notes = import_capture(replace(source, light=None), tmp_path / "capture")
     sentence = (
-        "The capture has no light, which is found in its photographs: look at what svu light "
-        "finds, or go on. If there is a map of the light that they were taken under, import the "
-        "capture again with --environment."
+        "The capture has no light. Commands estimate it from the photographs; svu light shows the "
+        "estimate. If you have an environment map, import again with --environment."
     )
     assert sentence in notes
     record = json.loads((tmp_path / "capture" / "capture.json").read_text())
@@ -731,7 +730,7 @@ def test_nerf_synthetic_with_shouted_suffixes(tmp_path):
     (frame,) = read_source(transforms(tmp_path, camera_angle_y=0.5)).frames
     assert frame.focal == pytest.approx([20 / np.tan(0.35), 10 / np.tan(0.25)])
     frame.image.unlink()
-    with pytest.raises(CaptureError, match="1 of 1 photographs are missing, first train/r_0; put"):
+    with pytest.raises(CaptureError, match="1 of 1 photographs are missing, first train/r_0; move"):
         read_source(tmp_path)
 
 
@@ -776,7 +775,7 @@ def test_any_part_of_a_data_set_can_be_asked_for(tmp_path):
     train = (folder / "transforms_train.json").rename(valid)
     assert read_source(folder, ReadOptions(split="valid")).frames[0].label.startswith(str(valid))
     assert read_source(valid, ReadOptions(split="no such part")).frames
-    with pytest.raises(CaptureError, match="not a known kind of capture"):
+    with pytest.raises(CaptureError, match="not a capture of a known format"):
         read_source(folder)
     valid.rename(train)
 

@@ -199,7 +199,7 @@ def test_an_open_vase_is_turned_to_the_cameras(tmp_path, inside_out):
     said = [note for note in notes if "its triangles are flipped" in note]
     assert bool(said) == inside_out
     if said:
-        words = "% of what the photographs show of it is its back, where nothing can be found; "
+        words = "% of its visible area are back faces, where nothing is estimated; "
         assert f"mesh.ply: {said[0].split(': ')[1]}" in said[0] and words in said[0]
     capture = svu.load_capture(tmp_path / "capture")  # a warning would be an error
     imported = arrays(capture.mesh)
@@ -216,7 +216,7 @@ def test_a_plate_shows_the_side_that_was_photographed(tmp_path, height, turned):
     notes = import_capture(
         source_of(tmp_path / "given", plate, around(height=height)), tmp_path / "capture"
     )
-    assert any("100% of what" in note for note in notes) == turned
+    assert any("100% of its" in note for note in notes) == turned
     normal = arrays(svu.load_capture(tmp_path / "capture").mesh).normals
     np.testing.assert_allclose(normal, [[0, np.sign(height), 0]] * len(normal), atol=1e-6)
 
@@ -239,7 +239,7 @@ def test_a_correction_that_is_asked_for_wins(tmp_path, inside_out):
     given = source_of(tmp_path / "given", mesh, around())
     notes = import_capture(given, tmp_path / "capture", options)
     assert not any("its triangles are flipped" in note for note in notes)
-    sentence = "can be found; --fix mesh-inside-out has turned it so: leave it out if that was not"
+    sentence = "is estimated; --fix mesh-inside-out is the cause: omit it if that was not intended"
     assert any(sentence in note for note in notes) == (not inside_out)
     assert (outwardness(tmp_path / "capture") > 0.2) == inside_out
     assert abs(outwardness(tmp_path / "capture")) > 0.2
@@ -251,9 +251,9 @@ def test_cameras_inside_a_closed_mesh_mean_other_units(tmp_path):
     given = source_of(tmp_path / "given", ball, around())
     notes = import_capture(given, tmp_path / "capture")
     sentence = (
-        "mesh.ply: 100% of what the photographs show of it is its back, where nothing can be "
-        "found; it is closed, so the cameras are inside it: see that its units are those of the "
-        "poses (--mesh-scale)."
+        "mesh.ply: 100% of its visible area are back faces, where nothing is estimated; it is "
+        "closed, so the cameras are inside: check that mesh and poses have the same unit "
+        "(--mesh-scale)."
     )
     assert any(note.endswith(sentence) for note in notes)
     assert not any("flipped" in note for note in notes)
@@ -262,7 +262,7 @@ def test_cameras_inside_a_closed_mesh_mean_other_units(tmp_path):
     with pytest.warns(svu.SvuWarning, match=words):
         svu.load_capture(tmp_path / "capture")
     notes = import_capture(given, tmp_path / "capture", ImportOptions(mesh_scale=0.01))
-    assert not any("its back" in note for note in notes)
+    assert not any("back faces" in note for note in notes)
     turned = ImportOptions(fixes=("mesh-inside-out",))
     import_capture(given, tmp_path / "capture", turned)
     assert outwardness(tmp_path / "capture") < -0.2
