@@ -50,7 +50,7 @@ class SceneError(SvuError):
 
 
 class MeshError(SvuError):
-    """The mesh has no faces, no UV coordinates or overlapping charts."""
+    """The mesh has no faces, no UV coordinates, or charts that overlap."""
 
 
 class OptionError(SvuError):

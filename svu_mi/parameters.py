@@ -23,8 +23,8 @@ class Parameter:
         low: smallest value.
         high: largest value.
         default: value where none is given, as in initial textures.
-        has_atoms: whether the prior has point masses at ``low`` and ``high``; their probability
-            is ``AngularPreset.metals``.
+        has_atoms: True if the prior has point masses at ``low`` and ``high``, with the total
+            probability ``AngularPreset.metals``.
         end_labels: labels of ``low`` and ``high`` in plots.
     """
 

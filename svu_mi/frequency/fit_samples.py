@@ -91,7 +91,7 @@ class FitSamples:
 
 @dataclass(frozen=True)
 class FitJob:
-    """Fits of all texels with (T,) ``counts`` of views; repeatable with other maskings."""
+    """Fits of all texels; ``counts`` are numbers of views, (T,)."""
 
     observed: FitSource
     switches: Preset | Fit

@@ -59,7 +59,7 @@ def ridge(degree: int, penalize_constant: bool) -> list[float]:
 
 
 def zonal_polynomial(degree: int, penalize_constant: bool) -> list[float]:
-    """Return powers of t in lambda k(t) = sum_l (2l + 1) / (4 pi R_l) P_l(t), for R_l > 0."""
+    """Return coefficients of t^n in lambda k(t) = sum_l (2l + 1) / (4 pi R_l) P_l(t), R_l > 0."""
     penalty = ridge(degree, penalize_constant)
     weights = [(2 * l + 1) / (4 * math.pi * r) if r else 0.0 for l, r in enumerate(penalty)]
     return [float(power) for power in legendre.leg2poly(weights)]
@@ -83,7 +83,7 @@ class FitSystem:
 
     degree: int
     channels: int
-    ridge: list[float]  # e^l, 0 where a degree is free
+    ridge: list[float]  # e^l, or 0 for an unpenalised degree
     regularizer: Any  # lambda, opaque: a new value must not compile a new kernel
 
     @staticmethod

@@ -132,8 +132,8 @@ def angular_posterior(
 
         p ~ exp(-d / (2 sigma^2)) prior,    d = 1/n sum_i w_i (b_i - r_i(psi))^2   (Eq. 3, 4)
 
-    Without 1/n (``errors="sum"``, as printed), errors of the reflection model would average out
-    over many views, which they do not.
+    d is a mean, because errors of the reflection model do not average out over n views. With
+    ``errors="sum"``, d is a sum without 1/n, as printed.
 
     Args:
         statistics: statistics of S texels at the grid's roughness nodes, or their factors.

@@ -283,12 +283,11 @@ def calibrated_posterior(
         copies: number of equal colour channels per channel of the statistics.
         texels: number T of texels, seen or not; default: the largest texel number plus one.
         light_uncertainty: uncertainty of the light; its scale is common to all base colours.
-        rounding: (S,) rounding variance of a sample of weight 1, squared radiance: the minimum of
-            the noise variance. None for floating point photographs.
+        rounding: (S,) minimum of the noise variance (``Observed.rounding``), squared radiance.
 
     Raises:
-        OptionError: an angular preset is required, or an invalid scale or prior.
-        ShapeError: a prior of another shape than the grid, or unsuitable roughness levels.
+        OptionError: a preset of another method, or an invalid scale or prior.
+        ShapeError: the shape of the prior differs from the grid's, or levels are not even.
 
     Example:
         >>> observed = estimate.observed

@@ -22,7 +22,10 @@ from svu_mi.statistics.texel_blocks import BLOCK, block_size, texel_offset
 
 
 def min_energy(problem: CalibratedProblem, *, excess: bool = False) -> Any:
-    """Return the least energy of all nodes, (S,) Float; ``excess``: with prior, relative."""
+    """Return the least energy of all nodes, (S,) Float.
+
+    ``excess`` adds the prior and subtracts ``problem.min_energy``.
+    """
     integrator, columns = NodeIntegrator(problem), dr.opaque(mi.UInt32, problem.mixed.count)
     nodes = dr.opaque(mi.UInt32, problem.roughness.count)
 

@@ -22,9 +22,7 @@ NEVER = 1e30  # stands for -log 0
 
 @dataclass(frozen=True)
 class CalibratedProblem:
-    """Inputs of a calibrated posterior.
-
-    A row is a bin of roughness and the mixing parameters.
+    """Inputs of a calibrated posterior; a row is a bin of roughness and the mixing parameters.
 
     Attributes:
         copies: number of equal colour channels per channel of the factors.

@@ -57,8 +57,7 @@ def statistics_posterior(
 def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
     """Return the posterior of more texels than one tile holds.
 
-    With ``inputs.whole``, the statistics of all texels stay in memory. Otherwise results other than
-    maps recompute the statistics of the requested texels.
+    Results other than maps recompute statistics, unless ``inputs.whole`` keeps all in memory.
     """
     if inputs.whole:
         return _joined_tiles(inputs, switches)
@@ -164,7 +163,7 @@ def view_counts(seen: Observed, switches: AnyPreset) -> np.ndarray:
 
 
 def _levels(inputs: EstimatorInputs, switches: AngularPreset) -> np.ndarray:
-    """Return roughness levels of the statistics: even, or the grid's nodes under the prior."""
+    """Return the roughness levels of the statistics: even levels, or the planned grid nodes."""
     nodes = inputs.grid.roughness_nodes
     if switches.noise == "estimated" and len(nodes) > 1:
         return np.linspace(0, 1, switches.levels)

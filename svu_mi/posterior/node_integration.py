@@ -170,7 +170,8 @@ class NodeIntegrator:
         return colors
 
     def _channels(self, U: list[list[Any]], row: Any, column: Any) -> tuple[Any, list[Any]]:
-        """Return a node's energy above ``min_energy``, without colour prior; and likelihoods."""
+        """Return a node's energy above ``min_energy`` without colour prior, and the fields of each
+        channel's likelihood."""
         place = row * self._columns + column
         prior = dr.gather(mi.Float, self.nodes.prior, place) - self._min_energy
         if self._color_is_known:

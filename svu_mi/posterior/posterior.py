@@ -79,8 +79,7 @@ class Posterior(Generic[K]):
     def prior_entropy(self) -> float:
         """Normalised entropy of unseen texels, in [0, 1]: the prior's (Eq. 5).
 
-        1 if the prior is uniform or the posterior calibrated. log k / log n if the prior allows k
-        of n bins with equal probability.
+        1 if the prior is uniform or the posterior calibrated.
         """
         return self.kernel.prior.entropy
 
@@ -150,7 +149,7 @@ class Posterior(Generic[K]):
             chosen: (t,) indices of texels; default: all.
 
         Returns:
-            (t, nodes); (t, nodes, 3) for base colour if it has 3 channels.
+            (t, nodes); (t, nodes, 3) for base colour (or Ks) if it has 3 channels.
 
         Raises:
             OptionError: an unknown parameter, or an index outside [0, T).
@@ -281,8 +280,8 @@ class Posterior(Generic[K]):
     def half_width(self, name: str, level: float = 0.9, chosen: Any | None = None) -> Any:
         """Return half the width of ``interval``, TensorXf (t,).
 
-        For base colour, the interval of the channel with the largest standard deviation is used.
-        Arguments and errors are as for ``interval``.
+        Of three channels, the one with the largest standard deviation is used. Arguments and errors
+        are as for ``interval``.
         """
         texels, low, high = self._allowed(name, level, chosen)
         half, seen = (high - low).max(axis=1) / 2, self.observed[texels]
@@ -343,8 +342,7 @@ class Posterior(Generic[K]):
     def kl(self, other: Posterior) -> Any:
         """Return the divergences KL(p || q) of T texels p from T' texels q of ``other``, (T, T').
 
-        See Sec. 5.2 of the paper. Divergences of channels are averaged; probabilities below 1e-30
-        count as 1e-30.
+        Channels are averaged (Sec. 5.2); probabilities below 1e-30 count as 1e-30.
 
         Raises:
             ShapeError: the grids differ.

@@ -21,7 +21,7 @@ class QuadratureAxis:
     """N parts of one parameter's range, ascending.
 
     Attributes:
-        low, high: (N,) float64 ends of each part; equal for a point mass.
+        low, high: (N,) float64, ends of each part; equal for a point mass.
         bin: (N,) int64, bin of the grid that contains each part.
         mass: (N,) float64, prior probability of each part, of sum 1.
     """
@@ -144,7 +144,7 @@ def uniform_axis(nodes: np.ndarray, parts: int) -> QuadratureAxis:
 
 
 def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> QuadratureAxis:
-    """Divide bins as ``uniform_axis``; add point masses at 0 and 1 of sum ``extremes``."""
+    """Divide bins as ``uniform_axis``; add point masses at 0 and 1, ``extremes`` in total."""
     between = uniform_axis(nodes, parts)
     if len(nodes) == 1 or extremes == 0:
         return between

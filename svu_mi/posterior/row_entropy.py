@@ -1,9 +1,9 @@
 """Entropy of a grid, row by row in one kernel, without stored probabilities.
 
 A row is a bin of the parameters that all channels share (roughness and metallic, or roughness).
-Bins of a row differ in the last parameter (base colour or Ks), which each group of channels has for
-itself. Groups are independent given the row. The entropy is computed over (row, last parameter)
-for each group and averaged.
+Bins of a row differ in the last parameter (base colour or Ks). Each group of channels has a
+separate value of it, independent of the other groups given the row. The entropy is computed over
+(row, last parameter) for each group and averaged.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Kernel of more texels than memory holds statistics of: tiles are computed on request.
+"""Kernel that computes the posterior of many texels in tiles.
 
 The first pass caches entropy and, for calibrated posteriors, moments. Other results recompute the
 statistics of the requested texels.

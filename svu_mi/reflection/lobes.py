@@ -1,8 +1,7 @@
 """Specular lobes: profiles, directions and albedos.
 
-A lobe of width alpha is approximated by a lobe that is rotationally symmetric around a direction,
-so one prefiltered light per alpha (light/prefiltered.py) serves all views. The direction and the
-directional albedo of the lobe depend on the viewing angle.
+A lobe of width alpha is approximated by a rotationally symmetric one, so that light can be
+prefiltered (light/prefiltered.py). Its direction and albedo depend on the viewing angle.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
     """Return a lobe's unnormalised weight at angles from its centre, given their cosines.
 
     ``gaussian`` scales degree l by exp(-(alpha l)^2) (Eq. 6). ``ggx`` is D(theta / 2) G1(theta),
-    the lobe of a view along the normal [Walter et al. 2007].
+    for a view along the normal [Walter et al. 2007].
     """
     if lobe == "gaussian":
         if alpha < FLAT:

@@ -1,8 +1,8 @@
 """Narrow specular lobes, evaluated by reading prefiltered light.
 
 A lobe is approximated by a rotationally symmetric one. Its Fresnel term is averaged over the lobe
-(split sum) or taken at the viewing angle (Eq. 6). Errors decrease with the width. A ray in the
-mirror direction determines the visibility of the light.
+(split sum) or taken at the viewing angle (Eq. 6). The narrower the lobe, the smaller the error. A
+ray in the mirror direction determines the visibility of the light.
 """
 
 from __future__ import annotations

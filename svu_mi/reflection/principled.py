@@ -47,7 +47,7 @@ COLUMNS = len(columns(0, 0, 0, 0))
 class Mixture:
     """Coefficients of the columns as a function of base colour c: x = slope c + offset.
 
-    Constant 0 and 1 are Python numbers, which Dr.Jit omits from kernels.
+    Constants 0 and 1 are Python numbers, which Dr.Jit omits from kernels.
     """
 
     slope: tuple[Any, ...]

@@ -81,8 +81,8 @@ def shade(
 ) -> list[Parts]:
     """Return the parts (e, p, q, d) of each channel for one view per lane.
 
-    ``moments`` are diffuse moments (``LightVisibility.diffuse``), in a frame rotated by
-    ``to_moments``. ``visible(mirror, alpha)`` returns the visibility of the lobe.
+    ``moments`` are diffuse moments (``LightVisibility.diffuse``). ``to_moments`` rotates world
+    space to their frame. ``visible(mirror, alpha)`` returns the visibility of the lobe.
     """
     normal, rule = mi.Vector3f(normal), model.switches.diffuse
     cosine = dr.maximum(dr.dot(normal, direction), NARROWEST)

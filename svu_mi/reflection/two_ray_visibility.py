@@ -1,6 +1,6 @@
 """Shadows of surface points, estimated by two rays per sample.
 
-Directions are sampled from the light and the specular lobe; one is selected for diffuse and one for
+Directions are sampled from the light and the specular lobe. One is selected for diffuse and one for
 specular reflection (resampled importance sampling [Talbot et al. 2005], balance heuristic). Their
 visibility, 0 or 1, multiplies the known unshadowed integrals, which has low variance. Normalising
 few weights is biased: surfaces whose brightest light is occluded are up to 10 % too bright.

@@ -2,8 +2,7 @@
 
 Within a cell of radius rho, the half vector rotates by up to rho / (2 cos theta_d), where theta_d
 is its angle with the light. GGX is proportional to 1 / s^2 with s = sin^2 theta_h + alpha^2 cos^2
-theta_h. Cells with large rho^2 / (s cos^2 theta_d) are subdivided; they are near the mirror
-direction, mostly in grazing views.
+theta_h. Cells with large rho^2 / (s cos^2 theta_d), near the mirror direction, are subdivided.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ class LobeSums:
                 for value in cells.light(cell, self.channels)
                 for factor in (1 - schlick, schlick, dielectric)
             ]
-            # Perpendicular to the plane of incidence, the half vector rotates 1 / cos theta_d more.
+            # Perpendicular to the plane of incidence, the rotation is 1 / cos theta_d as large.
             spread = 0.5 * square * (1 + dr.rcp(across * across))
             lobes = blurred_ggx(up, incident, self.alpha, spread)
             for k, (lobe, part) in enumerate(product(lobes, parts)):

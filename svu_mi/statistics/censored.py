@@ -6,8 +6,8 @@ approximated by a parabola with equal slope and curvature (re-weighted least squ
     -log Phi(z) ~ h (r - t)^2 / (2 sigma^2),   t = r' + sigma / (lambda + z'),
     h = lambda (lambda + z'),                  lambda = phi(z') / Phi(z').
 
-This is a sample of radiance t and weight h: about b and 1 if the model is far below b, and weight
-0 if it is far above. Each roughness level has separate sums, with parabolas around its best model.
+This is a sample of radiance t and weight h. If the model is far below b, t is about b and h about
+1; if it is far above, h is 0. Each roughness level uses parabolas around its own best model.
 """
 
 from __future__ import annotations

@@ -46,9 +46,8 @@ class Weighting:
     Attributes:
         kappa: radiance above which weights decrease (``noise_weight``).
         edges: eta, decrease of weights at image edges (``noise_weight``).
-        current: current parameters. Weights are then divided by the error |r - b|, which minimises
-            absolute errors [Holland and Welsch 1977]. Levels must be uniform on [0, 1]; kappa of
-            the resulting statistics is NaN.
+        current: parameters whose error |r - b| divides weights, to minimise absolute errors
+            [Holland and Welsch 1977]. Requires uniform levels on [0, 1]; sets kappa to NaN.
         models: best models; only saturated channels are then summed (``censored``).
     """
 

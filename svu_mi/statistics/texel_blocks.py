@@ -82,8 +82,7 @@ def scatter_texels(values: Any, rows: int, lanes: Any, others: Any) -> Any:
 
 
 def _places(rows: int, lanes: Any) -> tuple[Any, Any]:
-    """Return indices of the values of some texels, in the order of new blocks, and a mask that is
-    False in the padding after the last texel."""
+    """Return indices of texels' values in the order of new blocks; and a mask, False in padding."""
     count = dr.width(lanes)
     place, block = dr.arange(mi.UInt32, block_size(rows, count)), dr.opaque(mi.UInt32, rows * BLOCK)
     lane, row = place // block * BLOCK + place % BLOCK, place % block // BLOCK
