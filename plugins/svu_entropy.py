@@ -174,8 +174,8 @@ class EntropyIntegrator(mi.SamplingIntegrator):
             if not targets:
                 raise SceneError(
                     f"svu_entropy: the scene has no shape '{self.shape_id}'; it has "
-                    f"{', '.join(repr(s.id()) for s in shapes) or 'none'}. Was it loaded with "
-                    "optimize=False?"
+                    f"{', '.join(repr(s.id()) for s in shapes) or 'none'}. Load it with "
+                    "optimize=False to keep the ids of shapes."
                 )
             return dr.any([shape == mi.ShapePtr(s) for s in targets])
         others = [s for s in shapes if s.is_emitter() or not _has_uvs(s)]

@@ -43,7 +43,7 @@ from svu_mi.recovery.sh.likelihood import Likelihood, QuadraticPrior, SmoothedSt
 from svu_mi.recovery.sh.spectral_loss import spectral_objective
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 
-# Chosen on our own scenes:
+# Tuned on the example scenes:
 START_SMOOTHING = 0.6  # factor of the TV weight for the start: weaker, to keep material edges
 PRIOR_WEIGHT = 0.5  # weight of the quadratic prior around the posterior means
 Result = tuple[Textures, Descent]

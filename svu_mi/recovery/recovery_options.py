@@ -54,7 +54,7 @@ class DescentOptions:
     beta_2: float = 0.999
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "scales", dict(self.scales))  # the caller's may change
+        object.__setattr__(self, "scales", dict(self.scales))  # independent of the caller's
         require_types(self)
         for name in ("steps", "window"):
             require(self, getattr(self, name) >= 1, name, "a whole number, at least 1")
@@ -64,7 +64,7 @@ class DescentOptions:
         require(self, 0 < self.final_rate <= 1, "final_rate", "in (0, 1]")
         require(self, -inf < self.low < self.high < inf, "low", "a number below high")
         require(self, all(0 <= scale < inf for scale in self.scales.values()), "scales",
-                "numbers that are not negative, by parameter")  # fmt: skip
+                "finite numbers >= 0, by parameter")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

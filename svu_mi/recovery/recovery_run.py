@@ -194,7 +194,7 @@ def require_resolution(texels: Texels, start: Textures | None) -> None:
     if min(texels.resolution) < 2:
         width, height = texels.resolution
         raise OptionError(
-            f"Textures need at least 2 texels per side, got {width} x {height}; use more."
+            f"Textures need at least 2 x 2 texels, got {width} x {height}; increase the resolution."
         )
     if start is not None:
         start.require_resolution(texels)

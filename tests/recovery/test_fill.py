@@ -384,7 +384,7 @@ def test_what_cannot_be_filled_is_said(banded: SimpleNamespace) -> None:
     for above in (0.0, -1.0, np.nan):
         with pytest.raises(OptionError, match="above must be positive"):
             fill(field, seen, above)
-    with pytest.raises(CaptureError, match="too few texels have standard deviations below"):
+    with pytest.raises(CaptureError, match="too few texels are certain enough"):
         fill(field, seen, above=1e-6)
 
 

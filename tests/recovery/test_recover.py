@@ -348,9 +348,9 @@ def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
     other = svu.texels(capture.mesh, SIZE // 2)
     with pytest.raises(ShapeError, match="texels"):
         svu.recover(capture, grid, start=uniform_textures(other))
-    with pytest.raises(OptionError, match="at least 2 texels"):
+    with pytest.raises(OptionError, match="at least 2 x 2 texels"):
         svu.recover(capture, svu.texels(capture.mesh, (16, 1)))
-    with pytest.raises(OptionError, match="no map"):
+    with pytest.raises(OptionError, match="unknown map"):
         svu.Recovery.image(svu.recover(capture, other, sh=brief()), "albedo")
 
 

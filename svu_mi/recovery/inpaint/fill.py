@@ -26,7 +26,7 @@ from svu_mi.recovery.inpaint.fill_result import Filled, Fusion, Weights
 from svu_mi.recovery.inpaint.texel_hierarchy import TexelGraph
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-DECIDES = "base_color"  # best determined by photographs, so its share limits the others
+DECIDES = "base_color"  # its share limits the shares of others: photographs determine it best
 
 
 def fill(
@@ -73,10 +73,10 @@ def fill(
             )
         if not masks:
             raise CaptureError(
-                "fill(): too few texels have standard deviations below the limit to fill the "
-                "others; increase above=.",
-                shell="Too few texels have standard deviations below the limit to fill the "
-                "others; increase --above.",
+                "fill(): too few texels are certain enough to fill the others; increase above="
+                f"{above}.",
+                shell="Too few texels are certain enough to fill the others; increase --above "
+                f"({above}).",
             )
         errors = _predictor_errors(field, graph, masks, stage)
         max_share = errors[DECIDES].share if DECIDES in errors else 1.0

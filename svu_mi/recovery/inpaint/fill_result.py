@@ -59,7 +59,7 @@ class Filled:
     """Filled textures.
 
     Attributes:
-        field: Textures with standard deviations; filling never reduces these before clipping.
+        field: Textures with standard deviations, which filling never reduces (before clipping).
         filled: (T,) bool, True for filled texels.
         weights: Weights of the predictors, by parameter and title; empty for parameters that were
             not recovered, and if no texel was filled.

@@ -26,7 +26,7 @@ PAPER_SETTINGS: dict[str, Any] = {
     "tau": TAU, "seeding": "least", "divergence": "forward", "anchored": False,
 }  # fmt: skip
 
-CHUNK = 1 << 22  # probabilities in memory at a time
+CHUNK = 1 << 22  # probabilities per chunk, to limit memory
 LEAST = 1e-30  # lower limit of probabilities in logarithms
 
 
@@ -150,7 +150,7 @@ class GlobalSharing(Regularizer):
         for c in range(channels):
             dr.scatter(gradient, 2 * scale * pull[c], index * channels + c)
         if not self.anchored:
-            # Now: writes and additions that wait for one evaluation have no order among them.
+            # Evaluate first: the order of scatters within one kernel is undefined.
             dr.eval(gradient)
             self._add_seed_gradient(gradient, psi, seeds, 2 * scale)
         return dr.sum(total) * scale, gradient

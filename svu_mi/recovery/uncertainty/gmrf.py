@@ -194,7 +194,7 @@ class Smoother:
 
     def _iterate(self, x: Any, rest: Any, step: Any, size: Any, free: Any) -> tuple[Any, ...]:
         turned = free * (self @ step)
-        dr.eval(turned)  # dr.sum would evaluate the product only, and compute this twice
+        dr.eval(turned)  # used twice; dr.sum alone would not store it
         along = dr.sum(step * turned)
         length = dr.select(along > 0, size / along, 0)
         x, rest = dr.fma(length, step, x), dr.fma(-length, turned, rest)

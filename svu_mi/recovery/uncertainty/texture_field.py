@@ -11,9 +11,9 @@ correlated over a neighbourhood, and smoothing does not reduce them. Deviations 
     c^2 = (A b)^2 + a (S |x0 - m|)^2,    A = (D + K)^-1 D,    S = (d + K)^-1 d.
 
 m and b are mean and standard deviation of a texel's own posterior, and g is a smooth random field
-of variance 1. A b is b after smoothing of fully correlated errors. The other term averages |x0 - m|
-over a small neighbourhood (d is constant). Values x are clipped to [0, 1]; their standard
-deviations are enlarged such that the clipped ones have the values above.
+of variance 1. A b is the standard deviation after smoothing if all errors are correlated. The other
+term of c averages |x0 - m| over a small neighbourhood (d is constant). Values x are clipped to
+[0, 1]; their standard deviations are enlarged to compensate for the clipping.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from svu_mi.recovery.uncertainty.field_draws import (
 )
 from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 
-# Chosen on our own scenes:
+# Tuned on the example scenes:
 # rho, correlated fraction of the variance of a seen texel. Metallic (MIXED) is fully correlated:
 # an ambiguity between metal and paint affects a whole neighbourhood.
 COMMON, COMMON_MIXED = 0.5, 1.0
@@ -172,7 +172,7 @@ class TextureField:
     def _coherent_sd(self) -> np.ndarray:
         """Correlated standard deviation c, (N, T)."""
         left = self._nested.solve(1 / self.deviation)
-        # d is large, so values spread a few texels only, and no coarser levels are needed.
+        # Values spread over a few texels only (d is large), so coarser levels are not needed.
         links = np.median(self.smoother.links, axis=1, keepdims=True)
         d = np.broadcast_to(np.maximum(NARROW * links, TINY), self.deviation.shape)
         apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own_mean))
@@ -217,10 +217,7 @@ class TextureField:
 
     @property
     def _variance(self) -> np.ndarray:
-        """Diagonal of (D + K)^-1, (N, T), exact for constant D and links.
-
-        It is the Green's function of the square lattice [Economou 2006].
-        """
+        """Diagonal of (D + K)^-1 on a lattice of constant D and links [Economou 2006], (N, T)."""
         links, whole = self.smoother.links, self.smoother.precision
         whole += links
         rows = zip(links, whole, strict=True)

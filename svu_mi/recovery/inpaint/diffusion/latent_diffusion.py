@@ -70,7 +70,7 @@ class LatentDiffusion:
 
     @property
     def title(self) -> str:
-        """Name to print."""
+        """Title of the model."""
         return self.family.title
 
     @property
@@ -80,7 +80,7 @@ class LatentDiffusion:
 
     @property
     def runs(self) -> int:
-        """Denoising runs per picture."""
+        """Number of denoising runs per image."""
         return len(self.family.runs)
 
     def predict(

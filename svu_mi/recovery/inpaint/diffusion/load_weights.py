@@ -1,4 +1,4 @@
-"""Load the weights of a diffusion model from a local folder, without pickles."""
+"""Loading of diffusion model weights from a local folder, without pickles."""
 
 from __future__ import annotations
 
