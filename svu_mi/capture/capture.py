@@ -1,4 +1,4 @@
-"""``Capture``: a scene, its target object, and photographs with masks and exposures."""
+"""Captures: scene, target object, photographs, masks and exposures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Capture folders: ``capture.json`` and the photographs ``view_0000.exr``, ..."""
+"""Capture folders: ``capture.json`` and photographs ``view_0000.exr``, ..."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Description:
         return names if len(set(names)) == len(names) and all(names) else list(paths)
 
     def make_sensors(self, path: Path) -> tuple[Any, ...]:
-        """Make the sensors that the file describes; ``path`` is its folder, for messages."""
+        """Make the described sensors; ``path`` is the folder, for messages."""
         made = []
         for index, record in enumerate(self.sensors):
             label = f"{path / FILE}: sensor {index}"
@@ -129,7 +129,7 @@ FIELDS: dict[str, tuple[Any, Any, str]] = {
 
 
 def require_one_run(folder: Path, runs: Mapping[Path, str], run: str) -> None:
-    """Raise if photographs come from another run, or the capture was replaced while being read.
+    """Raise if files come from another run or were replaced while being read.
 
     Run ids are empty if unknown.
     """
@@ -164,7 +164,7 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
 
 
 def stamps(places: Iterable[Path], apart: Callable[[Path], bool]) -> list[tuple[str, int, int]]:
-    """Return path, size and modification time of each input file, to detect changes.
+    """Return path, size and modification time of each input file.
 
     Folders are searched recursively, except those with ``apart(folder)``.
     """

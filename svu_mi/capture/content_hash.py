@@ -1,4 +1,4 @@
-"""Digests of a capture and its parts, to recognise results of another capture.
+"""Digests of captures and their parts, to recognise their results.
 
     capture_key(capture)            # "5d1f0c..."
     photographs_key(capture)        # independent of light and materials
@@ -35,12 +35,12 @@ ADDRESS = re.compile(r"0x[0-9a-f]+|object_\d+")
 
 
 def capture_key(capture: Capture) -> str:
-    """Return the digest of a capture: 32 hexadecimal digits (see ``capture_parts``)."""
+    """Return the digest of a capture, 32 hexadecimal digits."""
     return Key(capture_parts(capture)).digest()
 
 
 def photographs_key(capture: Capture) -> str:
-    """Return a digest of geometry, sensors and photographs: 32 hexadecimal digits.
+    """Return the digest of geometry, sensors and photographs.
 
     Light, materials, the integrator and unused views are ignored.
     """
@@ -55,7 +55,7 @@ def photographs_key(capture: Capture) -> str:
 
 
 def mesh_key(mesh: Any) -> str:
-    """Return a digest of the faces and UVs of a ``mi.Mesh``, which define its texels."""
+    """Return the digest of a mesh's faces and UVs, which define its texels."""
     source = meshes.arrays(mesh)
     assert source.uvs is not None
     return Key(source.faces, source.uvs.astype(np.float32)).digest()
@@ -113,7 +113,7 @@ def _digests(arrays: Iterable[np.ndarray | None]) -> list[str]:
 
 
 def _shapes(scene: Any, target: Any, materials: bool = True) -> Key:
-    """Return the key of all shapes, with vertex normals only where a file defines them.
+    """Return the key of all shapes; computed vertex normals are excluded.
 
     Mitsuba computes missing normals by parallel sums, whose rounding differs between runs.
     """
@@ -134,7 +134,7 @@ def _shapes(scene: Any, target: Any, materials: bool = True) -> Key:
 
 
 def _arrays(node: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield names and values of an object's parameters, without memory addresses in names."""
+    """Yield names (without memory addresses) and values of parameters."""
     for name, value in mi.traverse(node):
         yield ADDRESS.sub("", name), np.asarray(getattr(value, "matrix", value))
 
@@ -151,12 +151,12 @@ def _light(scene: Any, uncertainty: LightUncertainty | None = None) -> Key:
 
 
 def _settings(node: Any) -> list[Any]:
-    """Return settings of a Mitsuba object that are not parameters, such as a distribution."""
+    """Return settings that are not parameters, such as a distribution."""
     return [entry for entry in PRINTED.findall(str(node)) if entry[0] not in NOT_ITS_OWN]
 
 
 def _are_computed(mesh: Any, normals: np.ndarray) -> bool:
-    """Return whether vertex normals are Mitsuba's default: face normals weighted by angle."""
+    """Return whether normals are Mitsuba's angle-weighted default."""
     params = mi.traverse(mesh)
     positions = np.array(params["vertex_positions"], np.float64).reshape(-1, 3)
     faces = np.asarray(params["faces"]).reshape(-1, 3)

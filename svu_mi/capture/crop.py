@@ -1,4 +1,4 @@
-"""Cropping of photographs to the object, and downsampling to about one pixel per texel.
+"""Cropping and downsampling of photographs to about one pixel per texel.
 
 More pixels per texel need memory but do not improve the estimates.
 """
@@ -56,7 +56,7 @@ class Window:
         return plane[self.top : bottom, self.left : self.left + self.width * self.shrink]
 
     def joined(self, plane: np.ndarray, join: np.ufunc) -> np.ndarray:
-        """Reduce the blocks of a cropped plane (h shrink, w shrink) by a ufunc, to (h, w)."""
+        """Reduce blocks of a cropped plane, (h shrink, w shrink), to (h, w)."""
         k = self.shrink
         if k == 1:
             return plane
@@ -81,7 +81,7 @@ class Window:
 
 @dataclass(frozen=True, kw_only=True)
 class Detail:
-    """Required resolution and area of photographs; by default they are kept unchanged.
+    """Required resolution and area of photographs; the default keeps all.
 
     Attributes:
         texels: Size (W, H) of the texture; None if unknown.
@@ -150,7 +150,7 @@ class _ObjectExtent:
         return _ObjectExtent(source.positions, source.positions[chosen].mean(axis=1), sides, areas)
 
     def bounds_in(self, sensor: Any, film: Size) -> tuple[np.ndarray, np.ndarray]:
-        """Return the object's bounds with a margin: first pixel and end, (x, y) int64 each.
+        """Return the object's bounds with a margin: first pixel and end, (x, y).
 
         Return the whole film if a part of the object is not in front of the camera.
         """

@@ -1,4 +1,4 @@
-"""Camera rays of all views in few kernel launches, and renders of selected pixels.
+"""Camera rays of many views per kernel launch, and renders of pixels.
 
 Rays repeat the arithmetic of ``PerspectiveCamera::sample_ray`` and are bitwise equal on LLVM.
 """
@@ -47,12 +47,12 @@ def ray_floats(sensor: Any) -> np.ndarray:
 
 
 def ray_table(sensors: Sequence[Any]) -> Any:
-    """Return the ``ray_floats`` of V perspective sensors as one Float of width V * 24."""
+    """Return the ``ray_floats`` of V sensors as one Float of width V * 24."""
     return to_drjit(mi.Float, np.array([ray_floats(each) for each in sensors], np.float32).ravel())
 
 
 def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:
-    """Make the camera ray (``mi.Ray3f``) of a view through a film position in pixels.
+    """Make the camera ray (``mi.Ray3f``) through a film position in pixels.
 
     Args:
         floats: (V * 24,) Float, see ``ray_table``.
@@ -85,7 +85,7 @@ def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:
 def pixel_rays(
     floats: Any, pixels: tuple[Any, Any, Any], count: int, place: Callable[[Any], Any]
 ) -> Any:
-    """Make ``count`` rays through each of N pixels: N * count ``mi.Ray3f``, pixel by pixel.
+    """Make N * count ``mi.Ray3f`` through N pixels, pixel by pixel.
 
     Args:
         floats: (V * 24,) Float, see ``ray_table``.
@@ -102,13 +102,13 @@ def pixel_rays(
 
 
 def stratified(side: int) -> Callable[[Any], Any]:
-    """Return a ``place`` (see ``pixel_rays``) for a regular grid of ``side``^2 rays."""
+    """Return the ``place`` of ``pixel_rays`` for a grid of ``side``^2 rays."""
     return lambda k: ((mi.Float(k % side) + 0.5) / side, (mi.Float(k // side) + 0.5) / side)
 
 
 @dataclass(frozen=True)
 class SensorPixels:
-    """All pixels of V perspective sensors, numbered view by view in row-major order.
+    """All pixels of V sensors, numbered view by view in row-major order.
 
     Attributes:
         sensors: V perspective sensors.
@@ -127,7 +127,7 @@ class SensorPixels:
         return np.concatenate([[0], np.cumsum(self.sizes.prod(axis=1))])
 
     def covered(self, scene: Any, target: Any) -> list[np.ndarray]:
-        """Return the fraction of each pixel that shows the target: V arrays (h, w) float32."""
+        """Return the fraction of each pixel that shows the target, V (h, w)."""
         part = np.zeros(self.first[-1], np.float32)
         for span, rays in self._launches(np.arange(self.first[-1]), MASK_GRID**2):
             hit = scene.ray_intersect_preliminary(rays(stratified(MASK_GRID)), coherent=True)

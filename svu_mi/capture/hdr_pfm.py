@@ -33,7 +33,7 @@ def pfm_size(path: Path) -> tuple[int, int]:
 
 
 def read_hdr(path: Path) -> np.ndarray:
-    """Return radiance as (H, W, 3) float32; the header's ``EXPOSURE`` is not applied."""
+    """Return radiance, (H, W, 3) float32, without the header's ``EXPOSURE``."""
     data = path.read_bytes()
     width, height, at = _hdr_header(data[:HEADER])
     if width in PACKED and data[at : at + 2] == b"\2\2":
@@ -68,7 +68,7 @@ def _hdr_header(start: bytes) -> tuple[int, int, int]:
 
 
 def _pfm_header(start: bytes) -> tuple[int, int, int, float, int]:
-    """Return width, height, number of channels, scale, and the offset of the pixels in bytes."""
+    """Return width, height, channels, scale, and offset of pixels in bytes."""
     head = re.match(rb"P([Ff])\s+(\d{1,6})\s+(\d{1,6})\s+(-?[\d.]{1,20}(?:e[+-]?\d\d?)?)\s", start)
     if head is None:
         raise ValueError("not the header of a PFM image")
@@ -77,7 +77,7 @@ def _pfm_header(start: bytes) -> tuple[int, int, int, float, int]:
 
 
 def _unpacked(data: bytes, at: int, width: int, height: int) -> bytes:
-    """Decode the rows of a run-length encoded HDR image: bytes of (height, 4, width)."""
+    """Decode a run-length encoded HDR image to bytes (height, 4, width)."""
     head = bytes((2, 2, width >> 8, width & 255))
     rows: list[bytes] = []
     for _ in range(height):

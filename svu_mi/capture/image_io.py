@@ -110,7 +110,7 @@ class ImageFile:
 
 
 def open_image(path: Path) -> ImageFile:
-    """Read the header of an image file; raise ``CaptureError`` if it is not readable."""
+    """Read the header of an image file; raise if it is not readable."""
     if not path.is_file():
         raise CaptureError(f"{path}: no such photograph.")
     suffix = path.suffix.lower()
@@ -134,7 +134,7 @@ def open_image(path: Path) -> ImageFile:
 
 
 def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
-    """Return the planes of a file (see ``ImageFile.planes``), and whether it stores integers."""
+    """Return ``ImageFile.planes``, and True if the file stores integers."""
     picture = open_image(path)
     return picture.planes(), picture.bits > 0
 
@@ -149,7 +149,7 @@ def decoded(encoded: np.ndarray, transfer: Transfer = "srgb") -> np.ndarray:
 
 
 def srgb(linear: np.ndarray) -> np.ndarray:
-    """Encode linear values in [0, 1] with the sRGB transfer function (IEC 61966-2-1)."""
+    """Encode linear values in [0, 1] as sRGB (IEC 61966-2-1)."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
@@ -160,7 +160,7 @@ def quantized(image: np.ndarray, bits: int = 8) -> np.ndarray:
 
 
 def _exr_planes(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]:
-    """Return red, green, blue, and alpha if present, from the channels of an EXR file."""
+    """Return R, G, B, and alpha if present, from the channels of an EXR."""
     channels = _layer_channels(channels)
     for names, space in OTHER_COLORS.items():
         if channels.keys() >= set(names) and not channels.keys() >= set("RGB"):
@@ -180,7 +180,7 @@ def _exr_planes(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]
 
 
 def _layer_channels(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the channels without layer, or of the only RGB layer, or of Blender's "Combined"."""
+    """Return channels without layer, or of the only or "Combined" layer."""
     if "R" in channels or "Y" in channels:
         return channels
     layers = [name.removesuffix("R") for name in channels if name.endswith(".R")]
@@ -241,7 +241,7 @@ def _is_png(path: Path) -> bool:
 
 
 def _jpeg(path: Path) -> Any:
-    """Open a JPEG file without ``Image.open``, which tries other formats and warns."""
+    """Open a JPEG file without ``Image.open``, which tries other formats."""
     with _opening, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about damaged EXIF data, which is not used
         return JpegImageFile(path)

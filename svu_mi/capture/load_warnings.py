@@ -46,7 +46,7 @@ def check_photographs(
     photographs: Sequence[Photograph], paths: Sequence[Path | None], names: Sequence[str], *,
     some: bool,
 ) -> tuple[list[str], tuple[bool, ...]]:  # fmt: skip
-    """Return warnings about V photographs, and V flags: False for black or missing photographs.
+    """Return warnings, and V flags: False for black or missing photographs.
 
     Raises:
         CaptureError: All photographs are black, unless only ``some`` views were read.
@@ -93,7 +93,7 @@ def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
 
 
 def unsupported(scene: Any, target: Any) -> list[str]:
-    """Return warnings about unsupported material features, and about light from other shapes."""
+    """Return warnings about the material, and about light from other shapes."""
     notes = []
     if features := list(dict.fromkeys(_of_material(target.bsdf()))):
         notes.append(
@@ -113,7 +113,7 @@ def unsupported(scene: Any, target: Any) -> list[str]:
 
 
 def _of_material(bsdf: Any) -> Iterator[str]:
-    """Yield descriptions of the features of a BSDF, or of nested ones, that are not estimated."""
+    """Yield descriptions of the features of a BSDF that are not estimated."""
     if bsdf is None:
         return
     printed = str(bsdf)
@@ -130,7 +130,7 @@ def _of_material(bsdf: Any) -> Iterator[str]:
 
 
 def _is_black(bsdf: Any) -> bool:
-    """Return whether a BSDF reflects almost no light: missing, invisible, or certainly dark.
+    """Return whether a BSDF is certainly dark, invisible or missing.
 
     Only diffuse and plastic BSDFs with known reflectance are classified as dark.
     """
@@ -150,7 +150,7 @@ def _is_black(bsdf: Any) -> bool:
 
 
 def _extent(shape: Any, target: Any) -> float:
-    """Return the fraction of all directions that a shape's bounding sphere covers from a target."""
+    """Return the solid angle of a shape's bounding sphere, divided by 4 pi."""
     low, high = (np.array(corner, np.float64) for corner in (shape.bbox().min, shape.bbox().max))
     distance = np.linalg.norm((low + high) / 2 - np.array(target.bbox().center(), np.float64))
     radius = np.linalg.norm(high - low) / 2

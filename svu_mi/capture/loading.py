@@ -111,7 +111,7 @@ def plan_capture(
     light: Light = "required",
     **reading: Any,
 ) -> CapturePlan:
-    """Load a scene, match photographs with its sensors, and read their headers, but no pixels.
+    """Load a scene, match photographs with sensors, and read their headers.
 
     Arguments and errors: see ``load_capture``.
     """
@@ -144,7 +144,7 @@ def plan_capture(
 
 
 def _described(path: Path, folder: Path) -> tuple[Path, Description]:
-    """Return the path of the scene, and the description in a folder of photographs."""
+    """Return the scene's path, and the description in ``folder``."""
     description = capture_folder.read(folder) or Description()
     xml = path if path.suffix.lower() == ".xml" else description.scene
     if xml is None and path.is_dir():
@@ -212,7 +212,7 @@ class CapturePlan:
         return room_for_photographs([film_size(each) for each in self.sensors])
 
     def read(self, memory: float | None = None) -> Capture:
-        """Read the photographs; at most ``memory`` bytes, more are mapped from a file."""
+        """Read the photographs; above ``memory`` bytes they are mapped from a file."""
         photographs, buffer = read_photographs(
             self.pictures, self.windows, self.exposures, self._room(memory)
         )
@@ -252,7 +252,7 @@ def plan_photographs(
     detail: Detail = WHOLE,
     views: Iterable[int] | None = None,
 ) -> CapturePlan:
-    """Match a folder of photographs with the sensors of a loaded scene (see ``plan_capture``)."""
+    """Match photographs with sensors of a loaded scene (``plan_capture``)."""
     label = str(description.scene or folder)
     environment = _light(scene, description, light, folder)
     target = find_shape(scene, description.shape, label)
@@ -294,7 +294,7 @@ def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
 
 
 def _light(scene: Any, description: Description, light: Light, folder: Path) -> Any:
-    """Return the environment emitter; None for a scene without light if that is allowed."""
+    """Return the environment emitter; None without light if allowed."""
     if not scene.emitters():
         if light == "optional":
             return None
@@ -310,7 +310,7 @@ def _light(scene: Any, description: Description, light: Light, folder: Path) -> 
 
 
 def map_size(light: Any) -> Size:
-    """Return (width, height) of an environment map; (0, 0) for any other light, or None."""
+    """Return (width, height) of an environment map; (0, 0) for other lights."""
     if light is None or light.class_name() != "EnvironmentMapEmitter":
         return 0, 0
     height, width = mi.traverse(light)["data"].shape[:2]

@@ -28,7 +28,7 @@ UNREADABLE = {
 
 
 class NoPhotographsError(CaptureError):
-    """Error for a folder without a photograph of any sensor; ``sensors`` is their number."""
+    """Error for a folder without photographs of any of ``sensors`` sensors."""
 
     sensors = 0
 
@@ -106,7 +106,7 @@ def masks_of(stem: str) -> tuple[str, ...]:
 
 
 def _image_files(folder: Path) -> list[Path]:
-    """Return the images of a folder, except masks and hidden files, in natural order."""
+    """Return a folder's images in natural order, without masks."""
     paths = [
         path for path in folder.iterdir()
         if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
@@ -149,7 +149,7 @@ def _by_name(
 
 
 def _remedy(folder: Path) -> str:
-    """Return the remedy for a folder without photographs, depending on its content."""
+    """Return the remedy for a folder without photographs."""
     if _image_files(folder):
         return (
             "no image there has such a name: put the photographs into a separate folder and give "

@@ -66,7 +66,7 @@ def unit_vectors(vectors: np.ndarray) -> np.ndarray:
 
 
 def faces_at(crosses: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Sample triangles proportionally to area: positions (N,) in [0, 1] to face indices (N,)."""
+    """Map positions (N,) in [0, 1] to faces (N,) in proportion to area."""
     area = np.cumsum(np.linalg.norm(crosses, axis=1))
     return np.minimum(np.searchsorted(area, places * area[-1], side="right"), len(area) - 1)
 
@@ -77,7 +77,7 @@ def has_uvs(mesh: Any) -> bool:
 
 
 def arrays(mesh: Any) -> MeshArrays:
-    """Copy a mesh's buffers to NumPy (Dr.Jit's views would alias the mesh's memory)."""
+    """Copy a mesh's buffers to NumPy."""
     faces = np.array(mesh.faces_buffer().numpy(), np.int64).reshape(-1, 3)
     normals = _rows(mesh.vertex_normals_buffer(), 3) if mesh.has_vertex_normals() else None
     if mesh.has_flipped_normals():
@@ -99,12 +99,12 @@ def _rows(buffer: Any, width: int) -> np.ndarray:
 
 
 def flipped_v(uvs: np.ndarray) -> np.ndarray:
-    """Return UVs (N, 2) with flipped V: in OBJ and trimesh, v = 0 is the last row of a bitmap."""
+    """Flip V of UVs (N, 2): OBJ and trimesh have v = 0 in the last row."""
     return np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
 
 
 def face_normals(mesh: Any, face: Any, active: Any) -> Any:
-    """Return unit normals (Normal3f) of triangles by index; the winding defines the sign."""
+    """Return unit normals (Normal3f) of triangles, by their winding."""
     corners = dr.gather(mi.Vector3u, mesh.faces_buffer(), face, active)
     a, b, c = (
         dr.gather(mi.Point3f, mesh.vertex_positions_buffer(), corner, active) for corner in corners
@@ -136,7 +136,7 @@ def read_ply(path: Path) -> MeshArrays:
 
 
 def chart_coverage(mesh: Any) -> float:
-    """Return an upper bound of the fraction of the texture that UV charts cover; 1 without UVs."""
+    """Return an upper bound of the texture's covered fraction, at most 1."""
     loaded = arrays(mesh)
     if loaded.uvs is None:
         return 1.0
@@ -145,7 +145,7 @@ def chart_coverage(mesh: Any) -> float:
 
 
 def mesh_error(error: Exception) -> str:
-    """Return Mitsuba's reason for rejecting a mesh file, without its source positions."""
+    """Return Mitsuba's reason for rejecting a mesh file."""
     text = " ".join(str(error).split()).split('plugin of type "', 1)[-1].split('": ', 1)[-1]
     return excerpt(re.sub(r"\[\w+(\.\w+:\d+)?\] ", "", text)).rstrip(".!")
 

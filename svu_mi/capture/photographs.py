@@ -111,7 +111,7 @@ def _read_photograph(
     picture: ImageFile, window: Window, exposure: float,
     pixels: np.ndarray, masked: np.ndarray, channels: np.ndarray,
 ) -> Photograph:  # fmt: skip
-    """Read one photograph into buffers (H, W, ...) for pixels, mask and clipped channels."""
+    """Read one photograph into buffers (H, W, ...)."""
     bits, stored = picture.bits, picture.stored()
     _require_size(picture.path, stored[0].shape[::-1], picture.size)
     planes = [window.cut(plane) for plane in stored]
@@ -167,7 +167,7 @@ def _read_floats(
     picture: ImageFile, planes: Sequence[np.ndarray], window: Window, exposure: float,
     pixels: np.ndarray, channels: np.ndarray,
 ) -> Found:  # fmt: skip
-    """Copy linear values; invalid pixels, and channels marked as clipped, become NaN."""
+    """Copy linear values; invalid pixels and clipped channels become NaN."""
     color = pixels if window.shrink == 1 else np.empty((*planes[0].shape, 3), np.float32)
     for channel in range(3):
         color[..., channel] = planes[channel]
@@ -188,7 +188,7 @@ def _read_floats(
 
 
 def _mask_of(picture: ImageFile, planes: Sequence[np.ndarray], window: Window) -> np.ndarray | None:
-    """Return the mask of the cropped photograph, before downsampling; None without a mask."""
+    """Return the mask of the crop, before downsampling; None without one."""
     if len(planes) > 3:
         alpha = picture.scaled(planes[3]) if picture.bits else planes[3]
         return np.asarray(alpha >= (IN_MASK if picture.bits else ON_OBJECT))
@@ -208,7 +208,7 @@ def _require_size(path: Path, size: Sequence[int], film: Sequence[int]) -> None:
 
 
 def _steps(picture: ImageFile) -> Rounding | None:
-    """Return the quantisation steps stored by an import; None for floating-point sources."""
+    """Return quantisation steps stored by an import; None without any."""
     first, last = (_positive(picture, name) for name in (FIRST_STEP, LAST_STEP))
     return None if first is None or last is None else Rounding.between(first, last)
 

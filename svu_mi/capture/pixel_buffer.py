@@ -1,4 +1,4 @@
-"""Pixels of all photographs of a capture, in one block of memory or of a mapped file.
+"""Pixels of all photographs, in one block of memory or a mapped file.
 
 Kernels gather pixels from the block without a copy. Photographs that do not fit into memory are
 mapped from a file, and the operating system caches the pages in use. The file is unnamed, so the
@@ -51,7 +51,7 @@ class PixelBuffer:
 
     @staticmethod
     def allocate(sizes: Sequence[Size], memory: float = math.inf) -> PixelBuffer:
-        """Make a buffer of zeros, mapped from files if it needs more than ``memory`` bytes."""
+        """Make a buffer of zeros; above ``memory`` bytes it is mapped from files."""
         counts = np.array([width * height for width, height in sizes], np.int64)
         count, file = int(counts.sum()), None
         parts: list[tuple[int, Any]] = [(3 * count, np.float32), (count, bool), (count, np.uint8)]
@@ -87,19 +87,19 @@ class PixelBuffer:
         return self._views(self.clipped)
 
     def places(self, images: Sequence[np.ndarray]) -> list[int] | None:
-        """Return the index of each image in the buffer; None unless all are distinct views."""
+        """Return each image's index in the buffer; None unless distinct views."""
         numbers = {id(own): number for number, own in enumerate(self.images)}
         order = [numbers.get(id(image), -1) for image in images]
         return order if -1 not in order and len(set(order)) == len(order) else None
 
     def masks_at(self, places: Sequence[int], masks: Sequence[np.ndarray | None]) -> np.ndarray:
-        """Return masks as (P,) bool; True for photographs without a mask or not in ``places``."""
+        """Return masks as (P,) bool; True for photographs without a mask."""
         return self._flat(self.masked, self.masks, places, masks, True)
 
     def channels_at(
         self, places: Sequence[int], channels: Sequence[np.ndarray | None]
     ) -> np.ndarray:
-        """Return bits of saturated channels as (P,) uint8; 0 for photographs without any."""
+        """Return bits of saturated channels as (P,) uint8."""
         return self._flat(self.clipped, self.channels, places, channels, 0)
 
     def advise_random_access(self) -> None:
@@ -116,7 +116,7 @@ class PixelBuffer:
         self, block: np.ndarray, own: Sequence[np.ndarray], places: Sequence[int],
         planes: Sequence[np.ndarray | None], fill: int,
     ) -> np.ndarray:  # fmt: skip
-        """Return planes as one array (P,); ``block`` itself if they are its views ``own``."""
+        """Return planes as one array (P,); ``block`` if they are its views."""
         pairs = list(zip(places, planes, strict=True))
         if all(own[k] is plane or (plane is None and (own[k] == fill).all()) for k, plane in pairs):
             return block
@@ -128,7 +128,7 @@ class PixelBuffer:
 
 
 def room_for_photographs(films: Sequence[Size]) -> float:
-    """Return the default memory for photographs: half of the free bytes, less decoding buffers."""
+    """Return bytes for photographs: half the free memory, less for decoding."""
     free, largest = free_memory(), max((width * height for width, height in films), default=0)
     if free is None:
         return math.inf

@@ -54,13 +54,13 @@ def pin_own_plugins() -> frozenset[str]:
 
 
 def own_plugin(description: dict[str, Any]) -> Any:
-    """Make a plugin that is registered in Python; raise if a library has the same name."""
+    """Make a plugin registered in Python; raise if a library has its name."""
     _refuse_files_of(description["type"])
     return mi.load_dict(description)
 
 
 def refuse_foreign(state: Any, label: str) -> None:
-    """Raise if a scene (Mitsuba's parser state) uses a foreign library, or its folders have one."""
+    """Raise if a scene (parser state) could load a foreign library."""
     _refuse_libraries([*(Path(str(file)).parent for file in state.files), *_searched_folders()])
     for name in {node.props.plugin_name() for node in state.nodes} - pin_own_plugins():
         if name in (".", "..") or "/" in name or "\\" in name:
@@ -119,7 +119,7 @@ def _refused(path: Path) -> SceneError:
 
 @functools.cache
 def _own_folder() -> Path:
-    """Return the folder that contains Mitsuba's ``plugins``: its package, or a build tree."""
+    """Return the folder of Mitsuba's ``plugins``: its package or build tree."""
     for folder in Path(mi.__file__).resolve().parents[:3]:
         if any((folder / FOLDER / f"principled{suffix}").is_file() for suffix in SUFFIXES):
             return folder
@@ -133,7 +133,7 @@ def _is_own(path: Path) -> bool:
 
 
 def _libraries(name: str) -> list[str]:
-    """Return the file names that Mitsuba searches for a plugin, by its own suffix rules."""
+    """Return the file names that Mitsuba searches for a plugin."""
     path = mi.filesystem.path
     return [str((path(FOLDER) / path(name)).replace_extension(path(end))) for end in SUFFIXES]
 

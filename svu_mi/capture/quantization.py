@@ -1,4 +1,4 @@
-"""Limits of pixel values: saturated channels, and quantisation steps of integers."""
+"""Limits of pixel values: saturated channels and quantisation steps."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Saturation:
 
 @dataclass(frozen=True)
 class Rounding:
-    """Quantisation steps of one photograph: max(first, slope b^(1.4 / 2.4)) at radiance b.
+    """Quantisation steps max(first, slope b^(1.4 / 2.4)) at radiance b.
 
     Attributes:
         first: (3,) float32, step above black per channel.
@@ -55,7 +55,7 @@ class Rounding:
 
     @staticmethod
     def of(bits: int, transfer: Transfer = "srgb") -> Rounding:
-        """Return the steps of 8- or 16-bit integers whose largest value is radiance 1."""
+        """Return the steps of 8- or 16-bit integers; the largest is radiance 1."""
         last = 2**bits - 1
         ends = np.array([1 / last, 1 - 1 / last, 1], np.float64)
         first, below, white = map(float, decoded(ends, transfer))
@@ -63,7 +63,7 @@ class Rounding:
 
     @staticmethod
     def between(first: float, last: float) -> Rounding:
-        """Make equal steps for all channels: ``first`` above black, ``last`` below radiance 1."""
+        """Make steps of all channels: ``first`` above black, ``last`` below 1."""
         return Rounding(np.full(3, first, np.float32), np.full(3, last, np.float32))
 
     def divided(self, gain: np.ndarray | np.floating | float) -> Rounding:
@@ -76,6 +76,6 @@ class Rounding:
 
 
 def variance(radiance: Any, first: Any, slope: Any) -> Any:
-    """Return the variance of the rounding error at a radiance (Float), step^2 / 12."""
+    """Return the variance of the rounding error, step^2 / 12, at a radiance."""
     step = dr.maximum(first, slope * dr.power(dr.maximum(radiance, 1e-20), CURVE))
     return step * step / 12

@@ -124,7 +124,7 @@ class RenderPlan:
         self, folder: str | os.PathLike[str] | None = None, *,
         progress: Callable[[int, int], None] | None = None, resume: bool | None = None,
     ) -> Capture:  # fmt: skip
-        """Render the views and load them; arguments and errors as for ``render_capture``."""
+        """Render the views and load them (arguments: ``render_capture``)."""
         if folder is None:
             with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
                 self._write(Path(temporary), progress)
@@ -163,7 +163,7 @@ class RenderPlan:
                 stop_if_asked()
 
     def _key(self) -> str:
-        """Return a digest of everything that affects the pixels: 16 hexadecimal digits."""
+        """Return a digest of all settings that affect the pixels."""
         cameras = [
             [describe(each), str(each.film()), each.sampler().class_name()] for each in self.sensors
         ]
@@ -184,7 +184,7 @@ def plan_render(
     unwrap: bool = False,
     trust: bool = False,
 ) -> RenderPlan:
-    """Load a scene and place its sensors; arguments and errors as for ``render_capture``."""
+    """Load a scene and place its sensors (arguments: ``render_capture``)."""
     require_variant()
     require_spp(spp)
     if seed < 0:
@@ -210,7 +210,7 @@ def plan_render(
 
 
 def require_rendered(capture: Capture, spp: int) -> None:
-    """Raise if a capture was rendered with other sensors or samples per pixel than now given."""
+    """Raise if a capture was rendered with other sensors or another spp."""
     if capture.source is None or (description := capture_folder.read(capture.source)) is None:
         return
     own = [describe(sensor) for sensor in find_sensors(capture.scene, str(description.scene))]
@@ -258,7 +258,7 @@ def _view(index: int) -> str:
 
 
 def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:
-    """Render linear radiance (H, W, 3); luminance films are repeated to three channels."""
+    """Render radiance (H, W, 3), also from luminance films."""
     try:
         image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
     except Exception as error:  # Mitsuba raises RuntimeError for everything

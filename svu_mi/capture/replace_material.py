@@ -1,4 +1,4 @@
-"""The object's material: its constant parameters, and scenes with a replaced material."""
+"""The object's material: constant parameters, and its replacement."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from svu_mi.parameters import NAMES, PARAMETERS
 
 
 def is_principled(bsdf: Any) -> bool:
-    """Return whether a BSDF has the estimated parameters of ``principled``; False for None."""
+    """Return whether a BSDF has the parameters of ``principled``."""
     return bsdf is not None and all(dr.all(bsdf.has_attribute(name)) for name in NAMES)
 
 
 def constant_parameters(shape: Any) -> dict[str, float]:
-    """Return the untextured ``principled`` parameters of a shape as grey values, by name.
+    """Return the untextured ``principled`` parameters of a shape, by name.
 
     Constant colours that are not grey are omitted. Empty for other BSDFs, and for a BSDF without
     textures, which is assumed to be a placeholder.
@@ -41,7 +41,7 @@ def constant_parameters(shape: Any) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class RepaintedScene:
-    """Copy of a capture's scene with another material; emitters and other shapes are shared.
+    """Copy of a scene with another material of the object.
 
     Attributes:
         scene: The ``mi.Scene``.
@@ -53,7 +53,7 @@ class RepaintedScene:
 
 
 def replace_material(capture: Capture, material: Any, mesh: Any = None) -> RepaintedScene:
-    """Return a copy of the scene with another material, and optionally another mesh."""
+    """Return a copy of the scene with another material (and mesh)."""
     shape = make_mesh(capture.shape.id(), arrays(capture.mesh if mesh is None else mesh))
     if is_two_sided(capture.shape.bsdf()):
         material = mi.load_dict({"type": "twosided", "material": material})
@@ -65,7 +65,7 @@ def replace_material(capture: Capture, material: Any, mesh: Any = None) -> Repai
 
 
 def make_scene(objects: Sequence[Any]) -> Any:
-    """Make a scene of existing shapes and emitters, which may belong to other scenes."""
+    """Make a scene of existing shapes and emitters."""
     names = [thing.id() for thing in objects]
     parts = {f"part_{index}": thing for index, thing in enumerate(objects)}
     scene = mi.load_dict({"type": "scene", **parts}, optimize=False)
@@ -80,5 +80,5 @@ def is_same(a: Any, b: Any) -> bool:
 
 
 def is_two_sided(bsdf: Any) -> bool:
-    """Return whether a BSDF reflects on both sides of its surface; False for None."""
+    """Return whether a BSDF reflects on both sides of its surface."""
     return bsdf is not None and "TwoSided" in bsdf.class_name()

@@ -1,4 +1,4 @@
-"""Mitsuba scenes: loading, and checks of the object, the sensors and the light."""
+"""Mitsuba scenes: loading, and checks of object, sensors and light."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
 
 
 def _refusal(path: Path, message: str) -> str:
-    """Return Mitsuba's reason with the innermost file and line, without the chain of includes."""
+    """Return Mitsuba's reason with the innermost file and line."""
     places = list(PLACE.finditer(message))
     if not places:
         return f"{path}: {last_sentence(message)}"
@@ -96,7 +96,7 @@ def _refusal(path: Path, message: str) -> str:
 
 
 def last_sentence(message: str) -> str:
-    """Return a message of Mitsuba without its source positions, ending with a full stop."""
+    """Return a message of Mitsuba without source positions."""
     text = excerpt(re.sub(r"\[[\w.]+:\d+\]\s*", "", message).strip(), LONGEST)
     return text if text.endswith((".", "!")) else text + "."
 
@@ -174,7 +174,7 @@ def require_light(capture: Any) -> None:
 
 
 def find_shape(scene: Any, name: str | None, path: str) -> Any:
-    """Return the target mesh: by id, or the only mesh, or the only one with ``principled`` BSDF."""
+    """Return the target: by id, the only mesh, or the only principled one."""
     shapes = list(scene.shapes())
     named = [shape for shape in shapes if shape.id() == name]
     if name is not None and not named:
@@ -213,7 +213,7 @@ def _ids(shapes: Sequence[Any]) -> str:
 
 
 def is_closed(mesh: MeshArrays) -> bool:
-    """Return whether each edge of the surface has two faces (not so for a bowl or a plane)."""
+    """Return whether each edge of the surface has two faces."""
     _, vertex = np.unique(np.round(mesh.positions, 8), axis=0, return_inverse=True)
     corners = vertex.reshape(-1)[mesh.faces]
     edges = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -231,7 +231,7 @@ def _check_buffers(mesh: MeshArrays, label: str) -> None:
 
 
 def _check_orientation(mesh: MeshArrays, label: str) -> None:
-    """Raise if a closed surface is inside out, because cameras would see only back faces.
+    """Raise if a closed surface is inside out.
 
     A mirrored ``to_world`` reverses the winding, from which Mitsuba computes missing normals.
     """

@@ -1,4 +1,4 @@
-"""Checks of a scene's files before Mitsuba reads them: XML, includes, and meshes.
+"""Checks of a scene's XML files and meshes before Mitsuba reads them.
 
 Deeply nested XML crashes Mitsuba's parser, and pipes block it. An invalid vertex index may abort
 the process (see ``missing_corner``), so each mesh is first read without vertex normals. One million
@@ -30,7 +30,7 @@ KEYS = ("filename", "shape_index")  # properties that select the mesh
 
 
 def check_xml(path: Path, defines: Mapping[str, str]) -> None:
-    """Check a scene's XML file and its includes; raise ``SceneError`` if Mitsuba might crash."""
+    """Check a scene's XML files; raise if Mitsuba might crash or block."""
     parameters = dict(defines)
     waiting, seen, sensors = [path], set(), 0
     while waiting:
@@ -56,7 +56,7 @@ def require_file(file: Path, label: str | Path) -> None:
 
 
 def _resolve(name: str, file: Path) -> Path:
-    """Return the path of a referenced file: next to ``file``, or in Mitsuba's search path."""
+    """Return the path of a file: next to ``file``, or in the search path."""
     beside = file.parent / name
     return beside if exists(beside) else Path(str(mi.file_resolver().resolve(name)))
 

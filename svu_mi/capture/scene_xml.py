@@ -51,14 +51,14 @@ def scene() -> Element:
 def plugin(
     tag: str, kind: str, name: str | None = None, *, id: str | None = None, **properties: Any
 ) -> Element:
-    """Return ``<tag type="kind" name="name" id="id"/>`` with properties (see ``put``)."""
+    """Return the XML element of a plugin with properties (see ``put``)."""
     attributes = {"type": kind, "name": name, "id": None if id is None else xml_id(id)}
     node = Element(tag, {key: value for key, value in attributes.items() if value is not None})
     return put(node, **properties)
 
 
 def put(parent: Element, **properties: Any) -> Element:
-    """Add properties by name: text, bool, int, float, three floats (rgb), or a 4 x 4 matrix.
+    """Add properties: text, bool, int, float, rgb (3) or matrix (4 x 4).
 
     Returns:
         ``parent``.
@@ -127,7 +127,7 @@ def sensor(camera: Any, name: str) -> Element:
 
 
 def bitmap(name: str, file: str, *, id: str | None = None, raw: bool = True) -> Element:
-    """Return a bitmap texture; ``raw`` values are linear, others are sRGB colours."""
+    """Return a bitmap texture of linear (``raw``) or sRGB values."""
     # Repetition avoids a seam where a chart wraps around.
     return plugin(
         "texture", "bitmap", name, id=id, filename=file, raw=raw, filter_type="bilinear",
@@ -136,7 +136,7 @@ def bitmap(name: str, file: str, *, id: str | None = None, raw: bool = True) -> 
 
 
 def mesh(source: MeshArrays, folder: Path, file: str, name: str) -> Element:
-    """Write a mesh as PLY and return its shape; ``file`` is relative to the scene's ``folder``."""
+    """Write a mesh as PLY file, relative to ``folder``; return its shape."""
     write_ply(folder / file, name, source)
     node = plugin("shape", "ply", id=name, filename=file)
     # Without this flag, Mitsuba computes smooth normals if the file has none.
@@ -144,7 +144,7 @@ def mesh(source: MeshArrays, folder: Path, file: str, name: str) -> Element:
 
 
 def principled(name: str, textures: Mapping[str, str], *, two_sided: bool = False) -> Element:
-    """Return a textured ``principled`` BSDF with specular 0.5, the value assumed by recovery.
+    """Return a textured ``principled`` BSDF with the assumed specular 0.5.
 
     Args:
         name: Id of the object.
@@ -162,7 +162,7 @@ def principled(name: str, textures: Mapping[str, str], *, two_sided: bool = Fals
 
 
 def environment(emitter: Any, folder: Path, assets: str) -> Element:
-    """Return an emitter as ``envmap``, ``constant`` or ``sunsky``; write the map of an ``envmap``.
+    """Return an environment emitter as XML; write the map of an ``envmap``.
 
     A ``sunsky`` is not sampled on a map, because the sun would be smaller than a pixel. ``assets``
     is the folder of the map, relative to the scene file's ``folder``.
@@ -198,7 +198,7 @@ def environment(emitter: Any, folder: Path, assets: str) -> Element:
 
 
 def shape(source: Any, folder: Path, stem: str) -> Any:
-    """Return a shape with its material; for an unsupported shape, warn and return a comment.
+    """Return a shape with its material; a comment if it is unsupported.
 
     ``stem`` is the prefix of the names of its files, relative to the scene file's ``folder``.
     """
@@ -221,7 +221,7 @@ def shape(source: Any, folder: Path, stem: str) -> Any:
 
 
 def material(bsdf: Any, folder: Path, stem: str) -> Element:
-    """Return the BSDF of a shape that is not the object, and write its textures as EXR.
+    """Return the BSDF of another shape, and write its textures as EXR.
 
     Supported are ``principled`` and ``diffuse``, also within ``twosided``. Others are replaced by
     a grey diffuse BSDF, with a warning. ``stem``: see ``shape``.

@@ -1,4 +1,4 @@
-"""Perspective sensors: JSON descriptions, projection, and placement around an object."""
+"""Perspective sensors: descriptions, projection and placement."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def affine(linear: Any, offset: Any = 0.0) -> np.ndarray:
 
 
 def film_size(sensor: Any) -> tuple[int, int]:
-    """Return (width, height) of the sensor's crop window, the size of its photograph."""
+    """Return (width, height) of the crop window: the photograph's size."""
     size = sensor.film().crop_size()
     return int(size[0]), int(size[1])
 
@@ -62,7 +62,7 @@ def describe(sensor: Any) -> dict[str, Any]:
 
 
 def make_sensor(record: Mapping[str, Any], label: str) -> Any:
-    """Make a perspective sensor from its description; ``label`` is its id, and for messages."""
+    """Make a perspective sensor from its description; ``label`` is its id."""
     check_record(record, label)
     (width, height), (left, top), (wide, high) = (map(int, record[key]) for key in WHOLE)
     shift_x, shift_y = map(float, record["principal_point_offset"])
@@ -94,7 +94,7 @@ def scaled_sensor(sensor: Any, side: int) -> Any:
 
 
 def resized_sensor(sensor: Any, scale: float) -> Any:
-    """Return a sensor of the same view; width and height of its film are multiplied by a scale."""
+    """Return a sensor whose film's width and height are scaled."""
     record = describe(sensor)
     for key in ("film", "crop_offset", "crop_size"):
         low = 0 if key == "crop_offset" else 1
@@ -130,7 +130,7 @@ def focal_length(sensor: Any) -> float:
 
 
 def principal_point(sensor: Any) -> tuple[float, float]:
-    """Return the principal point (x, y) in pixels from the outer corner of the first pixel."""
+    """Return the principal point in pixels from the film's corner."""
     record = describe(sensor)
     film, offset, crop = (record[k] for k in ("film", "principal_point_offset", "crop_offset"))
     x, y = (film[k] * (0.5 - offset[k]) - crop[k] for k in range(2))
@@ -138,7 +138,7 @@ def principal_point(sensor: Any) -> tuple[float, float]:
 
 
 def projected(sensor: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Project world points (N, 3): return (x, y) in pixels, (N, 2), and depths, (N,).
+    """Project world points (N, 3) to pixels (N, 2) and depths (N,).
 
     Pixel coordinates are meaningless if the depth is not positive.
     """
@@ -155,7 +155,7 @@ def sphere_sensors(
     distance: float | None = None, up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     lowest: float = -1.0,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Place sensors on a sphere around an object, evenly along a Fibonacci spiral.
+    """Place sensors on a sphere around an object (Fibonacci spiral).
 
     Args:
         shape: The object; sensors face the centre of its bounding box.
@@ -199,7 +199,7 @@ def sensors_like(
     used: Sequence[Any], shape: Any, count: int, *, distance: float | None = None,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0), lowest: float = -1.0,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Place sensors around an object, with film and field of view of the first ``used`` sensor.
+    """Place sensors like the first ``used`` sensor around an object.
 
     The default ``distance`` is the median of ``used``; other arguments: see ``sphere_sensors``.
     """
@@ -225,7 +225,7 @@ def _rotation(up: Sequence[float]) -> np.ndarray:
 
 
 def bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
-    """Return the centre of a shape's bounding box and the distance of the farthest vertex."""
+    """Return centre and radius of a shape's bounding sphere."""
     bounds = shape.bbox()
     low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
     center = (low + high) / 2
@@ -234,14 +234,14 @@ def bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
 
 
 def directions_of(sensors: Iterable[Any], center: np.ndarray) -> np.ndarray:
-    """Return unit vectors (V, 3) from a point to sensors; +Y for a sensor at this point."""
+    """Return unit vectors (V, 3) from a point to sensors; +Y at the point."""
     offsets = np.array([to_world(sensor)[:3, 3] - center for sensor in sensors]).reshape(-1, 3)
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
     return np.where(lengths > 0, offsets / np.maximum(lengths, 1e-30), (0.0, 1.0, 0.0))
 
 
 def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.ndarray:
-    """Return a look-at matrix (camera to world); replace ``up`` if parallel to the view."""
+    """Return a look-at matrix; replace ``up`` if parallel to the view."""
     forward = (target - origin) / np.linalg.norm(target - origin)
     above = np.array(up, np.float64) / np.linalg.norm(up)
     if abs(forward @ above) >= 0.999:  # any other direction will do
@@ -281,7 +281,7 @@ def _require(fine: Any, label: str, key: str, expected: str) -> None:
 
 
 def _has(value: Any, shape: tuple[int, ...], kind: Any) -> bool:
-    """Return whether a value has a shape (nested lists or an array) and finite numbers."""
+    """Return whether a value has a shape and finite numbers of a kind."""
     if not shape:
         return isinstance(value, kind) and not isinstance(value, bool) and abs(value) < LARGEST
     listed = isinstance(value, list | tuple | np.ndarray) and len(value) == shape[0]

@@ -1,4 +1,4 @@
-"""Images for display: tone-mapped photographs, and textures rendered on the object."""
+"""Images for display: tone-mapped photographs and rendered textures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def tone_mapped(
 
 
 def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Resample a photograph to (width, height); pixels that depend on NaN become NaN."""
+    """Resample a photograph to (width, height); NaN spreads."""
     height, width = photograph.shape[:2]
     if (width, height) == size:
         return np.array(photograph)
@@ -63,7 +63,7 @@ def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def block_means(photograph: np.ndarray, across: int, down: int) -> np.ndarray:
-    """Return means of blocks of pixels, ``across`` wide, ``down`` high; crop incomplete blocks."""
+    """Return means of blocks (down, across); crop incomplete blocks."""
     height, width = photograph.shape[0] // down, photograph.shape[1] // across
     means = np.zeros((height, width, photograph.shape[2]), np.float32)
     for row in range(down):
@@ -118,7 +118,7 @@ class ObjectView:
 
     @staticmethod
     def at(scene: Any, sensor: Any, side: int = SIDE) -> ObjectView:
-        """Trace the rays of a sensor, scaled down to at most ``side`` pixels per side."""
+        """Trace a sensor scaled down to at most ``side`` pixels per side."""
         return ObjectView.of(scene, scaled_sensor(sensor, side))
 
     def painted(self, texture: np.ndarray) -> np.ndarray:
@@ -132,7 +132,7 @@ class ObjectView:
         return np.clip(np.dstack([self._mean(color, 1), self.covered]), 0, 1)
 
     def values(self, texture: np.ndarray) -> np.ndarray:
-        """Return a texture (H, W, 3) averaged over each pixel: (h, w, 3), 0 off the object."""
+        """Return the texture's mean in each pixel, (h, w, 3); 0 off the object."""
         mean = self._mean(dr.select(self.shade > 0, self._texel(texture), 0), 0)
         return mean / np.maximum(self.covered, 1 / SAMPLES**2)[..., None]
 
@@ -147,7 +147,7 @@ class ObjectView:
         return dr.gather(mi.Color3f, texels, row * dr.opaque(mi.UInt32, width) + column)
 
     def _mean(self, color: Any, beyond: float) -> np.ndarray:
-        """Return the means over each pixel's samples, (h, w, 3); ``beyond`` outside the window."""
+        """Return pixel means of samples, (h, w, 3); ``beyond`` outside."""
         dr.eval(color)
         mean = [dr.block_sum(channel, SAMPLES**2) / SAMPLES**2 for channel in color]
         dr.eval(mean)

@@ -1,4 +1,4 @@
-"""Bit sets: one bit per lane (element of a kernel launch) and number (view or light cell)."""
+"""Bit sets: one bit per kernel lane and number (view or light cell)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Bits:
         dr.scatter_add(self.words, bit, place, active, dr.ReduceMode.NoConflicts)
 
     def push(self, word: Any, number: Any, lane: Any, value: Any) -> Any:
-        """Append the bit of the next number; ``word`` is the last result, arbitrary at first."""
+        """Append the bit of the next number; ``word`` is the last result."""
         place = number % WORD
         word = dr.select(place == 0, 0, word) | dr.select(value, mi.UInt32(1) << place, 0)
         full = (place == WORD - 1) | (number == self.last)

@@ -1,4 +1,4 @@
-"""Neighbours of texels on the surface, also across UV seams, and groups of texels."""
+"""Neighbours of texels, also across UV seams, and groups of texels."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
 
 
 def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
-    """Expand neighbour columns from texels to ``size`` lanes per texel: (T * size,) UInt32."""
+    """Expand neighbour columns to ``size`` lanes per texel, (T * size,)."""
     if size == 1:
         return tuple(around)
     columns = []
@@ -103,7 +103,7 @@ def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
 
 
 def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state: Any) -> Any:
-    """Fold ``add(neighbour, state)`` over the neighbours of each texel (or lane) in a kernel."""
+    """Fold ``add(neighbour, state)`` over the neighbours of each lane."""
     if not around:
         return state
     other, own = around[0], dr.arange(mi.UInt32, dr.width(around[0]))
@@ -209,7 +209,7 @@ def _seam_pairs(surface: _TexelFrames, right: np.ndarray, down: np.ndarray) -> n
 def _chart_borders(
     surface: _TexelFrames, right: np.ndarray, down: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return texels (E,) without a neighbour on one side, and the offset (E, 3) to that side."""
+    """Return texels (E,) at chart edges, and outward offsets (E, 3)."""
     starts, ways = [], []
     for pairs, step in zip((right, down), surface.steps, strict=True):
         for side, sign in ((0, 1), (1, -1)):
@@ -224,7 +224,7 @@ def _chart_borders(
 def _within_steps(
     count: int, pairs: np.ndarray, border: np.ndarray, start: np.ndarray, other: np.ndarray
 ) -> np.ndarray:
-    """Return whether ``other`` is within HOPS links of ``start`` without crossing a seam."""
+    """Return whether ``other`` is within HOPS links inside the chart."""
     first, second = pairs.T
     links = scipy.sparse.csr_array(
         (np.ones(2 * len(pairs), np.float32), (np.r_[first, second], np.r_[second, first])),
@@ -248,7 +248,7 @@ def _limit_neighbors(pairs: np.ndarray, distance: np.ndarray, room: np.ndarray) 
 
 
 def _place(owner: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return the rank of each entry among the entries with the same owner, sorted by ``order``."""
+    """Return the rank of each entry among entries of the same owner."""
     by_owner = np.lexsort((order, owner))
     ranked = owner[by_owner]
     first = np.searchsorted(ranked, ranked)
@@ -274,14 +274,14 @@ def texel_squares(texels: Texels) -> np.ndarray:
 
 
 def occupied_squares(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the G distinct squares, (G, 2), and the index of each texel's square, (T,) int64."""
+    """Return the G distinct squares (G, 2), and each texel's index (T,)."""
     width = int(squares[:, 1].max(initial=0)) + 1
     numbers, owner = np.unique(squares[:, 0] * width + squares[:, 1], return_inverse=True)
     return np.stack(np.divmod(numbers, width), axis=1), owner
 
 
 def group_neighbors(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
-    """Return the neighbours of groups of texels, as columns like ``Neighbors.around``."""
+    """Return the neighbours of groups, as in ``Neighbors.around``."""
     count = int(owner.max()) + 1
     numbers = []
     for column in around:
@@ -295,11 +295,11 @@ def group_neighbors(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[An
 def group_means(
     values: np.ndarray, weights: np.ndarray, owner: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted means of values (N, T) over groups, and sums of weights, (N, G) each."""
+    """Return weighted group means of (N, T) values, and weights, (N, G)."""
     total = group_sums(weights, owner)
     return group_sums(weights * values, owner) / total, total
 
 
 def group_sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Sum values (N, T) over groups: (N, G); ``owner`` (T,) is the group of each texel."""
+    """Sum values (N, T) over groups, (N, G), by each texel's group (T,)."""
     return np.stack([np.bincount(owner, row) for row in values])

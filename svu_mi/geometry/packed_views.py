@@ -75,7 +75,7 @@ class ClippedPixels:
 
 
 def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
-    """Pack the used views of a capture; ``silhouettes`` accepts all valid pixels in the masks."""
+    """Pack the used views; ``silhouettes=True`` also accepts silhouette pixels."""
     kept = [index for index in range(capture.count) if capture.used[index]]
     if not kept:
         raise CaptureError(
@@ -197,7 +197,7 @@ class _Pixels:
         return ClippedPixels(self.clipped, to_drjit(mi.Float, least.ravel()))
 
     def drop_hot(self, offset: np.ndarray) -> list[tuple[int, int, float]]:
-        """Mark hot pixels as unusable; return (view, number of pixels, largest / median)."""
+        """Mark hot pixels as unusable; return (view, number, largest / median)."""
         brightest, faintest = (
             bits.numpy().view(np.float32)[0] for bits in (self.brightest, self.faintest)
         )
@@ -261,7 +261,7 @@ class _Pose:
 
 
 def _views(scene: Any, poses: Sequence[_Pose], offset: np.ndarray) -> Views:
-    """Return views without pixels; ``offset`` is the index of each view's first pixel."""
+    """Return views without pixels, given the index of each first pixel."""
     sizes = np.array([pose.size for pose in poses], np.uint32).reshape(-1, 2)
     return Views(
         width=to_drjit(mi.UInt32, sizes[:, 0]),
@@ -312,7 +312,7 @@ def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
 
 
 def _buffer(capture: Capture, kept: Sequence[int]) -> tuple[PixelBuffer, list[int]]:
-    """Return the buffer of the photographs (a copy if necessary), and their indices in it."""
+    """Return the buffer of photographs (or a copy), and their indices."""
     images = [capture.images[index] for index in kept]
     places = None if capture.buffer is None else capture.buffer.places(images)
     if capture.buffer is None or places is None:

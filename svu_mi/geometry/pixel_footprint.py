@@ -1,4 +1,4 @@
-"""Pixel look-ups of surface points: projection, interpolation, and the mean over a texel."""
+"""Pixel look-ups: projection, interpolation, and mean over a texel."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_TAPS = 8  # look-ups per side of a texel
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:
-    """Return a colour as a list of ``channels`` values; one channel is the mean of three."""
+    """Return a colour as a list; the mean if ``channels`` is 1."""
     values = list(color)
     return values if len(values) == channels else [sum(values) / len(values)]
 
@@ -61,7 +61,7 @@ def read_camera(views: Views, view: Any) -> Camera:
 
 @dataclass(frozen=True)
 class Taps:
-    """Four pixels around a projected point, bilinear weights, and a flag for points on the film."""
+    """Indices and bilinear weights of four pixels, and an on-film flag."""
 
     pixels: list[Any]
     weights: list[Any]
@@ -69,7 +69,7 @@ class Taps:
 
 
 def _project(camera: Camera, position: Any) -> tuple[Any, Any, Any, Any]:
-    """Return x and y in pixels (0 at the first centre), 1 / depth, and True if in front."""
+    """Return x, y (0 at a pixel centre), 1 / depth, and True if in front."""
     point = mi.Vector4f(position.x, position.y, position.z, 1)
     depth = dr.dot(camera.w, point)
     in_front = depth > camera.near
@@ -117,7 +117,7 @@ def mean_over_texel(
     views: Views, camera: Camera, position: Any, sides: tuple[Any, Any] | None, seen: Any, *,
     clipped: bool = False,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Return mean radiance (Color3f) and grey variance (Float) of the pixels under a texel.
+    """Return mean radiance and grey variance of the pixels under a texel.
 
     Unusable pixels are ignored; if all are unusable, the centre is read. A texel smaller than a
     pixel needs one bilinear look-up. ``clipped`` uses saturated channels as lower bounds, and also
@@ -166,7 +166,7 @@ def mean_over_texel(
 def _cover(
     camera: Camera, position: Any, sides: tuple[Any, Any] | None
 ) -> tuple[Any, Any, list[Any], list[Any]]:
-    """Project a texel: x and y of its centre, its two sides, and the look-ups per side."""
+    """Project a texel: centre x and y, two sides, and look-ups per side."""
     x, y, scale, _ = _project(camera, position)
     spans = [(mi.Float(0), mi.Float(0))] * 2
     if sides is not None:
@@ -176,7 +176,7 @@ def _cover(
 
 
 def _at_least(views: Views, camera: Camera, pixel: Any, color: Any) -> tuple[Any, Any]:
-    """Replace clipped channels by their lower bounds; also return their mask (1 or 0), Color3f."""
+    """Replace clipped channels by lower bounds; also return their mask."""
     assert views.clipped is not None and camera.least is not None
     bits = mi.UInt32(dr.gather(type(views.clipped.channels), views.clipped.channels, pixel))
     over = [(bits & (1 << c)) > 0 for c in range(3)]
@@ -198,7 +198,7 @@ def _span(camera: Camera, side: Any, x: Any, y: Any, scale: Any) -> tuple[Any, A
 
 
 def _bilinear(camera: Camera, x: Any, y: Any) -> tuple[list[Any], list[Any]]:
-    """Return indices and weights of the four pixels around a film position, which is clamped."""
+    """Return the four pixels around a clamped film position, and weights."""
     x = dr.clip(x, 0, mi.Float(camera.width) - 1)
     y = dr.clip(y, 0, mi.Float(camera.height) - 1)
     left = dr.minimum(mi.UInt32(x), dr.maximum(camera.width, 2) - 2)

@@ -19,7 +19,7 @@ from svu_mi.errors import OptionError, ShapeError
 
 
 def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return last face (-1 without any) and number of faces per texel centre, (H * W,) int64."""
+    """Return last face (or -1) and number of faces per texel, (H * W,)."""
     width, height = resolution
     if len(uvs) == 0:
         empty = np.zeros(width * height, np.int64)
@@ -56,7 +56,7 @@ def _walk(corners: list[Any], width: Any, height: Any, owner: Any, count: Any) -
 
 
 def _span(values: list[Any], size: Any) -> tuple[Any, Any]:
-    """Return first and last texel whose centre can be between the smallest and largest value."""
+    """Return the range of texels whose centre may be in a triangle."""
     low = dr.minimum(dr.minimum(values[0], values[1]), values[2])
     high = dr.maximum(dr.maximum(values[0], values[1]), values[2])
     first = dr.maximum(mi.Int32(dr.ceil(low - 0.5)), 0)
@@ -65,7 +65,7 @@ def _span(values: list[Any], size: Any) -> tuple[Any, Any]:
 
 
 def _edge(a: Any, b: Any, x: Any, y: Any) -> Any:
-    """Return twice the signed area of (a, b, point), exactly antisymmetric in a and b."""
+    """Return twice the signed area of (a, b, point), antisymmetric in a, b."""
     swap = (b[0] < a[0]) | ((b[0] == a[0]) & (b[1] < a[1]))
     ax, ay = dr.select(swap, b[0], a[0]), dr.select(swap, b[1], a[1])
     bx, by = dr.select(swap, a[0], b[0]), dr.select(swap, a[1], b[1])
@@ -89,7 +89,7 @@ NARROW = 8  # texels; wider gutters are not cached, because they may fill most o
 
 
 def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
-    """Return a copy of an image; fill invalid texels up to ``texels`` away from a valid one."""
+    """Return a copy of an image, dilated by ``texels`` into invalid texels."""
     image, valid = np.asarray(image), np.asarray(valid, bool)
     if image.ndim not in (2, 3) or valid.shape != image.shape[:2]:
         raise ShapeError(
@@ -116,7 +116,7 @@ def _of_mask(packed: bytes, shape: tuple[int, int], texels: float) -> tuple[np.n
 
 
 def _gutter(valid: np.ndarray, texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return flat indices of the texels to fill, (G,), and of their nearest valid texels, (G,)."""
+    """Return indices of texels to fill, (G,), and of their sources, (G,)."""
     if not valid.any() or valid.all():  # distances are undefined without a valid texel
         return np.empty(0, np.intp), np.empty(0, np.intp)
     distance, (row, column) = scipy.ndimage.distance_transform_edt(~valid, return_indices=True)

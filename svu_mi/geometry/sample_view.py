@@ -183,7 +183,7 @@ def sample_visible(
     views: Views, surface: TexelLanes, view: Any, seen: Any, *, dense: bool = False,
     clipped: bool = False,
 ) -> ViewSample:  # fmt: skip
-    """Sample texels of known visibility; ``clipped`` uses saturated channels as lower bounds."""
+    """Sample texels of known visibility; ``clipped`` uses lower bounds."""
 
     def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
         camera = read_camera(views, view)
@@ -219,7 +219,7 @@ def over_views(
 
 
 def fold(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
-    """Loop symbolically from ``start`` to ``end``: ``number, *state = body(number, *state)``."""
+    """Loop ``number, *state = body(number, *state)`` from ``start`` to ``end``."""
     return dr.while_loop(
         state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body
     )[1:]

@@ -1,4 +1,4 @@
-"""Interior pixels, which show one continuous part of the object; silhouette pixels do not.
+"""Interior pixels: pixels that are not at a silhouette of the object.
 
 A pixel is interior if rays through its four corners hit the object at distances that are consistent
 with a smooth surface. Rays of many views share a kernel launch. A tile is a square of TILE x TILE
@@ -47,13 +47,13 @@ class Films:
 
 @dataclass(frozen=True)
 class Outline:
-    """Lazy test of interior pixels: silhouettes of an object in V views, traced on request."""
+    """Lazy test for interior pixels of an object in V views."""
 
     target: Any
     films: Films
 
     def encloses(self, scene: Any, view: Any, pixel: Any, active: Any) -> Any:
-        """Return whether 2 x 2 pixels (``pixel`` and its neighbours) are interior, by nine rays."""
+        """Return whether 2 x 2 pixels are interior, by nine rays."""
         films = self.films
         width = dr.gather(mi.UInt32, films.width, view)
         place = pixel - dr.gather(mi.UInt32, films.offset, view)
@@ -81,7 +81,7 @@ def find_tiles(
     bounds: np.ndarray,
     masks: Sequence[np.ndarray | None],
 ) -> np.ndarray:
-    """Return tiles that may contain the object, (N, 3) uint32: view, first column, first row."""
+    """Return possible tiles of the object, (N, 3): view, column, row."""
     windows = _windows(projections, near, sizes, bounds)
     of_views = [
         _tiles_of(view, window, mask)
@@ -93,7 +93,7 @@ def find_tiles(
 def _windows(
     projections: np.ndarray, near: np.ndarray, sizes: np.ndarray, bounds: np.ndarray
 ) -> np.ndarray:
-    """Return bounds of the projected box, (V, 2, 2) int64: first pixel and end, each (x, y)."""
+    """Return first pixel and end of the projected box, (V, 2, 2) int64."""
     corners = np.stack(np.meshgrid(*bounds.T, [1.0], indexing="ij"), axis=-1).reshape(8, 4)
     points = np.einsum("vij,cj->vci", projections, corners)
     in_front = (points[..., 2] > near[:, None]).all(axis=1)
@@ -121,7 +121,7 @@ def _tiles_of(view: int, window: np.ndarray, mask: np.ndarray | None) -> np.ndar
 
 
 def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterator[tuple[Any, Any]]:
-    """Yield indices of the tiles' pixels (UInt32, each once), and interior flags (Bool)."""
+    """Yield pixel indices (UInt32, each once) and interior flags (Bool)."""
     for start in range(0, len(tiles), BLOCK):
         block = tiles[start : start + BLOCK]
         table = to_drjit(mi.UInt32, np.pad(block, ((0, 0), (0, 1))).ravel())
@@ -157,7 +157,7 @@ def _lane(lane: Any, column: Any, row: Any) -> Any:
 
 
 def _trace(scene: Any, target: Any, ray: Any, active: Any) -> tuple[Any, Any]:
-    """Return distance to the target along a ray (infinite for a miss), and tan(ray, normal)."""
+    """Return distance along a ray (infinite for a miss), and surface slope."""
     hit = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
     # Opaque: a literal would recompile the kernel for every scene.
     on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))
@@ -169,7 +169,7 @@ def _trace(scene: Any, target: Any, ray: Any, active: Any) -> tuple[Any, Any]:
 
 
 def _is_smooth(hit: tuple[Any, Any], corners: list[Any], angle: Any, pixel: Any) -> Any:
-    """Return whether a pixel's corners are on one smooth surface, by distances and slopes."""
+    """Return whether a pixel's corners are on one smooth surface."""
     distance, slope = hit
     near, far = _extremes([dr.gather(mi.Float, distance, corner, pixel) for corner in corners])
     depth, reach = far - near, angle * far
@@ -185,7 +185,7 @@ def _is_smooth(hit: tuple[Any, Any], corners: list[Any], angle: Any, pixel: Any)
 
 
 def _is_explained(depth: Any, reach: Any, slope: Any) -> Any:
-    """Return whether a depth difference is consistent with a surface of the given slope."""
+    """Return whether a depth difference is consistent with a slope."""
     return depth <= reach * (0.5 + slope)
 
 

@@ -16,7 +16,7 @@ from svu_mi.parameters import CHANNELS
 
 
 def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
-    """Return the BSDF parameters of the target at texels by name, (T, 3) linear or (T,) float64."""
+    """Return BSDF parameters at texels by name, (T, 3) or (T,) float64."""
     label = f"Shape '{capture.shape.id()}'"
     if capture.mesh is not capture.shape:
         raise SceneError(
@@ -39,7 +39,7 @@ def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
 
 
 def principled_attributes(bsdf: Any, si: Any, active: Any = True) -> dict[str, list[Any]]:
-    """Evaluate the parameters of a ``principled`` BSDF, by name: one Float per channel."""
+    """Evaluate ``principled`` parameters by name: one Float per channel."""
     return {
         name: list(bsdf.eval_attribute(name, si, active)) if channels > 1
         else [bsdf.eval_attribute_1(name, si, active)]

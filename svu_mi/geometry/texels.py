@@ -249,7 +249,7 @@ def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Interleave the bits of x and y (Morton code), so that sorted texels are close in the map."""
+    """Return the Morton code: the interleaved bits of x and y."""
     code = np.zeros(x.shape, np.int64)
     for bit in range(int(max(x.max(initial=0), y.max(initial=0))).bit_length()):
         code |= ((x >> bit) & 1) << (2 * bit) | ((y >> bit) & 1) << (2 * bit + 1)
@@ -292,7 +292,7 @@ def _interpolated(
     source: MeshArrays, faces: tuple[np.ndarray, np.ndarray], index: np.ndarray, face: np.ndarray,
     resolution: tuple[int, int],
 ) -> Iterator[tuple[str, np.ndarray]]:  # fmt: skip
-    """Yield name and values (t, components) of attributes; ``faces`` are normals and areas."""
+    """Yield name and values (t, components) of interpolated attributes."""
     assert source.uvs is not None
     (width, height), (normals, areas) = resolution, faces
     uv = np.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], axis=-1)
@@ -322,7 +322,7 @@ def _interpolated(
 
 
 def barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return barycentric coordinates (T, 3) of points (T, 2) in UV triangles (T, 3, 2)."""
+    """Return barycentric coordinates (T, 3) of points in UV triangles."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = point - corners[:, 0]
     area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -57,14 +57,14 @@ class Visibility:
 
     @cached_property
     def clipped_coverage(self) -> np.ndarray | int:
-        """Number of views with saturated pixels only, per texel: (T,) uint32; 0 without any."""
+        """Number of views with saturated pixels per texel, (T,) uint32, or 0."""
         return 0 if self.clipped is None else np.asarray(self.clipped.count(), np.uint32)
 
     def sample(
         self, views: Views, surface: TexelLanes, slot: Any, *, clipped: bool = False,
         among: Bits | None = None,
     ) -> ViewSample:  # fmt: skip
-        """Sample the view ``order[slot]``; ``among`` has visibility bits by slot and lane."""
+        """Sample the view ``order[slot]``; ``among`` replaces the visibility."""
         view = dr.gather(mi.UInt32, self.order, slot)
         if among is not None:
             seen = among.test(slot, surface.lane)
@@ -84,7 +84,7 @@ class Visibility:
         self, views: Views, surface: TexelLanes, consume: Callable[..., Any],
         state: tuple[Any, ...], *, clipped: bool = False, among: Bits | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Fold ``consume(sample, slot, *state)`` over ``order`` symbolically; see ``sample``."""
+        """Fold ``consume(sample, slot, *state)`` over ``order``."""
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
             seen = self.sample(views, surface, slot, clipped=clipped, among=among)
@@ -94,7 +94,7 @@ class Visibility:
 
 
 def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
-    """Return the mean grey radiance of all samples, or 0; each texel is clamped to 1000 medians."""
+    """Return the mean radiance of samples; clamp texels at 1000 medians."""
     samples, total = np.asarray(coverage, np.float64), np.asarray(total, np.float64)
     lit = total > 0
     if not lit.any():
@@ -106,7 +106,7 @@ def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
 def trace_visibility(
     views: Views, surface: TexelLanes, *, skip_blind: bool = True, skip_pairs: bool = True
 ) -> Visibility:
-    """Trace the visibility of all texels in all views, and sum their radiance, in one pass.
+    """Trace visibility of all texels in all views, and sum radiance.
 
     ``skip_blind`` omits views without visible texels from later passes.
     """

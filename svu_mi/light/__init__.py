@@ -1,1 +1,1 @@
-"""Environment light: maps, prefiltering, light cells, and their visibility from texels."""
+"""Environment light: maps, prefiltering, light cells, visibility."""

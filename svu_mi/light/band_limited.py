@@ -1,4 +1,4 @@
-"""Band-limited radiance, irradiance and diffuse moments, as textures for kernels."""
+"""Textures of band-limited radiance, irradiance and diffuse moments."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Lighting:
 
     @cached_property
     def coefficients(self) -> np.ndarray:
-        """SH coefficients *before* band-limiting, ((degree + 1)^2, 3) float64, polar frame."""
+        """SH coefficients *before* band-limiting, ((degree + 1)^2, 3)."""
         return self.environment.coefficients(self.degree)
 
     @cached_property
@@ -66,7 +66,7 @@ class Lighting:
         return self._look_up(self.filtered, direction)
 
     def irradiance(self, normal: Any) -> Any:
-        """Look up the irradiance of an unoccluded surface by its world normal, Color3f."""
+        """Look up the unoccluded irradiance by world normal, Color3f."""
         return self._look_up(self.irradiance_map, normal)
 
     def _look_up(self, texture: Any, direction: Any) -> Any:
@@ -83,7 +83,7 @@ def look_up(texture: Any, local: Any) -> list[Any]:
 
 
 def read_lighting(capture: Capture, views: int) -> Lighting:
-    """Read a capture's light and band-limit it by alpha' = v^(-1/2) (Sec. 3.3.2 of the paper)."""
+    """Read a capture's light; band-limit it by alpha' = v^(-1/2) (Sec. 3.3.2)."""
     label = str(capture.source or "scene")
     environment = read_environment(find_environment(capture.scene, label))
     return band_limited_lighting(environment, views)
@@ -104,7 +104,7 @@ def degrees(degree: int) -> np.ndarray:
 
 
 def zonal_cosine(degree: int, power: int = 0) -> np.ndarray:
-    """Return zonal factors of the lobe max(x, 0) (1 - x)^power, x = cos theta: (degree + 1,).
+    """Return zonal factors of max(x, 0) (1 - x)^power, x = cos theta.
 
     A_l = 2 pi times the integral of P_l(x) x (1 - x)^power over [0, 1]. Power 0 is irradiance.
     """
@@ -121,7 +121,7 @@ def _texture(coefficients: np.ndarray) -> Any:
 
 
 def lat_long_texture(grid: np.ndarray) -> Any:
-    """Make a Texture2f from values (H, W, C) on the grid of ``latlong.directions``."""
+    """Make a Texture2f from (H, W, C) values on a ``latlong`` grid."""
     tensor = mi.TensorXf(np.ascontiguousarray(grid, np.float32))
     return mi.Texture2f(tensor, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat)
 
@@ -131,19 +131,19 @@ MOMENTS = 8  # per channel: two scalars, two vectors
 
 @dataclass(frozen=True)
 class MomentMap:
-    """Moments of ``LightVisibility.diffuse`` for unoccluded light: 8 per channel, local frame."""
+    """Diffuse moments (``LightVisibility.diffuse``) of unoccluded light."""
 
     texture: Any
     to_local: Any
     channels: int
 
     def at(self, normal: Any) -> list[list[Any]]:
-        """Look up the moments by a world normal: 8 Floats per channel, vectors in local frame."""
+        """Look up 8 Floats per channel by world normal, in the light's frame."""
         flat = look_up(self.texture, self.to_local @ mi.Vector3f(normal))
         return [flat[first : first + MOMENTS] for first in range(0, len(flat), MOMENTS)]
 
     def in_world(self, normal: Any) -> list[list[Any]]:
-        """Look up and evaluate the moments by a world normal, vectors in world space."""
+        """Look up and evaluate moments by world normal, in world space."""
         back, result = self.to_local.T, []
         for c0, x0, y0, z0, c1, x1, y1, z1 in self.at(normal):
             m0, m1 = back @ mi.Vector3f(x0, y0, z0), back @ mi.Vector3f(x1, y1, z1)

@@ -1,4 +1,4 @@
-"""Environment light: sampling, spherical harmonics and synthesis (NumPy, float64).
+"""Environment light: sampling and spherical harmonics (NumPy).
 
 Directions are in the emitter's *local* frame, where lat-long maps have their pole on +Y:
 theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical harmonics are real and orthonormal, in
@@ -29,7 +29,7 @@ SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on the sun's disk; finer than the sky gr
 
 @dataclass(frozen=True)
 class Environment:
-    """Distant light: radiance at lat-long nodes, plus nodes on a small disk (a sun).
+    """Distant light: lat-long nodes, plus nodes on a small disk (a sun).
 
     Attributes:
         radiance: (H, W, 3) float64 at theta_j = j pi / (H - 1), phi_i = (i + 0.5) 2 pi / W, at most
@@ -48,7 +48,7 @@ class Environment:
 
     @property
     def grey(self) -> bool:
-        """True if the colour channels are equal in every direction (relative tolerance 1e-6)."""
+        """True if channels are equal in every direction (tolerance 1e-6)."""
         return all(
             bool((np.ptp(values, axis=-1) <= GREY * values.max(axis=-1)).all())
             for values in (self.radiance, self.disk_radiance)
@@ -64,7 +64,7 @@ class Environment:
 
 
 def read_environment(emitter: Any) -> Environment:
-    """Sample an environment emitter by its ``eval``; raise if it is invalid or black."""
+    """Sample an environment emitter; raise if it is invalid or black."""
     to_world = scene.to_world(emitter)[:3, :3]
     if not np.allclose(to_world.T @ to_world, np.eye(3), atol=1e-3):
         raise SceneError(
@@ -86,7 +86,7 @@ def read_environment(emitter: Any) -> Environment:
 
 
 def lat_long(local: Any) -> tuple[Any, Any]:
-    """Return phi / 2 pi in [0, 1) and theta / pi of unit local directions (Vector3f or NumPy)."""
+    """Return phi / 2 pi in [0, 1) and theta / pi of local directions."""
     if dr.is_array_v(local):
         u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
         return u - dr.floor(dr.detach(u)), dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
@@ -133,7 +133,7 @@ def _split_sun(
 def _disk_radius(
     emitter: Any, sun: np.ndarray, to_world: np.ndarray, brightest: np.ndarray
 ) -> float:
-    """Return the sun's angular radius [rad]; 0 if it is not brighter than the sky."""
+    """Return the sun's angular radius [rad]; 0 if it cannot be detected."""
     side = np.linalg.svd(sun[None])[2][1]
 
     def lit(angle: np.ndarray) -> np.ndarray:
@@ -156,7 +156,7 @@ def polar_from_local(local: np.ndarray) -> np.ndarray:
 
 
 def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
-    """Project a lat-long grid (H, W, C) onto spherical harmonics, ((degree + 1)^2, C)."""
+    """Project a lat-long grid (H, W, C) onto SH, ((degree + 1)^2, C)."""
     rows, columns = grid.shape[:2]
     # phi is measured from -Z; the azimuth of the polar frame (from +Z) is pi - phi.
     azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
@@ -181,7 +181,7 @@ def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
 
 
 def synthesize(coefficients: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Evaluate an SH expansion on the grid of ``directions``, (rows, columns, C) float64."""
+    """Evaluate an SH expansion on a lat-long grid, (rows, columns, C)."""
     degree = int(np.sqrt(len(coefficients))) - 1
     azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
     legendre = associated_legendre(np.cos(np.pi * np.arange(rows) / (rows - 1)), degree)
@@ -199,7 +199,7 @@ def synthesize(coefficients: np.ndarray, columns: int, rows: int) -> np.ndarray:
 
 
 def basis_at(polar: np.ndarray, degree: int) -> np.ndarray:
-    """Evaluate all harmonics in unit directions (N, 3) of the polar frame: (N, (degree + 1)^2)."""
+    """Evaluate SH in polar-frame directions (N, 3): (N, (degree + 1)^2)."""
     legendre = associated_legendre(np.clip(polar[:, 2], -1, 1), degree)
     azimuth = np.arctan2(polar[:, 1], polar[:, 0])
     result = np.zeros((len(polar), (degree + 1) ** 2))
@@ -212,7 +212,7 @@ def basis_at(polar: np.ndarray, degree: int) -> np.ndarray:
 
 
 def associated_legendre(x: np.ndarray, degree: int) -> np.ndarray:
-    """Return normalised associated Legendre functions P(l, m, x), (degree + 1, degree + 1, N).
+    """Return normalised associated Legendre functions P(l, m, x).
 
     P(l, m, cos theta) e^(i m phi) are orthonormal, with the Condon-Shortley sign of ``dr.sh_eval``.
     """

@@ -1,4 +1,4 @@
-"""Sampling grids of lat-long maps: directions, quadrature weights, resampling."""
+"""Grids of lat-long maps: directions, quadrature weights, resampling."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def emitter_label(emitter: Any) -> str:
 
 
 def envmap_pixels(emitter: Any, otherwise: np.ndarray) -> np.ndarray:
-    """Return the pixels (H, W, 3) of an ``envmap``; ``otherwise`` for other emitters."""
+    """Return pixels (H, W, 3) of an ``envmap``; ``otherwise`` for others."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return otherwise
     data = mi.traverse(emitter)["data"]
@@ -37,7 +37,7 @@ def envmap_pixels(emitter: Any, otherwise: np.ndarray) -> np.ndarray:
 
 
 def grid_size(emitter: Any) -> tuple[int, int]:
-    """Return (columns, rows) for sampling an emitter: its map, upsampled if small."""
+    """Return (columns, rows) of the sampling grid; small maps are upsampled."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return SKY_GRID
     rows, columns = mi.traverse(emitter)["data"].shape[:2]
@@ -62,7 +62,7 @@ BAND = 2**17  # nodes sampled at once, 20 MB
 
 
 def sample_emitter(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Sample an emitter at lat-long nodes, and average to at most ``MAX_SIZE``: (H, W, 3)."""
+    """Sample an emitter at lat-long nodes; average to ``MAX_SIZE`` at most."""
     across, down = min(columns, MAX_SIZE[0]), min(rows, MAX_SIZE[1])
     solid = quadrature(rows)
     flux, weight = np.zeros((down, across, 3)), np.zeros(down)
@@ -86,7 +86,7 @@ def sample_emitter(emitter: Any, to_world: np.ndarray, columns: int, rows: int) 
 
 
 def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray:
-    """Return local directions (rows, columns, 3) of Mitsuba's lat-long grid, or a band of rows."""
+    """Return local directions (rows, columns, 3) of a lat-long grid."""
     theta = (np.pi * np.arange(rows) / (rows - 1))[band]
     phi = 2 * np.pi * (np.arange(columns) + 0.5) / columns
     sin, cos = np.sin(theta)[:, None], np.cos(theta)[:, None]
@@ -95,14 +95,14 @@ def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray
 
 
 def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
-    """Return the radiance of an environment emitter in world directions (N, 3), (N, 3) float64."""
+    """Return radiance (N, 3) from an emitter in world directions (N, 3)."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(world))
     si.wi = -to_drjit(mi.Vector3f, world.T.astype(np.float32))
     return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()
 
 
 def quadrature(rows: int) -> np.ndarray:
-    """Return Clenshaw-Curtis weights in cos(theta) of the nodes j pi / (rows - 1), (rows,)."""
+    """Return Clenshaw-Curtis weights in cos(theta) of a grid's rows."""
     n = rows - 1
     j = np.arange(rows)
     k = np.arange(1, n // 2 + 1)
@@ -112,12 +112,12 @@ def quadrature(rows: int) -> np.ndarray:
 
 
 def row_weights(fewer: int, rows: int) -> scipy.sparse.csr_array:
-    """Return sparse weights (fewer, rows) that downsample rows linearly."""
+    """Return sparse weights (fewer, rows) that downsample rows."""
     return _linear_weights(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
 
 
 def column_weights(fewer: int, columns: int) -> scipy.sparse.csr_array:
-    """Return sparse weights (fewer, columns) that downsample columns linearly, with wrapping."""
+    """Return sparse weights (fewer, columns) that downsample columns."""
     return _linear_weights((np.arange(columns) + 0.5) * fewer / columns - 0.5, fewer, wrap=True)
 
 

@@ -59,7 +59,7 @@ class LightCells:
 
 @dataclass(frozen=True)
 class LightTree:
-    """Light cells of three depths: coarse, fine and leaves. Children of a cell are contiguous.
+    """Light cells of three depths; children of a cell are contiguous.
 
     Attributes:
         first: (N_c + 1,) UInt32, index of the first fine cell of each coarse cell.
@@ -80,7 +80,7 @@ class LightTree:
 
 @dataclass(frozen=True)
 class _Cluster:
-    """M weighted points: offsets (M, 3) from their mean, unnormalised covariance and its trace."""
+    """M weighted points: offsets from the mean, and scatter matrix."""
 
     number: int
     members: np.ndarray
@@ -102,14 +102,14 @@ class _Cluster:
         return self.variance > other.variance
 
     def far_half(self) -> np.ndarray:
-        """Return flags of the members beyond the mean along the axis of largest variance."""
+        """Return flags of members beyond the mean along the principal axis."""
         far = self.offset @ np.linalg.eigh(self.covariance)[1][:, -1] > 0
         # Identical points would all be on one side.
         return far if far.any() and not far.all() else np.arange(len(far)) > 0
 
 
 def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightTree:
-    """Cluster an environment into a tree with the given numbers of coarse and fine cells."""
+    """Cluster an environment into a tree of coarse and fine cells."""
     if not 1 <= coarse <= fine <= LEAF_COUNTS[0]:
         raise OptionError(
             f"A light tree needs 1 <= coarse <= fine <= {LEAF_COUNTS[0]}, got {coarse} and {fine}."
@@ -150,7 +150,7 @@ def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightT
 
 
 def disk_cells(environment: Environment) -> LightCells | None:
-    """Cluster a sun's disk into a few cells for narrow lobes; return None without a sun."""
+    """Cluster a sun's disk into a few cells; return None without a sun."""
     if not len(environment.disk_weights):
         return None
     flux = environment.disk_radiance * environment.disk_weights[:, None]
@@ -167,7 +167,7 @@ def disk_cells(environment: Environment) -> LightCells | None:
 
 
 def _edges(owner: np.ndarray) -> np.ndarray:
-    """Return start indices of runs of equal numbers, and the end; runs above LARGEST are split."""
+    """Return bounds of runs of equal numbers, split above LARGEST."""
     begins = np.flatnonzero(np.diff(owner, prepend=-1) != 0)
     ends = np.append(begins[1:], len(owner))
     cut = [np.arange(a, b, LARGEST) for a, b in zip(begins, ends, strict=True)]
@@ -175,7 +175,7 @@ def _edges(owner: np.ndarray) -> np.ndarray:
 
 
 def _cell_sums(environment: Environment, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return flux and radiance-weighted sum of directions of Fibonacci cells, (N, 3) each."""
+    """Return flux and weighted sum of directions of Fibonacci cells."""
     centers = fibonacci(count)
     rows, columns = environment.radiance.shape[:2]
     nearest = _nearest(columns, rows, count)
@@ -225,7 +225,7 @@ def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> Ligh
 
 
 def _split(points: np.ndarray, weight: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split the widest cluster repeatedly; return the cluster of each point, and parents."""
+    """Split clusters; return the cluster of each point, and parents."""
     label, parent = np.zeros(len(points), np.int64), np.zeros(count, np.int64)
     heap = [_Cluster.of(0, points, weight, np.arange(len(points)))]
     for new in range(1, count):
@@ -246,7 +246,7 @@ def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearest_cells(directions: np.ndarray, count: int) -> np.ndarray:
-    """Return the index of the point of ``fibonacci(count)`` nearest to directions (N, 3), (N,)."""
+    """Return the nearest point of ``fibonacci(count)`` by direction, (N,)."""
     return np.asarray(scipy.spatial.cKDTree(fibonacci(count)).query(directions, workers=-1)[1])
 
 

@@ -88,7 +88,7 @@ class LightVisibility:
 def trace_light_visibility(
     scene: Any, surface: TexelLanes, tree: LightTree, *, occluded: bool = True
 ) -> LightVisibility:
-    """Trace the light cells from each texel; ``occluded=False`` only tests the horizon."""
+    """Trace light cells from texels; ``occluded=False`` tests the horizon."""
     lane, count = surface.lane, surface.count
     coarse = Bits.clear(tree.coarse.number, count)
     fine = Bits.clear(tree.fine.number, count)
@@ -140,20 +140,20 @@ def trace_light_visibility(
 
 @dataclass(frozen=True)
 class MirrorVisibility:
-    """Visibility in mirror directions: bits of N slots and S lanes, and the lane of each texel."""
+    """Visibility in mirror directions: bits, and the lane of each texel."""
 
     bits: Bits
     lane: Any
 
     def test(self, slot: Any, texel: Any) -> Any:
-        """Return whether the mirror direction of the view ``order[slot]`` is unoccluded: Bool."""
+        """Return whether the mirror direction is unoccluded, Bool."""
         return self.bits.test(slot, dr.gather(mi.UInt32, self.lane, texel))
 
 
 def trace_mirror_visibility(
     views: Views, surface: TexelLanes, visibility: Visibility, lane: Any
 ) -> MirrorVisibility:
-    """Trace the mirror direction of each visible sample (one bit per slot and lane)."""
+    """Trace the mirror direction of each visible sample."""
     bits, place = Bits.clear(dr.width(visibility.order), surface.count), surface.lane
 
     def trace(seen: ViewSample, slot: Any, word: Any) -> tuple[Any]:
@@ -167,7 +167,7 @@ def trace_mirror_visibility(
 
 
 def trace_mirror(scene: Any, surface: TexelLanes, seen: ViewSample, active: Any) -> Any:
-    """Return whether mirror directions of visible samples are unoccluded; False below horizon."""
+    """Return whether mirror directions of visible samples are unoccluded."""
     mirror = mirror_direction(surface.normal, seen.direction)
     free = active & (dr.dot(surface.geometric_normal, mirror) > 0)
     return seen.seen & is_unoccluded(scene, surface, mirror, free, coherent=False)

@@ -30,7 +30,7 @@ Profile = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class FilteredLight:
-    """Light filtered by R lobes: lat-long Texture2f of 1 or 3 channels in the light's frame."""
+    """Light filtered by R lobes: lat-long Texture2f of 1 or 3 channels."""
 
     textures: tuple[Any, ...]
     to_local: Any
@@ -52,7 +52,7 @@ def filter_light(
     grey: bool = False,
     disk: bool = True,
 ) -> FilteredLight:
-    """Convolve the light with lobes ``profile(alpha, cosine)`` of given widths alpha; cached."""
+    """Convolve the light with lobes ``profile(alpha, cosine)``; cached."""
     cache = lighting.lobes
     keys = [(float(width), profile, grey, disk) for width in widths]
     missing = [key for key in keys if key not in cache]
@@ -66,7 +66,7 @@ def filter_light(
 
 
 def rasterized(environment: Environment) -> np.ndarray:
-    """Return the light's lat-long grid (H, W, 3), with the sun's disk added to nearest nodes."""
+    """Return the lat-long grid (H, W, 3) including the sun's disk."""
     grid = environment.radiance
     if not len(environment.disk_weights):
         return grid
@@ -80,7 +80,7 @@ def rasterized(environment: Environment) -> np.ndarray:
 
 
 def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
-    """Convolve a lat-long grid (H, W, C) with a normalised lobe; wide lobes reduce its size.
+    """Convolve a lat-long grid with a lobe; wide lobes reduce its size.
 
     Rows within the lobe's support are convolved along the azimuth by FFT.
     """
@@ -119,7 +119,7 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
 
 
 def _coarsened(grid: np.ndarray, width: float) -> np.ndarray:
-    """Return flux and solid angle (H', W', C + 1) on the coarsest grid that resolves a lobe."""
+    """Return flux and solid angle (H', W', C + 1) on a coarser grid."""
     rows, columns, channels = grid.shape
     solid, own = quadrature(rows), np.ones(columns)
     fewer = max(int(np.ceil(COARSE / width)) + 1, FEWEST)
@@ -157,7 +157,7 @@ class LightStack:
     to_local: Any
 
     def radiance(self, place: Any, direction: Any) -> list[Any]:
-        """Interpolate the light *from* a world direction at level ``place``: Floats by channel."""
+        """Look up light *from* a world direction between levels, by channel."""
         u, v = lat_long(self.to_local @ mi.Vector3f(direction))
         level = dr.clip(mi.Int32(dr.detach(place)), 0, self.count - 2)
         here, above = (self._at(mi.UInt32(level + step), u, v) for step in (0, 1))
@@ -165,7 +165,7 @@ class LightStack:
         return [dr.lerp(a, b, part) for a, b in zip(here, above, strict=True)]
 
     def _at(self, level: Any, u: Any, v: Any) -> list[Any]:
-        """Interpolate in one map; columns are centred, first and last row are at the poles."""
+        """Interpolate in one map, whose first and last rows are at the poles."""
         first, rows, columns = (dr.gather(mi.UInt32, self.tables, 3 * level + k) for k in range(3))
         x = u * columns + 0.5  # includes the wrapped column
         y = v * (rows - 1)
