@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench import BENCHMARKS
+from svu_mi.bench.accuracy.accuracy_tables import OTHER_NOISE
 from svu_mi.bench.guidance.guidance_tables import compare, mean_curve, views_needed, views_ratio
 from svu_mi.bench.markdown import BAR_COLUMNS, save, seconds, table
 from svu_mi.bench.orb.orb_tables import PUBLISHED
@@ -38,7 +39,8 @@ ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "notebooks" / "benchmarks"
 Record = dict[str, Any]
 Row = Sequence[str]
-DIGITS = 6  # significant digits of the copied numbers
+DIGITS, FEW = 6, 3  # significant digits of copied numbers, and of numbers in long lists
+LONG, THINNED = 20, 4  # entries of a long list; step between the kept points of scatter plots
 DERIVED = ("bars", "summary")  # entries that ``read_record`` computes again
 
 
@@ -77,7 +79,8 @@ def bars(record: Record, chosen: Mapping[str, Sequence[str]]) -> list[Row]:
 
 def agreement(record: Record) -> list[Row]:
     cases, halves = record["cells"], [case["reference"]["split_half"] for case in record["cells"]]
-    printed = {"spectrum paper": "paper: .88", "angular SH model": "paper: .94"}
+    compared = {"spectrum paper": "paper: .88", "angular SH model": "paper: .94, sum over views",
+                **dict.fromkeys(OTHER_NOISE, "other noise")}  # fmt: skip
     rows = []
     for row in record["summary"]:
         if row["kind"] == "reference":
@@ -86,7 +89,7 @@ def agreement(record: Record) -> list[Row]:
         values = both(case[part][row["label"]]["pearson"] for case in cases)
         name = f"`{row['label']}`" if part == "rows" else f"{row['label']} alone"
         time = f"; {seconds(row['seconds'])}" if part == "rows" else ""
-        rows.append([name, values + time, printed.get(row["label"], "")])
+        rows.append([name, values + time, compared.get(row["label"], "")])
     return [*rows, ["halves of the reference's samples", both(halves), "upper limit"]]
 
 
@@ -303,8 +306,9 @@ SECTIONS = (
         "Entropy against path tracing",
         "The entropy of a texel lies between 0 (parameters certain) and 1 (unknown). The reference "
         "renders each texel with every material of the grid and assumes noise of 8 % of the mean "
-        "radiance, as the preset `fixed` does; `default` estimates the noise and is compared with a "
-        "reference of the same likelihood in the next table. Values are Pearson correlations over "
+        "radiance, as the preset `fixed` does. `default` and `fast` estimate the noise (other noise), which "
+        "alone changes the entropy; the next table has `default` and a reference of the same "
+        "likelihood. Values are Pearson correlations over "
         "texels, mean over cases (worst case), and times for all texels of a 256 x 256 texture.",
         {"accuracy": agreement}, picture="time_error",
     ),
@@ -492,12 +496,22 @@ def texts(records: dict[str, Record]) -> dict[Path, str]:
 
 
 def rounded(value: Any) -> Any:
-    """Return a JSON value whose numbers have ``DIGITS`` significant digits."""
+    """Return a JSON value with fewer digits, and with fewer points of scatter plots."""
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}")
     if isinstance(value, list):
+        if len(value) > LONG and isinstance(value[0], float):
+            return [item if item is None else float(f"{item:.{FEW}g}") for item in value]
         return [rounded(item) for item in value]
-    return {k: rounded(v) for k, v in value.items()} if isinstance(value, dict) else value
+    if isinstance(value, dict):
+        points = {k: v[::THINNED] for k, v in value.items() if k == "entropy" and len_of(v) > LONG}
+        return {k: rounded(v) for k, v in {**value, **points}.items()}
+    return value
+
+
+def len_of(value: Any) -> int:
+    """Return the length of a list; 0 for other values."""
+    return len(value) if isinstance(value, list) else 0
 
 
 def copy(source: Path) -> None:

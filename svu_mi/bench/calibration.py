@@ -1,15 +1,15 @@
-"""``svu bench calibration``: how often intervals and sets of the posterior hold the truth.
+"""``svu bench calibration``: share of posterior intervals and sets that contain the truth.
 
-The preset ``default`` is compared with the true textures, over 1500 texels that some view sees
-(seed 0), the truth being the mean of the texture over the texel:
+The preset ``default`` is compared with the true textures, averaged over each texel, for 1500
+visible texels (seed 0):
 
-* how often sets of 90 and 50 % hold the truth: by mass, on the cells of the grid, the last cell
-  counted by the part of it that reaches the level; and intervals as ``interval`` returns them;
-* how well predicted errors go with true ones: root of the summed variances against root of the
-  summed squared errors of the three parameters; area under the sparsification error, relative
-  (0 perfect, 1 chance);
-* CRPS of every parameter, from draws, over that of a fixed overdispersion of 3; PSNR of the means;
-* of the texels whose 90 % interval is at most .05 to either side, how many hold the truth;
+* shares of 90 and 50 % sets of cells of the grid that contain the truth, where the last cell
+  counts in part; and shares of the intervals that ``interval`` returns;
+* correlation of predicted errors (root of the summed variances) and true errors (root of the
+  summed squared errors of all parameters); relative area under the sparsification error (0
+  perfect, 1 random);
+* CRPS of every parameter from draws, relative to the CRPS with overdispersion 3; PSNR of means;
+* share of narrow 90 % intervals, at most .05 to either side, that contain the truth;
 * correlation of the entropy with path-traced texels of the same likelihood.
 """
 
@@ -34,7 +34,7 @@ from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
 from svu_mi.presets import preset
 
-JUDGED, TRACED, SPP = 1500, 100, 256  # texels; those that are path traced, and paths of each
+JUDGED, TRACED, SPP = 1500, 100, 256  # compared texels; path-traced texels, and their samples
 QUICK_TRACED, QUICK_SPP = 30, 16
 FINER = 4  # samples of the true textures per side of a texel
 DRAWS = 64
@@ -60,18 +60,18 @@ class CalibrationCase(CaseSubject):
 
     @cached_property
     def chosen(self) -> np.ndarray:
-        """(t,) texels that are judged."""
+        """Indices of the compared texels, (t,)."""
         seen = np.flatnonzero(np.array(estimate(self.capture, self.layout).coverage))
         count = min(JUDGED, len(seen))
         return np.sort(np.random.default_rng(0).choice(seen, count, replace=False))
 
     @cached_property
     def true_values(self) -> dict[str, np.ndarray]:
-        """True means over these texels, (t,) or (t, 3) by parameter."""
+        """True means over the compared texels, (t,) or (t, 3) by parameter."""
         return {name: values[self.chosen] for name, values in self._true_means().items()}
 
     def _true_means(self) -> dict[str, np.ndarray]:
-        """Return the true textures' means over all texels, (T,) or (T, 3) by parameter."""
+        """Return true means over all texels, (T,) or (T, 3) by parameter."""
         layout, width = self.layout, self.layout.resolution[0]
         fine = texels(self.capture.mesh, width * FINER)
         x, y = fine.index.numpy() % (width * FINER), fine.index.numpy() // (width * FINER)
@@ -90,13 +90,13 @@ class CalibrationCase(CaseSubject):
         return result
 
     def calibration(self, **switches: Any) -> Record:
-        """Return all figures of the preset ``default``, with some of its switches changed."""
+        """Return the scores of the preset ``default`` with some switches changed."""
         chosen = preset("default", method="angular", **switches)
         estimated = estimate(self.capture, self.layout, preset=chosen, method="angular")
         return posterior_figures(estimated.posterior, self.true_values, self.chosen)
 
     def traced(self) -> Record:
-        """Correlate the entropy with that of path-traced texels."""
+        """Return the correlation of the entropy with path-traced texels."""
         count, spp = (QUICK_TRACED, QUICK_SPP) if self.bench.quick else (TRACED, SPP)
         reference = reference_of(
             self.bench, self.capture, self.layout, subset=count, spp=spp, noise="estimated"
@@ -116,16 +116,16 @@ PARTS = (
 )
 
 
-# --- figures --------------------------------------------------------------------------------
+# --- scores ---------------------------------------------------------------------------------
 
 
 def posterior_figures(posterior: Any, truth: Truths, chosen: np.ndarray) -> Record:
-    """Return everything that is measured of a posterior.
+    """Return all scores of a posterior.
 
     Args:
-        posterior: of T texels.
-        truth: (t,) or (t, 3) by parameter.
-        chosen: (t,) texels.
+        posterior: Posterior of T texels.
+        truth: True values (t,) or (t, 3) by parameter.
+        chosen: Indices (t,) of the compared texels.
     """
     true = {name: _columns(np.asarray(truth[name], np.float64)) for name in NAMES}
     if posterior.channels == 1:
@@ -151,22 +151,22 @@ def posterior_figures(posterior: Any, truth: Truths, chosen: np.ndarray) -> Reco
             f"ause {key}": sparsification(np.sqrt(error), np.sqrt(variance)).relative,
             f"crps {key}": crps(drawn.reshape(DRAWS, *mine.shape), mine),
         }  # fmt: skip
-    error, said = np.sqrt(np.sum(errors, axis=0)), np.sqrt(np.sum(variances, axis=0))
-    return result | {"pearson": pearson(error, said),
-                     "spearman": spearman(error, said)}  # fmt: skip
+    error, expected = np.sqrt(np.sum(errors, axis=0)), np.sqrt(np.sum(variances, axis=0))
+    return result | {"pearson": pearson(error, expected),
+                     "spearman": spearman(error, expected)}  # fmt: skip
 
 
 def _columns(values: np.ndarray) -> np.ndarray:
-    """(t,) or (t, g) as (t, g)."""
+    """Return values (t,) or (t, g) as (t, g)."""
     return values if values.ndim == 2 else values[:, None]
 
 
 def set_coverage(p: np.ndarray, truth: Truths) -> Record:
-    """Return how often sets by mass hold the truth, the last cell counted in part.
+    """Return the shares of credible sets that contain the truth.
 
     Args:
-        p: probabilities (t, roughness, metallic, base colour) or with channels at the end.
-        truth: (t, g) by parameter.
+        p: Probabilities (t, roughness, metallic, base colour), or with a last axis of channels.
+        truth: True values (t, g) by parameter.
     """
     p = p if p.ndim == 5 else p[..., None]
     bins = {
@@ -227,11 +227,11 @@ def _tables(record: Record) -> list[str]:
     traced = [[case["cell"], *(f"{case['rows']['traced'][key]:.2f}" for key in ("rho", "halves"))]
               for case in cases]  # fmt: skip
     return [
-        f"{JUDGED} texels of each case at most; r, m and c are roughness, metallic, base colour.",
+        f"At most {JUDGED} texels per case; r, m and c are roughness, metallic and base colour.",
         tabulate(shown, lines),
-        table(("parameter", "CRPS", "part of that of tau = 3", "90 % intervals hold",
-               "intervals within .05", "of these hold"), by_parameter),
-        "Correlation of the entropy with path-traced texels, and of these texels' halves.",
+        table(("parameter", "CRPS", "relative to tau = 3", "90 % intervals with the truth",
+               "intervals within .05", "narrow intervals with the truth"), by_parameter),
+        "Correlation of the entropy with path-traced texels, and of two halves of their samples.",
         table(("object / light", "entropy", "halves"), traced),
     ]  # fmt: skip
 

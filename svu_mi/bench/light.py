@@ -1,7 +1,7 @@
-"""``svu bench light``: light estimated from photographs against their true light.
+"""``svu bench light``: light estimated from photographs, compared with the true light.
 
-Nothing but pixels of the object is looked at. Textures are posterior means, of 160 x 160 texels
-and 60 photographs of 192 x 192, under the estimated light and under the given one.
+Only pixels of the object are used. Textures are posterior means of 160 x 160 texels from 60
+photographs of 192 x 192, under the estimated and under the given light.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from svu_mi.pipeline import estimate
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed, observe
 
-GLOSSY, SOME = 0.4, 0.05  # roughness below which a texel is glossy; part of texels that counts
-FEW_DIELECTRICS = 0.2  # part of texels from which they fix the scale of the light
-ALONE, FAR = 0.8, 30.0  # light has a brightest direction if none so far off is so bright [deg]
+GLOSSY, SOME = 0.4, 0.05  # largest roughness of a glossy texel; share of them in a glossy case
+FEW_DIELECTRICS = 0.2  # share of dielectric texels that determines the scale of the light
+ALONE, FAR = 0.8, 30.0  # relative brightness and angle (degrees) of competing directions
 POINTS = 2048
 PHOTOGRAPHS: dict[str, Any] = {"views": 60, "film": 192, "spp": 32}
 QUICK: dict[str, Any] = {"views": 16, "film": 64, "spp": 8}
@@ -43,18 +43,18 @@ TEXELS, QUICK_TEXELS = 160, 64  # per side
 
 @dataclass(frozen=True)
 class EstimatedLightCase(CaseSubject):
-    """An object under a light that is known, and not: 160 x 160 texels."""
+    """An object whose light is given, and estimated."""
 
     rows = (Measurement("found", lambda self: self.compared()),)
 
     @cached_property
     def capture(self) -> Capture:
-        """The photographs."""
+        """Photographs of the case."""
         return self.bench.capture(self.case, **(QUICK if self.bench.quick else PHOTOGRAPHS))
 
     @cached_property
     def layout(self) -> Texels:
-        """Texels of its object."""
+        """Texels of the object."""
         return texels(self.capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
 
     @cached_property
@@ -78,7 +78,7 @@ class EstimatedLightCase(CaseSubject):
         }
 
     def compared(self) -> Record:
-        """Find the light, and compare textures under it with those under the given one."""
+        """Estimate the light; compare textures and entropies under both lights."""
         options = LightOptions(depths=((64, 3), (128, 2))) if self.bench.quick else LightOptions()
         start = time.perf_counter()
         light = estimate_light(self.observed, options=options)
@@ -101,7 +101,7 @@ class EstimatedLightCase(CaseSubject):
                 np.array(values, np.float64).reshape(len(seen), -1)[seen]
                 for values in (estimated.posterior.mean(name), *estimated.posterior.interval(name))
             )
-            if name == "base_color":  # after one factor per channel
+            if name == "base_color":  # up to one factor per channel
                 factor = (mean * truth).sum(axis=0) / np.maximum((mean * mean).sum(axis=0), 1e-12)
                 mean = np.clip(mean * factor, 0, 1)
             quality[name] = {
@@ -124,7 +124,7 @@ def _light(capture: Capture, light: LightEstimate) -> Record:
 
 
 def _mean(values: Iterable[float]) -> float:
-    """Return the mean; NaN, which meets no bar, of nothing."""
+    """Return the mean; NaN without values, so that bars are missed."""
     numbers = list(values)
     return float(np.mean(numbers)) if numbers else float("nan")
 
@@ -142,27 +142,29 @@ def _holds(case: Record) -> float:
 
 
 def rows_of(record: Record) -> list[Record]:
-    """Return the figures of each case."""
+    """Return the results of each case."""
     return [{**case, **case["rows"]["found"]} for case in record["cells"]]
 
 
 SHOWN = (
-    Column("cell", lambda row: row["cell"]),
-    Column("light: correlation", lambda row: row["correlation"], digits(3)),
-    Column("brightest off by", lambda row: row["angle"] if row["has_brightest"] else None,
+    Column("case", lambda row: row["cell"]),
+    Column("correlation of the light", lambda row: row["correlation"], digits(3)),
+    Column("error of the brightest direction",
+           lambda row: row["angle"] if row["has_brightest"] else None,
            lambda value: f"{value:.0f} deg"),
-    Column("true / found scale", lambda row: row["scale"], digits(2)),
-    Column("90 % interval", lambda row: f"x{row['wide']:.2f}" + ("" if row["inside"] else ", out")),
-    *(Column(f"{name}: known -> found (dB)", _both(name)) for name in NAMES),
-    Column("entropy", lambda row: row["entropy"], digits(2)),
-    Column("90 % hold: colour / roughness / metallic", lambda row: " / ".join(
+    Column("true / estimated scale", lambda row: row["scale"], digits(2)),
+    Column("its 90 % interval",
+           lambda row: f"x{row['wide']:.2f}" + ("" if row["inside"] else ", outside")),
+    *(Column(f"{name}: given -> estimated (dB)", _both(name)) for name in NAMES),
+    Column("correlation of the entropy", lambda row: row["entropy"], digits(2)),
+    Column("90 % intervals: colour / roughness / metallic", lambda row: " / ".join(
         f"{row['unknown'][name]['holds']:.2f}" for name in NAMES)),
     Column("time", lambda row: row["seconds"], lambda value: f"{value:.0f} s"),
 )  # fmt: skip
 
 
 def bars(record: Record) -> list[Bar]:
-    """Return the bars of estimated light."""
+    """Return the bars of a record of ``svu bench light``."""
     rows = rows_of(record)
     glossy = [row["correlation"] for row in rows if row["glossy"]]
     angles = [row["angle"] <= 15 for row in rows if row["has_brightest"]]
@@ -202,5 +204,5 @@ def experiment(bench: BenchRun, selection: Selection) -> Experiment:
     return Experiment("light", (EstimatedLightCase(bench, case) for case in selection.cases), True)
 
 
-STUDY = Study(title="Light from the photographs themselves", experiment=experiment, bars=bars,
+STUDY = Study(title="Light estimated from the photographs", experiment=experiment, bars=bars,
               own_sizes=True, tables=lambda record: [tabulate(SHOWN, rows_of(record))])  # fmt: skip

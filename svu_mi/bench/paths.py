@@ -1,4 +1,4 @@
-"""``svu bench paths``: agreement with path tracing under indirect light and other noise."""
+"""``svu bench paths``: agreement with path tracing for indirect light and other noise."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from svu_mi.capture.capture import Capture
 from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels
 
-DEPTH = 4  # of the reference with light between parts of the object
-PHOTOGRAPHS = 6  # depth of the photographs it is compared on
-# Every psi has to be rendered where light goes between parts of the object: for a few texels.
+DEPTH = 4  # path length of the reference with indirect light
+PHOTOGRAPHS = 6  # path length of the photographs with indirect light
+# Indirect light requires a render of every psi, so only few texels are compared.
 TEXELS, SAMPLES, OBJECTS = 150, 32, 4
 QUICK = (40, 8, 1)
 KINDS = {
@@ -37,8 +37,9 @@ class PathsCase(CaseSubject):
     """A case, photographed with direct light and with all light.
 
     Attributes:
-        rows: estimators.
-        texels, samples: of the references.
+        rows: Estimators.
+        texels: Number of texels of the references.
+        samples: Samples per ray of the references.
     """
 
     rows: Sequence[Variant]
@@ -50,15 +51,14 @@ class PathsCase(CaseSubject):
         return super().settings(row), self.texels, self.samples, how
 
     def head(self) -> Record:
-        """Return ``cell``, ``texels``, and ``references``: the correlation of those of direct and
-        of all light."""
+        """Return ``cell``, ``texels``, and the correlation of both ``references``."""
         one, other = self.references["photographs"], self.references["both"]
         kept = one.posterior.observed & other.posterior.observed
         rho = pearson(one.entropy[kept], other.entropy[kept])
         return {"cell": self.title, "texels": int(kept.sum()), "references": rho}
 
     def measure(self, row: Variant) -> Record:
-        """Return Pearson's rho of an estimator with each of ``references``."""
+        """Return Pearson's correlation of an estimator with each reference, by kind."""
         entropies = {id(capture): np.array(row.estimate(capture, self.layout).entropy, float)
                      for capture in self.captures}  # fmt: skip
         correlations = {}
@@ -70,17 +70,17 @@ class PathsCase(CaseSubject):
 
     @cached_property
     def captures(self) -> tuple[Capture, Capture]:
-        """Photographs of direct light, and of all light."""
+        """Photographs with direct light, and with all light."""
         lit = replace(self.case, defines={**self.case.defines, "max_depth": str(PHOTOGRAPHS)})
         return self.bench.capture(self.case), self.bench.capture(lit, "capture_all_light")
 
     def capture_of(self, kind: str) -> Capture:
-        """Return the photographs of one of ``CASES``."""
+        """Return the photographs of one of ``KINDS``."""
         return self.captures[kind in ("photographs", "both")]
 
     @cached_property
     def layout(self) -> Texels:
-        """Texels that are estimated."""
+        """Texels of the object."""
         return texels(self.captures[0].mesh, self.bench.sizes.texels)
 
     @cached_property
@@ -112,7 +112,7 @@ def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
 
 
 def tables(record: Record) -> list[str]:
-    """Return a line per case and estimator."""
+    """Return a table with one line per case and estimator."""
     shown = (
         Column("object / light", lambda line: line[0]["cell"]),
         Column("map", lambda line: line[1]),
@@ -123,16 +123,15 @@ def tables(record: Record) -> list[str]:
     lines = [(case, label, row) for case in record["cells"] for label, row in case["rows"].items()]
     most = max((case["texels"] for case in record["cells"]), default=0)
     return [
-        f"Pearson correlation with references in which every psi is rendered, on up to {most} "
-        "texels: of direct light; with photographs of up to "
-        "5 bounces against the reference of direct light; with the same photographs against a "
-        "reference of up to 3 bounces, in which all of the object has the psi in question; and "
-        "of direct light, with noise that grows with radiance, and with noise that is estimated, "
-        "as `default` and `fast` do. Last, the references of direct and of all light with each "
-        "other.",
+        f"Pearson correlation with references that render every psi, on up to {most} texels. "
+        "Direct light: in photographs and reference. All light in the photographs: up to 5 "
+        "bounces, reference with direct light. All light in both: the same photographs, reference "
+        "with up to 3 bounces, in which the whole object has the rendered psi. The next columns "
+        "have direct light and noise that grows with radiance, or that is estimated as by "
+        "`default` and `fast`. The last column compares both references with each other.",
         tabulate(shown, lines),
     ]
 
 
-STUDY = Study(title="Light between parts of the object, and other noise", experiment=_experiment,
+STUDY = Study(title="Indirect light and other noise", experiment=_experiment,
               tables=tables)  # fmt: skip

@@ -1,9 +1,9 @@
 """``svu bench scaling``: run time and memory of an estimate by texels and by views.
 
-A line a + b n is fitted to the times. Its R^2 says whether they are linear with a constant
-overhead; the slope of the upper half on logarithmic axes says with which power they grow where
-the overhead counts least. Both take the least time of several runs, as other load on a machine
-only ever adds to it; and all sizes take turns, so that a slow spell does not bend the line.
+A line a + b n is fitted to the times; its R^2 measures linearity with a constant overhead. The
+slope of the upper half on logarithmic axes is the exponent of growth where the overhead matters
+least. Both use the least time of several runs, because other load only adds time. All sizes run
+in turns, so that slow periods of the machine affect them equally.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate
 
 STEEPEST, LEAST_R2 = 1.1, 0.95
-MODEL_OF = {"angular": "default", "spectrum": "spectrum"}  # with their default presets
+MODEL_OF = {"angular": "default", "spectrum": "spectrum"}  # memory models of default presets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,11 +34,11 @@ class ScalingSizes:
     """Sizes of the scaling benchmark.
 
     Attributes:
-        resolutions: texels per side, with all views of the capture.
-        views: numbers of views; those of the capture are used again and again.
-        resolution: texels per side while views vary.
-        photographs: views and pixels per side of the capture; it is in memory many times.
-        repeats: warm runs of each point.
+        resolutions: Texels per side, with all views of the capture.
+        views: Numbers of views; the views of the capture are repeated.
+        resolution: Texels per side of the curves over views.
+        photographs: Number of views, and pixels per side, of the capture.
+        repeats: Warm runs of each point.
     """
 
     resolutions: tuple[int, ...] = (128, 192, 256, 384, 512)
@@ -74,8 +74,12 @@ class ScalingCase(CaseSubject):
                 "resolution": self.sizes.resolution}  # fmt: skip
 
     def curve(self, method: Any, what: str) -> Record:
-        """Return ``method``, ``what``, the ``points`` (``n``; ``seconds``, a spread;
-        ``allocated_mib``) and the ``line`` of a curve (see ``line``)."""
+        """Return a curve.
+
+        Returns:
+            ``method``; ``what``, the variable; ``points`` with ``n``, ``seconds`` (a spread) and
+            ``allocated_mib``; the fitted ``line`` (see ``line``).
+        """
         views, film = self.sizes.photographs
         capture = self.bench.capture(self.case, "scaling", views=views, film=film, spp=8)
         layout = texels(capture.mesh, self.sizes.resolution)
@@ -100,7 +104,7 @@ def _curves(record: Record) -> list[Record]:
 
 
 def find_bars(record: Record) -> list[Bar]:
-    """Return the bars: no curve is steeper than linear, and a line explains it."""
+    """Return the bars: each curve grows at most linearly, and is linear."""
     bars = []
     for curve in _curves(record):
         name, fit = f"{curve['method']}, seconds by {curve['what']}", curve["line"]
@@ -112,7 +116,7 @@ def find_bars(record: Record) -> list[Bar]:
 
 
 def repeated(capture: Capture, count: int) -> Capture:
-    """Return a capture of ``count`` views: spread over the given ones, or these repeated."""
+    """Return a capture of ``count`` views, at equal steps of the given ones or repeated."""
     chosen = np.arange(count) % capture.count
     if count < capture.count:
         chosen = np.linspace(0, capture.count - 1, count).round().astype(int)
@@ -123,12 +127,12 @@ def line(n: Sequence[float], seconds: Sequence[float]) -> dict[str, float]:
     """Fit a + b n by least squares.
 
     Args:
-        n: at least three sizes, ascending.
-        seconds: their times.
+        n: Sizes, ascending, at least three.
+        seconds: Times of the sizes.
 
     Returns:
-        ``a`` in seconds, ``b`` in seconds per n, ``r2``, and ``slope``: the exponent p of
-        n^p that fits the upper half of the sizes, at least two.
+        ``a`` in seconds; ``b`` in seconds per n; ``r2``; ``slope``, the exponent p of n^p fitted
+        to the upper half of the sizes (at least two).
     """
     x, y = np.array(n, np.float64), np.array(seconds, np.float64)
     b, a = np.polyfit(x, y, 1)
@@ -141,7 +145,7 @@ def line(n: Sequence[float], seconds: Sequence[float]) -> dict[str, float]:
 def _measured(
     sizes: Sequence[tuple[int, Capture, Texels]], method: Any, repeats: int
 ) -> dict[str, Any]:
-    """Measure the sizes in turns, after each was run once (the first twice) for its memory."""
+    """Return the curve of all sizes, run in turns after a first run for kernels and memory."""
 
     def function(size: tuple[int, Capture, Texels]) -> Callable[[], Any]:
         return lambda: estimate(*size[1:], method).entropy
@@ -161,8 +165,8 @@ def _measured(
 
 SHOWN = (
     Column("estimator", lambda curve: curve["method"]),
-    Column("n", lambda curve: curve["what"]),
-    Column("seconds of n", lambda curve: ", ".join(
+    Column("variable n", lambda curve: curve["what"]),
+    Column("seconds by n", lambda curve: ", ".join(
         f"{p['n']:,}: {p['seconds']['low']:.3g}" for p in curve["points"])),
     Column("a", lambda curve: curve["line"]["a"], seconds),
     Column("b", lambda curve: curve["line"]["b"], lambda value: f"{1e6 * value:.3g} us"),
@@ -184,11 +188,12 @@ def _tables(record: Record) -> list[str]:
     case, curves = record["cells"][0], _curves(record)
     of_texels = [curve for curve in curves if curve["what"] == "texels"]
     return [
-        f"Least seconds of several runs by the clock, and a + b n; texels with {case['views']} "
-        f"views, views with {case['resolution']} x {case['resolution']} texels.",
+        f"Least wall-clock seconds of several runs, and the fit a + b n. Curves over texels have "
+        f"{case['views']} views, curves over views have {case['resolution']} x "
+        f"{case['resolution']} texels.",
         tabulate(SHOWN, curves),
-        "How the peak of Dr.Jit's allocator grows with texels; the formula counts all that is "
-        "resident.",
+        "Growth of the peak of Dr.Jit's allocator with texels. The formula is for all resident "
+        "memory.",
         tabulate(MEMORY, of_texels),
     ]
 

@@ -1,7 +1,8 @@
 """``svu bench sureness``: coverage of the intervals of textures and pictures.
-Intervals of textures of every case, recovered by SH; with a prior in common from photographs mostly
-from one side; of what was filled where a third of the surface is in no photograph; and pictures
-under two lights that nothing was recovered from, of some cases.
+
+Measured are intervals of textures recovered by SH; of textures with a shared prior and photographs
+mostly from one side; of filled textures, where no photograph shows a third of the surface; and, for
+some cases, of pictures under two lights that were not used for recovery.
 """
 
 from __future__ import annotations
@@ -43,22 +44,21 @@ from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureFiel
 
 RELIT_CASES, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
 FRONT_VIEWS, BACK_VIEWS = 18, 4
-LOWEST, HIGHEST = 0.82, 0.96  # of the means over cases; of pictures .80 and .97
-WORST = 0.65
-HIDDEN = 1 / 3  # part of the surface
-# Objects that are turned, or put together from pieces of one material; others show on one side what
-# they do not on another.
+LOWEST, HIGHEST = 0.82, 0.96  # bars of means over cases
+WORST = 0.65  # bar of the worst case
+HIDDEN = 1 / 3  # share of the surface without photographs
+# Objects with rotational symmetry or with parts of one material; other objects have materials that
+# occur on one side only.
 REPEATING = ("vase", "spheres", "barrel", "chess_king_black", "chess_rook_white")
-WIDTH = 1.645  # standard deviations of a normal distribution that 90 % lie within
+WIDTH = 1.645  # half width of the 90 % interval of a normal distribution
 
 
 @dataclass(frozen=True)
 class SurenessCase(CaseSubject):
-    """A case whose textures are recovered, with how sure they are.
+    """A case whose textures are recovered with intervals.
 
     Attributes:
-        others: the same object under lights that it was not photographed under; none where no
-            pictures are judged.
+        others: Same object under other lights; empty without relit pictures.
     """
 
     others: Sequence[Case]
@@ -73,15 +73,15 @@ class SurenessCase(CaseSubject):
 
     @cached_property
     def textures_and_field(self) -> tuple[Recovery, TextureField]:
-        """Textures from photographs all around, and the field around them."""
+        """Textures from photographs all around, and their posterior field."""
         return _recovered(self._some(self.capture), self.layout)
 
     def textures(self) -> Record:
-        """Return ``interval_coverage`` of all texels that a photograph shows."""
+        """Return ``interval_coverage`` of visible texels."""
         return interval_coverage(*self.textures_and_field, self.truth)
 
     def shared(self) -> Record:
-        """Return the same with a prior in common, from photographs mostly from one side."""
+        """Return ``interval_coverage`` with a shared prior and views mostly from one side."""
         scale = 1.0 if self.capture.count >= FRONT_VIEWS + BACK_VIEWS else 0.25
         front, back = (max(int(scale * count), 1) for count in (FRONT_VIEWS, BACK_VIEWS))
         uneven = uneven_views(self.capture, front, back)
@@ -89,8 +89,13 @@ class SurenessCase(CaseSubject):
         return interval_coverage(*recovered, self.truth)
 
     def filled(self) -> Record:
-        """Return scores of filling a third of the surface that is never seen: ``psnr_before``,
-        ``psnr`` (dB, average texture PSNR of these texels), ``held`` by parameter, ``likeness``."""
+        """Return scores of a filled third of the surface.
+
+        Returns:
+            ``hidden``, its share of the texels; ``held``, coverage of intervals by parameter;
+            ``repeats``; ``likeness``, main predictor by parameter; ``psnr_before`` and ``psnr``,
+            average PSNR (dB) before and after.
+        """
         layout, truth = self.layout, self.truth
         recovery, field = _recovered(_hiding(self.capture, layout), layout)
         seen = recovery.coverage > 0
@@ -109,8 +114,11 @@ class SurenessCase(CaseSubject):
         }  # fmt: skip
 
     def pictures(self) -> Record:
-        """Return ``held``, the part of pixel channels whose truth is within 1.64 sd; ``spearman``
-        of sd and error; ``psnr_gain`` of the mean of draws over the picture; and ``seconds``."""
+        """Return scores of relit pictures, mean over lights.
+
+        Returns:
+            ``seconds``, and the entries of ``pixel_coverage``.
+        """
         recovery, field = self.textures_and_field
         draws, records = list(field.draw(DRAWS)), []
         for other in self.others:
@@ -136,7 +144,7 @@ PARTS = tuple(
 
 
 def _hiding(capture: Capture, layout: Texels) -> Capture:
-    """Return the photographs from one side that leave about a third of the surface unseen."""
+    """Return photographs from one side that do not show about a third of the surface."""
     seen = observe(capture, layout)
     lane = dr.arange(mi.UInt32, layout.count)
     shows = np.stack([
@@ -173,7 +181,7 @@ def interval_coverage(recovery: Recovery, field: TextureField, truth: TrueTextur
 
 
 def _truth(capture: Capture) -> list[np.ndarray]:
-    """Render the true object as ``relight_draws`` renders others, with the same random numbers."""
+    """Render the true object with the random numbers of ``relight_draws``."""
     pictures = SensorPixels(capture.sensors)
     integrator = mi.load_dict({"type": "path", "max_depth": path_length(capture.scene)})
     everything = [np.ones((height, width), bool) for width, height in pictures.sizes]
@@ -181,7 +189,12 @@ def _truth(capture: Capture) -> list[np.ndarray]:
 
 
 def pixel_coverage(views: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
-    """Compare pictures with the truth, pixels of the object only."""
+    """Compare relit pictures with the truth, over pixels of the object.
+
+    Returns:
+        ``held``, share of channels within 1.64 standard deviations; ``spearman`` of standard
+        deviation and error; ``psnr_gain`` of the mean of draws over the picture.
+    """
     sds, errors, inside = [], [], []
     squares = np.zeros(2)
     for view, true in zip(views, truth, strict=True):
@@ -199,7 +212,7 @@ def pixel_coverage(views: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
 
 
 def find_bars(record: Record) -> list[Bar]:
-    """Return the bars that a record has figures for."""
+    """Return the bars of a record of ``svu bench sureness``."""
     bars, rows = [], [case["rows"] for case in record["cells"]]
     for part, least in (("textures", LOWEST), ("shared", 0.78)):
         parts = [row[part] for row in rows if part in row]
@@ -258,7 +271,7 @@ def _bars_of_filling(filled: Sequence[Record]) -> list[Bar]:
 
 
 def tables(record: Record) -> list[str]:
-    """Return the tables of a record."""
+    """Return the tables of a record of ``svu bench sureness``."""
     lines = [(case["cell"], case["rows"]) for case in record["cells"]]
     count = len(lines)
     mean = {
@@ -266,7 +279,7 @@ def tables(record: Record) -> list[str]:
                for name in NAMES}
         for part in ("textures", "shared")
     }  # fmt: skip
-    shown = [Column("cell", lambda line: line[0])]
+    shown = [Column("case", lambda line: line[0])]
     for part, title in (("textures", ""), ("shared", ", shared, one-sided")):
         shown += [
             Column(f"{name}{title}", _figure(part, "held", name), digits(2)) for name in NAMES
@@ -274,14 +287,15 @@ def tables(record: Record) -> list[str]:
         shown.append(Column(f"Spearman{title}", _figure(part, "spearman"),
                             digits(2)))  # fmt: skip
     shown += [
-        Column("filled, hidden", _figure("filled", "hidden"), digits(2)),
-        Column("before", _figure("filled", "psnr_before"), digits(2)),
-        Column("PSNR", _figure("filled", "psnr"), digits(2)),
-        Column("held", lambda line: _mean(line[1]["filled"]["held"].values()), digits(2)),
-        Column("by", lambda line: ", ".join(dict.fromkeys(line[1]["filled"]["likeness"].values()))),
-        Column("pixels", _figure("pictures", "held"), digits(2)),
+        Column("filled: share of texels", _figure("filled", "hidden"), digits(2)),
+        Column("PSNR before", _figure("filled", "psnr_before"), digits(2)),
+        Column("PSNR after", _figure("filled", "psnr"), digits(2)),
+        Column("intervals", lambda line: _mean(line[1]["filled"]["held"].values()), digits(2)),
+        Column("predictor",
+               lambda line: ", ".join(dict.fromkeys(line[1]["filled"]["likeness"].values()))),
+        Column("pixels within 1.64 sd", _figure("pictures", "held"), digits(2)),
         Column("Spearman, pixels", _figure("pictures", "spearman"), digits(2)),
-        Column("draws' mean", _figure("pictures", "psnr_gain"),
+        Column("PSNR of the mean of draws", _figure("pictures", "psnr_gain"),
                lambda value: f"{value:+.1f} dB"),
         Column("time", _figure("pictures", "seconds"), seconds),
     ]  # fmt: skip
@@ -290,8 +304,8 @@ def tables(record: Record) -> list[str]:
         for part, of in mean.items() if any(of.values())
     )  # fmt: skip
     return [
-        "The part of texels that a photograph shows whose 90 % interval holds the truth; and of "
-        f"the object's pixels under other lights. Means over {count} cells: {words}.",
+        "Share of visible texels whose 90 % interval contains the truth, and of the object's "
+        f"pixels under other lights. Means over {count} cases: {words}.",
         tabulate(shown, lines),
     ]
 
@@ -301,7 +315,7 @@ def _mean(values: Collection[float]) -> float | None:
 
 
 def _figure(*path: str) -> Callable[[tuple[str, Any]], Any]:
-    """Return a getter of a line's figure by a path of names; it returns None without the figure."""
+    """Return a function that returns an entry of a line by its path of names, or None."""
     return lambda line: reduce(lambda record, name: record and record.get(name), path, line[1])
 
 
@@ -322,5 +336,5 @@ def _others(case: Case, data: Path | None, workspace: Path) -> list[Case]:
     return [around[(first + k) % len(around)] for k in range(1, min(LIGHTS, len(around) - 1) + 1)]
 
 
-STUDY = Study(title="How sure recovered textures are", experiment=_experiment, tables=tables,
-              bars=find_bars)  # fmt: skip
+STUDY = Study(title="Intervals of recovered textures and pictures", experiment=_experiment,
+              tables=tables, bars=find_bars)  # fmt: skip

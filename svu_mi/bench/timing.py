@@ -25,14 +25,14 @@ from svu_mi.errors import SvuEnvironmentError
 
 @dataclass(frozen=True)
 class Timed:
-    """A result with timings of its own, and how long it took to get it.
+    """A result and its run time.
 
     Attributes:
-        result: what was computed, such as an ``Estimate`` or a ``Recovery``.
-        seconds: all together; the median, if there were several runs.
-        timings: seconds by stage, medians likewise.
-        compiled: kernels compiled meanwhile; 0 if it was warm.
-        runs: number of runs.
+        result: Result with ``timings``, such as an ``Estimate`` or a ``Recovery``.
+        seconds: Total time, median over runs.
+        timings: Seconds by stage, median over runs.
+        compiled: Number of compiled kernels; 0 for warm runs.
+        runs: Number of runs.
     """
 
     result: Any
@@ -43,7 +43,7 @@ class Timed:
 
 
 def time_once(function: Callable[[], Any]) -> Timed:
-    """Run a function that returns a result with ``timings``."""
+    """Time a function that returns a result with ``timings``."""
     dr.sync_thread()
     compiled, start = compiled_kernels(), time.perf_counter()
     result = function()
@@ -53,12 +53,12 @@ def time_once(function: Callable[[], Any]) -> Timed:
 
 
 def time_warm(function: Callable[[], Any], repeats: int = 1, long_s: float = math.inf) -> Timed:
-    """Time a function whose kernels are compiled: it runs again if it had to compile some.
+    """Time a function with compiled kernels; a first run that compiles some is discarded.
 
     Args:
-        function: as for ``time_once``.
-        repeats: runs that count.
-        long_s: a function that takes longer, in seconds, runs once, whatever it compiles.
+        function: Returns a result with ``timings``.
+        repeats: Number of timed runs.
+        long_s: Run time in seconds above which the first run is the only one.
     """
     runs = [time_once(function)]
     if runs[0].compiled and runs[0].seconds < long_s:
@@ -75,21 +75,21 @@ def time_warm(function: Callable[[], Any], repeats: int = 1, long_s: float = mat
     )
 
 
-WARM_UP = 2  # the second run can compile too: what was a literal in the first is an array then
-MILLISECOND = 1e-3  # Dr.Jit's unit of time
+WARM_UP = 2  # literals of the first run can be arrays in the second, which then compiles too
+MILLISECOND = 1e-3  # unit of Dr.Jit's times
 
 
 @dataclass(frozen=True)
 class KernelRun:
-    """One run of a function, the device synchronised at both ends.
+    """Times of one run of a function, with the device synchronised at both ends.
 
     Attributes:
-        wall: seconds by the clock, with the tracing of kernels in Python.
-        kernel: seconds in kernels.
-        compile: seconds of the backend, for kernels that are in no cache.
-        compiled: number of these.
-        launched: number of kernels launched.
-        operations: of all kernels that the function traced.
+        wall: Wall-clock seconds, including tracing in Python.
+        kernel: Seconds in kernels.
+        compile: Seconds of the backend for kernels that were not cached.
+        compiled: Number of compiled kernels.
+        launched: Number of launched kernels.
+        operations: Number of operations of all traced kernels.
     """
 
     wall: float
@@ -101,10 +101,10 @@ class KernelRun:
 
 
 def run(function: Callable[[], Any]) -> KernelRun:
-    """Run a function once.
+    """Time one run of a function.
 
     Args:
-        function: returns Dr.Jit arrays, which are evaluated, or None.
+        function: Returns Dr.Jit arrays, which are evaluated, or None.
     """
     dr.sync_thread()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -127,8 +127,12 @@ def run(function: Callable[[], Any]) -> KernelRun:
 
 
 def summary(runs: Sequence[KernelRun]) -> dict[str, Any]:
-    """Return ``wall`` and ``kernel``, each the ``spread`` of its seconds over the runs;
-    ``launched`` and ``operations`` of one run; ``repeats``; ``compiled``, 0 if warm."""
+    """Summarise runs.
+
+    Returns:
+        ``wall`` and ``kernel``, each a ``spread`` over the runs; ``launched`` and ``operations``
+        of one run; number of runs, ``repeats``; number of ``compiled`` kernels.
+    """
     return {
         "wall": spread([one.wall for one in runs]),
         "kernel": spread([one.kernel for one in runs]),
@@ -140,7 +144,7 @@ def summary(runs: Sequence[KernelRun]) -> dict[str, Any]:
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:
-    """Return ``median``, ``low`` (the least) and ``high`` (the greatest)."""
+    """Return ``median``, minimum (``low``) and maximum (``high``)."""
     return {
         "median": statistics.median(values),
         "low": min(values),
@@ -151,14 +155,14 @@ def spread(values: Sequence[float]) -> dict[str, float]:
 def measure_in_turns(
     functions: Mapping[str, Callable[[], Any]], repeats: int
 ) -> dict[str, dict[str, Any]]:
-    """Time functions that are to be compared: a slow spell of the machine then hits them all.
+    """Time functions in turns, so that slow periods of the machine affect all of them.
 
     Args:
-        functions: by name, each as for ``run``.
-        repeats: number of runs of each that count.
+        functions: Functions for ``run``, by name.
+        repeats: Number of timed runs of each function.
 
     Returns:
-        What ``summary`` returns, by name.
+        Results of ``summary`` by name.
     """
     rounds = [
         {name: run(function) for name, function in functions.items()}
@@ -167,7 +171,7 @@ def measure_in_turns(
     return {name: summary([one[name] for one in rounds[WARM_UP:]]) for name in functions}
 
 
-# svu_mi first: it chooses LLVM. The variant is set here because this is the whole program.
+# svu_mi comes first, because it selects LLVM.
 PROGRAM = """
 import svu_mi, mitsuba, drjit, sys
 mitsuba.set_variant(sys.argv[1])
@@ -183,15 +187,15 @@ def in_new_process(function: Callable[..., dict[str, Any]], **arguments: Any) ->
     """Call a function of a module in a new process.
 
     Args:
-        function: takes and returns what JSON can hold.
-        **arguments: for it.
+        function: Takes and returns JSON values.
+        **arguments: Arguments of the function.
 
     Returns:
-        What it returns, and ``process_seconds`` with start, imports and everything else, and
-        ``peak_mib``, the most memory that was resident, None where the system does not tell.
+        The result of the function, with ``process_seconds``, which includes start and imports,
+        and ``peak_mib``, the peak of resident memory, None if the system does not report it.
 
     Raises:
-        SvuEnvironmentError: the process failed; the sentence is its last one.
+        SvuEnvironmentError: The process failed; the message contains its last line.
     """
     start = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="svu-cold-") as cache:
@@ -203,22 +207,22 @@ def in_new_process(function: Callable[..., dict[str, Any]], **arguments: Any) ->
         )  # fmt: skip
     if done.returncode != 0:
         lines = done.stderr.strip().splitlines() or ["no message"]
-        raise SvuEnvironmentError(f"{function.__qualname__}() failed when cold: {lines[-1]}")
+        raise SvuEnvironmentError(f"{function.__qualname__}() failed in a new process: {lines[-1]}")
     record: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return {**record, "process_seconds": time.perf_counter() - start}
 
 
 def child(module: str, name: str, arguments: str) -> None:
-    """Call the function and print its result as one line of JSON."""
+    """Call a function and print its result as one line of JSON."""
     function = getattr(importlib.import_module(module), name)
     record = {**function(**json.loads(arguments)), "peak_mib": memory_mib("VmHWM")}
     sys.stdout.write(json.dumps(record) + "\n")
 
 
 def allocated_mib(function: Callable[[], Any]) -> float:
-    """Return the most memory, in MiB, that Dr.Jit's allocator held while a function ran.
+    """Return the peak of Dr.Jit's allocator in MiB while a function runs.
 
-    On a GPU that of the device. What was held before counts as well.
+    On a GPU this is device memory. Memory that was allocated before is included.
     """
     dr.sync_thread()
     dr.flush_malloc_cache()
@@ -229,6 +233,6 @@ def allocated_mib(function: Callable[[], Any]) -> float:
 
 
 def memory_mib(kind: str) -> float | None:
-    """Return memory of this process in MiB (``memory.held``)."""
+    """Return the memory of this process in MiB (``memory.held``)."""
     size = held(kind)
     return None if size is None else size / 2**20

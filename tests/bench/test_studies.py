@@ -122,7 +122,7 @@ def test_the_clock_sees_kernels_and_compilation():
 
 @pytest.mark.slow
 def test_a_failed_process_says_why(tmp_path):
-    with pytest.raises(SvuEnvironmentError, match="failed when cold: .*nowhere"):
+    with pytest.raises(SvuEnvironmentError, match="failed in a new process: .*nowhere"):
         arguments = {"source": str(tmp_path / "nowhere"), "resolution": 8, "method": "angular"}
         in_new_process(run_from_files, **arguments)
 

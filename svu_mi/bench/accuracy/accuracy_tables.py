@@ -193,6 +193,7 @@ def mean_of(values: Sequence[Any]) -> Any:
 
 
 MAX_CASES = 6  # rows of the scatter plot
+OTHER_NOISE = ("angular default", "angular fast")  # estimate the noise that the reference assumes
 
 
 def _styles(rows: list[Record]) -> dict[str, tuple[str, str]]:
@@ -213,7 +214,8 @@ def time_error(records: Record) -> Figure:
         low, high = row["pearson"]["low"], row["pearson"]["high"]
         spread = None if low is None else [[max(0, high - 1 + error)], [1 - low - error]]
         axes.errorbar(row["seconds"], error, spread, fmt=mark, color=color, markersize=9,
-                      capsize=3, elinewidth=1, label=row["label"], zorder=3)  # fmt: skip
+                      capsize=3, elinewidth=1, zorder=3, label=row["label"]
+                      + " (other noise)" * (row["label"] in OTHER_NOISE))  # fmt: skip
     times = _reference_points(axes, records) + [row["seconds"] for row in estimators]
     time_axis(axes, times)
     for row in rows:

@@ -1,4 +1,4 @@
-"""``svu bench guidance``: views added by every strategy, and textures recovered from them."""
+"""``svu bench guidance``: views chosen by each strategy, and textures recovered from them."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from svu_mi.recovery.recover import recover
 
 @dataclass(frozen=True)
 class StrategyRow:
-    """A way of choosing views, by its name in the table of strategies."""
+    """A strategy of ``guidance.strategies.TABLE``, by name."""
 
     label: str
 
 
 @dataclass(frozen=True)
 class ViewSelectionCase(CaseSubject):
-    """A photographer who has photographed everything, and lets strategies choose.
+    """A case with photographs of all candidates, among which strategies choose.
 
     Attributes:
-        number: of the start; each has random views of its own.
-        kind: of the start, see ``GuidanceSizes``.
+        number: Number of the initial set of views, which determines its random views.
+        kind: Kind of the initial set, see ``GuidanceSizes``.
     """
 
     number: int
@@ -66,7 +66,7 @@ class ViewSelectionCase(CaseSubject):
 
     @property
     def seed(self) -> int:
-        """Of the start, and of the random strategy: no two cases share their luck."""
+        """Seed of the initial set and of the random strategy, different for each case."""
         return zlib.crc32(f"{self.case.name} {self.number}".encode())
 
     def settings(self, row: StrategyRow | None) -> Any:
@@ -78,15 +78,14 @@ class ViewSelectionCase(CaseSubject):
         )  # fmt: skip
 
     def head(self) -> Record:
-        """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: its ``score``,
-        and ``agreement`` of forecasts."""
+        """Return names, initial views (``start``), their score (``first``) and ``agreement``."""
         return {
             "cell": self.case.title, "object": self.case.object, "kind": self.kind,
             "start": self.start, "first": self.first, "agreement": self.agreement(),
         }  # fmt: skip
 
     def measure(self, row: StrategyRow) -> Record:
-        """Return the ``order`` of a strategy, and its ``score`` at each mark, as lists."""
+        """Return the ``order`` of added views, and lists of scores at each mark."""
         order = self.order(row.label)
         marks = self.sizes.marks
         points = [self.first, *(self.score(self.start + order[:mark]) for mark in marks)]
@@ -104,13 +103,12 @@ class ViewSelectionCase(CaseSubject):
 
     @cached_property
     def first(self) -> Record:
-        """``score`` of the start."""
+        """Score of the initial views."""
         return self.score(self.start)
 
     @cached_property
     def start(self) -> list[int]:
-        """Views of the start: one drawn at random, and the farthest from those before; or the
-        nearest to it."""
+        """Initial views: a random one, and farthest-point samples or its nearest neighbours."""
         rng = np.random.default_rng(self.seed)
         first = int(rng.integers(self.capture.count))
         if self.kind == "even":
@@ -120,14 +118,14 @@ class ViewSelectionCase(CaseSubject):
 
     @cached_property
     def visible(self) -> np.ndarray:
-        """(T,) bool, texels that any view shows."""
+        """Texels that are visible in any view, (T,) bool."""
         return np.array(estimate(self.capture, self.layout, preset="fast").coverage) > 0
 
     def order(self, strategy: str) -> list[int]:
-        """Return the views that a strategy adds to the start, in order.
+        """Return the views that a strategy adds to the initial ones, in order.
 
-        After each, it has the photograph: what it forecasts from is estimated again. Others know
-        their order at once.
+        Strategies with forecasts estimate again from the photograph of each added view. Other
+        strategies choose all views at once.
         """
         count = max(self.sizes.marks)
         if strategy == "farthest":
@@ -145,8 +143,12 @@ class ViewSelectionCase(CaseSubject):
         return chosen[len(self.start) :]
 
     def score(self, views: list[int]) -> Record:
-        """Return ``psnr`` of recovered textures over all visible texels, by parameter and
-        ``average``, and ``entropy``, the mean over these texels, unseen ones counting as 1."""
+        """Return scores over all texels that any view shows.
+
+        Returns:
+            ``psnr`` of recovered textures by parameter, and ``average``; ``entropy``, the mean,
+            in which texels without a photograph count as 1.
+        """
         taken = chosen_views(self.capture, views)
         textures = recover(taken, self.layout, "sh").textures
         entropy = np.array(estimate(taken, self.layout).entropy, np.float64)
@@ -156,11 +158,11 @@ class ViewSelectionCase(CaseSubject):
         }
 
     def agreement(self) -> Record:
-        """Compare the forecast at the start with the actual changes.
+        """Compare expected and measured changes of the mean entropy.
 
         Returns:
-            Per candidate ``gains``, expected changes of the mean entropy, and ``changes``,
-            those of ``estimate`` once its photograph is there; and their ``correlation``.
+            Per candidate ``gains``, the expected decrease, and ``changes``, the decrease with the
+            photograph of the candidate; and their ``correlation``.
         """
         left = [view for view in range(self.capture.count) if view not in self.start]
         tried = left[:: max(1, len(left) // self.sizes.asked)][: self.sizes.asked]
@@ -178,7 +180,7 @@ class ViewSelectionCase(CaseSubject):
         }  # fmt: skip
 
     def _farthest(self, views: list[int], count: int) -> list[int]:
-        """Return views, and ``count`` more by farthest-point sampling."""
+        """Return the views, followed by ``count`` farthest-point samples."""
         return farthest(self._directions, views, count)
 
     @cached_property
@@ -194,7 +196,7 @@ def _mean_entropy(result: Estimate) -> float:
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
     sizes = bench.sizes.guidance
     chosen = first_lights(selection.cases, sizes.lights)
-    # Every case once before any twice: an interrupted run has seen them all.
+    # All cases once before any twice, so that interrupted runs contain all cases.
     starts = itertools.product(range(sizes.starts), sizes.kinds, chosen)
     subjects = (ViewSelectionCase(bench, case, number, kind) for number, kind, case in starts)
     return Experiment("guidance", subjects, whole=True)
@@ -210,6 +212,6 @@ def first_lights(cases: Sequence[Case], count: int) -> list[Case]:
 
 
 STUDY = Study(
-    title="Views to photograph next", experiment=_experiment, tables=guidance_tables,
+    title="Guidance: views to photograph next", experiment=_experiment, tables=guidance_tables,
     bars=find_bars, plots={"guidance": draw_guidance},
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Significance, bars, tables and the plot of the guidance benchmark."""
+"""Bars, tables, significance and plot of the guidance benchmark."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Times as many views as the judged strategy that farthest-point sampling needs, by kind of start.
+# Bars of the ratio of views, farthest-point sampling over ours, by kind of the initial set.
 FEWER = {"even": 1.4, "one-sided": 1.2}
-AGREES = 0.8  # mean correlation of forecasts with what photographs change
-LUCK = 0.01
+AGREES = 0.8  # bar of the mean correlation of expected and measured changes
+SIGNIFICANT = 0.01  # bar of p
 
 
 def views_needed(marks: tuple[int, ...], psnr: list[float], step: float) -> float:
-    """Return the added views, interpolated, from which PSNR stays ``step`` dB over the start's.
+    """Return the interpolated number of added views after which the gain stays above ``step``.
 
     Args:
-        marks: numbers of added views.
-        psnr: at 0 and at each of them, dB.
-        step: dB.
+        marks: Numbers of added views.
+        psnr: PSNR in dB at 0 and at each mark.
+        step: Gain in dB.
 
     Returns:
-        NaN if the last value is below.
+        Number of views; NaN if the last gain is below ``step``.
     """
     places, over = [0, *marks], np.asarray(psnr) - psnr[0] - step
     if over[-1] < 0:
@@ -53,15 +53,15 @@ def views_needed(marks: tuple[int, ...], psnr: list[float], step: float) -> floa
 
 
 def mean_increase(marks: tuple[int, ...], values: list[float]) -> float:
-    """Return the mean increase of a curve over its start, by the trapezoidal rule."""
+    """Return the mean increase of a curve above its first value, by the trapezoidal rule."""
     places = np.array([0, *marks], float)
     return float(np.trapezoid(np.asarray(values) - values[0], places) / places[-1])
 
 
 def object_curves(runs: list[Record], strategy: str, name: str = "psnr") -> np.ndarray:
-    """Return a strategy's curve above the start, (objects, 1 + marks).
+    """Return the curves of a strategy minus their first values, (objects, 1 + marks).
 
-    Starts and lights of one object are not independent samples: they are averaged.
+    Runs of one object are averaged, because they are not independent samples.
     """
     by_object: dict[str, list[np.ndarray]] = {}
     for run in runs:
@@ -71,17 +71,17 @@ def object_curves(runs: list[Record], strategy: str, name: str = "psnr") -> np.n
 
 
 def mean_curve(runs: list[Record], strategy: str, name: str = "psnr") -> list[float]:
-    """Return the mean over objects of ``object_curves``."""
+    """Return the mean of ``object_curves`` over objects."""
     return object_curves(runs, strategy, name).mean(axis=0).tolist()
 
 
 def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> list[Record]:
-    """Compare the judged strategies with every other, in pairs over objects.
+    """Compare the judged strategies with all others, in pairs over objects.
 
     Returns:
-        Per pair ``strategy`` and ``other``, ``difference`` of mean gains, ``p`` of a paired t-test
-        (two-sided, not corrected for the number of pairs), ``objects``, and of how many of them
-        the first is ``better``.
+        Per pair: ``strategy``, ``other``, ``difference`` of mean gains, ``p`` of a paired t-test
+        (two-sided, not corrected for the number of pairs), number of ``objects``, and number of
+        objects for which the first is ``better``.
     """
     sign = -1.0 if name == "entropy" else 1.0
     gains = {
@@ -103,9 +103,9 @@ def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> lis
 
 
 def views_ratio(runs: list[Record], sizes: GuidanceSizes, first: str, other: str) -> float:
-    """Return how many times as many views another strategy needs on the mean curve.
+    """Return the ratio of the views that two strategies need, ``other`` over ``first``.
 
-    If it does not get there at all, at least so many; NaN if the first does not.
+    It is a lower bound if the other curve stays below the step, and NaN if the first does.
     """
     needed, others = (
         views_needed(sizes.marks, mean_curve(runs, s), sizes.step) for s in (first, other)
@@ -114,28 +114,25 @@ def views_ratio(runs: list[Record], sizes: GuidanceSizes, first: str, other: str
 
 
 def find_bars(record: Record) -> list[Bar]:
-    """Return the bars that a record has figures for.
-
-    Args:
-        record: of ``svu bench guidance``.
-    """
+    """Return the bars of a record of ``svu bench guidance``."""
     runs, sizes = record["cells"], record["sizes"].guidance
     bars = []
     for kind in dict.fromkeys(run["kind"] for run in runs):
         own = [run for run in runs if run["kind"] == kind]
         for first in sizes.judged:
-            what = (f"{kind} starts: views that farthest needs for +{sizes.step:g} dB, mean curve, "
-                    f"over {first}'s")  # fmt: skip
-            times = views_ratio(own, sizes, first, "farthest")
-            bars.append(Bar(what, times, FEWER[kind], "times", least=True))
+            title = f"{kind} starts: views for +{sizes.step:g} dB, farthest over {first}"
+            ratio = views_ratio(own, sizes, first, "farthest")
+            bars.append(Bar(title, ratio, FEWER[kind], least=True))
         agreement = float(np.mean([run["agreement"]["correlation"] for run in own]))
-        what = f"{kind} starts: correlation of expected and real change of entropy, mean"
-        bars.append(Bar(what, agreement, AGREES, least=True))
+        title = f"{kind} starts: correlation of expected and measured change of entropy, mean"
+        bars.append(Bar(title, agreement, AGREES, least=True))
     for comparison in compare(runs, sizes) if runs else ():
         if comparison["other"] in ("coverage", "random"):
-            what = f"{comparison['strategy']} over {comparison['other']}: mean gain of texture PSNR"
-            bars.append(Bar(what, comparison["difference"], 0.0, "dB", least=True))
-            bars.append(Bar(f"{what}: p of a paired t-test over objects", comparison["p"], LUCK))
+            title = f"{comparison['strategy']} over {comparison['other']}: mean gain of PSNR"
+            bars.append(Bar(title, comparison["difference"], 0.0, "dB", least=True))
+            bars.append(
+                Bar(f"{title}: p of a paired t-test over objects", comparison["p"], SIGNIFICANT)
+            )
     return bars
 
 
@@ -149,11 +146,7 @@ COMPARED = (
 
 
 def guidance_tables(record: Record) -> list[str]:
-    """Return the tables of a record.
-
-    Args:
-        record: of ``svu bench guidance``.
-    """
+    """Return the tables of a record of ``svu bench guidance``."""
     runs, sizes = record["cells"], record["sizes"].guidance
     if not runs:
         return []
@@ -166,23 +159,23 @@ def guidance_tables(record: Record) -> list[str]:
     entropies = [[s, *(f"{v:+.3f}" for v in mean_curve(runs, s, "entropy")[1:])]
                  for s in sizes.strategies]  # fmt: skip
     parts = [
-        f"{len(runs)} starts of {sizes.start} photographs. Average texture PSNR, recovered by SH, "
-        "above that of the start (dB), by the number of added views; means over objects. Texels "
-        "that any view sees count, also before they are seen.",
+        f"{len(runs)} initial sets of {sizes.start} photographs. Gain in average PSNR (dB) of "
+        "textures recovered by SH, by number of added views; means over objects. All texels that "
+        "any candidate shows are included.",
         table(("strategy", *marks, f"views for +{sizes.step:g} dB"), gains),
-        "Mean entropy, relative to the start's.",
+        "Change of the mean entropy since the initial set.",
         table(("strategy", *marks), entropies),
     ]
-    for name, what in (("psnr", "PSNR (dB)"), ("entropy", "entropy (positive: lower)")):
+    for name, title in (("psnr", "PSNR (dB)"), ("entropy", "entropy (positive: lower)")):
         parts += [
-            f"Mean gain in {what} of one strategy over another; paired t-test over objects.",
+            f"Mean gain in {title} of one strategy over another; paired t-test over objects.",
             tabulate(COMPARED, compare(runs, sizes, name)),
         ]
     return [*parts, *_cases(runs, sizes)]
 
 
 def _cases(runs: list[Record], sizes: GuidanceSizes) -> list[str]:
-    """Mean gain of PSNR in every case, starts averaged."""
+    """Return the mean gain of PSNR of every case, mean over its initial sets."""
     rows = []
     for case in dict.fromkeys(run["cell"] for run in runs):
         own = [run for run in runs if run["cell"] == case]
@@ -191,8 +184,8 @@ def _cases(runs: list[Record], sizes: GuidanceSizes) -> list[str]:
             for s in sizes.strategies
         ]
         rows.append([case, *(f"{gain:+.2f}" for gain in gains)])
-    return ["Mean gain of PSNR over all added views, by cell (dB).",
-            table(("cell", *sizes.strategies), rows)]  # fmt: skip
+    return ["Mean gain of PSNR over all added views, by case (dB).",
+            table(("case", *sizes.strategies), rows)]  # fmt: skip
 
 
 def _needed(value: float, sizes: GuidanceSizes) -> str:
@@ -200,19 +193,19 @@ def _needed(value: float, sizes: GuidanceSizes) -> str:
 
 
 def draw_guidance(records: Record) -> Figure:
-    """Draw both curves of every strategy, from the records of all benchmarks."""
+    """Plot PSNR and entropy of every strategy by number of added views."""
     runs, sizes = records["guidance"]["cells"], records["guidance"]["sizes"].guidance
     figure = page(12.0, 4.6)
     left, right = figure.subplots(1, 2)
-    _curves(left, runs, sizes, "psnr", "average texture PSNR over the start's (dB)")
+    _curves(left, runs, sizes, "psnr", "gain in average texture PSNR (dB)")
     left.axhline(sizes.step, color=INK, linewidth=0.6, linestyle=":")
-    _curves(right, runs, sizes, "entropy", "mean entropy, relative to the start's")
+    _curves(right, runs, sizes, "entropy", "change of the mean entropy")
     left.legend(frameon=False, fontsize=8)
     return figure
 
 
 def _curves(axes: Axes, runs: list[Record], sizes: GuidanceSizes, name: str, label: str) -> None:
-    """Mean over objects, and its standard error as a band."""
+    """Plot the mean over objects, with its standard error as a band."""
     places = [0, *sizes.marks]
     for k, strategy in enumerate(sizes.strategies):
         color, mark = COLORS[k % len(COLORS)], MARKS[k % len(MARKS)]
@@ -224,5 +217,5 @@ def _curves(axes: Axes, runs: list[Record], sizes: GuidanceSizes, name: str, lab
         axes.plot(places, mean, mark + "-", label=strategy, **style)
         axes.fill_between(places, mean - error, mean + error, color=color, alpha=0.12, linewidth=0)
     axes.set(xlabel="photographs added", ylabel=label)
-    axes.set_title(f"{len(runs)} starts of {sizes.start} photographs", fontsize=10, color=INK)
+    axes.set_title(f"{len(runs)} initial sets of {sizes.start} photographs", fontsize=10, color=INK)
     tidy(axes)

@@ -1,8 +1,8 @@
-"""``svu bench orb``: Stanford-ORB, by its own rules.
+"""``svu bench orb``: Stanford-ORB, by the rules of the data set.
 
-Textures are recovered from every capture, and pictures of them compared with its photographs.
-``targets`` are these photographs, ``metrics`` the rules; ``dataset`` renders a small set of
-svu_mi's own scenes in the same layout.
+Textures are recovered from every capture, and rendered pictures are compared with photographs.
+``orb_targets`` contains these photographs, ``orb_metrics`` the rules; ``dataset`` renders a small
+data set of svu_mi's scenes in the same layout.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ PLACE = "orb"  # folder of finished results
 
 @dataclass(frozen=True)
 class OrbRow(RecoveryMethod):
-    """A way of recovery for real photographs: paths have all the bounces of the scene."""
+    """A recovery method for real photographs, with all bounces of the scene."""
 
     def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
-        """Return the presets' options (see ``RecoveryMethod``)."""
+        """Return the options of the presets (see ``RecoveryMethod``)."""
         sh, path = super().options(scale)
         return sh, replace(path, max_depth=None)
 
 
-# Those of the paper's Table 1: SH model, power spectrum, SH and one epoch of paths, Mitsuba.
+# Ours, and the methods of Table 1: SH model, power spectrum, SH and one epoch of paths, Mitsuba.
 ROWS = tuple(
     OrbRow(row.label, row.method, row.sh, row.path, row.sharing)
     for row in (
@@ -69,11 +69,11 @@ class OrbSizes:
     """Sizes of the Stanford-ORB benchmark; part of every cache key.
 
     Attributes:
-        film: pixels of the longer side that photographs are reduced to, before anything else;
-            512 is that of the data set's own evaluation.
-        texels: texels per side.
-        spp: samples per pixel of the pictures.
-        recovery: whether runs are warm, and how often they are timed (``bench.sizes``).
+        film: Longer side in pixels to which photographs are reduced first; the evaluation of the
+            data set uses 512.
+        texels: Texels per side.
+        spp: Samples per pixel of the pictures.
+        recovery: Options of the timed runs.
     """
 
     film: int = 512
@@ -88,15 +88,15 @@ QUICK = OrbSizes(film=128, texels=128, spp=64, recovery=RecoverySizes(warm=False
 
 @dataclass(frozen=True)
 class OrbCase:
-    """A capture, loaded only when a result is missing.
+    """A capture of the data set; its data are loaded when a record is missing.
 
     Attributes:
-        bench: where and how.
-        path: folder of the capture in the data set.
-        rows: ways of recovery.
-        environment_view: test photograph whose environment map is the light of recovery; by
-            default the first.
-        rendered: whether the data set is one of svu_mi's own scenes.
+        bench: Folder, sizes and options of the run.
+        path: Folder of the capture in the data set.
+        rows: Recovery methods.
+        environment_view: Test photograph whose environment map is the light of recovery; the
+            first by default.
+        rendered: True for a data set of svu_mi's scenes.
     """
 
     bench: BenchRun
@@ -122,16 +122,16 @@ class OrbCase:
         return self._source, asdict(self.sizes), row and asdict(row)
 
     def measure(self, row: OrbRow) -> Record:
-        """Recover textures, and compare pictures of them with photographs."""
+        """Return times of the recovery and scores of its textures."""
         timed = recover_warm(row, self.capture, self.grid, self.sizes.recovery)
         return {**run_figures(timed), **self.score(timed.result.textures, row.label)}
 
     def score(self, textures: Textures, label: str) -> Record:
-        """Return the figures of textures: ``light``, ``view`` and ``albedo``.
+        """Return the scores of textures: ``light``, ``view`` and ``albedo``.
 
         Args:
-            textures: of the object.
-            label: for the pictures.
+            textures: Textures of the object.
+            label: Label in the pictures.
         """
         spp = self.sizes.spp
         relit, seen = (
@@ -167,16 +167,16 @@ class OrbCase:
 
     @cached_property
     def novel(self) -> Sequence[Target]:
-        """The object in other places."""
+        """Photographs of the object in other places."""
         return self._targets("novel")
 
     @cached_property
     def test(self) -> Sequence[Target]:
-        """The object in this place, from other sides."""
+        """Photographs of the object in this place from other sides."""
         return self._targets("test")
 
     def head(self) -> Record:
-        """Counts, entropy, and the scores of a grey object."""
+        """Return counts, entropy, and the scores of a grey object."""
         counts = {"novel": len(self.novel), "test": len(self.test)}
         with self.bench.progress.stage(f"{self.path.name}: entropy"):
             estimated = estimate(self.capture, self.grid)
@@ -219,21 +219,20 @@ class OrbCase:
 
 
 def chosen_rows(labels: Sequence[str]) -> tuple[OrbRow, ...]:
-    """Return the rows of these labels, in the order of the table; if there are no labels, those
-    that trace no paths.
+    """Return the rows with given labels; without labels, all rows without path tracing.
 
     Raises:
-        OptionError: there is none of a label.
+        OptionError: Unknown label.
     """
     require_known(labels, [row.label for row in ROWS], "row")
     return tuple(row for row in ROWS if row.label in labels or not (labels or row.traced))
 
 
 def chosen_captures(captures: Sequence[Path], names: Sequence[str]) -> tuple[Path, ...]:
-    """Return the captures of these names (``teapot_scene001``, or ``teapot``); all without any.
+    """Return captures by name (``teapot_scene001`` or ``teapot``); all captures without names.
 
     Raises:
-        OptionError: there is none of a name.
+        OptionError: Unknown name.
     """
     both = {path: {path.name, object_of(path.name)} for path in captures}
     require_known(names, sorted(set[str]().union(*both.values())), "capture or object")

@@ -1,7 +1,7 @@
 """A rendered data set in the layout of Stanford-ORB.
 
-Like there, each capture has a world of its own, cameras are rolled, and each test photograph has
-the light in the frame of its own camera. Unlike there, textures and light are known exactly.
+As in the data set, each capture has a separate world frame, cameras are rolled, and each test
+photograph has the light in the frame of its camera. Textures and light are known exactly.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from svu_mi.errors import OptionError
 from svu_mi.light.latlong import directions, radiance_from
 
 LOWEST = -0.4  # sine of the elevation of the lowest camera
-ROLL = 20.0  # degrees, standard deviation
-SHIFT = 0.3  # of the origin of each world, in radii of the object
+ROLL = 20.0  # standard deviation of the roll in degrees
+SHIFT = 0.3  # standard deviation of the origin of each world, in radii of the object
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,12 +42,12 @@ class DatasetSizes:
     """Sizes of a rendered data set.
 
     Attributes:
-        train: photographs per capture that textures are recovered from.
-        test: photographs that results are compared with.
-        film: pixels per side.
-        spp: samples per pixel of the former.
-        test_spp: samples per pixel of the latter: their noise limits every result.
-        environment: rows of the environment maps; they have twice as many columns.
+        train: Photographs per capture for the recovery of textures.
+        test: Photographs per capture for the comparison with results.
+        film: Pixels per side.
+        spp: Samples per pixel of ``train`` photographs.
+        test_spp: Samples per pixel of ``test`` photographs, whose noise limits all scores.
+        environment: Rows of the environment maps, half the number of columns.
     """
 
     train: int = 40
@@ -63,10 +63,10 @@ OWN_QUICK = DatasetSizes(train=16, test=2, film=64, spp=32, test_spp=256, enviro
 
 
 def own_dataset(bench: BenchRun) -> Path:
-    """Return the folder of a set of svu_mi's own scenes, rendered the first time.
+    """Return the folder of a data set of svu_mi's scenes; render it the first time.
 
     Raises:
-        OutputError: it cannot be written.
+        OutputError: The folder cannot be written.
     """
     sizes = OWN_QUICK if bench.quick else OWN
     store, cases = Store(bench.folder / "orb"), own_cases(quick=True)
@@ -86,24 +86,26 @@ def render_dataset(
 ) -> None:
     """Render objects under lights, with all bounces, into ``root``.
 
-    Captures are called ``OBJECT_scene001``, ..., by the order of the lights. The same arguments
-    give the same files.
+    Captures are named ``OBJECT_scene001``, ... in the order of the lights. Equal arguments give
+    equal files.
 
     Args:
-        root: folder of the data set.
-        cases: objects x lights.
-        sizes: how large.
-        progress: shows what is going on.
+        root: Folder of the data set.
+        cases: Objects x lights.
+        sizes: Numbers and sizes of photographs.
+        progress: Progress display.
 
     Raises:
-        OptionError: fewer than one photograph to train with, or to test.
-        SceneError: a scene cannot be loaded.
-        OutputError: the folder cannot be written.
+        OptionError: No photograph for training or for tests.
+        SceneError: A scene cannot be loaded.
+        OutputError: The folder cannot be written.
     """
     if min(sizes.train, sizes.test) < 1:
-        raise OptionError("A data set needs a photograph to train with, and one to test.")
+        raise OptionError(
+            "A data set needs at least one photograph for training and one for tests."
+        )
     progress = progress or Progress()
-    # The colours of the data set's objects are those of paths, not of direct light.
+    # Photographs of the data set contain indirect light.
     ordered = sorted(cases, key=lambda case: case.object)
     for name, lights in groupby(ordered, key=lambda case: case.object):
         captures, mesh = [], None
@@ -160,7 +162,7 @@ def _photograph(
     pose = to_world(sensor)
     environment = albedo = None
     if tested:
-        # Rows of pixels, as in the data set: half a row away from the poles.
+        # As in the data set, the first and last rows are half a row away from the poles.
         grid = directions(2 * sizes.environment, 2 * sizes.environment + 1)[1::2]
         emitter = find_environment(scene, "The scene")
         light = radiance_from(emitter, grid.reshape(-1, 3) @ pose[:3, :3].T)
@@ -176,20 +178,20 @@ def _photograph(
 
 
 def find_captures(data: str | Path) -> tuple[Path, ...]:
-    """Return the folders of all captures of a data set, by name.
+    """Return the folders of all captures of a data set, sorted by name.
 
     Args:
-        data: its folder.
+        data: Folder of the data set.
 
     Raises:
-        OptionError: there is none.
+        OptionError: The folder contains no capture.
     """
-    kind = next(iter(SUFFIXES))  # with high range
+    kind = next(iter(SUFFIXES))  # high dynamic range
     folder = Path(data) / kind
     captures = sorted(path.parent for path in folder.glob("*/transforms_train.json"))
     if not captures:
         raise OptionError(
-            f"{folder}: holds no capture (a folder with transforms_train.json); give the folder "
-            f"that Stanford-ORB's {kind} and {TRUTH} were unpacked into."
+            f"{folder}: no capture found (a folder with transforms_train.json); give the folder "
+            f"that contains {kind} and {TRUTH} of Stanford-ORB."
         )
     return tuple(captures)

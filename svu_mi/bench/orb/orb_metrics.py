@@ -1,16 +1,16 @@
 """Image errors by the rules of Stanford-ORB.
 
 Kuang et al., Stanford-ORB: A Real-World 3D Object Inverse Rendering Benchmark (NeurIPS 2023),
-Sec. 4.2; where the text leaves a choice, as in their program (orb/utils/test.py, evaluation.py):
+Sec. 4.2. Open choices follow their program (orb/utils/test.py, evaluation.py):
 
-* The mask is eroded by 5 x 5 pixels; outside, both pictures are black, and count.
+* The mask is eroded by 5 x 5 pixels. Outside, both pictures are black and included.
 * Relighting: each channel of the picture is scaled to the photograph by least squares over the
-  mask, since the scale of a reflectance is not known. New views: no scale.
-* PSNR-H: of radiance, both divided by one number that brings the photograph's mean to that of
-  its tone-mapped self, clipped at 4. PSNR-L: clipped at 1, then sRGB. The peak is 1, and no PSNR
-  is below that of a uniform grey of 0.5.
-* SSIM: of the tone-mapped pictures, with windows of 3 x 3 pixels.
-* LPIPS: by VGG-16, of the tone-mapped pictures with sRGB applied once more, as their program does.
+  mask, because the scale of a reflectance is unknown. New views: no scale.
+* PSNR-H: radiance, clipped at 4, after one gain for both pictures that maps the mean of the
+  photograph to the mean of its tone-mapped version. PSNR-L: clipped at 1, then sRGB. The peak is
+  1. The least PSNR is the PSNR of a uniform grey of 0.5.
+* SSIM: tone-mapped pictures, windows of 3 x 3 pixels.
+* LPIPS: VGG-16, tone-mapped pictures with sRGB applied once more, as in their program.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from svu_mi.errors import SvuWarning
 from svu_mi.evaluation.image_metrics import psnr, ssim_map
 from svu_mi.evaluation.metric_inputs import two_pictures
 
-ERODED = 5  # pixels per side of the square the mask is eroded by
-HDR_LIMIT = 4.0  # of radiance, after normalisation
-GREY = 0.5  # no picture counts as worse than this one
-DARK = 1e-6  # sum of squares up to which a channel is black, and has no scale
+ERODED = 5  # side in pixels of the square that erodes the mask
+HDR_LIMIT = 4.0  # clipping value of normalised radiance
+GREY = 0.5  # uniform picture with the least PSNR
+DARK = 1e-6  # largest sum of squares of a black channel, which is not scaled
 
 
 @dataclass(frozen=True)
 class OrbError:
-    """One picture against its photograph.
+    """Errors of a picture.
 
     Attributes:
-        psnr_hdr: dB; None for albedo, which is at most 1.
-        psnr_ldr: dB.
-        ssim: structural similarity, at most 1.
-        lpips: perceptual distance; None where it cannot be computed.
+        psnr_hdr: PSNR of radiance in dB; None for albedo.
+        psnr_ldr: PSNR of tone-mapped values in dB.
+        ssim: Structural similarity, at most 1.
+        lpips: Perceptual distance; None if unavailable.
     """
 
     psnr_hdr: float | None
@@ -55,20 +55,20 @@ def orb_error(picture: Any, truth: Any, mask: Any, *, scaled: bool) -> OrbError:
     """Compare a picture with a photograph.
 
     Args:
-        picture: (H, W, 3) linear radiance, not negative.
-        truth: the same; what is negative counts as 0.
-        mask: (H, W) bool, the object's pixels, not eroded.
-        scaled: whether a scale per channel is fitted: for relighting, not for new views.
+        picture: Linear radiance, not negative, (H, W, 3).
+        truth: Linear radiance of the photograph, (H, W, 3); negative values count as 0.
+        mask: Pixels of the object, not eroded, (H, W) bool.
+        scaled: Fit a scale per channel (relighting).
 
     Raises:
-        ShapeError: the shapes differ, or nothing is left of the mask.
+        ShapeError: The shapes differ, or the eroded mask is empty.
         OptionError: NaN or infinite values on the object.
     """
     a, b, inside = _prepared(picture, truth, mask)
     scale = channel_scale(a[inside], b[inside]) if scaled else np.ones(3)
     white = np.clip(b, 0, 1).mean()
     gain = srgb(np.clip(b, 0, 1)).mean() / white if white > 1e-8 else 1.0
-    # The scale does not depend on the gain: both pictures are multiplied by it.
+    # The scale does not depend on the gain, which multiplies both pictures.
     high_a, high_b = (np.clip(gain * x, 0, HDR_LIMIT) for x in (scale * a, b))
     low_a, low_b = (srgb(np.clip(x, 0, 1)) for x in (scale * a, b))
     return OrbError(
@@ -80,17 +80,18 @@ def orb_error(picture: Any, truth: Any, mask: Any, *, scaled: bool) -> OrbError:
 
 
 def orb_albedo_error(picture: Any, truth: Any, mask: Any) -> OrbError:
-    """Compare a picture of the base colour with that of the data set.
+    """Compare a picture of the base colour with the data set.
 
-    Channels are scaled as for relighting; PSNR-L and SSIM are of linear values.
+    Channels are scaled as for relighting; PSNR-L and SSIM compare linear values.
 
     Args:
-        picture: (H, W, 3) linear.
-        truth: the same.
-        mask: (H, W) bool, as for ``orb_error``.
+        picture: Linear values, (H, W, 3).
+        truth: Linear values of the data set, (H, W, 3).
+        mask: Pixels of the object, (H, W) bool.
 
     Raises:
-        ShapeError, OptionError: as ``orb_error``.
+        ShapeError: The shapes differ, or the eroded mask is empty.
+        OptionError: NaN or infinite values on the object.
     """
     a, b, inside = _prepared(picture, truth, mask)
     a, b = np.clip(channel_scale(a[inside], b[inside]) * a, 0, 1), np.clip(b, 0, 1)
@@ -100,11 +101,11 @@ def orb_albedo_error(picture: Any, truth: Any, mask: Any) -> OrbError:
 
 
 def channel_scale(picture: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return the (3,) factors of a picture's channels that bring it closest to a photograph.
+    """Return the factors (3,) that fit the channels of a picture to a photograph.
 
     Args:
-        picture: (N, 3) radiance of the object's pixels.
-        truth: the same.
+        picture: Radiance of the object's pixels, (N, 3).
+        truth: Radiance of the photograph, (N, 3).
     """
     energy = (picture**2).sum(axis=0)
     black = energy <= DARK
@@ -113,8 +114,8 @@ def channel_scale(picture: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def _prepared(picture: Any, truth: Any, mask: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return both pictures, black outside the eroded mask, and that mask."""
-    # Beyond the picture's border there may be more of the object: it erodes nothing.
+    """Return both pictures, black outside the eroded mask, and the eroded mask."""
+    # The border of the picture does not erode the mask, because the object may extend beyond.
     inside = binary_erosion(np.array(mask, bool), np.ones((ERODED, ERODED)), border_value=1)
     a, b = two_pictures(picture, truth, inside)
     a, b = (np.where(inside[..., None], np.maximum(x, 0), 0) for x in (a, b))
@@ -133,12 +134,13 @@ def _ssim(a: np.ndarray, b: np.ndarray) -> float:
 def lpips(picture: np.ndarray, truth: np.ndarray) -> float | None:
     """Return the LPIPS distance (Zhang et al., CVPR 2018) by VGG-16, 0 for equal pictures.
 
-    None without the package, which ``pip install lpips`` installs with PyTorch, or without the
-    weights of VGG-16, which it downloads when it is first used.
-
     Args:
-        picture: (H, W, 3) in [0, 1], tone-mapped.
-        truth: the same.
+        picture: Tone-mapped values in [0, 1], (H, W, 3).
+        truth: Tone-mapped values of the photograph, (H, W, 3).
+
+    Returns:
+        The distance; None without the package (``pip install lpips``), or without the weights of
+        VGG-16, which the package downloads on first use.
     """
     network = _network()
     if network is None:
@@ -155,7 +157,7 @@ def lpips(picture: np.ndarray, truth: np.ndarray) -> float | None:
 
 @cache
 def _network() -> Any:
-    """Load the network once; None, with a warning unless the package is missing."""
+    """Return the network, loaded once; None without package, None and a warning without weights."""
     try:
         from lpips import LPIPS
     except ImportError:
@@ -164,7 +166,7 @@ def _network() -> Any:
         return LPIPS(net="vgg", verbose=False).eval()
     except (OSError, RuntimeError) as error:  # the weights are downloaded, then unpacked
         warnings.warn(
-            f"LPIPS is left out: the weights of VGG-16 cannot be loaded ({error}).", SvuWarning,
+            f"LPIPS is skipped: the weights of VGG-16 cannot be loaded ({error}).", SvuWarning,
             stacklevel=2,
         )  # fmt: skip
         return None

@@ -1,6 +1,6 @@
-"""Write photographs in the layout of Stanford-ORB, as ``stanford_orb`` reads it.
+"""Writer of photographs in the layout of Stanford-ORB, which ``stanford_orb`` reads.
 
-Of ``ground_truth``, surface_normal and z_depth are left out: geometry is given here, not estimated.
+``ground_truth`` has no surface_normal and z_depth, because geometry is given and not estimated.
 """
 
 from __future__ import annotations
@@ -21,22 +21,21 @@ from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import prepare_folder, replacing, write_json, write_text
 from svu_mi.errors import MeshError
 
-# What the scans' normals look like in the data set.
+# Rotation of the normals of the scans in the data set.
 NORMALS_AS_PUBLISHED = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 @dataclass(frozen=True, kw_only=True)
 class OrbPhotograph:
-    """One photograph.
+    """A photograph.
 
     Attributes:
-        image: (H, W, 3) linear radiance.
-        mask: (H, W) in [0, 1], 1 on the object.
-        to_world: (4, 4), camera to the world of its capture; camera space is Mitsuba's.
-        environment: (h, w, 3) radiance in the frame of the camera, as Mitsuba's envmap but for
-            its rows, whose first and last are half a row away from the poles; of test
-            photographs only.
-        albedo: (H, W, 3) linear base colour; the same.
+        image: Linear radiance, (H, W, 3).
+        mask: Coverage by the object in [0, 1], (H, W).
+        to_world: Matrix from Mitsuba's camera space to the world of the capture, (4, 4).
+        environment: Radiance in the frame of the camera, (h, w, 3), of test photographs. The
+            layout is Mitsuba's envmap with rows that start half a row away from the poles.
+        albedo: Linear base colour, (H, W, 3), of test photographs.
     """
 
     image: np.ndarray
@@ -51,12 +50,12 @@ class OrbCapture:
     """An object in one place.
 
     Attributes:
-        name: such as ``teapot_scene001``.
-        x_fov: opening angle of all photographs over their width, in degrees.
-        world: (4, 4) rotation and translation from the mesh's own frame to this world: each place
-            has its own.
-        train: photographs that textures are recovered from.
-        test: photographs that results are compared with.
+        name: Name of the capture, such as ``teapot_scene001``.
+        x_fov: Horizontal field of view of all photographs in degrees.
+        world: Rotation and translation from the frame of the mesh to the world of this place,
+            (4, 4).
+        train: Photographs for the recovery of textures.
+        test: Photographs for the comparison with results.
     """
 
     name: str
@@ -69,21 +68,21 @@ class OrbCapture:
 def write_orb(root: str | Path, mesh: MeshArrays, captures: Sequence[OrbCapture]) -> None:
     """Write all captures of one object.
 
-    Photographs are written with high and with low range; ``transforms_novel.json`` of each capture
-    lists the test photographs of the others.
+    Photographs are written with high and low dynamic range. ``transforms_novel.json`` of each
+    capture lists the test photographs of the other captures.
 
     Args:
-        root: folder of the data set.
-        mesh: the object, with normals and UVs, in the frame that ``OrbCapture.world`` starts from.
-        captures: its captures.
+        root: Folder of the data set.
+        mesh: Object with normals and UVs, in the frame that ``OrbCapture.world`` transforms.
+        captures: Captures of the object.
 
     Raises:
-        MeshError: the mesh has no normals or no UVs.
-        CaptureError: a capture's name is no name of a folder.
-        OutputError: a file cannot be written.
+        MeshError: The mesh has no normals or no UVs.
+        CaptureError: The name of a capture is not a valid folder name.
+        OutputError: A file cannot be written.
     """
     if mesh.normals is None or mesh.uvs is None:
-        raise MeshError("write_orb(): the mesh needs normals and UVs, as the scans have them.")
+        raise MeshError("write_orb(): the mesh needs normals and UVs.")
     for capture in captures:
         safe_path(Path(root), capture.name, "write_orb()")
         others = [other for other in captures if other is not capture]
@@ -93,7 +92,7 @@ def write_orb(root: str | Path, mesh: MeshArrays, captures: Sequence[OrbCapture]
 
 
 def _names(capture: OrbCapture) -> dict[str, list[tuple[str, OrbPhotograph]]]:
-    """Number the photographs; test ones follow, as no number is given twice."""
+    """Return numbered photographs by split; numbers of test photographs follow the others."""
     numbered = enumerate([*capture.train, *capture.test])
     shots = [(f"{number:04d}", photograph) for number, photograph in numbered]
     return {"train": shots[: len(capture.train)], "test": shots[len(capture.train) :]}
@@ -138,7 +137,7 @@ def _write_truth(place: Path, capture: OrbCapture, mesh: MeshArrays) -> None:
             _write_png(prepare_folder(place / ALBEDO) / f"{name}.png", shot.albedo)
     prepare_folder((place / MESH).parent)
     rotation, shift = capture.world[:3, :3], capture.world[:3, 3]
-    assert mesh.normals is not None and mesh.uvs is not None  # write_orb has looked
+    assert mesh.normals is not None and mesh.uvs is not None  # checked by write_orb
     columns = {
         "v": mesh.positions @ rotation.T + shift,
         "vt": flipped_v(mesh.uvs),  # OBJ counts V upwards
@@ -154,7 +153,7 @@ def _write_truth(place: Path, capture: OrbCapture, mesh: MeshArrays) -> None:
 
 
 def _write_png(path: Path, values: np.ndarray, *, encoded: bool = False) -> None:
-    """Write 8 bits; linear values are encoded as sRGB."""
+    """Write an 8-bit PNG; linear values are encoded as sRGB."""
     bitmap = mi.Bitmap(np.ascontiguousarray(np.clip(values, 0, 1), np.float32))
     bitmap = bitmap.convert(component_format=mi.Struct.Type.UInt8, srgb_gamma=not encoded)
     with replacing(path) as temporary:

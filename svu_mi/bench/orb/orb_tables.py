@@ -1,4 +1,4 @@
-"""Tables, CSV and pictures of the Stanford-ORB benchmark."""
+"""Tables, CSV file and pictures of the Stanford-ORB benchmark."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ HEADS = {"psnr_hdr": "PSNR-H", "psnr_ldr": "PSNR-L", "ssim": "SSIM", "lpips": "L
 DIGITS = {"psnr_hdr": 2, "psnr_ldr": 2, "ssim": 3, "lpips": 3}
 GREY = "uniform grey"
 MISSING = "-"
-# Table 1 of Wiersma et al. (SIGGRAPH 2025): PSNR-H, PSNR-L, SSIM, LPIPS and time per capture,
-# for all 42 captures, on an RTX 4090.
+# Table 1 of Wiersma et al. (SIGGRAPH 2025), 42 captures: PSNR-H, PSNR-L, SSIM, LPIPS, and seconds
+# per capture on an RTX 4090.
 PUBLISHED = (
     ("NVDiffRec", 24.319, 31.492, 0.969, 0.036, 142.0),
     ("Mitsuba", 26.601, 34.195, 0.977, 0.032, 52.0),
@@ -34,11 +34,7 @@ PUBLISHED = (
 
 
 def orb_tables(record: Record) -> list[str]:
-    """Return the tables of a record.
-
-    Args:
-        record: of the study.
-    """
+    """Return the tables of a record of ``svu bench orb``."""
     captures = record["cells"]
     if not captures:
         return []
@@ -49,19 +45,15 @@ def orb_tables(record: Record) -> list[str]:
         parts += ["## By capture", "PSNR-H and PSNR-L of relighting.", _by_capture(captures)]
     parts += [
         "## Published",
-        "Table 1 of the paper, relighting, for all 42 captures of the real data set; times are of "
-        "an RTX 4090.",
+        "Table 1 of the paper, relighting, all 42 captures of the real data set; times on an RTX "
+        "4090.",
         _published(),
     ]
     return parts
 
 
 def orb_lines(record: Record) -> list[str]:
-    """Return a line with the relighting scores of each recovery method.
-
-    Args:
-        record: of the study.
-    """
+    """Return a line with the relighting scores of each recovery method."""
     captures = record["cells"]
     labels = dict.fromkeys(label for capture in captures for label, _ in _rows(capture))
     lines = []
@@ -73,14 +65,10 @@ def orb_lines(record: Record) -> list[str]:
 
 
 def write_csv(path: Path, record: Record) -> None:
-    """Write one line per capture, row, task and photograph.
-
-    Args:
-        path: the file.
-        record: of the study.
+    """Write a CSV file with one line per capture, row, task and photograph.
 
     Raises:
-        OutputError: the file cannot be written.
+        OutputError: The file cannot be written.
     """
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
@@ -107,18 +95,17 @@ def _heading(record: Record) -> str:
         f"Captures: {len(captures)}; photographs reduced to {first['film']} pixels, "
         f"{first['resolution']} x {first['resolution']} texels. Means and standard deviations over "
         "captures, by the rules of the data set (`svu_mi/bench/orb/orb_metrics.py`). Relighting: "
-        f"photographs of the object in other places ({count} in all), each under its own "
-        "light, channels scaled. New views: test "
-        "photographs of the same place, not scaled. Base colour: against the data set's own, "
-        "channels scaled. Depth, normals and shape are not judged: geometry is given. Times are "
-        "of recovery, by the clock."
+        f"{count} photographs of the object in other places, each under the light of its place, "
+        "with scaled channels. New views: test photographs of the same place, not scaled. Base "
+        "colour: compared with the data set, with scaled channels. Depth, normals and shape are "
+        "not compared, because geometry is given. Times: recovery, wall clock."
     )
     if all(c["grey"]["light"]["mean"]["lpips"] is None for c in captures):
         text += " LPIPS needs `pip install lpips`."
     if first["rendered"]:
-        text = f"**Not the real data set: svu_mi's own scenes, rendered in its layout.** {text}"
+        text = f"**Not the data set: scenes of svu_mi in its layout.** {text}"
     if record["quick"]:
-        text += " Quick sizes, not those of the data set."
+        text += " Quick sizes, smaller than the data set."
     return text
 
 
@@ -139,7 +126,7 @@ def _figures(task: str) -> tuple[str, ...]:
 
 
 def _mean(rows: list[Record], task: str, name: str) -> str:
-    """Mean and standard deviation over captures, as the data set's own tables have them."""
+    """Return mean and standard deviation over captures, as in the tables of the data set."""
     values = [row[task]["mean"][name] for row in rows if row[task] is not None]
     if not values or None in values:
         return MISSING
@@ -171,21 +158,20 @@ def _published() -> str:
 
 
 Shown = tuple[str, Target, np.ndarray, dict[str, Any], bool]
-WHITE = 0.98  # part of the object's pixels that are not clipped
-LARGEST = 0.25  # difference of sRGB values that is shown as white
+WHITE = 0.98  # share of the object's pixels that are not clipped
+LARGEST = 0.25  # difference of sRGB values at the upper end of the colour map
 
 
 def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
-    """Draw a row per test: photograph, picture, and their difference.
+    """Draw photograph, picture and difference, one row per task.
 
     Args:
-        path: the PNG file.
-        label: of the way of recovery.
-        shown: title, target, picture (H, W, 3), the figures of its task, and whether those are
-            of a picture with a scale per channel; one per row.
+        path: PNG file.
+        label: Label of the recovery method.
+        shown: Title, target, picture (H, W, 3), scores, and True for scaled channels, per row.
 
     Raises:
-        OutputError: the file cannot be written.
+        OutputError: The file cannot be written.
     """
     figure = page(7.2, 2.6 * len(shown))
     for axes, (title, target, picture, figures, scaled) in zip(
@@ -208,7 +194,7 @@ def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
 def _comparable(
     target: Target, picture: np.ndarray, *, scaled: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tone-map photograph and picture alike, black outside the object."""
+    """Return photograph and picture with equal tone mapping, black outside the object."""
     if scaled:
         picture = picture * channel_scale(picture[target.mask], target.photograph[target.mask])
     mask = target.mask[..., None]

@@ -1,4 +1,4 @@
-"""Photographs that pictures of the recovered object are compared with."""
+"""Photographs of the data set, and comparisons with pictures of the recovered object."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from svu_mi.recovery.path.textured_scene import PathScene
 from svu_mi.recovery.relighting import relight
 from svu_mi.recovery.svbrdf_textures import Textures
 
-IN_MASK = 0.5  # of a pixel's area
-ALBEDO_SAMPLES = 16  # per pixel, of pictures of the base colour
+IN_MASK = 0.5  # least covered share of a pixel of the object
+ALBEDO_SAMPLES = 16  # samples per pixel of pictures of the base colour
 FIGURES = ("psnr_hdr", "psnr_ldr", "ssim", "lpips")
 
 
 @dataclass(frozen=True)
 class Target:
-    """A photograph, and all that is needed to render the same.
+    """A photograph with its camera and light.
 
     Attributes:
-        view: where it comes from.
-        sensor: its camera.
-        photograph: (H, W, 3) linear radiance.
-        mask: (H, W) bool, the object's pixels.
-        albedo: (H, W, 3) linear, or None.
+        view: Files of the photograph.
+        sensor: Camera.
+        photograph: Linear radiance, (H, W, 3).
+        mask: Pixels of the object, (H, W) bool.
+        albedo: Linear base colour, (H, W, 3), or None.
     """
 
     view: OrbView
@@ -48,17 +48,19 @@ class Target:
         """Read a photograph, reduced to ``film`` pixels on its longer side.
 
         Raises:
-            CaptureError: it, its mask or its environment map is missing or damaged, or photograph
+            CaptureError: Photograph, mask or environment map is missing or damaged, or photograph
                 and mask differ in size.
         """
         frame = view.frame
         if frame.mask is None or view.light is None:
             missing = "mask" if frame.mask is None else "environment map"
-            raise CaptureError(f"{frame.image}: there is no {missing}, which its test needs.")
+            raise CaptureError(
+                f"{frame.image}: the {missing} is missing; download it for this photograph."
+            )
         reduced, scale = square_pixel_frame(frame, max(1.0, max(frame.size) / film))
         color, mask = _linear(frame.image), np.stack(read_planes(frame.mask)[0][:1], axis=-1)
         if mask.shape[:2] != color.shape[:2]:
-            raise CaptureError(f"{frame.mask}: the mask is not as large as its photograph.")
+            raise CaptureError(f"{frame.mask}: mask and photograph differ in size.")
         valid = np.isfinite(color).all(axis=-1, keepdims=True)
         color = np.where(valid, color, 0)
         albedo = None if view.albedo is None else average_area(_encoded(view.albedo), scale)
@@ -71,15 +73,15 @@ class Target:
         )
 
     def emitter(self) -> Any:
-        """Make the environment that the photograph was taken under."""
-        assert self.view.light is not None  # ``of`` has looked
+        """Return the environment light of the photograph."""
+        assert self.view.light is not None  # checked by ``of``
         pixels, pose, _ = read_environment_map(self.view.light)
         return mi.load_dict(
             {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": mi.ScalarTransform4f(pose)}
         )
 
     def picture(self, capture: Capture, textures: Textures, spp: int) -> np.ndarray:
-        """Render the object of a capture as this photograph shows it: (H, W, 3)."""
+        """Render the object with the camera and light of the photograph, (H, W, 3)."""
         return relight(capture, textures, self.emitter(), [self.sensor], spp)[0]
 
 
@@ -89,12 +91,12 @@ def score_pictures(
     """Compare pictures with photographs.
 
     Args:
-        targets: the photographs.
-        pictures: one for each.
-        scaled: whether a scale per channel is fitted (see ``orb_error``).
+        targets: Photographs.
+        pictures: One picture per photograph.
+        scaled: Fit a scale per channel (see ``orb_error``).
 
     Returns:
-        ``mean`` of each of ``FIGURES`` (None where it is not known) and ``single`` figures.
+        ``mean`` of each of ``FIGURES`` (None if one is unavailable), and ``single`` errors.
     """
     return _gathered(targets, [
         orb_error(picture, target.photograph, target.mask, scaled=scaled)
@@ -105,7 +107,7 @@ def score_pictures(
 def score_albedo(
     targets: Sequence[Target], capture: Capture, textures: Textures
 ) -> dict[str, Any] | None:
-    """Compare the base colour with that of the data set; None if it has none."""
+    """Compare the base colour with the data set; None for data sets without base colour."""
     known = [target for target in targets if target.albedo is not None]
     if not known:
         return None
@@ -118,11 +120,11 @@ def score_albedo(
 
 
 def albedo_pictures(scene: Any, sensors: Sequence[Any]) -> list[np.ndarray]:
-    """Render the base colour of a scene's objects: one (H, W, 3) per sensor, linear.
+    """Render the linear base colour of a scene, (H, W, 3) per sensor.
 
     Args:
-        scene: of ``principled`` objects.
-        sensors: where from.
+        scene: Scene with ``principled`` materials.
+        sensors: Cameras.
     """
     integrator = mi.load_dict({"type": "aov", "aovs": "base_color:albedo"})
     spp = ALBEDO_SAMPLES
@@ -145,12 +147,12 @@ def _gathered(targets: Sequence[Target], errors: Sequence[OrbError]) -> dict[str
 
 
 def _linear(path: Any) -> np.ndarray:
-    """Return (H, W, 3) linear values of a photograph."""
+    """Return the linear values of a photograph, (H, W, 3)."""
     planes, integers = read_planes(path)
     color = np.stack(planes[:3], axis=-1)
     return decoded(color) if integers else color
 
 
 def _encoded(path: Any) -> np.ndarray:
-    """Return (H, W, 3) as stored."""
+    """Return the stored values of a picture, (H, W, 3)."""
     return np.stack(read_planes(path)[0][:3], axis=-1)

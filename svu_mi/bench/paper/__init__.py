@@ -1,6 +1,6 @@
-"""``svu bench paper``: Tables 2 and 3 and Figure 9 of the paper, as printed and by svu_mi.
+"""``svu bench paper``: Tables 2 and 3 and Figure 9, with the paper's methods and with ours.
 
-Table 1 is ``svu bench orb``. Figures 2 to 8 are of single texels and of Table 2.
+Table 1 is ``svu bench orb``. Figures 2 to 8 show single texels and results of Table 2.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PARTS: dict[
     "table2": (Table2, table2_tables),
     "figure9": (Figure9, figure9_tables),
 }
-# Lights of svu_mi's own scenes; of a folder with data, as many of each object.
+# Lights of svu_mi's scenes; cases of a folder have the same number of lights.
 LIGHTS = {"table2": ("window", "studio", "overcast"), "figure9": ("window", "studio")}
 
 
@@ -53,6 +53,6 @@ def _tables(record: Record) -> list[str]:
 
 
 STUDY = Study(
-    title="The paper as printed", experiment=_experiment, tables=_tables, own_sizes=True,
+    title="Tables and figures of the paper", experiment=_experiment, tables=_tables, own_sizes=True,
     plots={"figure9": draw_figure9},
 )  # fmt: skip

@@ -1,19 +1,18 @@
 """Fig. 9 of the paper: views added to ten, by expected entropy or farthest-point sampling.
 
 100 photographs of 96 x 96 on a sphere with 16 samples, direct light, 96 x 96 texels. Ten are chosen
-by farthest-point sampling from the first; the other 90 are candidates, of which one after another
-is added:
+by farthest-point sampling from the first. The other 90 are candidates, which are added in turn:
 
-* `best view (paper)`: least expected entropy, Eq. 13 of power spectra as printed;
-* `best view (ours)`: the same of our own estimate, preset `default`;
-* `farthest`: the direction farthest from all so far.
+* `best view (paper)`: least expected entropy, Eq. 13 for power spectra as printed;
+* `best view (ours)`: the same for our estimate, preset `default`;
+* `farthest`: direction farthest from all previous ones.
 
-After each view, the first two know its photograph, and estimate anew. After three, six and ten,
-textures are recovered as in the paper (SH model) and by ours. PSNR, the mean over parameters as in
-Table 2, and entropy are over the texels that any of the views sees; where nobody has looked yet,
-entropy is 1. Tables have the mean over cases, how many views each strategy needs for +1 dB (of the
-mean curve: added ones, interpolated), and a test of what best views gain over farthest ones in
-every case, as a mean over the added views: Wilcoxon's signed ranks, two-sided.
+The first two estimate again from the photograph of each added view. After three, six and ten views,
+textures are recovered with the SH model of the paper and with ours. PSNR (mean over parameters, as
+in Table 2) and entropy are computed over all texels that any view shows. Texels without a
+photograph have entropy 1. Tables contain means over cases and the interpolated number of added
+views for +1 dB of the mean curve. A two-sided Wilcoxon signed-rank test compares the gains over
+farthest-point sampling, mean over the added views, of all cases.
 """
 
 from __future__ import annotations
@@ -48,15 +47,15 @@ if TYPE_CHECKING:
 
 FILM, VIEWS, SPP, TEXELS = 96, 100, 16, 96
 QUICK_FILM, QUICK_VIEWS, QUICK_SPP, QUICK_TEXELS = 32, 24, 4, 32
-START, ADDED = 10, (3, 6, 10)  # photographs; added ones after which textures are recovered
+START, ADDED = 10, (3, 6, 10)  # initial photographs; numbers of added ones with recovery
 PAPER, OURS, FARTHEST = "best view (paper)", "best view (ours)", "farthest"
 STRATEGIES = (PAPER, OURS, FARTHEST)
-RECOVERIES = {"paper": "recovered by the SH model (paper)", "default": "recovered by ours"}
+RECOVERIES = {"paper": "recovered by SH (paper)", "default": "recovered by SH (ours)"}
 
 
 @dataclass(frozen=True)
 class Figure9(CaseSubject):
-    """A case all of whose views are photographed, and strategies that choose among them."""
+    """A case with photographs of all candidates, among which strategies choose."""
 
     rows = tuple(StrategyRow(name) for name in STRATEGIES)
 
@@ -85,27 +84,27 @@ class Figure9(CaseSubject):
 
     @cached_property
     def visible(self) -> np.ndarray:
-        """(T,) bool, texels that any view sees."""
+        """Texels that are visible in any view, (T,) bool."""
         return np.array(estimate(self.capture, self.layout, "spectrum", "paper").coverage) > 0
 
     @cached_property
     def start(self) -> list[int]:
-        """Views of the start."""
+        """Indices of the initial views."""
         return self._farthest([0], START - 1)
 
     @cached_property
     def first(self) -> Record:
-        """``score`` of the start."""
+        """Scores of the initial views."""
         return self.score(self.start)
 
     def measure(self, row: StrategyRow) -> Record:
-        """Return ``views`` of a strategy, the ``points`` of its curve, ``seconds_per_view``."""
+        """Return ``views`` of a strategy, ``points`` of its curve, and ``seconds_per_view``."""
         views, seconds = self.order(row.label)
         points = [self.first, *(self.score(views[: START + added]) for added in ADDED)]
         return {"views": views, "seconds_per_view": seconds, "points": points}
 
     def order(self, strategy: str) -> tuple[list[int], float]:
-        """Return the start and the views that a strategy adds, and seconds per added view."""
+        """Return the initial and added views of a strategy, and seconds per added view."""
         chosen, count, began = list(self.start), START + ADDED[-1], time.perf_counter()
         if strategy == FARTHEST:
             chosen = self._farthest(self.start, ADDED[-1])
@@ -117,7 +116,7 @@ class Figure9(CaseSubject):
         return chosen, (time.perf_counter() - began) / ADDED[-1]
 
     def score(self, views: Sequence[int]) -> Record:
-        """Return average PSNR (dB) and mean entropy by way of recovery."""
+        """Return average PSNR (dB) and mean entropy by recovery method."""
         ours = self._estimate(views)
         paper = estimate(ours, method="spectrum", preset="paper")
         scores: Record = {"psnr": {}, "entropy": {}}
@@ -135,7 +134,7 @@ class Figure9(CaseSubject):
         return estimate(taken, self.layout)
 
     def _farthest(self, views: Sequence[int], count: int) -> list[int]:
-        """Return views, and ``count`` more by farthest-point sampling."""
+        """Return the views, followed by ``count`` farthest-point samples."""
         center, _ = bounding_sphere(self.capture.shape)
         return farthest(directions_of(self.capture.sensors, center), list(views), count)
 
@@ -144,35 +143,35 @@ class Figure9(CaseSubject):
 
 
 def curves(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
-    """Return (cases, 1 + marks) PSNR (dB) or entropy, at the start and after each mark."""
+    """Return PSNR (dB) or entropy (cases, 1 + marks) of the initial views and at each mark."""
     points = [case["rows"][strategy]["points"] for case in cases]
     return np.array([[point[what][way] for point in of_case] for of_case in points])
 
 
 def increases(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
-    """Return (cases, 1 + marks) curves above their start."""
+    """Return the curves minus their first values, (cases, 1 + marks)."""
     values = curves(cases, strategy, what, way)
     return values - values[:, :1]
 
 
 def mean_increase(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
-    """Return (cases,) means of a curve above its start, over the added views."""
+    """Return the mean increase over the added views, (cases,)."""
     places = np.array([0, *ADDED], float)
     return np.trapezoid(increases(cases, strategy, what, way), places, axis=1) / places[-1]
 
 
 def figure9_tables(cases: list[Record]) -> list[str]:
-    """Return curves, views needed and tests."""
+    """Return tables of curves, numbers of views and tests."""
     sections = ["## Figure 9: views to add"]
     for way, title in RECOVERIES.items():
         start = curves(cases, FARTHEST, "psnr", way)[:, 0].mean()
-        sections += [f"{len(cases)} cells, {title}; the start has {start:.2f} dB.",
+        sections += [f"{len(cases)} cases, {title}; initial PSNR {start:.2f} dB.",
                   _curve_table(cases, way)]  # fmt: skip
     return [*sections, _entropy_table(cases), _paired_table(cases), _case_table(cases)]
 
 
 def _curve_table(cases: Sequence[Record], way: str) -> str:
-    """Mean gains of PSNR by strategy, and the views needed for a gain."""
+    """Return mean gains of PSNR by strategy, and the number of views for a gain."""
     mean = {s: increases(cases, s, "psnr", way).mean(axis=0) for s in STRATEGIES}
     last = float(mean[FARTHEST][-1])
     rows = [
@@ -182,7 +181,7 @@ def _curve_table(cases: Sequence[Record], way: str) -> str:
         for s in STRATEGIES
     ]  # fmt: skip
     return table(
-        ("gain (dB) with so many photographs", *(str(START + added) for added in ADDED),
+        ("gain (dB) by number of photographs", *(str(START + added) for added in ADDED),
          "views for +1 dB", f"views for {last:+.2f} dB", "seconds per view"), rows,
     )  # fmt: skip
 
@@ -196,14 +195,14 @@ def _entropy_table(cases: Sequence[Record]) -> str:
     rows = [
         [f"{title}: {s}",
          *(f"{value:.3f}" for value in curves(cases, s, "entropy", way).mean(axis=0))]
-        for way, title in (("paper", "of spectra (paper)"), ("default", "ours"))
+        for way, title in (("paper", "spectra (paper)"), ("default", "ours"))
         for s in STRATEGIES
     ]  # fmt: skip
     return table(("mean entropy", *(str(START + added) for added in (0, *ADDED))), rows)
 
 
 def _paired_table(cases: Sequence[Record]) -> str:
-    """Difference of each strategy to farthest-point sampling, and its p-value."""
+    """Return differences of the strategies to farthest-point sampling, with p-values."""
     rows = []
     for what, unit, sign in (("psnr", " dB", 1), ("entropy", "", -1)):
         for way, title in RECOVERIES.items():
@@ -217,11 +216,11 @@ def _paired_table(cases: Sequence[Record]) -> str:
                 label = title if what == "psnr" else f"entropy, {way}"
                 rows.append([f"{strategy}, {label}", f"{over.mean():+.3f}{unit}",
                              f"{(sign * over > 0).sum()} of {len(over)}", p])  # fmt: skip
-    return table(("over farthest", "mean over added views", "better in", "p"), rows)
+    return table(("compared with farthest", "mean over added views", "better in", "p"), rows)
 
 
 def _case_table(cases: Sequence[Record]) -> str:
-    """The gain of every case with all photographs, as recovered in the paper and by ours."""
+    """Return the gain of every case with all photographs, by recovery method and strategy."""
     both = [(way, s) for way in RECOVERIES for s in STRATEGIES]
     rows = [
         [case["cell"], *(f"{increases([case], s, 'psnr', way)[0, -1]:+.2f}" for way, s in both)]
@@ -232,16 +231,19 @@ def _case_table(cases: Sequence[Record]) -> str:
 
 
 def draw_figure9(records: Record) -> Figure | None:
-    """Draw mean curves, from the records of all benchmarks; their standard error as a band."""
+    """Plot mean curves with their standard errors as bands; None without cases."""
     cases = [case for case in records["paper"]["cells"] if case["part"] == "figure9"]
     if not cases:
         return None
     figure = page(13, 3.2)
     panels = [("psnr", way, f"gain (dB), {title}") for way, title in RECOVERIES.items()]
-    panels += [("entropy", "paper", "entropy of spectra"), ("entropy", "default", "entropy")]
+    panels += [
+        ("entropy", "paper", "entropy of spectra (paper)"),
+        ("entropy", "default", "entropy"),
+    ]
     for axes, (what, way, title) in zip(figure.subplots(1, 4), panels, strict=True):
         _draw(axes, cases, what, way)
-        axes.set_title(f"mean of {len(cases)} cells: {title}", fontsize=9, color=INK)
+        axes.set_title(f"mean of {len(cases)} cases: {title}", fontsize=9, color=INK)
         tidy(axes)
     figure.axes[0].legend(frameon=False, fontsize=8)
     return figure

@@ -1,13 +1,13 @@
 """Table 2 of the paper: textures from photographs mostly from one side, and their entropy.
 
-24 photographs of 96 x 96 with 32 samples, 20 of them from one side, 96 x 96 texels, direct light.
-Rows are the paper's as printed (presets ``paper`` and ``spectrum``) and ours. Beside the PSNR of
-textures over texels that a photograph shows:
+24 photographs of 96 x 96 with 32 samples, 20 from one side, 96 x 96 texels, direct light. Rows are
+the paper's methods as printed (presets ``paper`` and ``spectrum``) and ours. Columns:
 
-* Pearson's correlation of a texel's mean absolute error with its entropy: the paper's textures
-  with the paper's entropy (power spectra), ours with ours;
-* Fig. 8: the mean absolute error of the most and of the least certain texels, by the paper's
-  entropy, for masks of 10 to 90 % of the surface.
+* PSNR of textures over visible texels;
+* Pearson's correlation of mean absolute error and entropy of a texel: the paper's textures with the
+  paper's entropy (power spectra), ours with ours;
+* Fig. 8: mean absolute error of the most and the least certain texels by the paper's entropy, for
+  masks of 10 to 90 % of the surface.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Table2(CaseSubject):
 
     @property
     def rows(self) -> Sequence[RecoveryMethod]:
-        """All ways of recovery; with quick sizes, those that trace no paths."""
+        """All recovery methods; for quick sizes without path tracing."""
         return [row for row in ROWS if not (row.traced and self.bench.quick)]
 
     def settings(self, row: RecoveryMethod | None) -> Any:
@@ -69,7 +69,7 @@ class Table2(CaseSubject):
 
     @cached_property
     def entropy(self) -> dict[str, np.ndarray]:
-        """Entropy of all texels, of the paper's spectra and ours; and which are seen."""
+        """Entropy of all texels by ``paper`` (spectra) and ``ours``; visible texels, ``seen``."""
         ours = estimate(self.capture, self.layout)
         paper = estimate(ours, method="spectrum", preset="paper")
         return {
@@ -79,7 +79,7 @@ class Table2(CaseSubject):
         }
 
     def measure(self, row: RecoveryMethod) -> Record:
-        """Recover textures in one way, and compare them with the true ones."""
+        """Return times and errors of the textures of a method."""
         seen = self.entropy["seen"]
         dr.sync_thread()
         start = time.perf_counter()
@@ -97,7 +97,7 @@ class Table2(CaseSubject):
 
 
 def masked(error: np.ndarray, order: np.ndarray) -> list[float]:
-    """Return mean errors over the first of the texels, by part of their number."""
+    """Return mean errors over the first texels of an order, for the shares ``PARTS``."""
     return [float(error[order[: max(int(part * len(order)), 1)]].mean()) for part in PARTS]
 
 
@@ -117,7 +117,7 @@ def _mean(rows: list[Record], name: str) -> float:
 
 
 def table2_tables(cases: list[Record]) -> list[str]:
-    """Return Table 2, and the errors of Fig. 8."""
+    """Return Table 2 and the errors of Fig. 8."""
     lines = [(label, [case["rows"][label] for case in cases]) for label in cases[0]["rows"]]
     errors = [
         [f"{label}, most {kind}",
@@ -126,9 +126,9 @@ def table2_tables(cases: list[Record]) -> list[str]:
     ]  # fmt: skip
     return [
         "## Table 2: textures, photographs mostly from one side",
-        f"PSNR (dB), means over {len(cases)} cells: {', '.join(case['cell'] for case in cases)}.",
+        f"PSNR (dB), mean over {len(cases)} cases: {', '.join(case['cell'] for case in cases)}.",
         tabulate(SHOWN, lines),
         "Mean absolute error of the most and the least certain texels, by the paper's entropy "
         "(Fig. 8).",
-        table(("part of the texels", *(f"{part:.0%}" for part in PARTS)), errors),
+        table(("share of texels", *(f"{part:.0%}" for part in PARTS)), errors),
     ]

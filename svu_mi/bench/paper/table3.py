@@ -1,14 +1,14 @@
-"""Table 3 of the paper: does the entropy agree with that of a path tracer?
+"""Table 3 of the paper: agreement of entropies with a path tracer.
 
 Pearson's correlation of entropies over 400 texels (64 paths per ray, direct light, 8 x 8 x 8
 parameters), 60 photographs of 256 x 256:
 
-* the rows of the paper: the SH model (Eq. 6), evaluated in angle, and power spectra (Eq. 11), both
-  as printed; the reference's d is the *sum* over views as well (sigma .4 of the mean radiance);
-* the same over open texels alone, which lose less than 3 % of their irradiance to the object;
-* what other readings change, and what is between the SH model and ours: light that is known in all
-  directions, GGX lobes with their own Fresnel term, cells of the light, occlusion;
-* ours, whose reference has the mean over views (sigma .08).
+* rows of the paper: SH model (Eq. 6) in angle and power spectra (Eq. 11), both as printed; the
+  reference also sums d over views (sigma .4 of the mean radiance);
+* the same over open texels, which lose less than 3 % of their irradiance to the object;
+* other readings of the text, and steps from the SH model to ours: light given in all directions,
+  GGX lobes with their Fresnel term, cells of the light, occlusion;
+* ours, with a reference that takes the mean over views (sigma .08).
 """
 
 from __future__ import annotations
@@ -29,20 +29,21 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.tabulated import tabulated_posterior
 from svu_mi.presets import Fit, Method, preset
 
-FULL, QUICK = (400, 64), (60, 8)  # texels and paths of the reference
-SUM, MEAN = 0.4, 0.08  # sigma, as parts of the mean radiance
-LOSES = 0.97  # part of the irradiance that reaches an open texel at least
+FULL, QUICK = (400, 64), (60, 8)  # texels of the reference, and paths per ray
+SUM, MEAN = 0.4, 0.08  # sigma relative to the mean radiance
+LOSES = 0.97  # least share of the irradiance that reaches an open texel
 
 
 @dataclass(frozen=True)
 class EntropyRow:
-    """A map whose correlation with a reference is a row of the table.
+    """An estimator whose correlation with a reference is a row of the table.
 
     Attributes:
-        label: of the row.
-        method, preset: of ``estimate``.
-        reference: whose errors are the ``sum`` or the ``mean`` over views.
-        open: whether open texels are compared on their own, too.
+        label: Label of the row.
+        method: Method of ``estimate``.
+        preset: Preset of ``estimate``.
+        reference: ``sum`` or ``mean`` of the errors of the reference over views.
+        open: Compare open texels in another row.
     """
 
     label: str
@@ -99,12 +100,12 @@ class Table3(CaseSubject):
 
     @cached_property
     def observed(self) -> Estimate:
-        """Estimate of the paper's spectra, which others continue from."""
+        """Estimate by the paper's spectra, which other estimates continue."""
         return estimate(self.capture, self.layout, "spectrum", "paper")
 
     @cached_property
     def reference(self) -> Any:
-        """The path-traced posterior, errors summed over views."""
+        """Path-traced posterior with errors summed over views."""
         texels, spp = QUICK if self.bench.quick else FULL
         return reference_of(
             self.bench, self.capture, self.layout, subset=texels, spp=spp, sigma=SUM, errors="sum"
@@ -112,12 +113,12 @@ class Table3(CaseSubject):
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """(n,) bool, texels of the reference that a photograph shows."""
+        """Visible texels of the reference, (n,) bool."""
         return self.reference.coverage > 0
 
     @cached_property
     def entropies(self) -> dict[str, list[np.ndarray]]:
-        """Of errors summed and averaged over views: entropies of the reference and its halves."""
+        """Entropies of the reference and its halves, for the ``sum`` and ``mean`` over views."""
         reference, result = self.reference, {}
         posterior = partial(tabulated_posterior, grid=reference.posterior.grid, observed=self.seen)
         views = reference.coverage[:, None, None, None]
@@ -130,7 +131,7 @@ class Table3(CaseSubject):
 
     @cached_property
     def open(self) -> np.ndarray:
-        """(n,) bool: texels that lose little of their irradiance to the object itself."""
+        """Texels that lose little irradiance to the object, (n,) bool."""
         observed, result = self.observed.observed, np.zeros(self.layout.count, bool)
         assert observed is not None
         rules = (preset("default", occluded=on) for on in (True, False))
@@ -139,7 +140,7 @@ class Table3(CaseSubject):
         return result[self.reference.subset][self.seen]
 
     def head(self) -> Record:
-        """Return figures of the references, and their agreement with simple maps."""
+        """Return the agreement of the references with their halves and with simple maps."""
         simple: Record = {}
         for which, (whole, *halves) in self.entropies.items():
             simple[f"reference's halves ({which})"] = correlation(*halves)
@@ -151,7 +152,7 @@ class Table3(CaseSubject):
                 "open texels, part": float(self.open.mean())}  # fmt: skip
 
     def measure(self, row: EntropyRow) -> Record:
-        """Return the correlation of a map with the reference, of all texels and of open ones."""
+        """Return the correlation with the reference over all and over open texels."""
         estimated = estimate(self.observed, method=row.method, preset=row.preset)
         own = np.array(estimated.entropy, np.float64)[self.reference.subset][self.seen]
         truth = self.entropies[row.reference][0]
@@ -168,7 +169,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def table3_tables(cases: list[Record]) -> list[str]:
-    """Return means over the cases, and the lowest of each row."""
+    """Return the mean and the lowest value of each row over the cases."""
     lines = []
     for label, first in cases[0]["rows"].items():
         lines.append((label, [case["rows"][label]["rho"] for case in cases]))
@@ -178,7 +179,7 @@ def table3_tables(cases: list[Record]) -> list[str]:
     lines += [(name, [case["simple"][name] for case in cases]) for name in cases[0]["simple"]]
     shown = (
         Column("row", lambda line: line[0]),
-        Column(f"mean of {len(cases)} cells", lambda line: np.mean(line[1]), digits(3)),
+        Column(f"mean of {len(cases)} cases", lambda line: np.mean(line[1]), digits(3)),
         Column("lowest", lambda line: np.min(line[1]), digits(3)),
     )
-    return ["## Table 3: entropy against path tracing", tabulate(shown, lines)]
+    return ["## Table 3: entropy compared with path tracing", tabulate(shown, lines)]

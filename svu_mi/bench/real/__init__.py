@@ -33,10 +33,10 @@ from svu_mi.posterior.observations import Observed, observe
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
 
-RESOLUTION, TEXELS = 128, 6000  # per side; of these, that predictions are made for
+RESOLUTION, TEXELS = 128, 6000  # texels per side; number of predicted texels
 QUICK, QUICK_SEARCH = (64, 600), LightOptions(gains=True, texels=300, depths=((64, 4), (256, 2)))
-FEWEST = 4  # photographs that remain of a texel whose others are predicted
-WELL_SEEN = 10  # photographs of a texel that is asked what it is made of
+FEWEST = 4  # least number of remaining photographs of a predicted texel
+WELL_SEEN = 10  # least number of photographs of a texel in the summary of metallic
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class HoldoutCase:
     """A capture without some of its photographs.
 
     Attributes:
-        bench: where and how.
-        source: the capture's folder, or its scene.
-        every: of the photographs that are used, each so many-th is left out, the first of all.
+        bench: Folder, sizes and options of the run.
+        source: Folder or scene of the capture.
+        every: Distance between held-out photographs; the first one is held out.
     """
 
     bench: BenchRun
@@ -78,41 +78,41 @@ class HoldoutCase:
 
     @cached_property
     def capture(self) -> Capture:
-        """All photographs, under the light they come with, if any."""
+        """All photographs, with the light of the capture, if any."""
         with self.bench.progress.stage("Loading the capture"):
             return load_capture(self.source, light="optional")
 
     @cached_property
     def layout(self) -> Texels:
-        """Texels of its object."""
+        """Texels of the object."""
         return texels(self.capture.mesh, self._size[0])
 
     @cached_property
     def used(self) -> np.ndarray:
-        """(V,) the photographs that are used at all."""
+        """Indices of the V used photographs."""
         return np.flatnonzero(self.capture.used)
 
     @cached_property
     def held(self) -> np.ndarray:
-        """(V,) bool, used photographs that are held out."""
+        """Held-out photographs among the used ones, (V,) bool."""
         held = np.arange(len(self.used)) % self.every == 0
         if held.all() or (~held).sum() < FEWEST:
             raise OptionError(
-                f"Of {len(held)} photographs, --every {self.every} leaves {int((~held).sum())} to "
-                f"estimate from; at least {FEWEST} are needed."
+                f"--every {self.every} keeps {int((~held).sum())} of {len(held)} photographs for "
+                f"the estimate, which needs at least {FEWEST}; choose another number."
             )
         return held
 
     @cached_property
     def rest(self) -> Capture:
-        """The capture without them."""
+        """Capture without the held-out photographs."""
         used = np.zeros(self.capture.count, bool)
         used[self.used[~self.held]] = True
         return replace(self.capture, used=tuple(used.tolist()))
 
     @cached_property
     def lit(self) -> tuple[Capture, FoundGains]:
-        """The rest without gains, under the capture's light or the estimated one; and gains."""
+        """Remaining photographs without gains, under the given or estimated light; gains."""
         options = QUICK_SEARCH if self.bench.quick else LightOptions(gains=True)
         progress = self.bench.progress
         if self.rest.environment is not None:
@@ -129,53 +129,53 @@ class HoldoutCase:
 
     @property
     def observed(self) -> Observed:
-        """Observations of that estimate."""
+        """Observations of the estimate."""
         assert self.estimate.observed is not None
         return self.estimate.observed
 
     @cached_property
     def switches(self) -> AngularPreset:
-        """Of the estimate."""
+        """Preset of the estimate."""
         switches = self.estimate.switches
         assert isinstance(switches, AngularPreset)
         return switches
 
     @cached_property
     def samples(self) -> TexelSamples:
-        """Samples of a few texels in all photographs, with their gains."""
+        """Samples of the predicted texels in all photographs, with gains."""
         everything = observe(self.capture, self.layout, self.bench.progress)
         return TexelSamples.of(everything, find_preset("default", method="angular"), self._size[1])
 
     @cached_property
     def texels(self) -> np.ndarray:
-        """(n,) int64, numbers of these texels."""
+        """Indices of the predicted texels, (n,) int64."""
         return self.samples.surface.index.numpy().astype(np.int64)
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """(S,) bool, the samples of photographs that were estimated from, and fit."""
+        """Samples of remaining photographs that fit the others, (S,) bool."""
         fits = ~self.held
         fits[np.flatnonzero(fits)[self.lit[1].odd]] = False
         return fits[self.samples.view]
 
     @cached_property
     def enough(self) -> np.ndarray:
-        """(n,) bool, texels with at least ``FEWEST`` remaining photographs."""
+        """Texels with at least ``FEWEST`` remaining photographs, (n,) bool."""
         rest = np.bincount(self.samples.owner[self.kept], minlength=len(self.texels))
         enough = (rest >= FEWEST) & self.estimate.posterior.observed[self.texels]
         if not enough.any():
             raise CaptureError(
-                f"{self.source}: no texel is seen in {FEWEST} of the photographs that remain; "
-                "leave fewer out (--every)."
+                f"{self.source}: no texel is visible in {FEWEST} remaining photographs; increase "
+                "--every."
             )
         return enough
 
     def eye(self, view: int) -> np.ndarray:
-        """Return where the camera of a photograph that is used stands."""
+        """Return the camera position of a used photograph."""
         return np.asarray(to_world(self.capture.sensors[self.used[view]])[:3, 3])
 
     def head(self) -> Record:
-        """Estimate; return a summary of the photographs and of the metallic texels."""
+        """Return a summary of photographs, gains and metallic texels."""
         start = perf_counter()
         names = [self.capture.names[view] for view in self.used]
         gains = self.lit[1]
@@ -199,7 +199,7 @@ class HoldoutCase:
         }  # fmt: skip
 
     def measure(self, row: Predictor) -> Record:
-        """Predict the held-out photographs."""
+        """Return the scores of the predicted photographs."""
         start, predict, samples = perf_counter(), row.of(self), self.samples
         score = Score.start(len(self.texels))
         with self.bench.progress.stage(row.label, int(self.held.sum())) as stage:
@@ -218,8 +218,8 @@ def _part(chosen: np.ndarray) -> float:
     return float(chosen.mean()) if len(chosen) else 0.0
 
 
-MARGIN = 0.05  # of R^2 over texel means
-HOLDS = (0.80, 0.97)  # part of the 90 % intervals that may hold
+MARGIN = 0.05  # bar of R^2 above texel means
+HOLDS = (0.80, 0.97)  # bars of the share of 90 % intervals that contain the value
 
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
@@ -245,6 +245,6 @@ def find_bars(record: Record) -> list[Bar]:
 
 
 STUDY = Study(
-    title="Photographs that were left out", experiment=_experiment, tables=real_tables,
+    title="Prediction of held-out photographs", experiment=_experiment, tables=real_tables,
     bars=find_bars, plots={"real": draw_real}, runs_on="capture",
 )  # fmt: skip

@@ -1,8 +1,8 @@
-"""Predictions of photographs in several ways, and their scores.
+"""Predictors of photographs, and scores of predictions.
 
-Exposure and white balance of a photograph that was left out are known to nobody. Each channel's
-gain is taken from half of its texels, and the prediction judged on the other half, without that
-gain and around the photograph's own mean: that one is brighter than another is no prediction.
+Exposure and white balance of a held-out photograph are unknown. The gain of each channel is fitted
+to half of its texels. The other half is scored without that gain and relative to the mean of the
+photograph, so that differences in brightness between photographs do not count.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from svu_mi.bench.real import HoldoutCase
 
 
-MASSES = (0.5, 0.8, 0.9, 0.95)  # of intervals
-FEWEST = 20  # texels in each half of a photograph
-FACING = 0.7  # cosine from which a texel faces the camera
+MASSES = (0.5, 0.8, 0.9, 0.95)  # probabilities of intervals
+FEWEST = 20  # least number of texels in each half of a photograph
+FACING = 0.7  # least cosine of a texel that faces the camera
 
 
 @dataclass(frozen=True)
@@ -34,28 +34,29 @@ class PredictedView:
     """Predicted radiance of n texels in one photograph, without its gain.
 
     Attributes:
-        radiance: (D, n, 3), draws.
-        sd: (D, n), standard deviation of the noise around each; None if that is not said.
+        radiance: Draws, (D, n, 3).
+        sd: Standard deviation of the noise around each draw, (D, n); None if not predicted.
     """
 
     radiance: np.ndarray
     sd: np.ndarray | None = None
 
     def subset(self, texels: np.ndarray) -> PredictedView:
-        """Return the same for some of the texels."""
+        """Return the prediction of some texels."""
         sd = None if self.sd is None else self.sd[:, texels]
         return PredictedView(self.radiance[:, texels], sd)
 
 
 @dataclass(frozen=True)
 class Score:
-    """Predictions so far, a list entry per photograph.
+    """Scores of predictions, with one list entry per photograph.
 
     Attributes:
-        first: (n,) bool, the texels that gains are taken from.
-        predicted, shown: (m, 3), of the others, without gains.
-        place: (m, 3), where the photograph lies in the predicted distribution, in [0, 1].
-        facing: (m,) bool, texels that look at the camera.
+        first: Texels for the gains, (n,) bool.
+        predicted: Predicted radiance of the m other texels without gains, (m, 3).
+        shown: Radiance in the photograph without gains, (m, 3).
+        place: Quantile of the photograph in the predicted distribution, (m, 3).
+        facing: Texels that face the camera, (m,) bool.
     """
 
     first: np.ndarray
@@ -66,7 +67,7 @@ class Score:
 
     @staticmethod
     def start(texels: int) -> Score:
-        """Draw which half of the texels gains are taken from: always the same."""
+        """Return an empty score; the texels for the gains are drawn with a fixed seed."""
         return Score(np.random.default_rng(0).random(texels) < 0.5)
 
     def add(
@@ -75,16 +76,16 @@ class Score:
         """Compare a photograph with its prediction.
 
         Args:
-            texels: (m,) that it shows.
-            radiance: (m, 3).
-            cosine: (m,) between normal and view.
-            expected: of these texels.
+            texels: Indices of the m visible texels.
+            radiance: Radiance in the photograph, (m, 3).
+            cosine: Cosine between normal and view direction, (m,).
+            expected: Prediction of the m texels.
         """
         first, mean = self.first[texels], expected.radiance.mean(axis=0, dtype=np.float64)
         if min(first.sum(), (~first).sum()) < FEWEST:
             return
         gain = fitted_gain(mean[first], radiance[first])
-        if not gain.min() > 0:  # black, or nothing is expected there
+        if not gain.min() > 0:  # black photograph or black prediction
             return
         even = radiance[~first] / gain
         self.predicted.append(mean[~first])
@@ -95,8 +96,7 @@ class Score:
             self.place.append(scipy.special.ndtr(off / expected.sd[:, ~first, None]).mean(axis=0))
 
     def record(self) -> Record:
-        """Return R^2 of all samples, of those that face the camera and of others, and of each
-        photograph; PSNR, and how intervals hold."""
+        """Return R^2 of all, facing and steep samples and of each photograph, PSNR, coverage."""
         if not self.shown:
             nan = float("nan")
             return {"r2": nan, "facing": nan, "steep": nan, "views": [], "psnr": nan, "holds": {}}
@@ -106,9 +106,9 @@ class Score:
         pairs = zip(self.predicted, self.shown, strict=True)
         return {
             "r2": r_squared(self.predicted, self.shown),
-            "facing": r_squared(_those(self.predicted, self.facing),
-                                _those(self.shown, self.facing)),
-            "steep": r_squared(_those(self.predicted, steep), _those(self.shown, steep)),
+            "facing": r_squared(_select(self.predicted, self.facing),
+                                _select(self.shown, self.facing)),
+            "steep": r_squared(_select(self.predicted, steep), _select(self.shown, steep)),
             "views": [r_squared([one], [other]) for one, other in pairs],
             "psnr": float(psnr(srgb(predicted / white), srgb(shown / white))),
             **self._intervals(),
@@ -126,38 +126,38 @@ class Score:
 
 
 def fitted_gain(predicted: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Return the factors (3,) of (m, 3) that leave the least squares."""
+    """Return the factor of each channel that fits (m, 3) values by least squares."""
     return np.asarray(
         (predicted * shown).sum(axis=0) / np.maximum(np.square(predicted).sum(axis=0), 1e-300)
     )
 
 
 def r_squared(predicted: Sequence[np.ndarray], shown: Sequence[np.ndarray]) -> float:
-    """Return the part of the variance of photographs, (m, 3) each, that is predicted.
+    """Return the share of the variance of photographs, (m, 3) each, that is predicted.
 
-    Variance is around the mean of every channel of every photograph; NaN if there is none.
+    Variance is relative to the mean of each channel and photograph; NaN without variance.
     """
     spread = sum(np.square(b - b.mean(axis=0)).sum() for b in shown if len(b))
     rest = sum(np.square(a - b).sum() for a, b in zip(predicted, shown, strict=True))
     return float(1 - rest / spread) if spread > 0 else float("nan")
 
 
-def _those(values: Sequence[np.ndarray], chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _select(values: Sequence[np.ndarray], chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
     return [some[which] for some, which in zip(values, chosen, strict=True)]
 
 
 DRAWS = 32
-ROUNDS = 20  # in which gains and means take turns
-Predict = Callable[[int], PredictedView]  # what a view should show of the texels
+ROUNDS = 20  # alternating updates of gains and means
+Predict = Callable[[int], PredictedView]  # returns the prediction of a view
 
 
 @dataclass(frozen=True)
 class Predictor:
-    """A way to predict.
+    """A predictor.
 
     Attributes:
-        label: its name.
-        of: makes predictions from what is known of a capture.
+        label: Name in tables and plots.
+        of: Fits the predictor to the remaining photographs.
     """
 
     label: str
@@ -165,13 +165,13 @@ class Predictor:
 
 
 def _posterior(subject: HoldoutCase) -> Predict:
-    """Draws from the posterior, each with the noise that photographs around it had."""
+    """Predict by draws from the posterior, with the estimated noise."""
     texels, posterior, samples = subject.texels, subject.estimate.posterior, subject.samples
     assert isinstance(posterior.kernel, CalibratedKernel)
     prediction = Prediction.of(subject.estimate, texels, DRAWS)
     noise, kept = posterior.kernel.noise_of(texels), subject.kept
     squares = _sums(subject, np.square(samples.radiance.mean(axis=1)))
-    # On edges the noise is larger: as much as in the photographs that are known.
+    # The noise is larger on edges, as in the remaining photographs.
     contrast = _sums(subject, samples.contrast * kept) / np.maximum(squares, 1e-300)
     kappa = subject.switches.kappa(subject.observed.unit)
 
@@ -185,7 +185,7 @@ def _posterior(subject: HoldoutCase) -> Predict:
 
 
 def _means(subject: HoldoutCase) -> Predict:
-    """The mean of each texel's own samples, by gains of the photographs that fit them best."""
+    """Predict by the mean of each texel's samples, with least-squares gains of photographs."""
     samples, kept = subject.samples, subject.kept
     gain = np.ones((len(samples.cameras), 3))
     view, count = samples.view, np.maximum(_sums(subject, np.ones(samples.count)), 1)
@@ -204,7 +204,7 @@ def _means(subject: HoldoutCase) -> Predict:
 
 
 def _diffuse(subject: HoldoutCase) -> Predict:
-    """Diffuse texels under the same light, of the base colour that fits best."""
+    """Predict diffuse texels under the same light, with the best-fitting base colour."""
     samples, kept, gains = subject.samples, subject.kept, subject.lit[1]
     seen_from = diffuse_seen_from(subject.observed, subject.switches, subject.texels)
     factor = np.ones((len(samples.cameras), 3))
@@ -221,7 +221,7 @@ def _diffuse(subject: HoldoutCase) -> Predict:
 
 
 def _sums(subject: HoldoutCase, values: np.ndarray) -> np.ndarray:
-    """Sum values (S, ...) over the samples of every texel that are known."""
+    """Return the sums of values (S, ...) over the remaining samples of each texel."""
     kept = subject.kept.reshape(-1, *[1] * (values.ndim - 1))
     return subject.samples.sum(np.where(kept, values, 0).astype(np.float64))
 

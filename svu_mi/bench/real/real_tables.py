@@ -1,4 +1,4 @@
-"""Tables and the plot of predicted photographs."""
+"""Tables and plot of predicted photographs."""
 
 from __future__ import annotations
 
@@ -39,20 +39,16 @@ PREDICTED = (
     Column("R^2", lambda row: row[1]["r2"], digits(3)),
     Column("facing the camera", lambda row: row[1]["facing"], digits(3)),
     Column("steeper than 45 degrees", lambda row: row[1]["steep"], digits(3)),
-    Column("of photographs: median", lambda row: _quantile(row[1], 0.5), digits(3)),
-    Column("worst tenth below", lambda row: _quantile(row[1], 0.1), digits(3)),
+    Column("median over photographs", lambda row: _quantile(row[1], 0.5), digits(3)),
+    Column("10 % quantile", lambda row: _quantile(row[1], 0.1), digits(3)),
     Column("PSNR (dB)", lambda row: row[1]["psnr"], digits(1)),
-    *(Column(f"{100 * mass:g} % intervals hold", _held(mass), digits(3)) for mass in MASSES),
+    *(Column(f"{100 * mass:g} % intervals", _held(mass), digits(3)) for mass in MASSES),
     Column("time", lambda row: row[1]["seconds"], seconds),
 )  # fmt: skip
 
 
 def real_tables(record: Record) -> list[str]:
-    """Return the tables of a record.
-
-    Args:
-        record: of ``svu bench real``.
-    """
+    """Return the tables of a record of ``svu bench real``."""
     parts = []
     for case in record["cells"]:
         parts += [_about(case), tabulate(PREDICTED, list(case["rows"].items())), _made_of(case)]
@@ -61,31 +57,32 @@ def real_tables(record: Record) -> list[str]:
 
 def _about(case: Record) -> str:
     odd, (low, high) = case["odd"], case["gains"]
-    fit = f"{len(odd)} of them do not fit the others: {', '.join(odd)}" if odd else "all fit"
+    fit = f"{len(odd)} do not fit the others: {', '.join(odd)}" if odd else "all fit"
     return (
-        f"{case['cell']}: {case['left_out']} of {case['photographs']} photographs are left out and "
+        f"{case['cell']}: {case['left_out']} of {case['photographs']} photographs are held out and "
         f"predicted from the others ({fit}; gains {low:.2f} to {high:.2f}), at {case['texels']} "
-        f"texels that are seen well enough. Estimated in {seconds(case['seconds'])}. Gains of a "
-        "photograph that was left out are from half of its texels, scores from the other half; "
-        "pixels that are clipped are not scored, nor photographs that show few texels."
+        f"texels with enough photographs. Estimated in {seconds(case['seconds'])}. Gains of a "
+        "held-out photograph are fitted to half of its texels, scores use the other half. Clipped "
+        "pixels and photographs with few texels are not scored. Columns with intervals: share that "
+        "contains the pixel."
     )
 
 
 def _made_of(case: Record) -> str:
     shares = case["metallic"]
     return (
-        f"Of {shares['seen']} texels seen by ten photographs or more, {shares['metallic']:.1%} are "
-        f"metallic, {shares['open']:.1%} are open, {shares['dielectric']:.1%} are not metallic "
-        f"(90 % intervals above, across and below .5); {shares['reaches 1']:.1%} of the intervals "
+        f"{shares['seen']} texels are visible in ten or more photographs. {shares['metallic']:.1%} "
+        f"are metallic, {shares['open']:.1%} undecided and {shares['dielectric']:.1%} dielectric "
+        f"(90 % interval above, across and below .5); {shares['reaches 1']:.1%} of the intervals "
         "reach beyond .9."
     )
 
 
 def draw_real(records: dict[str, Record]) -> Figure | None:
-    """Draw R^2 of every photograph in every way, and how intervals hold.
+    """Plot R^2 of every photograph and predictor, and the coverage of intervals.
 
     Args:
-        records: records of all benchmarks.
+        records: Records of all benchmarks.
     """
     if "real" not in records or not records["real"]["cells"]:
         return None
@@ -99,10 +96,10 @@ def draw_real(records: dict[str, Record]) -> Figure | None:
             held.plot(MASSES, parts, mark + "-", color=color, label=label)
     views.set_ylim(max(min(-0.1, *(min(row["views"], default=0) for row in case["rows"].values())),
                        -1), 1)  # fmt: skip
-    views.set(xlabel="photograph that was left out", ylabel="R² of its radiance",
+    views.set(xlabel="held-out photograph", ylabel="R² of its radiance",
               title=f"{case['cell']}: photographs predicted from the others")  # fmt: skip
-    held.plot([0, 1], [0, 1], color=FAINT, lw=1, label="as they should")
-    held.set(xlabel="probability of an interval", ylabel="part of intervals that hold",
+    held.plot([0, 1], [0, 1], color=FAINT, lw=1, label="calibrated")
+    held.set(xlabel="probability of an interval", ylabel="share that contains the pixel",
              xlim=(0.4, 1), ylim=(0.4, 1), title="Intervals of pixels")  # fmt: skip
     for axes in (views, held):
         tidy(axes)
