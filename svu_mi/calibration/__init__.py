@@ -1,1 +1,1 @@
-"""Calibration of a capture: its light, exposures, and whether its parts fit each other."""
+"""Calibration of captures: light, exposure gains, and consistency checks."""

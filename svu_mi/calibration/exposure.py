@@ -1,7 +1,7 @@
 """Exposure gains of photographs: estimated under a known light, and divided out.
 
-A gain g multiplies a channel of one photograph: b = g r. The logarithms of gains are unknowns of
-the normal equations (``gauss_newton``), alone or beside the light. Their mean is part of the light.
+A gain g multiplies a channel of one photograph: b = g r. Log gains are unknowns of the normal
+equations (``gauss_newton``), alone or together with the light. Their mean belongs to the light.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
 
 CELLS, ROUNDS = 1024, 12
-FAR = np.log(2)  # log gain from which the search starts at the estimate instead of at 0
-FEWEST = 4  # photographs from which outliers are flagged
+FAR = np.log(2)  # larger log gains are initialized with a rough estimate instead of 0
+FEWEST = 4  # photographs needed to flag outliers
 ODD_GAIN = np.log(2.5)  # log gain of an outlier, relative to the median photograph
 ODD_NOISE = 1.7  # residual of an outlier, relative to the median photograph
-SPREADS = 3.0  # standard deviations over all photographs that an outlier exceeds as well
+SPREADS = 3.0  # an outlier also exceeds so many standard deviations over photographs
 
 
 def estimate_gains(
@@ -53,18 +53,23 @@ def estimate_gains(
     """Estimate the exposure gains of photographs under the light of the capture.
 
     Args:
-        source: photographs and their light.
-        texels: of the object, a subset of which is used; those of ``source`` by default.
-        options: only ``texels``, the size of that subset, is used.
-        progress: displays the progress.
+        source: Photographs and their light.
+        texels: Texels of the object; a subset is used (default: the texels of ``source``).
+        options: Options; only ``texels``, the size of the subset, is used.
+        progress: Display of the progress.
 
     Returns:
-        Gains of the photographs that are used, in their order.
+        Gains of the used photographs, in order.
 
     Raises:
-        SceneError: there is no light, or it cannot be read.
-        OptionError: no texels, or others than the source's.
-        CaptureError: no texel is seen in enough photographs, or all of them are black.
+        SceneError: The light is missing or unreadable.
+        OptionError: ``texels`` is missing, or differs from the texels of ``source``.
+        CaptureError: No texel is seen in enough photographs, or all photographs are black.
+
+    Example:
+        >>> gains = svu.estimate_gains(capture, texels)
+        >>> gains.factor.shape
+        (12, 3)
     """
     options, progress = options or LightOptions(), progress or Progress()
     switches: AngularPreset = find_preset("default", method="angular")
@@ -72,12 +77,12 @@ def estimate_gains(
     require_light(observed.capture)
     with progress.stage("Choosing texels"):
         samples = TexelSamples.of(observed, switches, options.texels)
-    with progress.stage("Finding gains", ROUNDS) as stage:
+    with progress.stage("Estimating gains", ROUNDS) as stage:
         light = cell_radiance(observed.lighting.environment, CELLS)
         everything, gains = Transport.of(samples, CELLS), starting_gains(samples)
         columns, heat = columns_of(everything, light, switches), HEAT
         level = scale_of(samples, columns, switches)
-        if (np.abs(level.best) > NINETY * level.sd).any():  # probably in other units
+        if (np.abs(level.best) > NINETY * level.sd).any():  # the units probably differ
             light = light * np.exp(level.best)
             columns = columns_of(everything, light, switches)
         for done in range(ROUNDS):
@@ -93,23 +98,26 @@ def estimate_gains(
 
 
 def equalized(capture: Capture, gains: FoundGains) -> Capture:
-    """Divide photographs by their gains, and stop using those that are outliers.
+    """Return the capture with photographs divided by their gains, and outliers unused.
 
     Args:
-        capture: it is not modified.
-        gains: of the photographs that it uses.
+        capture: Capture; not modified.
+        gains: Gains of its used photographs.
 
     Raises:
-        CaptureError: gains of another number of photographs, or all of them are outliers.
+        CaptureError: The numbers of gains and used photographs differ, or all are outliers.
+
+    Example:
+        >>> svu.equalized(capture, svu.estimate_gains(capture, texels)).count
+        12
     """
     kept = np.flatnonzero(capture.used)
     if len(kept) != len(gains.odd):
         raise CaptureError(
-            f"There are gains of {len(gains.odd)} photographs, but {len(kept)} are used; estimate "
-            "them again."
+            f"{len(gains.odd)} gains for {len(kept)} used photographs; estimate the gains again."
         )
     if gains.odd.all():
-        raise CaptureError("No photograph fits the others; look at them with svu check.")
+        raise CaptureError("All photographs are outliers; check the capture with svu check.")
     images, used = list(capture.images), list(capture.used)
     clipped: list[Any] = list(capture.clipped) or [None] * capture.count
     rounding: list[Any] = list(capture.rounding) or [None] * capture.count
@@ -127,7 +135,7 @@ def equalized(capture: Capture, gains: FoundGains) -> Capture:
 
 
 def starting_gains(samples: TexelSamples) -> FoundGains:
-    """Return gains of 1, except for photographs far brighter or darker than the others."""
+    """Return initial gains: 1, except for photographs much brighter or darker than others."""
     views = len(samples.cameras)
     grey = np.log(np.maximum(samples.radiance.mean(axis=1), 1e-6 * samples.unit))
     relative = grey - _medians(grey, samples.owner, samples.texels)[samples.owner]
@@ -139,7 +147,7 @@ def starting_gains(samples: TexelSamples) -> FoundGains:
 
 
 def without_gains(transport: Transport, gains: FoundGains | None) -> Transport:
-    """Divide samples by gains and give those of outliers no weight."""
+    """Divide samples by gains, and set the weight of outliers to 0."""
     if gains is None:
         return transport
     samples = transport.samples.without_views(gains.odd)
@@ -150,17 +158,17 @@ def step_gains(
     gains: FoundGains, samples: TexelSamples, system: NormalEquations, change: np.ndarray,
     noise: np.ndarray | None,
 ) -> tuple[FoundGains, np.ndarray]:  # fmt: skip
-    """Apply one step to gains, after flagging outliers anew.
+    """Apply one step to gains, after updating the outlier flags.
 
     Args:
-        gains: before the step.
-        samples: as photographed.
-        system: normal equations, with the predicted samples.
-        change: (V, 3) of the log gains; of outliers it is the prior's, and not applied.
-        noise: (n,) of the texels; None leaves the flags as they are.
+        gains: Gains before the step.
+        samples: Samples before division by gains.
+        system: Normal equations with predicted samples.
+        change: (V, 3) change of log gains; not applied to outliers.
+        noise: (n,) noise of the texels; None keeps the flags.
 
     Returns:
-        New gains, and the common part (3,) of their logarithms, which is the light's.
+        New gains, and the mean (3,) of their logarithms, which belongs to the light.
     """
     left_out = gains.odd
     if noise is not None:
@@ -173,9 +181,9 @@ def step_gains(
 def _with_outliers_flagged(
     gains: FoundGains, samples: TexelSamples, predicted: np.ndarray, noise: np.ndarray
 ) -> FoundGains:
-    """Flag photographs that differ from predicted samples (S, 3) by more than others do."""
+    """Flag photographs with unusual gains or residuals, given predicted samples (S, 3)."""
     logarithm, views = gains.logarithm, len(gains.odd)
-    if gains.odd.any():  # these took no part in the last step
+    if gains.odd.any():  # the last step has skipped them
         least = 1e-6 * samples.unit
         ratio = np.log(np.maximum(samples.radiance, least) / np.maximum(predicted, least))
         own = [_medians(of_channel, samples.view, views) for of_channel in ratio.T]
@@ -194,13 +202,13 @@ def _with_outliers_flagged(
 
 
 def _outliers(values: np.ndarray, seen: np.ndarray, limit: float) -> np.ndarray:
-    """Return which of ``seen`` exceed a limit and the usual spread among them."""
+    """Return flags of ``seen`` values above a limit and above the usual spread."""
     spread = 1.48 * float(np.median(np.abs(values[seen])))
     return seen & (values > max(limit, SPREADS * spread))
 
 
 def _medians(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
-    """Return the median of each group, 0 of an empty one."""
+    """Return the median of each group; 0 if empty."""
     order = np.lexsort((values, group))
     size = np.bincount(group, minlength=count)
     middle = np.cumsum(size) - size + size // 2

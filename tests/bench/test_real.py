@@ -110,10 +110,10 @@ def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, cap
     assert run(*words) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "gain (UNCLEAR): Photographs are 0." in said and "White balance differs" in said
-    assert f"IMG_{SPOILT:04d}.jpg does not fit the others" in said
+    assert f"IMG_{SPOILT:04d}.jpg is an outlier" in said
     assert "Axes fit, but results may be wrong for another reason: gain." in said
     assert run(*words, "--strict") == 3
-    assert "Using the light found before" in " ".join(capsys.readouterr().out.split())
+    assert "Using the estimated light" in " ".join(capsys.readouterr().out.split())
 
 
 def test_without_a_capture_there_is_nothing_to_run(tmp_path):

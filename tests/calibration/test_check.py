@@ -259,7 +259,7 @@ def test_an_even_light_in_place_of_that_of_the_photographs_is_doubted(capture, l
     placeholder = replace(capture, scene=mi.load_dict(lit, optimize=False))
     finding = find_axis_mistakes(placeholder)[0][1]
     assert finding.verdict == "unclear" and not finding.fixes
-    assert re.search(r"brighter where the surface faces some sides, by a factor of [\d.]+: unless",
+    assert re.search(r"depends on the surface normal, by a factor of [\d.]+\. Unless",
                      finding.sentence), finding.sentence  # fmt: skip
 
 
@@ -282,7 +282,7 @@ PAINTS = {
 @pytest.mark.parametrize("paint", PAINTS)
 def test_an_even_light_that_is_right_is_left_alone(paint):
     finding = find_axis_mistakes(photographed(cluster(), CONSTANT, PAINTS[paint]()))[0][1]
-    assert finding.verdict == "unknown" and "everywhere" in finding.sentence
+    assert finding.verdict == "unknown" and "constant" in finding.sentence
 
 
 @pytest.mark.parametrize(("part", "verdict"), [(0.9, "fits"), (1.1, "wrong")])
@@ -330,7 +330,7 @@ def test_photographs_that_show_nothing_say_nothing(capture, value):
     views = check_views(reduce_photographs(blank, 128))
     assert all(view.color_error is None for view in views)
     assert all(np.isfinite([view.overlap, view.contrast]).all() for view in views)
-    with pytest.raises(svu.SvuError, match="given can be used"):
+    with pytest.raises(svu.SvuError, match="no usable photograph"):
         svu.check(replace(blank, used=(False,) * 4))
 
 
@@ -433,8 +433,8 @@ def test_poses_and_texture_are_checked_without_a_light(capture):
     result = svu.check(dark)
     assert [one.verdict for one in result.findings] == ["fits", "unknown", "fits", "unknown"]
     light, gain = (one.sentence for one in result.findings if one.verdict == "unknown")
-    assert light == "The orientation of the light cannot be determined: the capture has none."
-    assert gain.endswith("have the same gain cannot be determined: the capture has no light.")
+    assert light == "The orientation of the light cannot be determined: the capture has no light."
+    assert gain.endswith("cannot be compared: the capture has no light.")
     assert result.fits and all(view.color_error is None for view in result.views)
     case = Case(("camera-x180", "texture-flip-v"))
     assert same(svu.check(case.made(dark)).fixes, case.fixes)

@@ -41,10 +41,10 @@ from svu_mi.scenes import lights
 
 VIEWS, SEED = 24, 1203
 TOO_BRIGHT = re.compile(
-    r"\d\d % of the surface reflects more than all the light that reaches it: the photographs are "
+    r"\d\d % of the surface reflects more light than it receives: the photographs are "
     r"too bright for this light, by a factor of [12]\.\d or more; check their gain \(svu import "
-    r"--exposures, or divide the photographs\) and the light's \(--environment-scale, or scale in "
-    r"the scene\)\."
+    r"--exposures, or divide the photographs\) and the scale of the light "
+    r"\(--environment-scale, or scale in the scene\)\."
 )
 
 
@@ -88,9 +88,9 @@ def test_the_one_photograph_with_another_gain_is_named(vase, view, gain):
     finding = gain_finding(gained(vase, gains))
     assert finding.verdict == "unclear"
     result = re.fullmatch(
-        rf"One photograph has another gain than the others: view_{view:04d}\.exr \(x (\d\.\d\d)\); "
+        rf"One photograph has a different gain: view_{view:04d}\.exr \(x (\d\.\d\d)\); "
         r"give the exposure of each photograph \(svu import --exposures, or divide its "
-        r"pixels by it\), or leave it out\.",
+        r"pixels by it\), or exclude it\.",
         finding.sentence,
     )
     assert result, finding.sentence
@@ -113,14 +113,14 @@ def test_of_few_photographs_no_gain_is_told(vase):
     finding = gain_finding(even_views(vase, 5))
     assert finding.verdict == "unknown"
     assert finding.sentence == (
-        "Whether the photographs have the same gain cannot be determined: there are fewer than 8."
+        "The gains of the photographs cannot be compared: there are fewer than 8."
     )
 
 
 def test_gains_wait_for_axes(vase):
     wrong = Finding(question="poses", verdict="wrong", sentence="", fixes=("camera-x180",))
     finding = compare_gains(vase, reduce_photographs(vase, 128), [wrong])
-    assert finding.verdict == "unknown" and "have to fit first" in finding.sentence
+    assert finding.verdict == "unknown" and "must fit first" in finding.sentence
 
 
 @pytest.mark.slow

@@ -75,10 +75,14 @@ def test_an_older_result_is_replaced_but_not_other_files(kept):
 
 
 def test_a_folder_that_is_none_is_named(kept, tmp_path):
-    with pytest.raises(CaptureError, match=r"no such folder; give one that svu light wrote\.$"):
+    with pytest.raises(
+        CaptureError, match=r"no such folder; give a folder written by svu light\.$"
+    ):
         svu.load_light(tmp_path / "nothing")
     (kept / "light.npz").unlink()
-    with pytest.raises(CaptureError, match=r"has no light\.npz, so it is not a result of svu ligh"):
+    with pytest.raises(
+        CaptureError, match=r"light\.npz missing, so this is not a result of svu ligh"
+    ):
         svu.load_light(kept)
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="is a file, not a folder"):
@@ -184,7 +188,7 @@ def test_a_capture_without_a_light_names_the_way_to_one(gray_ball):
 
 def test_a_light_that_moves_is_refused_in_one_sentence(gray_ball, kept):
     svu.save_light(replace(made_up_light(), moves=True), kept)
-    with pytest.raises(SceneError, match="The light turns with the camera"):
+    with pytest.raises(SceneError, match="The light moves with the camera"):
         with_resolved_light(gray_ball, kept)
 
 
@@ -241,7 +245,7 @@ def test_a_card_that_is_none_is_named(gray_ball):
         grey_card.scaled_by_card(made_up_light(), seen, (0.5, 0.5), 1.2)
     with pytest.raises(OptionError, match=r"texture coordinates are in \[0, 1\]"):
         grey_card.scaled_by_card(made_up_light(), seen, (0.5, 1.5), 0.3)
-    with pytest.raises(CaptureError, match="The light turns with the camera"):
+    with pytest.raises(CaptureError, match="under light that moves with the camera"):
         grey_card.scaled_by_mean(replace(made_up_light(), moves=True), seen, 0.3)
     known = seen.visibility
     blind = replace(known, coverage=0 * known.coverage, total=0 * known.total)
@@ -254,7 +258,7 @@ def test_a_base_colour_that_no_light_explains_is_named(gray_ball, monkeypatch):
     seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
     monkeypatch.setattr(grey_card, "MOST_ROUNDS", 2)
     far = made_up_light().scaled(1e4)
-    with pytest.raises(CaptureError, match="No brightness of the light makes the base colour"):
+    with pytest.raises(CaptureError, match="No brightness of the light gives this base colour"):
         grey_card.scaled_by_mean(far, seen, 0.3)
 
 
@@ -267,18 +271,18 @@ def test_the_brightest_direction_is_where_the_light_is():
     even = replace(made_up_light(), logarithm=np.zeros((64, 3)))
     assert brightest(even) is None
     said = list(summary_sentences(made_up_light()))
-    assert said[0].startswith("Of the light from all directions, photographs tell ")
+    assert said[0].startswith("The photographs determine ")
     assert "azimuth 9" in said[1] or "azimuth 8" in said[1]  # from -Z towards +X
     assert said[-1] == "Nothing is seen from below."
-    assert "no direction stands out" in list(summary_sentences(even))[1]
+    assert "no brightest direction" in list(summary_sentences(even))[1]
 
 
 def test_the_scale_is_said_as_long_as_it_is_open():
     assert scale_sentence(made_up_light()) == (
-        "Base colours are known up to a common factor between 0.72 and 1.39; --grey-card or "
-        "--mean-albedo of svu light fix it."
+        "Base colours have a common unknown factor, 0.72 to 1.39 (90 % interval); set it with "
+        "--grey-card or --mean-albedo of svu light."
     )
-    assert "brightness was given" in scale_sentence(made_up_light().scaled(2))
+    assert "was given" in scale_sentence(made_up_light().scaled(2))
 
 
 def test_a_level_that_was_given_is_known():

@@ -85,7 +85,7 @@ def test_a_turntable_is_recognised(vase):
     like = compare_lights(light, capture.environment)  # turned as in camera space
     assert light.moves and light.misfit[1] < 0.5 * light.misfit[0]
     assert like.correlation > 0.8
-    with pytest.raises(SceneError, match=r"^The light turns with the camera [^\n]*\.$"):
+    with pytest.raises(SceneError, match=r"^The light moves with the camera [^\n]*\.$"):
         svu.with_light(table, light)
 
 
@@ -144,4 +144,6 @@ def test_the_light_that_metal_mirrors_is_found(metal):
 def test_metal_alone_does_not_tell_how_bright_the_light_is(metal):
     low, high = metal[1].scale_interval
     wide = bool((high > 2 * low).all())
-    assert wide and any("level of the light is not known" in each for each in metal[1].remarks)
+    assert wide and any(
+        "brightness of the light is not determined" in each for each in metal[1].remarks
+    )

@@ -219,7 +219,9 @@ def test_a_prior_that_is_no_numbers_is_a_sentence(prior):
 
 
 def test_what_is_no_capture_estimate_or_candidate_is_a_sentence(vase):
-    with pytest.raises(SvuError, match=r"check\(\): a capture is needed, got a str; read one with"):
+    with pytest.raises(
+        SvuError, match=r"check\(\): capture must be a Capture, got a str; read one with"
+    ):
         svu.check("cap")
     with pytest.raises(SvuError, match=r"next_best_view\(\): an estimate is needed, got a str;"):
         svu.next_best_view("cap")

@@ -85,8 +85,8 @@ def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, 
     said = capsys.readouterr().out
     assert names(tmp_path / "a") == sorted([*FILES, "light.png"])
     assert "The light of the capture is used for comparison only." in said
-    assert "Base colours are known up to a common factor between " in said
-    assert "Against the capture's own light: correlation " in said
+    assert "Base colours have a common unknown factor, " in said
+    assert "Comparison with the light of the capture: correlation " in said
     against = record(tmp_path / "a", "light.json")["against"]
     assert against["correlation"] > 0.4  # .57, of 64 cells and 100 texels
     scaled = (*SMALL, "--light-scale", 2, "--no-pictures")
@@ -143,11 +143,11 @@ def test_what_is_known_of_the_world_is_passed_on(
 def test_it_is_found_once_and_reused(dark, tmp_path, capsys, made_up):
     assert entropy(dark, tmp_path / "first") == 0
     said = capsys.readouterr().out
-    assert "The capture has no light: it is found in the photographs first." in said
-    assert f"The light is kept in {dark / 'light'}." in said
+    assert "The capture has no light; estimating it from the photographs." in said
+    assert f"The light is cached in {dark / 'light'}." in said
     assert names(dark / "light") == FILES
     assert entropy(dark, tmp_path / "second") == 0
-    assert f"Using the light found before in {dark / 'light'}." in capsys.readouterr().out
+    assert f"Using the estimated light in {dark / 'light'}." in capsys.readouterr().out
     assert len(made_up) == 1
     first, second = (record(tmp_path / name) for name in ("first", "second"))
     assert first["inputs"]["light"] == second["inputs"]["light"]
@@ -158,13 +158,13 @@ def test_it_is_found_once_and_reused(dark, tmp_path, capsys, made_up):
 @pytest.mark.slow
 def test_it_is_found_again_in_other_photographs(dark, made_up):
     first, said = lit(dark)
-    assert "The light is kept in " in said
-    assert "Using the light found before in " in lit(dark)[1]
+    assert "The light is cached in " in said
+    assert "Using the estimated light in " in lit(dark)[1]
     path = dark / "view_0003.exr"
     layers = read_exr(path)
     write_exr(path, {c: plane * (1 if c == "A" else 1.5) for c, plane in layers.items()})
     second, said = lit(dark)
-    assert "the light there was found in other photographs." in said
+    assert "not used, as it was estimated from other photographs." in said
     assert len(made_up) == 2 and photographs_key(first) != photographs_key(second)
     kept = record(dark / "light", "light.json")
     assert kept["written"]["capture"] == photographs_key(second)
@@ -183,16 +183,16 @@ def test_a_broken_one_is_said_and_found_again(dark, made_up):
 def test_it_is_kept_beside_the_results_where_the_capture_is_read_only(dark, tmp_path, made_up):
     (dark / "light").write_text("in the way")
     place = tmp_path / "out" / "light"
-    assert f"The light is kept in {place}." in lit(dark, elsewhere=place)[1]
-    assert f"Using the light found before in {place}." in lit(dark, elsewhere=place)[1]
+    assert f"The light is cached in {place}." in lit(dark, elsewhere=place)[1]
+    assert f"Using the estimated light in {place}." in lit(dark, elsewhere=place)[1]
     assert len(made_up) == 1
-    assert "The light is not kept: it will be found again, and be the same." in lit(dark)[1]
+    assert "The light cannot be cached; the next command estimates it again." in lit(dark)[1]
 
 
 def test_a_given_light_is_taken_instead(around, dark, tmp_path, made_up):
     svu.save_light(made_up_light(), tmp_path / "light", photographs="0" * 32)
     given, said = lit(around, tmp_path / "light")
-    assert "found in other photographs; it is used as it is." in said
+    assert "using a light that was estimated from other photographs." in said
     assert given.found_light.texels == 99 and given.light_uncertainty.widening == 1.3
     as_map, said = lit(dark, tmp_path / "light" / "light.exr")
     assert as_map.found_light is None and as_map.light_uncertainty is None and not said
@@ -200,7 +200,7 @@ def test_a_given_light_is_taken_instead(around, dark, tmp_path, made_up):
     assert own.environment.id() == "light" and own.found_light is None
     assert len({capture_key(one) for one in (given, as_map, own)}) == 3
     assert not made_up and not (around / "light").exists()
-    with pytest.raises(CaptureError, match="give a folder that svu light wrote, or a map of the"):
+    with pytest.raises(CaptureError, match="give a folder written by svu light, or an env"):
         lit(around, tmp_path / "nothing")
 
 
@@ -226,8 +226,8 @@ def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
     assert run("compare", dark, out, *size, "-o", tmp_path / "compared") == 0
     assert run("export", out, "-o", tmp_path / "asset") == 0
     said = capsys.readouterr()
-    assert said.out.count("it is found in the photographs first") == 1
-    assert said.out.count("Using the light found before in ") == 4
+    assert said.out.count("estimating it from the photographs") == 1
+    assert said.out.count("Using the estimated light in ") == 4
     assert "come from another capture" not in said.err  # textures and report are of one
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "<h2>Estimated light</h2>" in page

@@ -1,1 +1,1 @@
-"""Checks whether cameras, object, light and photographs fit each other."""
+"""Consistency checks of cameras, mesh, light and photographs."""

@@ -27,16 +27,16 @@ from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.light.environment import read_environment
 from svu_mi.light.prefiltered import rasterized
 
-CONVENTION = np.eye(4)  # of the cameras' axes in the file, see ``importers.source``
-CAMERA_AXES = (CONVENTION, OPENGL, OPENCV)  # that a file may have had before it was imported
-FEWER = 0.02  # of a score, that one more correction must be worth
+CONVENTION = np.eye(4)  # camera axes of the file, see ``importers.source``
+CAMERA_AXES = (CONVENTION, OPENGL, OPENCV)  # possible axes before the import
+FEWER = 0.02  # cost of a correction, subtracted from scores
 
 
 @dataclass(frozen=True)
 class AxisHypothesis:
-    """Corrections of cameras and mesh, or of the light, in the order of their application.
+    """Corrections of cameras and mesh, or of the light, in the order of application.
 
-    ``camera_axes`` (4, 4) are those of ``apply_fixes``.
+    ``camera_axes``: (4, 4) matrix, see ``apply_fixes``.
     """
 
     fixes: tuple[AxisFix, ...] = ()
@@ -48,7 +48,7 @@ class AxisHypothesis:
         return tuple(fix.name for fix in self.fixes)
 
     def relative_poses(self, poses: np.ndarray) -> np.ndarray:
-        """Return poses (V, 4, 4) relative to the uncorrected mesh, so that one scene serves all."""
+        """Return poses (V, 4, 4) relative to the uncorrected mesh, for use with its scene."""
         for fix in self.fixes:
             if fix.kind == "camera":
                 poses = correct_poses(poses, fix, self.camera_axes)
@@ -63,9 +63,9 @@ def _fixes_of(kind: Kind) -> list[AxisFix]:
 
 @cache
 def pose_hypotheses() -> tuple[AxisHypothesis, ...]:
-    """Return all combinations of wrong camera axes, inverse poses, and a wrong mesh.
+    """Return all combinations of camera axes, inverted poses and mesh corrections.
 
-    The first corrects nothing, then come single corrections.
+    Sorted by the number of corrections; the first has none.
     """
     inverse = FIXES["camera-inverse"]
     turns = [(), *((fix,) for fix in _fixes_of("camera") if fix is not inverse)]
@@ -80,14 +80,16 @@ def pose_hypotheses() -> tuple[AxisHypothesis, ...]:
 
 @cache
 def light_hypotheses() -> tuple[AxisHypothesis, ...]:
-    """Return the 48 orientations of a map, each by the fewest corrections.
+    """Return the 48 orientations of a map, each as the shortest list of corrections.
 
-    The first corrects nothing, then come single corrections.
+    Sorted by the number of corrections; the first has none.
     """
     queue = [AxisHypothesis()]
     by_rotation = {}
-    for hypothesis in queue:  # grows while it is walked through: shortest first
-        key = fix_rotation(hypothesis.fixes, "light").astype(int).tobytes()  # axes go to axes
+    for hypothesis in queue:  # grows during the loop: breadth-first search
+        key = (
+            fix_rotation(hypothesis.fixes, "light").astype(int).tobytes()
+        )  # entries are -1, 0 or 1
         if key not in by_rotation:
             by_rotation[key] = hypothesis
             queue += [AxisHypothesis((*hypothesis.fixes, fix)) for fix in _fixes_of("light")]
@@ -99,8 +101,8 @@ def apply_fixes(
 ) -> Capture:
     """Return a copy of a capture with corrections applied in order.
 
-    ``camera_axes`` (4, 4): what the importer multiplied camera-to-world matrices by from the right;
-    only ``camera-inverse`` depends on it.
+    ``camera_axes``: (4, 4) matrix that the importer multiplied camera-to-world matrices by from the
+    right; only used by ``camera-inverse``.
     """
     for fix in fixes:
         if fix.kind == "camera":
@@ -129,7 +131,7 @@ def _with_corrected_mesh(capture: Capture, fix: AxisFix) -> Capture:
 
 
 def _with_turned_light(capture: Capture, fix: AxisFix) -> Capture:
-    """Turn the light; a constant one stays, a sky becomes a map."""
+    """Rotate the light; a constant emitter is unchanged, a sky becomes a map."""
     emitter = find_environment(capture.scene, str(capture.source or "scene"))
     if emitter.class_name() == "ConstantBackgroundEmitter":
         return capture

@@ -39,35 +39,38 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.light.environment import read_environment
 
-SIDE = 128  # pixels of the photographs that are compared
-VIEWS = 40  # in which colours are compared
-Findings = tuple[Finding, Finding, Finding]  # about poses, light and texture
+SIDE = 128  # maximum side of the compared photographs in pixels
+VIEWS = 40  # maximum number of views for comparing colours
+Findings = tuple[Finding, Finding, Finding]  # of poses, light and texture
 
 
 def check(
     capture: Capture, *, gains: Callable[[], FoundGains] | None = None,
     progress: Progress | None = None,
 ) -> Check:  # fmt: skip
-    """Compare a capture with its photographs, and search for known mistakes about axes.
-
-    Nothing of the capture is modified.
+    """Compare a capture with its photographs, and search for wrong axes and gains.
 
     Args:
-        capture: photographs, poses, mesh and light; masks help, but are optional. Without a light
-            (``load_capture(light="optional")``), only silhouettes and texture are compared.
-        gains: estimates those of the photographs that are used; called once cameras, mesh and
-            light fit. Without, only photographs whose gain differs by much are found.
-        progress: displays the progress.
+        capture: Photographs, poses, mesh and light; not modified. Masks are optional. Without a
+            light (``load_capture(light="optional")``), silhouettes and texture are compared only.
+        gains: Function that returns gains of the used photographs; called if cameras, mesh and
+            light fit. If None, only large differences of gains are detected.
+        progress: Display of the progress.
 
     Raises:
-        SvuEnvironmentError: no suitable Mitsuba variant is active.
-        CaptureError: no photograph is used.
-        OptionError: anything but a capture.
+        SvuEnvironmentError: No suitable Mitsuba variant is active.
+        CaptureError: No photograph is used.
+        OptionError: ``capture`` is not a ``Capture``.
+
+    Example:
+        >>> result = svu.check(capture)
+        >>> len(result.views), result.fixes
+        (12, ())
     """
     require_variant()
     if not isinstance(capture, Capture):
         raise OptionError(
-            f"check(): a capture is needed, got a {type(capture).__name__}; read one with "
+            f"check(): capture must be a Capture, got a {type(capture).__name__}; read one with "
             "svu.load_capture(path)."
         )
     progress = progress or Progress()
@@ -91,15 +94,13 @@ def check(
 def find_axis_mistakes(
     capture: Capture, *, progress: Progress | None = None
 ) -> tuple[Findings, np.ndarray]:
-    """Test every known mistake about axes on a capture, whose photographs may be reduced.
+    """Test all known axis mistakes on a capture, whose photographs may be reduced.
 
-    In this order: the front of the mesh; the poses of cameras and mesh, by silhouettes and
-    agreement of views; the V axis of the texture, under any light; the 48 orientations of the
-    environment map.
+    The order is: mesh inside out; poses of cameras and mesh, by silhouettes and agreement of
+    views; V axis of the texture, for unknown light; the 48 orientations of the environment map.
 
     Returns:
-        The findings about poses, light and texture, and the (4, 4) camera axes of a
-        ``camera-inverse`` among them.
+        Findings of poses, light and texture, and the (4, 4) camera axes for ``camera-inverse``.
     """
     require_variant()
     progress = progress or Progress()
@@ -107,44 +108,44 @@ def find_axis_mistakes(
     eyes = [to_world(sensor)[:3, 3] for sensor in capture.used_sensors]
     mesh = arrays(capture.shape)
     behind = back_face_share(capture.scene, mesh, eyes)
-    if behind < MOST or faces_outward(mesh):  # with the cameras inside
+    if behind < MOST or faces_outward(mesh):  # or the cameras are inside
         return _find_axis_mistakes(capture, progress)
     turned = apply_fixes(capture, find_fixes([decisions.INSIDE_OUT]))
     (poses, light, flip), axes = _find_axis_mistakes(turned, progress)
-    if poses.verdict == "unclear" and not poses.fixes:  # cameras may as well be within the mesh
+    if poses.verdict == "unclear" and not poses.fixes:  # the cameras may be inside the mesh
         return _find_axis_mistakes(capture, progress)
     return (decisions.with_inside_out(poses, behind), light, flip), axes
 
 
 def _find_axis_mistakes(capture: Capture, progress: Progress) -> tuple[Findings, np.ndarray]:
-    """Test mistakes on a capture whose mesh has its front outside."""
+    """Test axis mistakes on a capture whose mesh faces outward."""
     points = scatter_points(capture.shape)
     texture = read_texture(capture, points)
-    with progress.stage("Trying poses") as stage:
+    with progress.stage("Testing poses") as stage:
         scores = score_poses(capture, points, texture, stage.update)
         poses, chosen = decisions.decide_poses(scores)
     axes = chosen.hypothesis.camera_axes
     if poses.verdict == "unclear" and not poses.fixes:
-        reason = "cameras and mesh have to fit first"
-        flip = decisions.unknown("texture", f"V cannot be judged: {reason}")
+        reason = "cameras and mesh must fit first"
+        flip = decisions.unknown("texture", f"V cannot be tested: {reason}")
         return (poses, decisions.unknown("light", reason), flip), axes
     frames = Thumbnails.of(capture)
     seen = sample_points(points, frames.posed(chosen.hypothesis.relative_poses(frames.poses)))
-    with progress.stage("Trying textures"):
+    with progress.stage("Testing textures"):
         if texture is None:
-            reason = "The object has no texture, so nothing depends on the V axis"
+            reason = "The object has no texture, so its V axis has no effect"
             flip = decisions.unknown("texture", reason)
         else:
             flip = decisions.decide_texture(*texture.fits(seen, points))
             texture = texture.turned() if flip.verdict == "wrong" else texture
     emitter = emitter_of(capture)
     if emitter is None:
-        return (poses, decisions.unknown("light", "the capture has none"), flip), axes
+        return (poses, decisions.unknown("light", "the capture has no light"), flip), axes
     cosines = open_cosines(capture.scene, points, DIRECTIONS)
     if is_constant(emitter):
         light = decisions.decide_constant_light(normal_dependence(points, seen, cosines))
     else:
-        with progress.stage("Trying lights") as stage:
+        with progress.stage("Testing lights") as stage:
             sky = DistantLight.of(emitter, fix_rotation(chosen.hypothesis.fixes, "mesh"))
             light = decisions.decide_light(
                 score_light(sky, points, seen, cosines, texture, stage.update)
@@ -153,12 +154,12 @@ def _find_axis_mistakes(capture: Capture, progress: Progress) -> tuple[Findings,
 
 
 def _axes_are_off(axial: Sequence[Finding]) -> bool:
-    """Return whether axes are or may be wrong, so that nothing else can be compared."""
+    """Return whether axes may be wrong, which prevents other comparisons."""
     return any(one.verdict in ("wrong", "unclear") for one in axial)
 
 
 def _gain_finding(capture: Capture, small: Capture, find: Callable[[], FoundGains]) -> Finding:
-    """Estimate the gains of photographs whose axes fit."""
+    """Return a finding from gains estimated by ``find``, given correct axes."""
     try:
         gains = find()
     except SvuError as error:
@@ -174,7 +175,7 @@ def _gain_finding(capture: Capture, small: Capture, find: Callable[[], FoundGain
 def _samples_and_light(
     small: Capture, emitter: Any
 ) -> tuple[PointSamples, Points, exposure_checks.Irradiance]:
-    """Return points with their samples and the light that arrives there."""
+    """Return samples of surface points, the points, and their irradiance."""
     points = scatter_points(small.shape)
     arriving = exposure_checks.Irradiance.of(small.scene, points, read_environment(emitter))
     return sample_points(points, Thumbnails.of(small)), points, arriving
@@ -184,15 +185,15 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
     """Compare the gains of photographs with the light, and with each other.
 
     Args:
-        capture: see ``check``.
-        small: the same, reduced.
-        axial: findings about axes, which must fit.
+        capture: Capture with the original photographs.
+        small: Capture with reduced photographs.
+        axial: Findings of axes, which must fit.
     """
     emitter = emitter_of(capture)
     if emitter is None:
         return decisions.unknown("gain", "the capture has no light")
     if _axes_are_off(axial):
-        return decisions.unknown("gain", "cameras, mesh and light have to fit first")
+        return decisions.unknown("gain", "cameras, mesh and light must fit first")
     sightings, points, arriving = _samples_and_light(small, emitter)
     names, gains = list(compress(small.names, small.used)), None
     excess = exposure_checks.excess_of(
@@ -206,7 +207,7 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
 
 
 def _ignored(capture: Capture) -> tuple[Finding, ...]:
-    """Return a note about ignored parts of scene or import, if there are any."""
+    """Return a note about ignored parts of the scene or import, or an empty tuple."""
     notes = unsupported(capture.scene, capture.shape)
     description = None if capture.source is None else capture_folder.read(capture.source)
     said = description.imported.get("notes") if description else None

@@ -14,9 +14,9 @@ Verdict = Literal["fits", "wrong", "unclear", "unknown", "note"]
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredHypothesis:
-    """A set of corrections and its score, ``cues`` being the parts of that by name, at most 1 each.
+    """Set of corrections, its score, and the parts of the score (``cues``, at most 1 each).
 
-    Scores are only comparable within one finding; no corrections = as the capture is.
+    Scores are comparable within one finding only. An empty set leaves the capture unchanged.
     """
 
     fixes: tuple[str, ...]
@@ -25,26 +25,24 @@ class ScoredHypothesis:
 
     @property
     def title(self) -> str:
-        """The corrections as one phrase."""
+        """Names of the corrections, as text."""
         return " + ".join(self.fixes) if self.fixes else "as it is"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """The answer to one question about a capture.
+    """Result of one test of a capture.
 
     Attributes:
-        question: ``poses`` (of cameras and mesh), ``light``, ``texture``, ``gain`` (of the
-            photographs, against the light and each other) or ``ignored`` (what the scene has that
-            is not accounted for).
-        verdict: ``fits``; ``wrong`` (``fixes`` would put it right); ``unclear`` (something is
-            wrong, or may be, but several explanations fit, or none); ``unknown`` (photographs and
-            light of this kind cannot tell); ``note`` (to be known, no mistake: of ``ignored``, or
-            of gains that were estimated).
-        sentence: the same for people.
-        fixes: the best explanation, if it is better than what the capture says.
-        alternatives: others that explain the photographs as well.
-        hypotheses: best first.
+        question: Tested part: ``poses`` (cameras and mesh), ``light``, ``texture``, ``gain`` (of
+            the photographs) or ``ignored`` (unsupported parts of the scene).
+        verdict: ``fits``; ``wrong`` (corrected by ``fixes``); ``unclear`` (probably wrong, with
+            several possible causes or no known cause); ``unknown`` (not determined by the
+            photographs); ``note`` (information only).
+        sentence: Description of the result for users.
+        fixes: Best corrections, if they improve the fit.
+        alternatives: Other corrections that fit equally well.
+        hypotheses: Tested corrections, best first.
     """
 
     question: Question
@@ -57,14 +55,16 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class ViewCheck:
-    """Fit of one photograph, which has an index into the capture's photographs and a name.
+    """Fit of one photograph.
 
     Attributes:
-        overlap: intersection over union of silhouette and mask; None without a mask.
-        contrast: mean rank, 0 to 1, of the photograph's gradient along the outline: 0.5 is chance.
-            None where the mesh is not in the picture.
-        color_error: mean difference to the mesh as a diffuse object under the given light, relative
-            to the mean radiance; None where it is not seen, or without a light.
+        view: Index into the photographs of the capture.
+        name: Name of the photograph.
+        overlap: Intersection over union of silhouette and mask; None without a mask.
+        contrast: Mean rank in [0, 1] of the image gradient along the outline; 0.5 is chance. None
+            if the mesh is outside the image.
+        color_error: Mean difference to a diffuse rendering under the given light, relative to the
+            mean radiance; None if the object is not seen, or without a light.
     """
 
     view: int
@@ -76,7 +76,7 @@ class ViewCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class ViewMeans:
-    """Means over all views of a capture, see ``ViewCheck``; None without any."""
+    """Means over all views (see ``ViewCheck``); None without values."""
 
     overlap: float | None
     contrast: float | None
@@ -97,10 +97,14 @@ class Check:
     """Result of a check of a capture.
 
     Attributes:
-        views: one per photograph that is used, in the capture's order.
-        corrected: the same with all suggestions applied; ``views`` itself without any.
-        findings: poses, light, texture, gain and, if anything is, ignored, in this order.
-        camera_axes: (4, 4), assumed by ``camera-inverse`` (``axis_hypotheses.apply_fixes``).
+        views: Fit of each used photograph, in the order of the capture.
+        corrected: Fit after all suggested corrections; ``views`` itself if there are none.
+        findings: Findings of poses, light, texture, gain and (if any) ignored parts.
+        camera_axes: (4, 4) matrix assumed by ``camera-inverse`` (see ``apply_fixes``).
+
+    Example:
+        >>> svu.check(capture).fits
+        True
     """
 
     views: tuple[ViewCheck, ...]
@@ -114,23 +118,23 @@ class Check:
 
     @property
     def fixes(self) -> tuple[str, ...]:
-        """Names of all corrections that are suggested without reservation."""
+        """Names of all corrections with the verdict ``wrong``."""
         wrong = (finding for finding in self.findings if finding.verdict == "wrong")
         return tuple(name for finding in wrong for name in finding.fixes)
 
     @property
     def fits(self) -> bool:
-        """Whether nothing is wrong, as far as this can be told; a note is not about a mistake."""
+        """True if no finding is ``wrong`` or ``unclear``."""
         return not any(finding.verdict in ("wrong", "unclear") for finding in self.findings)
 
     @property
     def worst(self) -> tuple[ViewCheck, ...]:
-        """Views, those that fit worst first: by silhouette, then by colour."""
+        """Views in order of their fit, worst first: by silhouette, then by colour."""
 
         def badness(view: ViewCheck) -> tuple[float, float]:
             shape = view.overlap if view.overlap is not None else view.contrast
             color = 1.0 if view.color_error is None else view.color_error
-            # Silhouettes that differ by less than a tenth are put in the order of colours.
+            # Silhouettes that differ by less than 0.1 are ordered by colour.
             return -round(10 * (shape or 0.0)), color
 
         return tuple(sorted(self.views, key=badness, reverse=True))

@@ -1,4 +1,4 @@
-"""Decisions of the checks: findings from scores."""
+"""Findings of the checks, decided from scores."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.importers.axis_fixes import FIXES
 
 INSIDE_OUT = "mesh-inside-out"
-POOR_OVERLAP = 0.7  # silhouettes that fit worse explain no masks
-POOR_CONTRAST, POOR_AGREEMENT = 0.6, 0.3  # the same without masks
-# Of the score, from which another orientation of the light counts as better. Four of our objects
-# under two lights, 16 photographs of 96 pixels, as EXR and in 8 bits: right captures gain at most
-# 0.034 by any other way; EXR captures imported wrongly gain at least 0.9 by the best one.
+POOR_OVERLAP = 0.7  # minimum intersection over union of silhouettes and masks
+POOR_CONTRAST, POOR_AGREEMENT = 0.6, 0.3  # minimum fit without masks
+# Score difference from which another orientation of the light is better. On four objects under two
+# lights (16 photographs of 96 pixels, EXR and 8 bits), wrong orientations of correct captures gain
+# at most 0.034; the best orientation of wrongly imported EXR captures gains at least 0.9.
 LIGHT_IMPROVEMENT = 0.06
-LIGHT_MARGIN = 0.03  # below it, two orientations explain the photographs equally well
-LIGHT_RANGE = 0.2  # of the score over all orientations, below which the light is unknown
-LEAST_CUE = 0.1  # least cue that is evidence for an orientation
-FLIP_IMPROVEMENT = 0.03  # of the correlation with a texture
-NAMED = 5  # photographs that a sentence names
-ALIKE = 0.05  # estimated log gains up to which photographs count as equal
+LIGHT_MARGIN = 0.03  # smaller score differences are ties
+LIGHT_RANGE = 0.2  # minimum range of the score over all orientations
+LEAST_CUE = 0.1  # minimum cue that supports an orientation
+FLIP_IMPROVEMENT = 0.03  # minimum difference of the correlation with a texture
+NAMED = 5  # maximum number of photographs named in a sentence
+ALIKE = 0.05  # log gains up to this are equal
 UNKNOWN = {
     "light": "The orientation of the light cannot be determined: {}.",
     "texture": "{}.",
-    "gain": "Whether the photographs have the same gain cannot be determined: {}.",
+    "gain": "The gains of the photographs cannot be compared: {}.",
 }
 
 
 def unknown(question: Question, reason: str, table: tuple[ScoredHypothesis, ...] = ()) -> Finding:
-    """Return the finding that a question cannot be answered."""
+    """Return a finding with the verdict ``unknown``."""
     sentence = UNKNOWN[question].format(reason)
     return Finding(question=question, verdict="unknown", sentence=sentence, hypotheses=table)
 
@@ -45,10 +45,10 @@ def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
     """Decide on cameras and mesh.
 
     Args:
-        scores: best first; the one without corrections is among them.
+        scores: Scores, best first, including the hypothesis without corrections.
 
     Returns:
-        The finding, and the hypothesis to use for other questions.
+        The finding, and the hypothesis to use in other tests.
     """
     current = next(score for score in scores if not score.hypothesis.fixes)
     chosen, others = simplest(scores)
@@ -58,8 +58,8 @@ def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
     if _is_poor(chosen):
         return finding(
             verdict="unclear",
-            sentence=f"Mesh and photographs do not fit ({fit}), and no known mistake "
-            "explains it: check the scale of mesh and poses, and whether they belong together.",
+            sentence=f"Mesh and photographs do not fit ({fit}), and no known axis mistake "
+            "explains it; check the scale of mesh and poses, and that both show the same object.",
         ), current  # fmt: skip
     finding = partial(finding, alternatives=alternatives)
     if chosen is current:
@@ -69,18 +69,18 @@ def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
         return finding(
             verdict="unclear", fixes=names,
             sentence=f"Cameras and mesh do not fit the photographs ({fit}); "
-            f"{_choices((names, *alternatives))} explains them equally well ({_fit(chosen)}): the "
-            "object is too symmetric to tell.",
+            f"{_choices((names, *alternatives))} would fit equally well ({_fit(chosen)}); the "
+            "object is too symmetric to decide.",
         ), chosen  # fmt: skip
     sentence = f"{_causes(names)}: {_fit(chosen)} instead of {fit}."
     return finding(verdict="wrong", fixes=names, sentence=sentence), chosen
 
 
 def with_inside_out(poses: Finding, behind: float) -> Finding:
-    """Add that the mesh had to be turned inside out: ``behind`` of what is seen was its back."""
+    """Add ``mesh-inside-out`` to a finding; ``behind``: seen fraction of back faces."""
     sentence = (
-        f"{_causes((INSIDE_OUT,))}: {behind:.0%} of what the photographs show of it is its back "
-        f"(in a Mitsuba scene, set flip_normals on the shape). {poses.sentence}"
+        f"{_causes((INSIDE_OUT,))}: {behind:.0%} of its seen surface are back faces (in a Mitsuba "
+        f"scene, set flip_normals on the shape). {poses.sentence}"
     )
     return replace(
         poses, verdict="unclear" if poses.verdict == "unclear" else "wrong", sentence=sentence,
@@ -108,7 +108,7 @@ def _fit(score: PoseScore) -> str:
 
 
 def decide_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.ndarray]) -> Finding:
-    """Decide on the V axis of texture coordinates, by two ``texture_fit``."""
+    """Decide on the V axis of texture coordinates from two results of ``texture_fit``."""
     flip = ("texture-flip-v",)
     (plain, misfit), (flipped, misfit_flipped) = as_it_is, turned
     table = [
@@ -135,7 +135,7 @@ def decide_light(scores: Sequence[LightScore]) -> Finding:
     """Decide on the axes of the environment map.
 
     Args:
-        scores: best first, all 48; none if nothing is seen of the object.
+        scores: Scores of all 48 orientations, best first; empty if the object is not seen.
     """
     if not scores:
         return unknown("light", "too little of the object is seen")
@@ -145,12 +145,12 @@ def decide_light(scores: Sequence[LightScore]) -> Finding:
     improvement = best.total - current.total
     alternatives = tuple(score.hypothesis.names for score in _indistinguishable(scores, best))
     if best.total - min(score.total for score in scores) < LIGHT_RANGE:
-        return unknown("light", "it is even, or the object shows too little of it", table)
+        return unknown("light", "it is nearly constant, or hardly affects the photographs", table)
     is_supported = _count_cues(best, current) >= 2
     if improvement > LIGHT_RANGE and not is_supported:
-        # An object that faces one way is as bright under any light of that side.
+        # A single cue may be due to texture or to an object that faces one side.
         either = _choices((names, *alternatives))
-        return unknown("light", f"{either} would fit better, but only by one cue of three", table)
+        return unknown("light", f"{either} would fit better, but by one of three cues only", table)
     if improvement <= LIGHT_IMPROVEMENT or not is_supported:
         as_good = _indistinguishable(scores, current)
         others = tuple(s.hypothesis.names for s in as_good if len(s.hypothesis.fixes) == 1)
@@ -167,20 +167,20 @@ def decide_light(scores: Sequence[LightScore]) -> Finding:
 
 
 def _indistinguishable(scores: Sequence[LightScore], best: LightScore) -> list[LightScore]:
-    """Return the other hypotheses that explain the photographs as well as ``best``."""
+    """Return the other hypotheses whose scores are as good as that of ``best``."""
     return [s for s in scores if s is not best and s.total > best.total - LIGHT_MARGIN]
 
 
 def decide_constant_light(dependence: NormalDependence | None) -> Finding:
-    """Decide on a constant light, which has no axes."""
+    """Decide whether a constant light is plausible."""
     if dependence is None or not dependence.contradicts:
-        return unknown("light", "it is the same from everywhere")
+        return unknown("light", "it is constant")
     return Finding(
         question="light", verdict="unclear",
-        sentence="The light is the same from everywhere, but the photographs are brighter where "
-        f"the surface faces some sides, by a factor of {np.exp(2 * dependence.spread):.1f}: unless "
-        "the object is painted that way, this light stands in for another; give that of the "
-        "photographs (svu import --environment, or the emitter of the scene).",
+        sentence="The light is constant, but brightness in the photographs depends on the surface "
+        f"normal, by a factor of {np.exp(2 * dependence.spread):.1f}. Unless the object is painted "
+        "that way, this is not the light of the photographs; give the correct one (svu import "
+        "--environment, or the emitter of the scene), or omit it.",
     )  # fmt: skip
 
 
@@ -188,9 +188,9 @@ def decide_gains(excess: Excess | None, gains: ViewGains | None, names: Sequence
     """Decide on the gains of photographs.
 
     Args:
-        excess: of all of them over the light; None if unknown.
-        gains: of V photographs, against each other; None if they are too few.
-        names: of those.
+        excess: Excess of all photographs over the light; None if unknown.
+        gains: Relative gains of V photographs; None if there are too few.
+        names: Names of these photographs.
     """
     odd = _odd_gains(gains, names) if gains is not None and gains.odd.any() else None
     sentences = list(filter(None, (excess and excess.sentence(), odd)))
@@ -206,7 +206,7 @@ def decide_gains(excess: Excess | None, gains: ViewGains | None, names: Sequence
 
 
 def report_gains(excess: Excess | None, gains: FoundGains, sentences: Iterable[str]) -> Finding:
-    """Return the finding about estimated gains, with sentences about them."""
+    """Return the finding of estimated gains; ``sentences`` describe them."""
     too_bright = list(filter(None, [excess and excess.sentence()]))
     odd = bool(gains.odd.any())
     is_equal = not odd and float(np.abs(gains.logarithm).max(initial=0)) <= ALIKE
@@ -214,8 +214,8 @@ def report_gains(excess: Excess | None, gains: FoundGains, sentences: Iterable[s
         parts = ["All photographs have the same gain, to about 5 %.", *too_bright]
     else:
         parts = [
-            *sentences, *too_bright, "With --gains estimate, other commands divide by these gains, "
-            "and leave out what does not fit.",
+            *sentences, *too_bright, "With --gains estimate, other commands divide by these gains "
+            "and exclude outliers.",
         ]  # fmt: skip
     verdict: Verdict = "unclear" if too_bright or odd else "fits" if is_equal else "note"
     return Finding(question="gain", verdict=verdict, sentence=" ".join(parts))
@@ -229,14 +229,13 @@ def _odd_gains(gains: ViewGains, names: Sequence[str]) -> str:
     subject = "One photograph has" if len(odd) == 1 else f"{len(odd)} photographs have"
     which = "it" if len(odd) == 1 else "them"
     return (
-        f"{subject} another gain than the others: {', '.join(each)}{more}; give the exposure of "
-        f"each photograph (svu import --exposures, or divide its pixels by it), or leave "
-        f"{which} out."
+        f"{subject} a different gain: {', '.join(each)}{more}; give the exposure of each "
+        f"photograph (svu import --exposures, or divide its pixels by it), or exclude {which}."
     )
 
 
 def _count_cues(score: LightScore, other: LightScore) -> int:
-    """Count the cues that favour one over another; a single one may be chance."""
+    """Count the cues that favour one score over another; a single one may be chance."""
     pairs = zip(score.cues.values(), other.cues.values(), strict=True)
     return sum(a > max(b + 0.01, LEAST_CUE) for a, b in pairs)
 

@@ -1,17 +1,17 @@
-"""Scores of the 48 orientations of an environment map, and of a constant light.
+"""Scores of the 48 orientations of an environment map, and a test of constant light.
 
 Reflectance and roughness are unknown, so the comparison uses
 
-* shading: differences of brightness between neighbouring points, which mostly have one colour;
-  as they are, and without the part that texture (or else the points' hue) explains;
-* highlights: changes of the brightness of one point between views, up to a factor per point.
+* shading: differences of brightness between neighbouring points, which mostly have equal colours;
+  before and after regression on texture (or hue, without a texture);
+* highlights: changes of the brightness of a point between views, up to a factor per point.
 
-Under a constant light, brightness depends on colour and openness, not on the normal. It is doubted
-if the normal explains both many of the differences between neighbours and much of all brightness;
-paint may do either, but hardly both. On our own three objects, 16 photographs of 96 pixels, in
-their own colours and in matte, glossy and metal ones, ``local`` and ``spread`` are at most 0.05 and
-0.06 under constant light; with constant light given for the studio, the clear sky or the window at
-least 0.11 and 0.50; for the overcast sky, which differs little from it, 0.01 and 0.07.
+Under constant light, brightness depends on colour and ambient occlusion, not on the normal. The
+light is implausible if the normal explains both the differences between neighbours and the
+overall brightness; paint rarely causes both. On three objects (16 photographs of 96 pixels; own,
+matte, glossy and metal materials), ``local`` and ``spread`` are at most 0.05 and 0.06 under
+constant light. If constant light is assumed instead of the studio, clear sky or window, they are
+at least 0.11 and 0.50; instead of the overcast sky, which is nearly constant, 0.01 and 0.07.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from svu_mi.capture.importers.axis_fixes import fix_rotation
 from svu_mi.light.environment import basis_at
 
 NEIGHBORS = 8
-CLIP = 1.5  # of the median difference of neighbours, against edges between colours
-ALBEDO_FLOOR = 0.08  # added before taking logarithms: dark surfaces reflect at least some gloss
-SPECIAL = 0.3  # of the typical radiance, added to a point's own before division
-FEWEST_EVEN = 200  # points, to doubt a constant light
-LOCAL, SPREAD = 0.08, 0.25  # beyond both, a constant light is doubted
+CLIP = 1.5  # limit of differences at colour edges, relative to their median
+ALBEDO_FLOOR = 0.08  # added before logarithms: dark surfaces are also glossy
+SPECIAL = 0.3  # fraction of the mean radiance, added before division
+FEWEST_EVEN = 200  # points needed to test a constant light
+LOCAL, SPREAD = 0.08, 0.25  # a constant light is implausible above both
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class LightScore:
     """Score of one orientation.
 
     Attributes:
-        hypothesis: the corrections.
-        shading: correlation of differences between neighbours with the predicted irradiance's.
-        bare: the same without the part that colours explain.
-        highlights: part of the variance between views that filtered light explains.
+        hypothesis: Tested corrections.
+        shading: Correlation of neighbour differences in radiance and predicted irradiance.
+        bare: As ``shading``, after regression on colour.
+        highlights: Fraction of the variance between views that filtered light explains.
     """
 
     hypothesis: AxisHypothesis
@@ -66,7 +66,7 @@ class LightScore:
 
     @property
     def total(self) -> float:
-        """Information in all three, less a cost per correction."""
+        """Sum of the information of the cues, minus a cost per correction."""
         rest = (1 - max(self.shading, 0) ** 2, 1 - max(self.bare, 0) ** 2, 1 - self.highlights)
         return -float(np.log(np.maximum(rest, 1e-3)).sum()) - FEWER * len(self.hypothesis.fixes)
 
@@ -75,15 +75,15 @@ def score_light(
     sky: DistantLight, points: Points, sightings: PointSamples, cosines: np.ndarray,
     texture: Texture | None, step: Callable[[int, int], None],
 ) -> tuple[LightScore, ...]:  # fmt: skip
-    """Score all orientations, best first; none if next to nothing of the object is seen.
+    """Score all orientations, best first; empty if too little of the object is seen.
 
     Args:
-        sky: the light.
-        points: on the object.
-        sightings: of the points.
-        cosines: (N, K), ``open_cosines`` of ``surface_samples.DIRECTIONS``.
-        texture: of the object, None if it has none.
-        step: called with (hypotheses done, total).
+        sky: Distant light.
+        points: N surface points.
+        sightings: Samples of the points.
+        cosines: (N, K) ``open_cosines`` of ``surface_samples.DIRECTIONS``.
+        texture: Texture of the object, or None.
+        step: Callback with (completed, total) hypotheses.
     """
     shown, known = sightings.typical()
     if known.sum() < FEWEST:
@@ -102,12 +102,12 @@ def score_light(
 
 
 def _features(shown: np.ndarray, texture: Texture | None, known: np.ndarray) -> np.ndarray:
-    """Return (M, F) orthonormal polynomials in texture, or else in the points' hue."""
+    """Return (M, F) orthonormal polynomials of the texture or, without it, of the hue."""
     colors = shown[known] + DARK if texture is None else texture.albedo[known] + ALBEDO_FLOOR
     logs = np.log(colors)
     grey = logs.mean(axis=1, keepdims=True)
     hue = (logs - grey)[:, :2]
-    # Without a texture only the hue: brightness itself is compared.
+    # Without a texture only hue is used: brightness is the compared quantity.
     axes = hue if texture is None else np.concatenate([grey, hue], axis=1)
     axes = 2 * np.tanh((axes - axes.mean(axis=0)) / (axes.std(axis=0) + 1e-3) / 2)
     powers = np.stack(np.meshgrid(*[np.arange(4)] * axes.shape[1]), -1).reshape(-1, axes.shape[1])
@@ -120,10 +120,10 @@ def _features(shown: np.ndarray, texture: Texture | None, known: np.ndarray) -> 
 def _shading(
     position: np.ndarray, shown: np.ndarray, features: np.ndarray
 ) -> Callable[[np.ndarray], tuple[float, float]]:
-    """Return a function that correlates irradiance with the radiance of M points, both (M, 3).
+    """Return a function that correlates irradiance (M, 3) with the radiance of M points.
 
-    It compares clipped differences of logarithms between neighbours, with and without the part
-    that orthonormal features (M, F) explain.
+    It compares clipped log differences between neighbours, before and after regression on
+    orthonormal features (M, F).
     """
     pairs = neighbors_of(position)
 
@@ -143,14 +143,14 @@ def _shading(
 
 
 def neighbors_of(position: np.ndarray) -> np.ndarray:
-    """Return (P, 2) indices of points (N, 3), each with those nearest to it."""
+    """Return (P, 2) index pairs of points (N, 3) and their nearest neighbours."""
     count = min(NEIGHBORS + 1, len(position))
     near = scipy.spatial.cKDTree(position).query(position, k=count)[1][:, 1:]
     return np.stack([np.repeat(np.arange(len(position)), count - 1), near.ravel()], axis=-1)
 
 
 def clipped_differences(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Return differences (P, ...) of values (N, ...) in pairs, clipped at edges."""
+    """Return clipped differences (P, ...) of values (N, ...) within pairs."""
     steps = _differences(values, pairs)
     limit = CLIP * float(np.median(np.abs(steps)))
     return np.clip(steps, -limit, limit)
@@ -168,9 +168,9 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 def _highlights(
     points: Points, sightings: PointSamples
 ) -> tuple[np.ndarray, Callable[[np.ndarray], float]]:
-    """Return mirrored directions (V N, 3), and a function of the light (L, V N, 3) from there.
+    """Return mirror directions (V N, 3), and a function that scores light (L, V N, 3) from them.
 
-    It returns the part of the differences between views of one point that the best of L lobes
+    The score is the fraction of the differences between views of a point that the best of L lobes
     explains, relative to the brightness of the point.
     """
     _, mirror = sightings.mirrored(points)
@@ -207,8 +207,8 @@ class NormalDependence:
     """Dependence of brightness on the normal.
 
     Attributes:
-        local: part of the differences in log brightness of neighbours, in [0, 1].
-        spread: standard deviation of log brightness.
+        local: Explained fraction of log brightness differences of neighbours, in [0, 1].
+        spread: Standard deviation of the explained log brightness.
     """
 
     local: float
@@ -216,7 +216,7 @@ class NormalDependence:
 
     @property
     def contradicts(self) -> bool:
-        """Whether a constant light is implausible."""
+        """True if a constant light is implausible."""
         return self.local > LOCAL and self.spread > SPREAD
 
 
@@ -225,7 +225,7 @@ def normal_dependence(
 ) -> NormalDependence | None:
     """Regress brightness on the normal; None if too little of the object is seen.
 
-    ``cosines``: (N, K), ``open_cosines`` of even directions.
+    ``cosines``: (N, K) ``open_cosines`` of evenly spaced directions.
     """
     shown, known = sightings.typical()
     if known.sum() < FEWEST_EVEN:
@@ -250,6 +250,6 @@ def normal_dependence(
 
 
 def _explained_part(features: np.ndarray, values: np.ndarray) -> float:
-    """Return the part of (P,) values that (P, F) features explain, in [0, 1]."""
+    """Return the fraction of (P,) values that (P, F) features explain, in [0, 1]."""
     rest = values - features @ np.linalg.lstsq(features, values, rcond=None)[0]
     return 1 - float((rest @ rest) / max(values @ values, 1e-300))

@@ -1,19 +1,18 @@
-"""Checks of exposure gains: of all photographs against the light, and against each other.
+"""Checks of exposure gains: relative to the light, and between photographs.
 
-Common gain: an opaque surface is never brighter than all the light that reaches it, seen from many
-sides. Photographs where more of it is (``Excess``) have another unit than the light. Photographs
-that are too dark look like dark paint. Constants were chosen on our own objects and lights, and
-eight uniform materials, in 8 to 24 views. Unchanged, our own textures exceed the bound on .3 % of
-the surface, white paint (base colour .9, in the sun) on 8 %, whiter paint on 16 % (.95) and 40 %
-(1), by factors of at most 1.14 and 1.15. Twice as bright, in 24 views our own textures do on 14 to
-80 % by factors of 1.18 to 1.76 (the knot by the window 1.11, which is like paint), in 8 views on
-4 to 80 %. Polished metal that mirrors a window is three times as bright as white, but from one
-side only. These numbers are for 512 cells of the light; with 1024, factors differ by .002 at most,
-and parts by .001.
+Common gain: seen from many sides, an opaque surface is not brighter than a white diffuse surface.
+If photographs exceed this bound (``Excess``), their unit differs from that of the light. Too dark
+photographs are not detected: they look like dark paint. The constants were chosen on the included
+objects and lights and eight uniform materials, in 8 to 24 views. With correct units, the included
+textures exceed the bound on 0.3 % of the surface, white paint (base colour 0.9, in the sun) on 8 %,
+whiter paint on 16 % (0.95) and 40 % (1), by factors of at most 1.15. In photographs twice as
+bright, the included textures exceed it on 14 to 80 % of the surface (24 views; 8 views: 4 to 80 %)
+by factors of 1.18 to 1.76 (1.11 for the knot by the window). Polished metal that mirrors a window
+is three times as bright as white, but from one side only.
 
-Single gains: every point is fitted by a diffuse and a glossy part of its own, and the gain of a
-view is the median ratio to that. It takes half a second, and finds single gains of 1.5 and .67 in
-9 of 10 captures of 24 views, 8 of 10 of 12, 7 of 10 of 8; none in right captures. The estimate with
+Relative gains: each point is fitted by a diffuse and a glossy term, and the gain of a view is the
+median ratio to the fit. This takes 0.5 s and detects single gains of 1.5 and 0.67 in 9 of 10
+captures of 24 views (12 views: 8, 8 views: 7), without false positives. The estimate with
 calibrated materials (``calibration.exposure``) is more precise, but takes ten times longer.
 """
 
@@ -51,38 +50,38 @@ if TYPE_CHECKING:
     from svu_mi.light.environment import Environment
     from svu_mi.posterior.estimate import Estimate
 
-LEAST = 3  # views of a point
+LEAST = 3  # views needed per point
 
-CELLS = 1024  # of the light, as many as are traced by default; smaller where it is brighter
-FACING = 0.5  # least cosine to the camera: gloss near the rim is brighter than the bound
-NARROW = 0.95  # length of the mean of unit directions to the cameras, in a cone of 50 degrees
-DIMMER = 5  # one of this many views may be dimmer than white, because of noise
-LIT = 0.8  # of the median light: in shadow, most light comes from the object itself
-OPEN = 0.9  # free part of the sky, weighted by the cosine, for the same reason
-AROUND = 2.0  # brightness of occluders, relative to the mean of the object
-FEWEST = 50  # points
-MOST = 0.1  # of the points, that may be brighter than white
-WHITEST = 1.16  # times white: gloss and interreflection on white paint
-BRIGHT = 0.98  # quantile of the points' factors that is reported
+CELLS = 1024  # cells of the light tree, smaller in bright regions
+FACING = 0.5  # minimum cosine to the camera: grazing gloss exceeds the bound
+NARROW = 0.95  # length of the mean camera direction: a cone of 50 degrees
+DIMMER = 5  # one of so many views may be below the bound, due to noise
+LIT = 0.8  # minimum irradiance relative to the median: interreflection dominates in shadow
+OPEN = 0.9  # minimum unoccluded fraction of the sky, cosine-weighted
+AROUND = 2.0  # radiance of occluders, relative to the mean of the object
+FEWEST = 50  # reliable points needed
+MOST = 0.1  # fraction of points that may exceed the bound
+WHITEST = 1.16  # factor of gloss and interreflection on white paint
+BRIGHT = 0.98  # reported quantile of the factors
 
-GRAZING = 0.3  # least cosine to the camera for single gains
-VIEWS = 8  # fewer have too few points in common
+GRAZING = 0.3  # minimum cosine to the camera for relative gains
+VIEWS = 8  # minimum number of views, for enough common points
 STEPS = 8  # alternations of gains and materials
-DARK = 0.05  # of the median radiance, added before taking ratios
-TYPICAL = 0.3  # of a point's mean radiance, likewise, in the first step
-OUTLIER = 0.3  # log ratio from which a sample counts half
-EXPLAINED = 0.12  # largest median log ratio of a point over its views
-SHARE = 0.65  # of the samples that must be explained: reflections may be too sharp
-SIDES = fibonacci(16)  # directions that normals are grouped by, since model errors are alike there
-OF_SIDE = 4  # points
-FEWEST_SIDES = 3  # that a view has to show
-LARGEST = 0.2  # log gain that is accepted
-CERTAIN = 4.0  # standard errors
+DARK = 0.05  # fraction of the median radiance, added before ratios
+TYPICAL = 0.3  # fraction of the mean radiance of a point, added in the first step
+OUTLIER = 0.3  # log ratio at which the weight of a sample is halved
+EXPLAINED = 0.12  # maximum median log ratio of a point over its views
+SHARE = 0.65  # minimum fraction of explained samples: reflections may be too sharp
+SIDES = fibonacci(16)  # normals are grouped by these, as model errors depend on the normal
+OF_SIDE = 4  # points needed per side
+FEWEST_SIDES = 3  # sides needed per view
+LARGEST = 0.2  # maximum accepted log gain
+CERTAIN = 4.0  # significance in standard errors
 
 
 class Irradiance(NamedTuple):
-    """Radiance (N, 3) of a white diffuse surface at N points, irradiance / pi, and the free part
-    (N,) of the sky, weighted by the cosine."""
+    """Radiance (N, 3) of a white diffuse surface (irradiance / pi) at N points, and unoccluded
+    fraction (N,) of the sky, weighted by the cosine."""
 
     white: np.ndarray
     free: np.ndarray
@@ -91,15 +90,15 @@ class Irradiance(NamedTuple):
     def of(
         scene: Any, points: Points, environment: Environment, cells: LightCells | None = None
     ) -> Irradiance:
-        """Sum the cells of the light; occlusion is traced in a few even directions."""
+        """Sum the cells of the light; occlusion is traced in a few evenly spaced directions."""
         cells = cells or build_light_tree(environment, COARSE, CELLS).fine
         flux, toward = read_cells(cells)
         cosines = open_cosines(scene, points, DIRECTIONS)
         whole = np.maximum(points.normal @ DIRECTIONS.T, 0)
-        # A cell is hidden if the direction next to it is; what lies below the horizon hides none.
+        # A cell is occluded if its nearest direction is; directions below the horizon are not.
         free = (cosines > 0) | (whole <= 0)
         nearest = scipy.spatial.cKDTree(DIRECTIONS).query(toward)[1]
-        arriving = points.normal.astype(np.float32) @ toward.T  # fresh memory takes time: once
+        arriving = points.normal.astype(np.float32) @ toward.T  # modified in place, to save memory
         np.maximum(arriving, 0, out=arriving)
         arriving *= free[:, nearest]
         white = (arriving @ flux).astype(np.float64) / np.pi
@@ -107,28 +106,28 @@ class Irradiance(NamedTuple):
 
 
 class Excess(NamedTuple):
-    """Part of the points that are brighter than white, in [0, 1], and by which factor."""
+    """Fraction of points brighter than white, in [0, 1], and the factor of their excess."""
 
     part: float
     factor: float
 
     def sentence(self, *, estimated: bool = False) -> str | None:
-        """Return problem and remedy, None without a problem.
+        """Return a description of the problem and its remedy; None without a problem.
 
         ``estimated``: the light was estimated from these photographs, up to its scale.
         """
         if self.part <= MOST or self.factor <= WHITEST:
             return None
-        part = f"{100 * self.part:.0f} % of the surface reflects more than all the light that"
+        part = f"{100 * self.part:.0f} % of the surface reflects more light than it receives"
         if estimated:
             return (
-                f"{part} was found, which is too dark by a factor of {self.factor:.1f} or more; "
-                "fix its brightness with --grey-card, --mean-albedo or --light-scale of svu light."
+                f"{part}: the estimated light is too dark by a factor of {self.factor:.1f} or "
+                "more; set it with --grey-card, --mean-albedo or --light-scale of svu light."
             )
         return (
-            f"{part} reaches it: the photographs are too bright for this light, by a factor of "
+            f"{part}: the photographs are too bright for this light, by a factor of "
             f"{self.factor:.1f} or more; check their gain (svu import --exposures, or divide the "
-            "photographs) and the light's (--environment-scale, or scale in the scene)."
+            "photographs) and the scale of the light (--environment-scale, or scale in the scene)."
         )
 
 
@@ -137,7 +136,7 @@ def excess_of(
 ) -> Excess | None:
     """Compare N points in V views with the bound; None if too few points are reliable.
 
-    ``unit``: radiance of a sighting of 1.
+    ``unit``: radiance of a sample value of 1.
     """
     cosine, _ = samples.mirrored(points)
     seen = samples.seen & (cosine > FACING)
@@ -156,19 +155,19 @@ def excess_of(
 
 
 def _seen_from_many_sides(sightings: PointSamples, seen: np.ndarray) -> np.ndarray:
-    """Return which points (N,) are seen from many sides, and not all in the mirror of one lamp."""
+    """Return flags (N,) of points seen from many sides, so not only in a mirror reflection."""
     total = np.einsum("vn,vni->ni", seen, sightings.toward)
     return np.linalg.norm(total, axis=1) < NARROW * seen.sum(axis=0)
 
 
 def unit_of(capture: Capture, small: Capture) -> float:
-    """Return the radiance of a pixel of 1 in a reduced capture."""
+    """Return the radiance of a pixel value of 1 in a reduced capture."""
     view = capture.used.index(True)
     return small.exposures[view] / capture.exposures[view]
 
 
 def too_bright(estimate: Estimate) -> str | None:
-    """Return a sentence if an estimate's photographs are too bright for its light, else None."""
+    """Return a message if the photographs are too bright for the light, else None."""
     seen = estimate.observed
     if seen is None:
         return None
@@ -181,21 +180,21 @@ def too_bright(estimate: Estimate) -> str | None:
 
 
 def warn_if_too_bright(estimate: Estimate) -> None:
-    """Warn if an estimate's photographs are too bright for its light."""
+    """Warn if the photographs of an estimate are too bright for its light."""
     sentence = too_bright(estimate)
     if sentence is not None:
         warnings.warn(sentence, SvuWarning, stacklevel=2)
 
 
 class Reflections(NamedTuple):
-    """Grey samples of N points in V views, and what reflects there.
+    """Grey samples of N points in V views, and predicted reflections.
 
     Attributes:
         seen: (V, N) bool.
         shown: (V, N) radiance, positive where seen.
         diffuse: (N,) radiance of a white diffuse surface.
-        lobes: (L, V, N) radiance of glossy ones.
-        side: (N,) index of the direction in ``SIDES`` next to the normal.
+        lobes: (L, V, N) radiance of glossy lobes.
+        side: (N,) index of the direction in ``SIDES`` nearest to the normal.
     """
 
     seen: np.ndarray
@@ -208,7 +207,7 @@ class Reflections(NamedTuple):
     def of(
         scene: Any, points: Points, sightings: PointSamples, light: tuple[DistantLight, Irradiance]
     ) -> Reflections:
-        """Look up the light that points mirror to the cameras."""
+        """Look up the filtered light in the mirror directions of the cameras."""
         sky, arriving = light
         cosine, mirror = sightings.mirrored(points)
         reflected = sky.reflected(mirror.reshape(-1, 3), np.eye(3)).mean(axis=2)
@@ -227,7 +226,7 @@ class Reflections(NamedTuple):
 
 
 def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return which of (V, N) samples mirror the light, not the object."""
+    """Return flags of (V, N) samples whose mirror direction is unoccluded."""
     if not wanted.any():
         return np.zeros(wanted.shape, bool)
     view, point = np.nonzero(wanted)
@@ -241,12 +240,12 @@ def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, wanted: np.ndarray
 
 @dataclass(frozen=True)
 class ViewGains:
-    """The gains of V photographs, relative to their median.
+    """Gains of V photographs, relative to their median.
 
     Attributes:
-        log: (V,) natural logarithms.
-        noise: (V,) standard errors of those; infinite where unknown.
-        explained: part of the samples that the model explains, in [0, 1].
+        log: (V,) natural logarithms of gains.
+        noise: (V,) standard errors of ``log``; infinite if unknown.
+        explained: Fraction of the samples that the model explains, in [0, 1].
     """
 
     log: np.ndarray
@@ -255,12 +254,12 @@ class ViewGains:
 
     @property
     def known(self) -> np.ndarray:
-        """(V,) bool, the photographs that can be compared."""
+        """(V,) bool flags of photographs that can be compared."""
         return np.isfinite(self.noise) & (self.explained >= SHARE)
 
     @property
     def odd(self) -> np.ndarray:
-        """(V,) bool, the photographs whose gain differs significantly."""
+        """(V,) bool flags of photographs whose gain differs significantly."""
         limit = np.maximum(LARGEST, CERTAIN * np.where(self.known, self.noise, 0))
         return self.known & (np.abs(self.log) > limit)
 
@@ -280,7 +279,7 @@ def relative_gains(samples: Reflections) -> ViewGains:
         model = _fit_lobes(even, weight, samples)
         ratio = np.where(seen, np.log((even + unit) / (model + unit)), np.nan)
         weight = seen / (model + unit) ** 2 / (1 + (np.nan_to_num(ratio) / OUTLIER) ** 2)
-        # Two views of a point are always explained.
+        # Correct for degrees of freedom: two views of a point are always explained.
         error = _medians(np.abs(ratio - _medians(ratio, 1)[:, None]), 0) * np.sqrt(
             count / (count - 2)
         )
@@ -291,7 +290,7 @@ def relative_gains(samples: Reflections) -> ViewGains:
 
 
 def _fit_lobes(shown: np.ndarray, weight: np.ndarray, samples: Reflections) -> np.ndarray:
-    """Return the best fit (V, N) of each point by a diffuse part and one lobe, both positive."""
+    """Return the best fit (V, N) of each point by a diffuse term and one lobe, both positive."""
     least, model = np.full(shown.shape[1], np.inf), np.zeros_like(shown)
     diffuse = np.broadcast_to(samples.diffuse, shown.shape)
     for lobe in samples.lobes:
@@ -304,7 +303,7 @@ def _fit_lobes(shown: np.ndarray, weight: np.ndarray, samples: Reflections) -> n
 def _fit_lobe(
     shown: np.ndarray, weight: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray
 ) -> np.ndarray:
-    """Fit shown = a diffuse + b lobe at every point by weighted least squares, a and b positive."""
+    """Fit shown = a diffuse + b lobe per point by weighted least squares with a, b >= 0."""
 
     def product(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         return (weight * one * other).sum(axis=0)
@@ -315,7 +314,7 @@ def _fit_lobe(
     is_both = determinant > 1e-6 * aa * bb
     divisor = np.where(is_both, determinant, 1)
     a, b = (sa * bb - sb * ab) / divisor, (sb * aa - sa * ab) / divisor
-    # Else one of them alone, that which explains more.
+    # Otherwise use the single term that explains more.
     alone_a, alone_b = sa / np.maximum(aa, 1e-30), sb / np.maximum(bb, 1e-30)
     is_both &= (a >= 0) & (b >= 0)
     is_diffuse = alone_a * sa >= alone_b * sb
@@ -325,7 +324,7 @@ def _fit_lobe(
 
 
 def _noise(ratio: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """Return standard errors (V,) of the medians of ratios (V, N), by the spread over sides."""
+    """Return standard errors (V,) of the medians of ratios (V, N), from the spread over sides."""
     medians = []
     for number in np.unique(side):
         of_side = ratio[:, side == number]
@@ -338,5 +337,5 @@ def _noise(ratio: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 
 def _medians(values: np.ndarray, axis: int) -> np.ndarray:
-    """Return medians of finite values, NaN without any."""
+    """Return medians of finite values; NaN if there are none."""
     return np.ma.median(np.ma.masked_invalid(values), axis=axis).filled(np.nan)

@@ -32,12 +32,12 @@ from svu_mi.calibration.checks.thumbnails import (
 )
 from svu_mi.capture.capture import Capture
 
-VIEWS, SMALL = 24, 64  # for silhouettes of all hypotheses, and pixels of their sides
-NEAR = 0.2  # distance to the best silhouettes within which colours are compared
-FEWEST, KEPT = 5, 12  # hypotheses whose colours are compared
-CERTAIN = 3.0  # standard errors
-AGREEING = 0.3  # least agreement of views that is evidence
-DECISIVE = 0.1  # of the silhouettes' fit
+VIEWS, SMALL = 24, 64  # views and pixels per side for silhouettes of all hypotheses
+NEAR = 0.2  # colours are compared up to this distance from the best silhouettes
+FEWEST, KEPT = 5, 12  # minimum and maximum number of hypotheses with compared colours
+CERTAIN = 3.0  # significance in standard errors
+AGREEING = 0.3  # minimum agreement of views that supports a hypothesis
+DECISIVE = 0.1  # difference of silhouette fits that decides alone
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,12 @@ class PoseScore:
     """Score of one hypothesis.
 
     Attributes:
-        hypothesis: the corrections.
-        masked: whether silhouettes are compared with masks.
-        fits: (V,) per view: intersection over union with the mask, or rank of the gradient
-            along the outline.
-        agreement: of views about points, see ``surface_samples.agreement``.
-        texture: correlation with the object's texture, as it is or flipped; 0 without.
-        misfit: (N,) squared differences behind ``texture``, NaN for points that are not seen.
+        hypothesis: Tested corrections.
+        masked: True if silhouettes are compared with masks.
+        fits: (V,) intersection over union with the mask, or gradient rank along the outline.
+        agreement: Agreement of views, see ``surface_samples.agreement``.
+        texture: Correlation with the texture or the flipped texture; 0 without texture.
+        misfit: (N,) squared differences of ``texture``; NaN for unseen points.
     """
 
     hypothesis: AxisHypothesis
@@ -63,7 +62,7 @@ class PoseScore:
 
     @property
     def silhouette(self) -> float:
-        """Mean over views."""
+        """Mean of ``fits`` over views."""
         return float(self.fits.mean())
 
     @property
@@ -74,7 +73,7 @@ class PoseScore:
 
     @property
     def total(self) -> float:
-        """Weighted sum, less a cost per correction."""
+        """Weighted sum of the parts, minus a cost per correction."""
         cost = FEWER * len(self.hypothesis.fixes)
         return 2 * self.silhouette + self.agreement + max(self.texture, 0.0) - cost
 
@@ -82,7 +81,7 @@ class PoseScore:
 def score_poses(
     capture: Capture, points: Points, texture: Texture | None, step: Callable[[int, int], None]
 ) -> tuple[PoseScore, ...]:
-    """Score all hypotheses on reduced photographs, best first (as ``score_light``)."""
+    """Score all hypotheses on reduced photographs, best first (see ``score_light``)."""
     frames = Thumbnails.of(capture)
     small = Thumbnails.of(limit_views(reduce_photographs(capture, SMALL), VIEWS))
     hypotheses = pose_hypotheses()
@@ -110,7 +109,7 @@ SilhouetteFit = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 
 def _silhouette_fit(frames: Thumbnails) -> tuple[bool, SilhouetteFit]:
-    """Return whether there are enough masks, and the comparison of silhouettes to use."""
+    """Return whether there are enough masks, and the function that scores silhouettes."""
     pairs = [(k, mask) for k, mask in enumerate(frames.masks) if mask is not None and mask.any()]
     if len(pairs) >= min(frames.views.number, 3):
         return True, lambda seen: np.array([overlap(seen[view], mask) for view, mask in pairs])
@@ -121,13 +120,13 @@ def _silhouette_fit(frames: Thumbnails) -> tuple[bool, SilhouetteFit]:
 
 
 def outline_contrast(seen: np.ndarray, rank: np.ndarray) -> float | None:
-    """Return the mean rank of the gradient along an outline, None without one."""
+    """Return the mean gradient rank along an outline; None if the outline is empty."""
     edge = outline(seen)
     return float(rank[edge].mean()) if edge.any() else None
 
 
 def clearly_better(one: PoseScore, other: PoseScore) -> bool:
-    """Return whether a hypothesis is significantly better than another, and in no way worse.
+    """Return whether a hypothesis is significantly better in one cue, and worse in none.
 
     Much better silhouettes decide alone: views of a shiny object agree less than its background.
     """
@@ -139,12 +138,12 @@ def clearly_better(one: PoseScore, other: PoseScore) -> bool:
 
 
 def _favoring_cues(one: PoseScore, other: PoseScore) -> tuple[bool, bool, bool]:
-    """Return whether silhouettes, agreement of views and texture favour one over another."""
+    """Return flags: silhouettes, agreement of views and texture favour ``one``."""
     closer = one.silhouette - other.silhouette
     shapes = closer > 0.005 and 1 - other.silhouette > 1.3 * (1 - one.silhouette)
     shapes = shapes if one.masked else closer > 0.015
     shapes &= is_significant(one.fits - other.fits)
-    # Little agreement is no evidence: behind a flat or shiny object, the background agrees more.
+    # Ignore low agreement: the background agrees better than a flat or shiny object.
     views = one.agreement > max(AGREEING, other.agreement + 0.15, 1.5 * other.agreement)
     known = np.isfinite(one.misfit) & np.isfinite(other.misfit)
     colors = one.texture - other.texture > 0.015
@@ -161,12 +160,13 @@ def is_significant(differences: np.ndarray) -> bool:
 
 
 def simplest(scores: Sequence[PoseScore]) -> tuple[PoseScore, list[PoseScore]]:
-    """Choose the hypothesis with the fewest corrections among those not significantly worse.
+    """Choose the hypothesis with the fewest corrections among the best.
 
-    A symmetric object looks the same with one more mirror or turn. Scores are given best first.
+    Hypotheses are equally good if the difference is not significant; a symmetric object looks the
+    same after a mirroring or rotation. Scores are given best first.
 
     Returns:
-        The choice, and others that are as good and as simple, or need a single correction.
+        The choice, and equally good hypotheses that are as simple or need a single correction.
     """
     equal = [score for score in scores if not clearly_better(scores[0], score)]
     chosen = min(equal, key=lambda score: len(score.hypothesis.fixes))
@@ -176,7 +176,7 @@ def simplest(scores: Sequence[PoseScore]) -> tuple[PoseScore, list[PoseScore]]:
 
 
 def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
-    """Compare every used photograph of a reduced capture with mesh, texture and light."""
+    """Compare each used photograph of a reduced capture with mesh, texture and light."""
     frames = Thumbnails.of(capture)
     rows = zip(
         np.flatnonzero(capture.used).tolist(), silhouettes(frames), frames.masks, frames.radiance,
@@ -195,8 +195,7 @@ def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
 
 
 def _color_errors(capture: Capture, frames: Thumbnails) -> list[float | None]:
-    """Return each view's mean relative error as a diffuse object, None where none is seen or
-    without a light.
+    """Return the mean relative error of a diffuse rendering per view; None if not available.
 
     Reflectance is the texture, or one colour, times the best factor per channel.
     """

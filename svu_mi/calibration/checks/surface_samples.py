@@ -1,4 +1,4 @@
-"""Surface points: their samples in photographs and texture, and the incident light."""
+"""Surface points, their samples in photographs and texture, and distant light."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ from svu_mi.reflection.lobes import zonal_profile
 
 COUNT = 2000
 SEED = 6151
-FACING = 0.25  # least cosine to the camera: pixels near the rim mix with the background
-OFFSET = 1e-4  # of the object's size, that rays start above the surface
-FEWEST_VIEWS = 2  # views of a point, to compare them
-FEWEST = 30  # points, to compare a texture
-PLAIN = 0.01  # standard deviation of a base colour that is not a texture
+FACING = 0.25  # minimum cosine to the camera: grazing pixels contain background
+OFFSET = 1e-4  # offset of ray origins, relative to the size of the object
+FEWEST_VIEWS = 2  # views needed per point to measure agreement
+FEWEST = 30  # points needed to compare a texture
+PLAIN = 0.01  # standard deviation below which a base colour is constant
 GLOSS = 0.04  # reflectance of a black dielectric
-DARK = 0.01  # of the photographs' unit, added before taking logarithms
-SHADING_DEGREE = 2  # harmonics that hold 99 % of any irradiance [Ramamoorthi and Hanrahan 2001]
+DARK = 0.01  # added before logarithms, in units of the photographs
+SHADING_DEGREE = 2  # harmonics that contain 99 % of irradiance [Ramamoorthi and Hanrahan 2001]
 
-DIRECTIONS = fibonacci(256)  # for visibility
-CELLS, COARSE = 2048, 64  # of the light, that irradiance is summed from, and that they split
-SAME = 1e-3  # of a map's radiance, that it may vary by and still be even
-WIDTHS = (0.06, 0.18, 0.4)  # alpha of the lobes that highlights are compared with
+DIRECTIONS = fibonacci(256)  # of visibility rays
+CELLS, COARSE = 2048, 64  # fine and coarse cells of the light tree
+SAME = 1e-3  # relative variation up to which a map is constant
+WIDTHS = (0.06, 0.18, 0.4)  # alpha of the lobes for highlights
 
 
 @dataclass(frozen=True)
 class Points:
-    """N points, evenly spread over the surface of a mesh.
+    """N points, evenly distributed over the surface of a mesh.
 
     Attributes:
         position: (N, 3) float64.
         normal: (N, 3) float64, unit shading normals.
-        facing: (N, 3) float64, unit face normals on the side of the shading normals.
-        uv: (N, 2) float64, or None when the mesh has none.
-        offset: distance from the surface that rays start at.
+        facing: (N, 3) float64, unit face normals, oriented like the shading normals.
+        uv: (N, 2) float64; None if the mesh has no UVs.
+        offset: Distance of ray origins from the surface.
     """
 
     position: np.ndarray
@@ -60,7 +60,7 @@ class Points:
     offset: float
 
     def surface(self, index: Any) -> TexelLanes:
-        """Return the points of a UInt32 array of indices as lanes of a kernel."""
+        """Return the points at indices (UInt32) as kernel lanes."""
 
         def of(kind: Any, values: np.ndarray) -> Any:
             return dr.gather(kind, to_drjit(mi.Float, values.astype(np.float32).ravel()), index)
@@ -72,11 +72,11 @@ class Points:
 
 
 def scatter_points(mesh: Any, count: int = COUNT) -> Points:
-    """Draw points on a mesh, by area; always the same ones."""
+    """Sample points on a mesh by area, with a fixed seed."""
     source = arrays(mesh)
     crosses = source.crosses
     random = np.random.default_rng(SEED)
-    # Stratified by area: as even as random points get.
+    # Stratified by area.
     face = faces_at(crosses, (np.arange(count) + random.random(count)) / count)
     a, b = np.sqrt(random.random(count)), random.random(count)
     weights = np.stack([1 - a, a * (1 - b), a * b], axis=-1)
@@ -101,8 +101,8 @@ class PointSamples:
     """Samples of N points in V photographs.
 
     Attributes:
-        seen: (V, N) bool: in the picture, not occluded, and its pixels are usable.
-        radiance: (V, N, 3) float32; 0 where not seen.
+        seen: (V, N) bool: inside the image, not occluded, and with usable pixels.
+        radiance: (V, N, 3) float32; 0 if not seen.
         toward: (V, N, 3) float32, unit directions to the cameras, in the frame of the mesh.
     """
 
@@ -111,12 +111,12 @@ class PointSamples:
     toward: np.ndarray
 
     def mirrored(self, points: Points) -> tuple[np.ndarray, np.ndarray]:
-        """Return cosines (V, N) to the normals and mirrored directions (V, N, 3)."""
+        """Return cosines (V, N) to the normals, and mirror directions (V, N, 3)."""
         cosine = np.einsum("vni,ni->vn", self.toward, points.normal)
         return cosine, 2 * cosine[..., None] * points.normal - self.toward
 
     def typical(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the median (N, 3) over the views of each point, and which points are seen."""
+        """Return the median (N, 3) over the views of each point, and flags (N,) of seen points."""
         known = self.seen.sum(axis=0) >= 1
         values = np.where(self.seen[..., None], self.radiance, np.nan)
         result = np.zeros(values.shape[1:])
@@ -140,7 +140,7 @@ def sample_points(points: Points, frames: Thumbnails) -> PointSamples:
 
 
 def open_cosines(scene: Any, points: Points, directions: np.ndarray) -> np.ndarray:
-    """Return (N, K) float32 cosines of light from directions (K, 3), 0 where it is occluded."""
+    """Return (N, K) float32 cosines to directions (K, 3); 0 if occluded."""
     shape = len(points.position), len(directions)
     point, cell = _pairs(shape)
     surface = points.surface(point)
@@ -153,17 +153,17 @@ def open_cosines(scene: Any, points: Points, directions: np.ndarray) -> np.ndarr
 
 
 def _pairs(shape: tuple[int, int]) -> tuple[Any, Any]:
-    """Return row and column of every place of a table, UInt32."""
+    """Return row and column (UInt32) of each entry of a table."""
     place, width = dr.arange(mi.UInt32, shape[0] * shape[1]), dr.opaque(mi.UInt32, shape[1])
     row = place // width
     return row, place - row * width
 
 
 def agreement(sightings: PointSamples, spread: float) -> float:
-    """Return the intraclass correlation of points over tone-mapped photographs, 0 to 1.
+    """Return the intraclass correlation of points over tone-mapped photographs, in [0, 1].
 
-    It is 1 if each point looks the same from everywhere and points differ. ``spread``: variance of
-    the photographs' pixels; an even background would agree perfectly without it.
+    It is 1 if points differ and each looks the same in all views. ``spread``: variance of the
+    pixels; it prevents a high correlation for a constant background.
     """
     kept = sightings.seen.sum(axis=0) >= FEWEST_VIEWS
     if not kept.any():
@@ -178,7 +178,7 @@ def agreement(sightings: PointSamples, spread: float) -> float:
 
 @dataclass(frozen=True)
 class Texture:
-    """The base colour (N, 3) of the scene's material at N points, as it is and with V flipped."""
+    """Base colour (N, 3) of the material at N points, as given and with V flipped."""
 
     albedo: np.ndarray
     flipped: np.ndarray
@@ -188,12 +188,12 @@ class Texture:
         return Texture(self.flipped, self.albedo)
 
     def fits(self, sightings: PointSamples, points: Points) -> list[tuple[float, np.ndarray]]:
-        """Return ``texture_fit`` of both."""
+        """Return ``texture_fit`` of the given and the flipped texture."""
         return [texture_fit(sightings, points, albedo) for albedo in (self.albedo, self.flipped)]
 
 
 def read_texture(capture: Capture, points: Points) -> Texture | None:
-    """Return the object's texture, or None without one that varies."""
+    """Return the texture of the object; None if it is missing or constant."""
     if points.uv is None or capture.shape.bsdf() is None:
         return None
     albedo = base_color(capture.shape, points.uv)
@@ -218,11 +218,11 @@ def texture_fit(
 ) -> tuple[float, np.ndarray]:
     """Correlate a base colour (N, 3) with the photographs under unknown light.
 
-    Logarithms of both are compared after removing what smooth shading could explain.
+    Logarithms of both are compared after regression on smooth shading.
 
     Returns:
-        The correlation, and (N,) the rest of each point's variance after prediction; 1 in the mean
-        if nothing is explained, NaN where not seen.
+        The correlation, and the residual variance (N,) of each point: mean 1 if nothing is
+        explained, NaN if not seen.
     """
     shown, known = sightings.typical()
     misfit = np.full(len(albedo), np.nan)
@@ -230,7 +230,7 @@ def texture_fit(
         return 0.0, misfit
     shading = basis_at(points.normal[known], SHADING_DEGREE)
     a, b = np.log(albedo[known] + GLOSS), np.log(shown[known] + DARK)
-    # Colours as differences of channels, too: light moves them less than brightness.
+    # Also compare differences of channels, which depend less on the light.
     a, b = (np.concatenate([x, x - x.mean(axis=1, keepdims=True)], axis=1) for x in (a, b))
     a, b = (x - shading @ np.linalg.lstsq(shading, x, rcond=None)[0] for x in (a, b))
     a, b = (x / max(np.sqrt((x * x).sum()), 1e-12) for x in (a, b))
@@ -241,9 +241,9 @@ def texture_fit(
 
 @dataclass(frozen=True)
 class DistantLight:
-    """Distant light: flux (M, 3) of cells, radiance times solid angle, from unit directions (M, 3)
-    in the frame of the map, the light under a lobe of each of ``WIDTHS``, and the rotation (3, 3)
-    from the mesh to the map."""
+    """Distant light: flux (M, 3) of cells (radiance times solid angle) from unit directions (M, 3)
+    in the frame of the map, light filtered by lobes of ``WIDTHS``, and the rotation (3, 3) from
+    the mesh to the map."""
 
     flux: np.ndarray
     toward: np.ndarray
@@ -252,7 +252,7 @@ class DistantLight:
 
     @staticmethod
     def of(emitter: Any, mesh_turn: np.ndarray) -> DistantLight:
-        """Filter an emitter; corrections turn the mesh by ``mesh_turn`` (3, 3) before it is lit."""
+        """Filter an emitter; ``mesh_turn`` (3, 3) is the rotation of the mesh by corrections."""
         environment = read_environment(emitter)
         flux, toward = read_cells(build_light_tree(environment, COARSE, CELLS).fine)
         return DistantLight(
@@ -265,13 +265,13 @@ class DistantLight:
         )
 
     def arriving(self, matrix: np.ndarray) -> np.ndarray:
-        """Return the flux (K, 3) around ``DIRECTIONS`` of a map turned by ``matrix`` (3, 3)."""
+        """Return the flux (K, 3) around ``DIRECTIONS`` of the map rotated by ``matrix`` (3, 3)."""
         cell = scipy.spatial.cKDTree(self._local(DIRECTIONS, matrix)).query(self.toward)[1]
         count = len(DIRECTIONS)
         return np.stack([np.bincount(cell, self.flux[:, c], count) for c in range(3)], axis=-1)
 
     def reflected(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-        """Return the light (L, S, 3) under lobes around directions (S, 3) of the mesh's frame."""
+        """Return light (L, S, 3) filtered by lobes around directions (S, 3) in mesh space."""
         local = to_drjit(mi.Vector3f, self._local(directions, matrix).T)
         lobes = [look_up(texture, local) for texture in self.lobes.textures]
         return np.array([[channel.numpy() for channel in one] for one in lobes]).swapaxes(1, 2)
@@ -281,20 +281,20 @@ class DistantLight:
 
 
 def read_cells(cells: LightCells) -> tuple[np.ndarray, np.ndarray]:
-    """Return the flux (M, 3) and the direction (M, 3), in world space, of M cells of the light."""
+    """Return flux (M, 3) and world-space direction (M, 3) of M cells of the light."""
     flux, toward = (a.numpy().reshape(-1, 4)[:, :3] for a in (cells.flux, cells.toward))
     return flux, toward
 
 
 def emitter_of(capture: Capture) -> Any:
-    """Return the environment emitter of a capture; None if it was loaded without one."""
+    """Return the environment emitter of a capture; None if it has no light."""
     if not capture.scene.emitters():
         return None
     return find_environment(capture.scene, str(capture.source or "scene"))
 
 
 def is_constant(emitter: Any) -> bool:
-    """Whether the light is the same from everywhere: constant, or a map of one colour."""
+    """Return whether the light is a constant emitter or a map of one colour."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return bool(emitter.class_name() == "ConstantBackgroundEmitter")
     pixels = np.array(mi.traverse(emitter)["data"])

@@ -1,4 +1,4 @@
-"""Reduced photographs, seen from any poses, and silhouettes of the mesh in them."""
+"""Reduced photographs at arbitrary poses, and silhouettes of the mesh in them."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views, pack_views
 
-POSE = slice(8, 20)  # where ``ray_floats`` keeps three rows of to_world
-ROWS = slice(0, 12)  # where ``Views.cameras`` keeps three rows of the projection
-POSITION = slice(12, 15)  # and the camera
+POSE = slice(8, 20)  # three rows of to_world in ``ray_floats``
+ROWS = slice(0, 12)  # three rows of the projection in ``Views.cameras``
+POSITION = slice(12, 15)  # camera position in ``Views.cameras``
 
 
 @dataclass(frozen=True)
 class Thumbnails:
-    """The V used photographs of a reduced capture, packed; poses (V, 4, 4) are camera to world."""
+    """V used photographs of a reduced capture; poses (V, 4, 4) are camera-to-world matrices."""
 
     capture: Capture
     views: Views
@@ -44,7 +44,7 @@ class Thumbnails:
 
     @property
     def radiance(self) -> list[np.ndarray]:
-        """V arrays (h, w, 3) float32, NaN where no pixel can be used."""
+        """V arrays (h, w, 3) float32; NaN for unusable pixels."""
         return list(compress(self.capture.images, self.capture.used))
 
     @property
@@ -60,7 +60,7 @@ class Thumbnails:
         return float(shown.var(axis=0).mean()) if len(shown) else 0.0
 
     def posed(self, poses: np.ndarray) -> Thumbnails:
-        """Return the same photographs with other poses (V, 4, 4), camera to world."""
+        """Return the photographs with other camera-to-world matrices (V, 4, 4)."""
         rays = self.views.rays.numpy().reshape(-1, RAY_FLOATS).copy()
         cameras = self.views.cameras.numpy().reshape(-1, CAMERA_FLOATS).copy()
         projections = cameras[:, ROWS].reshape(-1, 3, 4) @ self.poses @ np.linalg.inv(poses)
@@ -72,20 +72,20 @@ class Thumbnails:
 
 
 def tonemapped(radiance: np.ndarray) -> np.ndarray:
-    """Compress radiance to [0, 1); the unit must be about 1."""
+    """Compress radiance to [0, 1); typical values must be about 1."""
     return radiance / (1 + radiance)
 
 
 def reduce_photographs(capture: Capture, side: int) -> Capture:
     """Reduce photographs and sensors to at most ``side`` pixels per side.
 
-    Factors are whole numbers. A pixel is the mean over the usable ones of a block, NaN without any;
-    incomplete blocks at the borders are dropped. Radiance is divided by the median of pixels that
-    are not black, which is multiplied to the exposures. Unused photographs stay as they are.
+    Factors are whole numbers. A pixel is the mean of the usable pixels of a block, NaN if there are
+    none; incomplete blocks at the borders are dropped. Radiance is divided by its median over
+    non-black pixels, and exposures are multiplied by it. Unused photographs are unchanged.
     """
     if not any(capture.used):
         raise CaptureError(
-            f"There is no photograph to check: none of the {capture.count} given can be used."
+            f"There is no usable photograph among {capture.count}; give others with --images."
         )
     sensors, images, masks = list(capture.sensors), list(capture.images), list(capture.masks)
     exposures = list(capture.exposures)
@@ -111,7 +111,7 @@ def reduce_photographs(capture: Capture, side: int) -> Capture:
 
 
 def limit_views(capture: Capture, count: int) -> Capture:
-    """Use at most ``count`` of the used photographs, evenly spaced."""
+    """Keep at most ``count`` evenly spaced used photographs."""
     used = np.flatnonzero(capture.used)
     chosen = used[evenly_spaced(len(used), count)]
     return replace(capture, used=tuple(index in chosen for index in range(capture.count)))
@@ -125,7 +125,7 @@ def _mean(values: np.ndarray, block: int) -> np.ndarray:
 
 
 def _usable_mean(image: np.ndarray, block: int) -> np.ndarray:
-    """Average the finite pixels of blocks, NaN without any."""
+    """Average the finite pixels of blocks; NaN if there are none."""
     usable = np.isfinite(image).all(axis=2, keepdims=True)
     share = _mean(usable, block)
     total = _mean(np.where(usable, image, 0), block)
@@ -133,7 +133,7 @@ def _usable_mean(image: np.ndarray, block: int) -> np.ndarray:
 
 
 def silhouettes(frames: Thumbnails) -> list[np.ndarray]:
-    """Trace the object's masks, V arrays (h, w) bool, through the centres of all pixels."""
+    """Trace masks of the object, V arrays (h, w) bool, through pixel centres."""
     shapes = [image.shape[:2] for image in frames.radiance]
     counts = [height * width for height, width in shapes]
     row, column = np.concatenate([np.indices(s).reshape(2, -1) for s in shapes], axis=1) + 0.5
@@ -144,7 +144,7 @@ def silhouettes(frames: Thumbnails) -> list[np.ndarray]:
         to_drjit(mi.Float, row.astype(np.float32)),
     )
     hit = frames.capture.scene.ray_intersect_preliminary(ray, coherent=True)
-    # Opaque: as a literal, every scene would get a kernel of its own.
+    # Opaque, as a literal would need one kernel per scene.
     seen = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, frames.capture.shape))
     parts = np.split(np.broadcast_to(np.array(seen, bool), sum(counts)), np.cumsum(counts)[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
@@ -157,12 +157,12 @@ def overlap(seen: np.ndarray, mask: np.ndarray) -> float:
 
 
 def outline(seen: np.ndarray) -> np.ndarray:
-    """Return the pixels (h, w) of an object with a neighbour outside of it."""
+    """Return flags (h, w) of object pixels with a neighbour outside the object."""
     return np.asarray(seen & ~scipy.ndimage.binary_erosion(seen, border_value=1))
 
 
 def contrast(radiance: np.ndarray) -> np.ndarray:
-    """Return the rank in [0, 1] of the gradient at every pixel (h, w); NaN is not usable."""
+    """Return the gradient rank in [0, 1] of each pixel (h, w); NaN marks unusable pixels."""
     grey = np.nan_to_num(radiance.mean(axis=2), nan=np.nanmax(radiance, initial=0))
     shown = grey / (grey + max(float(np.median(grey)), 1e-12))
     gradient = np.hypot(*np.gradient(shown)) if min(shown.shape) > 1 else np.zeros(shown.shape)

@@ -1,1 +1,1 @@
-"""Light of a capture, estimated from its photographs where it was not measured."""
+"""Estimation of the light of a capture from its photographs."""

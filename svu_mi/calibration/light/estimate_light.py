@@ -1,11 +1,11 @@
-"""Light estimated from photographs, coarse to fine, jointly with the materials.
+"""Estimation of light from photographs, coarse to fine, jointly with the materials.
 
-For given light the posterior of a texel's parameters is closed-form on our statistics
-and radiance is linear in the light for given materials (``light_transport``). They alternate, with
-the materials eliminated from the normal equations of the light (``gauss_newton``). Directions that
-the photographs do not determine keep their prior (``light_prior``).
+Given the light, the posterior of each texel is closed-form. Given the materials, radiance is linear
+in the light (``light_transport``). Both steps alternate; materials are eliminated from the normal
+equations of the light (``gauss_newton``). Directions that the photographs do not determine keep
+their prior (``light_prior``).
 
-The likelihood is annealed, since materials are unknown under the constant light of the start.
+The likelihood is annealed, as materials are unknown under the initial constant light.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
 
-MOVED = 0.8  # misfit of light that moves, relative to one that stands still, if it does
-ALBEDO = 0.5  # base colour that the brightness of the first light assumes
+MOVED = 0.8  # moving light is chosen if its misfit relative to fixed light is smaller
+ALBEDO = 0.5  # base colour assumed for the initial brightness
 
 
 def estimate_light(
@@ -56,17 +56,23 @@ def estimate_light(
     options: LightOptions | None = None,
     progress: Progress | None = None,
 ) -> LightEstimate:
-    """Estimate the light that photographs were taken under from the photographs.
+    """Estimate the environment map of a capture from its photographs.
 
     Args:
-        source: photographs; the light of the capture, if any, is ignored.
-        texels: of the object, a subset of which is used; those of ``source`` by default.
-        options: see there.
-        progress: displays the progress.
+        source: Photographs; the light of the capture, if any, is ignored.
+        texels: Texels of the object; a subset is used (default: the texels of ``source``).
+        options: Options of the estimate.
+        progress: Display of the progress.
 
     Raises:
-        OptionError: no texels, or others than the source's.
-        CaptureError: no texel is seen in enough photographs, or all of them are black.
+        OptionError: ``texels`` is missing, or differs from the texels of ``source``.
+        CaptureError: No texel is seen in enough photographs, or all photographs are black.
+
+    Example:
+        >>> options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
+        >>> light = svu.estimate_light(capture, texels, options)
+        >>> light.cells, light.radiance.shape
+        (64, (129, 256, 3))
     """
     options, progress = options or LightOptions(), progress or Progress()
     switches: AngularPreset = find_preset("default", method="angular")
@@ -79,9 +85,9 @@ def estimate_light(
         background = BackgroundPixels.of(observed.capture, moves=moves) if is_seen else None
         problems[moves] = LightProblem(samples, switches, background, moves, options.gains)
     fit, misfit = _estimate(problems, options, progress)
-    with progress.stage("Asking what else the light may be"):
+    with progress.stage("Estimating the uncertainty of the light"):
         columns = columns_of(fit.transport, np.exp(fit.x), switches)
-        if fit.seen:  # background pixels show the level directly
+        if fit.seen:  # background pixels determine the level
             scale = LightScale(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)
         else:
             scale = scale_of(fit.transport.samples, columns, switches)
@@ -98,10 +104,10 @@ def estimate_light(
 def _estimate(
     problems: dict[bool, LightProblem], options: LightOptions, progress: Progress
 ) -> tuple[LightFit, tuple[float, float]]:
-    """Return the light in the world that explains the photographs, and the misfit of both."""
+    """Return the better of fixed and moving light, and the misfits of both."""
     first, *finer = options.depths
     total = len(problems) * first[1] + sum(rounds for _, rounds in finer)
-    with progress.stage("Finding the light", total) as stage:
+    with progress.stage("Estimating the light", total) as stage:
         done = count(1)
 
         def report() -> None:
@@ -116,14 +122,14 @@ def _estimate(
 
 @dataclass(frozen=True)
 class LightProblem:
-    """Samples and assumptions that light is estimated from.
+    """Samples and assumptions of the estimate of the light.
 
     Attributes:
-        samples: of some texels.
-        switches: of the posterior of their parameters.
-        looks: background pixels that show the light, if any.
-        moves: whether the light turns with the cameras.
-        gains: whether photographs have unknown gains.
+        samples: Samples of selected texels.
+        switches: Preset of the posterior of materials.
+        looks: Background pixels that show the light, or None.
+        moves: True if the light moves with the cameras.
+        gains: True if gains of photographs are unknown.
     """
 
     samples: TexelSamples
@@ -139,9 +145,9 @@ class LightProblem:
         """Estimate the light.
 
         Args:
-            depths: numbers of cells, and rounds at each.
-            start: light of fewer cells to continue from; constant light by default.
-            after_round: called after every round.
+            depths: Pairs of a number of cells and a number of iterations.
+            start: Fit with fewer cells to start from (default: constant light).
+            after_round: Callback after each iteration.
         """
         fit, heat = start, HEAT if start is None else 1.0
         gains = start.gains if start else starting_gains(self.samples) if self.gains else None
@@ -149,9 +155,9 @@ class LightProblem:
             seen = None if self.looks is None else self.looks.at(number)
             priors = LightPriors(prior_of(number), seen)
             whole = Transport.of(self.samples, number, self.moves)
-            # Light of the wrong shape could not be too dim, so its level is free at first.
+            # The level of initial light, whose shape is wrong, stays unconstrained.
             leveled = start is not None and seen is None
-            if fit is None:  # constant light of the photographs' colour
+            if fit is None:  # constant light with the mean colour of the photographs
                 mean = self.samples.radiance.mean(axis=0, dtype=np.float64)
                 least = 1e-3 * self.samples.unit
                 x = np.tile(np.log(np.maximum(mean, least) / ALBEDO), (number, 1))
@@ -169,7 +175,7 @@ class LightProblem:
         self, whole: Transport, priors: LightPriors,
         state: tuple[np.ndarray, FoundGains | None, float], leveled: bool,
     ) -> LightFit:  # fmt: skip
-        """Take one step of materials, light (N, 3) and gains."""
+        """Run one iteration on materials, light (N, 3) and gains."""
         x, gains, heat = state
         now, transport = annealed(self.switches, heat), without_gains(whole, gains)
         columns = columns_of(transport, np.exp(x), now)

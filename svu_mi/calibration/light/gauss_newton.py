@@ -1,4 +1,4 @@
-"""Gauss-Newton on light, gains and materials, with the materials of each texel eliminated."""
+"""Gauss-Newton steps of light, gains and materials, with eliminated materials."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.reflection.principled import mixture_derivative
 
-ROUGHNESS_STEP = 0.04  # of roughness, for finite differences
-MAX_CHANGE = 2.0  # change of log radiance in a step
+ROUGHNESS_STEP = 0.04  # for finite differences
+MAX_CHANGE = 2.0  # maximum change of log radiance per step
 MATERIAL_SD = (0.3, 0.5)  # prior sd of roughness and of the parameters that mix the columns
 COLOR_SD = 0.35  # prior sd of base colour over the surface
-EXPOSURE, BALANCE = 0.5, 0.2  # prior sd of log gains: common to the channels, and of each
+EXPOSURE, BALANCE = 0.5, 0.2  # prior sd of log gains: common part and per channel
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations of log radiance and log gains, materials eliminated.
+    """Normal equations of log radiance and log gains, without materials.
 
     Attributes:
-        matrix: (3 M, 3 M) float64 precision, channel by channel. M is the number of cells, of
-            views if gains are unknown, or their sum.
-        gradient: (3 M,) float64, of half the weighted sum of squared residuals and of the prior.
-        predicted: (S, 3) float64, predicted samples.
+        matrix: (3 M, 3 M) float64 precision, channel by channel. M is the number of unknown cells
+            and gains per channel.
+        gradient: (3 M,) float64 gradient of half the weighted squared residuals and the prior.
+        predicted: (S, 3) float64 predicted samples.
     """
 
     matrix: np.ndarray
@@ -43,13 +43,13 @@ class NormalEquations:
     predicted: np.ndarray
 
     def step(self) -> np.ndarray:
-        """Return the change of the logarithms, (M, 3), no larger than ``MAX_CHANGE``."""
+        """Return the change (M, 3) of the logarithms, limited to ``MAX_CHANGE``."""
         try:
             factor = scipy.linalg.cho_factor(self.matrix)
         except (np.linalg.LinAlgError, ValueError):
             raise CaptureError(
-                "No light explains the photographs: the search for it broke down; look at their "
-                "gains and masks with svu check."
+                "The light cannot be estimated: its normal equations are singular; check gains and "
+                "masks of the photographs with svu check."
             ) from None
         change = -scipy.linalg.cho_solve(factor, self.gradient)
         return np.clip(change.reshape(3, -1).T, -MAX_CHANGE, MAX_CHANGE)
@@ -57,15 +57,15 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class LightFit:
-    """State of the search: the light of N cells.
+    """Current estimate of the light in N cells.
 
     Attributes:
-        transport: samples and cells.
+        transport: Samples and cells.
         x: (N, 3) logarithms of radiance.
-        system: normal equations before the last step.
-        misfit: noise of the median texel there, as a part of the mean radiance.
-        seen: whether the photographs show the light itself.
-        gains: that samples were divided by; None if they are known.
+        system: Normal equations before the last step.
+        misfit: Noise of the median texel before the last step, relative to the mean radiance.
+        seen: True if background pixels show the light.
+        gains: Gains that samples were divided by; None if known.
     """
 
     transport: Transport
@@ -77,13 +77,13 @@ class LightFit:
 
 
 class LightPriors(NamedTuple):
-    """Prior of the light, and background pixels that show it."""
+    """Prior of the light, and optional background pixels that show it."""
 
     prior: LightPrior
     seen: SeenCells | None = None
 
     def precision_and_gradient(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the precision (3 N, 3 N) and the gradient (3, N) of the light at x (N, 3)."""
+        """Return precision (3 N, 3 N) and gradient (3, N) at log radiance x (N, 3)."""
         matrix, gradient = self.prior.precision(), self.prior.pull(x).T.copy()
         if self.seen is not None:
             matrix[np.diag_indices_from(matrix)] += np.tile(self.seen.precision, 3)
@@ -95,18 +95,18 @@ def normal_equations(
     transport: Transport, light: np.ndarray, posterior: Posterior[CalibratedKernel],
     overdispersion: float, priors: LightPriors | None = None, gains: np.ndarray | None = None,
 ) -> NormalEquations:  # fmt: skip
-    """Linearise the samples around a light, gains, and the most likely materials.
+    """Linearize the samples around a light, gains, and the posterior mean materials.
 
     Args:
-        transport: samples and N cells.
+        transport: Samples and N cells.
         light: (N, 3) radiance.
-        posterior: of the parameters of the n texels.
-        overdispersion: tau (effective sample size N / tau).
-        priors: prior of the light; None if the light is given.
-        gains: (V, 3) logarithms that samples were divided by, which are unknowns, too.
+        posterior: Posterior of the materials of n texels.
+        overdispersion: Overdispersion tau (effective sample size: count / tau).
+        priors: Prior of the light; None if the light is given.
+        gains: (V, 3) log gains that samples were divided by; None if they are known.
     """
     samples = transport.samples
-    # With the shared prior: independent uncertain texels would bias the light.
+    # Use the shared prior, as independent uncertain texels would bias the light.
     materials = materials_of(with_empirical_prior(posterior))
     slopes, predicted = _linearized(transport, light, materials)
     if priors is None:
@@ -139,7 +139,7 @@ def normal_equations(
 def _with_gains(
     matrix: np.ndarray, gradient: np.ndarray, gains: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Append log gains (V, 3) and their prior to a system of (3 N, 3 N) and (3, N)."""
+    """Append log gains (V, 3) and their prior to matrix (3 N, 3 N) and gradient (3, N)."""
     number, views = gradient.shape[1], len(gains)
     own = np.linalg.inv(EXPOSURE**2 + BALANCE**2 * np.eye(3))
     whole = np.zeros((3, number + views, 3, number + views))
@@ -153,9 +153,9 @@ def _with_gains(
 def _eliminated(
     samples: TexelSamples, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray
 ) -> np.ndarray:
-    """Return L^-1 H_(theta x), (n P, 3 M) float32, whose square is what elimination subtracts.
+    """Return L^-1 H_(theta x), (n P, 3 M) float32; its square is subtracted from the matrix.
 
-    One texel at a time: J is large, and is read once.
+    Loops over texels to read J, which is large, only once.
     """
     count, size = inverse.shape[:2]
     eliminated = np.empty((count, size, 3 * J.shape[2]), np.float32)
@@ -168,16 +168,16 @@ def _eliminated(
 
 
 def _channels(number: int) -> list[slice]:
-    """Return the places of the M unknowns of each channel among all 3 M."""
+    """Return slices of the M unknowns of each channel among all 3 M."""
     return [slice(c * number, (c + 1) * number) for c in range(3)]
 
 
 def _material_equations(
     materials: Materials, samples: TexelSamples, slopes: np.ndarray, off: np.ndarray, w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return normal equations of the materials: (n, P, P), and (n, P); ``off`` is weighted.
+    """Return matrices (n, P, P) and gradients (n, P) of materials; ``off``: weighted residuals.
 
-    Base colours have a prior around their mean: otherwise they could follow the light.
+    Base colours have a prior around their mean, or they would compensate errors of the light.
     """
     own = samples.sum(np.einsum("s,sci,scj->sij", w, slopes, slopes, optimize=True))
     roughness, mixed = MATERIAL_SD
@@ -191,7 +191,7 @@ def _material_equations(
 def _linearized(
     transport: Transport, light: np.ndarray, materials: Materials
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives (S, 3, P) by roughness, mixing, and base colour, and samples (S, 3)."""
+    """Return samples' derivatives (S, 3, P) by the material, and predicted samples (S, 3)."""
     r, owner = materials.roughness, transport.samples.owner
     low, high = np.clip(r - ROUGHNESS_STEP, 0, 1), np.clip(r + ROUGHNESS_STEP, 0, 1)
     columns = transport.columns(light, np.stack([low, r, high], axis=1))

@@ -1,7 +1,7 @@
-"""Scale of estimated light from a known base colour: of a grey card, or the mean.
+"""Scale of estimated light from a known base colour: a grey card or a mean.
 
-Photographs hardly determine a common factor of light and one over base colour, so the light is
-scaled until the estimate has the known base colour.
+Photographs hardly determine a factor of the light that is compensated by base colour. The light is
+therefore scaled until the estimated base colour has the known value.
 """
 
 from __future__ import annotations
@@ -20,17 +20,19 @@ from svu_mi.pipeline import estimate
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 
-SMALLEST, LARGEST = 0.01, 1.0  # base colours
-MOST_ROUNDS, DONE = 6, 0.02  # base colour is not quite proportional: gloss is beside it
-FARTHEST = 3.0  # factor of one round: base colour is clipped at 1
-NEAR = 12  # texels around the spot
-SHARPEST = 0.02  # standard deviation that one of them is known to, at best
+SMALLEST, LARGEST = 0.01, 1.0  # range of base colours
+MOST_ROUNDS, DONE = 6, 0.02  # iterations, since base colour is not quite proportional
+FARTHEST = 3.0  # maximum factor per iteration, as base colour is clipped at 1
+NEAR = 12  # number of texels around the spot
+SHARPEST = 0.02  # minimum standard deviation of a texel
 
-Brightness = Callable[[Estimate], np.ndarray]  # factor (3,) by which base colours are too bright
+Brightness = Callable[
+    [Estimate], np.ndarray
+]  # returns the factor (3,) by which base colours are too bright
 
 
 def require_albedo(value: float, option: str) -> None:
-    """Refuse a base colour outside (0, 1] by an OptionError."""
+    """Raise ``OptionError`` for a base colour outside (0, 1]."""
     if not SMALLEST <= value <= LARGEST:
         raise OptionError(
             f"{option}: a base colour must be in [{SMALLEST}, {LARGEST:g}], got {value:g}."
@@ -38,9 +40,9 @@ def require_albedo(value: float, option: str) -> None:
 
 
 def scaled_by_mean(light: LightEstimate, observed: Observed, albedo: float) -> LightEstimate:
-    """Scale light until the mean base colour has a given value: one factor for all channels.
+    """Scale light by one factor until the mean base colour has a given value.
 
-    The mean is over the visible surface, by area, and over R, G and B, at the texels of
+    The mean is over the area of the seen surface and over R, G and B, at the texels of
     ``observed``.
     """
     require_albedo(albedo, "The mean base colour")
@@ -57,13 +59,13 @@ def scaled_by_mean(light: LightEstimate, observed: Observed, albedo: float) -> L
 def scaled_by_card(
     light: LightEstimate, observed: Observed, uv: tuple[float, float], albedo: float
 ) -> LightEstimate:
-    """Scale light until a grey spot has a given base colour: a factor per channel.
+    """Scale light per channel until a grey spot has a given base colour.
 
     Args:
-        light: light of the right shape.
-        observed: the photographs, at texels that resolve the spot.
-        uv: its texture coordinates.
-        albedo: base colour of R, G and B there; the card is taken as not metallic.
+        light: Estimated light.
+        observed: Photographs, at texels that resolve the spot.
+        uv: Texture coordinates of the spot.
+        albedo: Base colour of the spot, which is assumed to be grey and not metallic.
     """
     require_albedo(albedo, "The grey card")
     chosen = _texels_at(observed, uv)
@@ -77,7 +79,7 @@ def scaled_by_card(
 
 
 def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
-    """Return the visible texels next to texture coordinates."""
+    """Return the seen texels near texture coordinates."""
     if not all(0 <= value <= 1 for value in uv):
         raise OptionError(f"The grey card: texture coordinates are in [0, 1], got {uv}.")
     layout = observed.texels
@@ -89,7 +91,7 @@ def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
     if not len(near):
         raise CaptureError(
             f"The grey card: no photograph shows the surface at texture coordinates {uv[0]:g} "
-            f"{uv[1]:g}; give those of a spot that is seen."
+            f"{uv[1]:g}; give the coordinates of a seen spot."
         )
     return np.asarray(near)
 
@@ -98,17 +100,17 @@ def _scaled(
     light: LightEstimate, observed: Observed, excess: Brightness,
     known: Mapping[str, float] | None = None,
 ) -> LightEstimate:  # fmt: skip
-    """Scale light until the base colours are as wanted, to ``DONE``."""
+    """Scale light until ``excess`` is 1, with tolerance ``DONE``."""
     if light.moves:
         raise CaptureError(
-            "The light turns with the camera, so base colours cannot be found under it; give its "
+            "Base colours cannot be estimated under light that moves with the camera; set its "
             "brightness with --light-scale."
         )
     total = np.ones(3)
     for _ in range(MOST_ROUNDS):
         lit = light.scaled(total)
         capture = replace(with_light(observed.capture, lit), light_uncertainty=None)
-        # Rays to the cameras are the same ones; those to the light's cells are not.
+        # Reuse rays to the cameras; rays to cells of the light differ.
         seen = Observed(
             capture=capture, views=observed.views, texels=observed.texels,
             visibility=observed.visibility, seen=observed.seen,
@@ -119,13 +121,13 @@ def _scaled(
             return light.scaled(total)
     if np.abs(np.log(factor)).max() > 10 * DONE:
         raise CaptureError(
-            "No brightness of the light makes the base colour what was given; check the value, and "
-            "that nothing else is measured there."
+            "No brightness of the light gives this base colour; check the value, and that the "
+            "texture coordinates show the card."
         )
     return light.scaled(total)
 
 
 def _base_color(result: Estimate, what: str) -> np.ndarray:
-    """Return posterior means, or standard deviations, of base colour (T, 3)."""
+    """Return posterior means or standard deviations of base colour, (T, 3)."""
     values = np.array(getattr(result.posterior, what)("base_color"), np.float64)
     return np.broadcast_to(values.reshape(len(values), -1), (len(values), 3))

@@ -1,4 +1,4 @@
-"""Light and exposure gains that were estimated from photographs."""
+"""Light and exposure gains estimated from photographs."""
 
 from __future__ import annotations
 
@@ -12,22 +12,27 @@ from svu_mi.calibration.light.light_prior import SD
 from svu_mi.core.arrays import fibonacci
 from svu_mi.light.latlong import directions
 
-ROWS, COLUMNS = 129, 256  # of maps
+ROWS, COLUMNS = 129, 256  # size of maps
 UNANCHORED = (
-    "The level of the light is not known: hardly any of the surface is dielectric, and brighter "
-    "light on darker metal looks the same; --grey-card or --mean-albedo fix it."
+    "The brightness of the light is not determined, since little of the surface is dielectric, and "
+    "brighter light on darker metal looks the same; set it with --grey-card or --mean-albedo."
 )
-NINETY = 1.6449  # standard deviations that 90 % of a normal distribution lie within
+NINETY = 1.6449  # half width of the 90 % interval in standard deviations
 
 
 @dataclass(frozen=True)
 class FoundGains:
-    """Factors that V photographs were multiplied with.
+    """Exposure gains of V photographs.
 
     Attributes:
-        logarithm: (V, 3), with a mean of 0 over the photographs that are no outliers.
-        noise: (V,) residual, in units of the texels' noise; 0 where nothing is seen.
-        odd: (V,) bool, outliers, which are not used.
+        logarithm: (V, 3) log gains, with mean 0 over all photographs except outliers.
+        noise: (V,) residuals, relative to the noise of the texels; 0 if nothing is seen.
+        odd: (V,) bool flags of outliers.
+
+    Example:
+        >>> gains = svu.estimate_gains(capture, texels)
+        >>> gains.odd.shape, gains.factor.shape
+        ((12,), (12, 3))
     """
 
     logarithm: np.ndarray
@@ -36,33 +41,38 @@ class FoundGains:
 
     @property
     def factor(self) -> np.ndarray:
-        """(V, 3) the gains."""
+        """(V, 3) gains."""
         return np.asarray(np.exp(self.logarithm))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LightEstimate:
-    """Light of a capture, estimated from its photographs.
+    """Environment map estimated from photographs, with its uncertainty.
 
-    Even cells of the sphere (``arrays.fibonacci``) have a radiance whose logarithm is normally
-    distributed. Directions are those of world space, maps those of Mitsuba's ``envmap`` without
-    ``to_world``; if the light moves with the camera, both are camera space (+X left, +Y up,
+    The log radiance of N cells of equal size (``arrays.fibonacci``) is normally distributed.
+    Directions are in world space, and maps in the frame of Mitsuba's ``envmap`` without
+    ``to_world``. If the light moves with the camera, both are in camera space (+X left, +Y up,
     +Z forward).
 
     Attributes:
-        logarithm: (N, 3) float64, of the radiance of the cells: mean of the posterior.
-        cell_sd: (N,) float64, standard deviation of the channels' mean of that, at a given level.
-        draws: (K, N, 3) float64, logarithms of light of that level that is as possible.
-        scale_sd: (3,) float64, standard deviation of the logarithm of one factor per channel, that
-            all of the light may have to be multiplied with: 0 where it was given.
-        moves: whether it turns with the cameras.
-        misfit: noise of the median texel as a part of the mean radiance, if the light stands still
-            and if it moves; NaN where that was not tried.
-        widening: how many times less certain textures are for not knowing the light: a factor of
-            their overdispersion.
-        texels: number of texels that it was estimated from.
-        remarks: sentences about what is not known.
-        gains: of the photographs, if they were estimated, too; None if they were given.
+        logarithm: (N, 3) float64 posterior mean of log radiance.
+        cell_sd: (N,) float64 standard deviation of the channel mean of ``logarithm``, at fixed
+            level.
+        draws: (K, N, 3) float64 posterior samples of log radiance, at fixed level.
+        scale_sd: (3,) float64 standard deviation of the log scale per channel; 0 if given.
+        moves: True if the light moves with the cameras.
+        misfit: Noise of the median texel relative to the mean radiance, for fixed and for moving
+            light; NaN if not tested.
+        widening: Factor of the overdispersion of textures due to the uncertainty of the light.
+        texels: Number of texels used.
+        remarks: Sentences about undetermined parts.
+        gains: Gains estimated together with the light; None if given.
+
+    Example:
+        >>> options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
+        >>> light = svu.estimate_light(capture, texels, options)
+        >>> light.scaled(2.0).scale_sd.tolist()
+        [0.0, 0.0, 0.0]
     """
 
     logarithm: np.ndarray
@@ -86,41 +96,41 @@ class LightEstimate:
 
     @property
     def cells(self) -> int:
-        """N."""
+        """Number of cells, N."""
         return len(self.logarithm)
 
     @cached_property
     def radiance(self) -> np.ndarray:
-        """(129, 256, 3) float32, radiance: a map for Mitsuba's ``envmap``."""
+        """(129, 256, 3) float32 radiance, a map for Mitsuba's ``envmap``."""
         return self._map(self.logarithm)
 
     @cached_property
     def sd(self) -> np.ndarray:
-        """(129, 256) float32, standard deviation of log radiance, with the scale's: .1 is 10 %."""
+        """(129, 256) float32 standard deviation of log radiance, including the scale."""
         return np.hypot(self._details, np.mean(self.scale_sd)).astype(np.float32)
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(129, 256) float32, part of the prior's variance that is removed at a given scale."""
+        """(129, 256) float32 fraction of the prior variance removed, at fixed scale."""
         return np.clip(1 - np.square(self._details / SD), 0, 1).astype(np.float32)
 
     @property
     def known_part(self) -> float:
-        """Mean of ``known`` over all directions."""
+        """Mean of ``known`` over the sphere."""
         return float(np.average(self.known, weights=self._solid))
 
     @property
     def scale_interval(self) -> tuple[np.ndarray, np.ndarray]:
-        """Two (3,): factors of the light, one per channel, between which the truth is to 90 %."""
+        """Ends of the 90 % interval of the scale per channel, two (3,) arrays."""
         wide = NINETY * self.scale_sd
         return np.exp(-wide), np.exp(wide)
 
     def drawn(self, count: int) -> np.ndarray:
-        """Return possible maps, (count, 129, 256, 3) float32, at most as many as ``draws``."""
+        """Return at most ``count`` posterior samples as maps, (K, 129, 256, 3) float32."""
         return np.stack([self._map(x) for x in self.draws[:count]])
 
     def scaled(self, factor: np.ndarray | float) -> LightEstimate:
-        """Return the same light, a factor (or one per channel) brighter and known to be so."""
+        """Return the light times a factor (scalar or per channel), with a certain scale."""
         added = np.broadcast_to(np.log(factor), 3)
         return replace(
             self,
@@ -131,7 +141,7 @@ class LightEstimate:
         )
 
     def _map(self, logarithm: np.ndarray) -> np.ndarray:
-        """Radiance as a map whose mean over every cell is that cell's."""
+        """Return a map of radiance that preserves the mean of each cell."""
         radiance = np.exp(self._interpolated(logarithm))
         owner = self._around[1][..., 0]
         count = np.maximum(np.bincount(owner.ravel(), self._solid.ravel(), self.cells), 1e-300)
@@ -143,7 +153,7 @@ class LightEstimate:
         return radiance.astype(np.float32)
 
     def _interpolated(self, values: np.ndarray) -> np.ndarray:
-        """Values of cells (N, C) as a smooth map (129, 256, C)."""
+        """Return values of cells (N, C) as a smooth map (129, 256, C)."""
         distance, near = self._around
         weight = np.exp(-0.5 * np.square(distance * np.sqrt(self.cells) / 2))
         weight /= weight.sum(axis=-1, keepdims=True)
@@ -155,7 +165,7 @@ class LightEstimate:
 
     @cached_property
     def _around(self) -> tuple[np.ndarray, np.ndarray]:
-        """Distance to, and number of, the cells around every node: (129, 256, 4), nearest first."""
+        """Distances and indices of the 4 nearest cells of each node, (129, 256, 4)."""
         tree = scipy.spatial.cKDTree(fibonacci(self.cells))
         distance, near = tree.query(directions(COLUMNS, ROWS), k=4)
         return np.asarray(distance), np.asarray(near)

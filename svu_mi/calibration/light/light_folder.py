@@ -1,4 +1,4 @@
-"""Folder of estimated light: ``light.exr`` to view, ``light.npz`` to continue from."""
+"""Folder of an estimated light: ``light.exr`` for viewing, ``light.npz`` for reuse."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from svu_mi.errors import CaptureError
 
 COMMAND, RECORD = LIGHT, LIGHT_RECORD
 MAP, ARRAYS = "light.exr", "light.npz"
-FEWEST_CELLS, MOST_CELLS, MOST_DRAWS = 64, 4096, 256  # of a file that may be anybody's
-HIGHEST = 60.0  # logarithm of radiance that a map of single precision can hold
+FEWEST_CELLS, MOST_CELLS, MOST_DRAWS = 64, 4096, 256  # limits for untrusted files
+HIGHEST = 60.0  # maximum log radiance in single precision
 REAL = "fiub"
 # N cells, K draws.
 LIGHT_ARRAYS = {
@@ -36,7 +36,7 @@ LIGHT_ARRAYS = {
     "misfit": Field(REAL, (2,), 0, 1e12), "widening": Field(REAL, (), 1, 1e5),
     "texels": Field(REAL, (), 0, 2**31),
 }  # fmt: skip
-# Gains of V photographs, if they were estimated, too.
+# Gains of V photographs, optional.
 GAIN_ARRAYS = {
     "gains": Field(REAL, ("V", 3), -HIGHEST, HIGHEST), "gains_noise": Field(REAL, ("V",), 0, 1e12),
     "gains_odd": Field(REAL, ("V",), 0, 1),
@@ -50,19 +50,25 @@ def save_light(
     photographs: str = "",
     about: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write estimated light into a folder, for ``load_light`` and ``--light``.
+    """Write an estimated light to a folder, for ``load_light`` and ``--light``.
 
     Writes ``light.exr`` (radiance, with the layers ``sd.Y`` and ``known.Y``), ``light.npz`` and
-    ``light.json``, in one step.
+    ``light.json`` atomically.
 
     Args:
-        estimate: what to write.
-        path: a folder; made if missing. An older result there is replaced.
-        photographs: ``photographs_key`` of the capture that it was estimated from, if known.
-        about: more for ``light.json``: plain values by name.
+        estimate: Estimated light.
+        path: Path of the folder; created if missing. An older result is replaced.
+        photographs: ``photographs_key`` of the capture, if known.
+        about: Further entries of ``light.json``.
 
     Raises:
-        OutputError: the folder or a file cannot be written.
+        OutputError: The folder or a file cannot be written.
+
+    Example:
+        >>> options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
+        >>> svu.save_light(svu.estimate_light(capture, texels, options), "light")
+        >>> svu.load_light("light").cells
+        64
     """
     with writing(path, COMMAND, RECORD, capture=photographs) as draft:
         write_light_arrays(estimate, draft)
@@ -71,7 +77,7 @@ def save_light(
 
 
 def write_light_arrays(estimate: LightEstimate, draft: Draft) -> None:
-    """Write ``light.exr`` and ``light.npz`` into a draft."""
+    """Write ``light.exr`` and ``light.npz`` to a draft."""
     channels = {"RGB": estimate.radiance, "sd.Y": estimate.sd, "known.Y": estimate.known}
     header = {"svu:version": svu_mi.__version__, ROWS: POLES}
     write_exr(draft.folder / MAP, channels, header)
@@ -83,7 +89,7 @@ def write_light_arrays(estimate: LightEstimate, draft: Draft) -> None:
 
 
 def light_record(estimate: LightEstimate) -> dict[str, Any]:
-    """Return the entry ``light`` of records: plain values."""
+    """Return the entry ``light`` of records as JSON values."""
     low, high = estimate.scale_interval
     still, moving = (None if math.isnan(value) else float(value) for value in estimate.misfit)
     gains = estimate.gains
@@ -112,29 +118,35 @@ def photographs_of(path: str | Path) -> str:
 
 
 def load_light(path: str | Path) -> LightEstimate:
-    """Read light that ``svu light`` or ``save_light`` has written.
+    """Read the light written by ``svu light`` or ``save_light``.
 
     Args:
-        path: the folder.
+        path: Path of the folder.
 
     Raises:
-        CaptureError: it is no such folder, a file is damaged, was changed since or is missing, or
-            two of them are of different runs.
+        CaptureError: The folder is not a light, or a file is missing, damaged, modified or from a
+            different run.
+
+    Example:
+        >>> options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
+        >>> svu.save_light(svu.estimate_light(capture, texels, options), "light")
+        >>> svu.load_light("light").radiance.shape
+        (129, 256, 3)
     """
     path = Path(path)
     restore(path)
     if not path.is_dir():
-        raise CaptureError(f"{path}: no such folder; give one that svu light wrote.")
+        raise CaptureError(f"{path}: no such folder; give a folder written by svu light.")
     missing = [name for name in (MAP, ARRAYS, RECORD) if not (path / name).is_file()]
     if missing:
         raise CaptureError(
-            f"{path}: has no {', '.join(missing)}, so it is not a result of svu light; give the "
-            "folder that it wrote."
+            f"{path}: {', '.join(missing)} missing, so this is not a result of svu light; give a "
+            "folder written by svu light."
         )
     require_one_run(path, [MAP], RECORD, COMMAND)
     written = entry_of(path / RECORD, COMMAND)
     if written is None:
-        raise CaptureError(f"{path / RECORD}: is not of svu light; run it again.")
+        raise CaptureError(f"{path / RECORD}: not written by svu light; run svu light again.")
     if not written.owns(path, MAP):
         raise CaptureError(
             f"{path / MAP}: was changed since svu light wrote it; give this map itself, or run svu "
@@ -144,7 +156,7 @@ def load_light(path: str | Path) -> LightEstimate:
         arrays = read_arrays(path / ARRAYS)
         estimate = _estimate_of(arrays)
         if str(arrays["run"]) != written.run:
-            raise ValueError(f"it comes from another run than {RECORD} beside it")
+            raise ValueError(f"it is from a different run than {RECORD}")
         return estimate
     except ValueError as error:
         raise CaptureError(
@@ -153,16 +165,13 @@ def load_light(path: str | Path) -> LightEstimate:
 
 
 def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:
-    """Return the light that arrays describe; a ValueError with the reason, if they describe none.
-
-    A misfit that was not computed is NaN.
-    """
+    """Return the light from arrays, whose misfit may be NaN; raise ValueError if invalid."""
     has_gains = not GAIN_ARRAYS.keys().isdisjoint(arrays)
     known = {"misfit": np.nan_to_num(arrays["misfit"])} if "misfit" in arrays else {}
     require_schema(arrays | known, LIGHT_ARRAYS | (GAIN_ARRAYS if has_gains else {}))
     draws, cells, _ = arrays["draws"].shape
     if not (FEWEST_CELLS <= cells <= MOST_CELLS and 1 <= draws <= MOST_DRAWS):
-        raise ValueError(f"it has {cells} cells and {draws} draws")
+        raise ValueError(f"it contains {cells} cells and {draws} draws")
     names = (*GAIN_ARRAYS, "logarithm", "cell_sd", "draws", "scale_sd")
     real = {name: arrays[name].astype(np.float64) for name in names if name in arrays}
     still, moving = arrays["misfit"].tolist()

@@ -14,31 +14,35 @@ Background = Literal["none", "distant"]
 
 @dataclass(frozen=True, kw_only=True)
 class LightOptions:
-    """Options of ``estimate_light``."""
+    """Options of ``estimate_light``.
+
+    Example:
+        >>> svu.LightOptions(depths=((64, 2),)).texels
+        900
+    """
 
     texels: int = 900
-    """Texels that are looked at, at most: more take longer and change little."""
+    """Maximum number of sampled texels, in [16, 10000]; more take longer and change little."""
 
     moves: bool | None = None
-    """Whether the light turns with the cameras, as on a turntable, or stands still; None tries
-    both and takes what explains the photographs."""
+    """True if the light moves with the cameras (turntable or flash), False if it is static; None
+    tests both and chooses the better fit."""
 
     background: Background = "none"
-    """``distant``: pixels beyond the object show the light itself (not in a light tent, nor
-    anything near). ``none``: only the object is looked at."""
+    """``distant``: background pixels show the light (wrong in a light tent or near walls);
+    ``none``: background pixels are ignored."""
 
     gains: bool = False
-    """Whether photographs have gains that are not known: exposure and white balance by themselves.
-    They are estimated together with the light."""
+    """True to estimate gains (exposure, white balance) of photographs together with the light."""
 
     depths: tuple[tuple[int, int], ...] = ((256, 8), (1024, 4))
-    """Numbers of cells of the sphere, ascending, and rounds at each."""
+    """Pairs of a number of cells, in [64, 4096] and ascending, and a number of iterations."""
 
     draws: int = 8
-    """Other lights that explain the photographs as well, by which textures are less certain."""
+    """Number of posterior samples of the light, in [2, 64], for its effect on textures."""
 
     seed: int = 0
-    """Of the draws."""
+    """Random seed of the posterior samples, at least 0."""
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -48,8 +52,8 @@ class LightOptions:
         require(self, isinstance(self.gains, bool), "gains", "True or False")
         if self.gains and self.background == "distant":
             raise OptionError(
-                "background 'distant' takes the brightness of photographs as it is, so it cannot "
-                "be combined with gains that are not known; omit one of them."
+                "background 'distant' needs the recorded exposures and cannot be combined with "
+                "estimated gains; omit one of them."
             )
         pairs = "(cells, rounds), ascending, of 64 to 4096 cells and 1 to 100 rounds"
         require(self, _are_depths(self.depths), "depths", pairs)

@@ -1,13 +1,13 @@
 """Prior of the light, and background pixels that show it.
 
-The logarithm of radiance is a Gaussian field, smooth at two scales [log-Gaussian Cox fields,
-Moller et al. 1998]:
+Log radiance is a Gaussian field with two correlation lengths [log-Gaussian Cox fields, Moller et
+al. 1998]:
 
     log L_c(w) = u(w) + v_c(w),    cov u(w) u(w') = l^2 + b^2 k(angle / 40 deg)
                                                     + n^2 k(angle / 12 deg) + o^2 [w = w'],
 
-the same for the colours v, which are weaker, with k(t) = exp(-t^2 / 2). The amplitudes are those of
-the lights that come with svu_mi.
+with k(t) = exp(-t^2 / 2). The colours v have the same covariance with smaller amplitudes. The
+amplitudes were fitted to the lights included in svu_mi.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ BROAD, NARROW = np.radians(40), np.radians(12)
 
 
 class Amplitudes(NamedTuple):
-    """Standard deviations: of the scale, the broad, the narrow and the cell's own part."""
+    """Standard deviations of the scale, the broad, the narrow and the independent part."""
 
     scale: float
     broad: float
@@ -41,42 +41,42 @@ class Amplitudes(NamedTuple):
 
 
 BRIGHTNESS = Amplitudes(scale=3.0, broad=0.9, narrow=0.8, own=0.35)
-SD = float(np.linalg.norm(BRIGHTNESS[1:]))  # of a cell at a given scale, the channels' mean
+SD = float(np.linalg.norm(BRIGHTNESS[1:]))  # of the channel mean of a cell, at fixed scale
 COLOR = Amplitudes(scale=0.5, broad=0.25, narrow=0.15, own=0.05)
-PIXELS = 4000  # sampled in each photograph, about
-BACKGROUND_SD = 0.1  # of a cell's mean log radiance: parallax, and pixels that are not sampled
-DARK = 1e-4  # part of the mean radiance that counts as black
+PIXELS = 4000  # approximate number of sampled pixels per photograph
+BACKGROUND_SD = 0.1  # sd of mean log radiance of a cell, from parallax and subsampling
+DARK = 1e-4  # radiance of black pixels, relative to the mean
 
 
 @dataclass(frozen=True)
 class LightPrior:
-    """Precisions (N, N) float64 of the logarithms of radiance x (N, 3) in N even cells: of the
-    channels' mean, and of a channel's difference from it."""
+    """Precisions (N, N) float64 of log radiance in N cells: of the channel mean, and of the
+    difference of a channel from it."""
 
     brightness: np.ndarray
     color: np.ndarray
 
     def pull(self, x: np.ndarray) -> np.ndarray:
-        """Return the gradient of the energy at x, (N, 3)."""
+        """Return the gradient (N, 3) of the energy at log radiance x (N, 3)."""
         u = x.mean(axis=1, keepdims=True)
         return self.brightness @ u / 3 + self.color @ (x - u)
 
     def precision(self) -> np.ndarray:
-        """Return the whole precision, (3 N, 3 N) float64, channel by channel."""
+        """Return the joint precision, (3 N, 3 N) float64, channel by channel."""
         between = np.full((3, 3), 1 / 3)
         return np.kron(between / 3, self.brightness) + np.kron(np.eye(3) - between, self.color)
 
 
 @lru_cache(maxsize=2)
 def prior_of(number: int) -> LightPrior:
-    """Return the prior of N even cells."""
+    """Return the prior of N cells of equal size."""
     cells = fibonacci(number)
     brightness, color = (np.linalg.inv(_covariance(cells, cells, a)) for a in (BRIGHTNESS, COLOR))
     return LightPrior(brightness, color)
 
 
 def refined(x: np.ndarray, number: int) -> np.ndarray:
-    """Interpolate x (N, 3) to another number of cells: the prior's conditional mean."""
+    """Interpolate x (N, 3) to another number of cells, by the conditional mean of the prior."""
     old, new = fibonacci(len(x)), fibonacci(number)
     u = x.mean(axis=1, keepdims=True)
     parts = zip((u, x - u), (BRIGHTNESS, COLOR), strict=True)
@@ -96,7 +96,7 @@ def _covariance(a: np.ndarray, b: np.ndarray, of: Amplitudes, own: bool = True) 
 
 
 class SeenCells(NamedTuple):
-    """Log of the mean radiance (N, 3) of N cells, and its precision (N,); 0 where not seen."""
+    """Log mean radiance (N, 3) of N cells, and its precision (N,); 0 for unseen cells."""
 
     precision: np.ndarray
     logarithm: np.ndarray
@@ -104,13 +104,13 @@ class SeenCells(NamedTuple):
 
 @dataclass(frozen=True)
 class BackgroundPixels:
-    """Radiance (P, 3) of background pixels, and unit directions (P, 3) in the light's frame."""
+    """Radiance (P, 3) of background pixels, and unit directions (P, 3) in the light frame."""
 
     direction: np.ndarray
     radiance: np.ndarray
 
     def at(self, number: int) -> SeenCells:
-        """Average over N even cells."""
+        """Return averages over N cells."""
         cells = nearest_cells(self.direction, number)
         count = np.bincount(cells, minlength=number)
         sums = [np.bincount(cells, channel, number) for channel in self.radiance.T]
@@ -120,7 +120,7 @@ class BackgroundPixels:
 
     @staticmethod
     def of(capture: Capture, *, moves: bool = False) -> BackgroundPixels:
-        """Sample pixels that show no shape; ``moves``: the light turns with the cameras."""
+        """Sample pixels outside all shapes; ``moves``: the light moves with the cameras."""
         used = [k for k in range(capture.count) if capture.used[k]]
         pixels = [_grid(capture, k) for k in used]
         view = np.repeat(np.arange(len(used)), [len(rows) for rows, _ in pixels])
@@ -137,14 +137,11 @@ class BackgroundPixels:
         ]).astype(np.float64)  # fmt: skip
         kept = ~hit.numpy() & np.isfinite(colors).all(axis=1)
         if not kept.any():
-            raise CaptureError(
-                "No photograph shows anything beyond the object, so there is no background to take "
-                "light from; leave --background out."
-            )
+            raise CaptureError("No photograph shows background pixels; omit --background.")
         if not colors[kept].mean() > 0:
             raise CaptureError(
-                "All that the photographs show beyond the object is black: it was cut out, and is "
-                "no light; leave --background out."
+                "The background of all photographs is black, so it was probably removed; omit "
+                "--background."
             )
         direction = towards.numpy().T.astype(np.float64)
         if moves:

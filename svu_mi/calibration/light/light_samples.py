@@ -1,4 +1,4 @@
-"""Samples of a few texels in all photographs, from which light and gains are estimated."""
+"""Samples of selected texels in all photographs, for estimates of light and gains."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.statistics.statistics import noise_weight
 
-FEWEST = 4  # views of a texel that says anything of the light: it has 5 parameters of its own
-GRAZING = 1e-3  # cosine: more grazing views are treated like this one
+FEWEST = 4  # minimum number of views of a texel, which has 5 unknown parameters
+GRAZING = 1e-3  # minimum cosine; smaller values are clamped
 OF_SAMPLES = ("view", "direction", "cosine", "radiance", "contrast", "weight")
-FACING = 0.4  # cosine: a pixel of a steeper view shows much of what is beside the texel
+FACING = 0.4  # minimum cosine: pixels of steeper views also cover neighbours
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,16 @@ class TexelSamples:
     """S samples of n texels in V views, sorted by texel.
 
     Attributes:
-        scene: that occludes.
-        surface: the n texels.
-        owner, view: (S,) int64, indices of texel, ascending, and view.
-        direction: (S, 3) float32, unit, from the texel to the camera, world space.
-        cosine: (S,) float32, between it and the shading normal.
-        radiance, contrast: (S, 3) and (S,) float32, mean and variance of the pixels.
-        weight: (S,) float64 (``noise_weight``).
-        cameras: (V, 3, 3) float64, rotations of camera space to world space.
-        unit: radiance that noise is relative to.
-        kappa, edges: of the weights.
+        scene: Scene for visibility rays.
+        surface: The n texels.
+        owner, view: (S,) int64 indices of texel (ascending) and view.
+        direction: (S, 3) float32 unit directions to the camera, in world space.
+        cosine: (S,) float32 cosines between ``direction`` and the shading normal.
+        radiance, contrast: (S, 3) and (S,) float32 mean and variance of the pixels.
+        weight: (S,) float64 weights (``noise_weight``).
+        cameras: (V, 3, 3) float64 rotations from camera to world space.
+        unit: Radiance that noise is relative to.
+        kappa, edges: Parameters of the weights.
     """
 
     scene: Any
@@ -56,25 +56,25 @@ class TexelSamples:
 
     @property
     def count(self) -> int:
-        """S."""
+        """Number of samples, S."""
         return len(self.owner)
 
     @property
     def texels(self) -> int:
-        """n."""
+        """Number of texels, n."""
         return self.surface.count
 
     @property
     def first(self) -> np.ndarray:
-        """(n,) the first sample of every texel."""
+        """(n,) index of the first sample of each texel."""
         return np.searchsorted(self.owner, np.arange(self.texels))
 
     def sum(self, values: np.ndarray) -> np.ndarray:
-        """Sum values (S, ...) over the samples of every texel: (n, ...)."""
+        """Sum values (S, ...) over the samples of each texel; return (n, ...)."""
         return np.add.reduceat(values, self.first, axis=0)
 
     def without_steep_views(self) -> tuple[TexelSamples, np.ndarray]:
-        """Return the samples without steep views and texels seen too little, and their indices."""
+        """Return the samples without steep views and rarely seen texels, and their indices."""
         kept = self.cosine > FACING
         enough = np.bincount(self.owner[kept], minlength=self.texels) >= FEWEST
         if not enough.any():
@@ -89,11 +89,11 @@ class TexelSamples:
         return samples, chosen
 
     def without_views(self, views: np.ndarray) -> TexelSamples:
-        """Give views (V,) bool no weight."""
+        """Return the samples with weight 0 in flagged views (V,)."""
         return replace(self, weight=np.where(views[self.view], 0, self.weight))
 
     def divided(self, gains: np.ndarray) -> TexelSamples:
-        """Divide samples by gains (V, 3) of their photographs."""
+        """Return the samples divided by gains (V, 3) of their photographs."""
         of_sample = gains[self.view]
         radiance = (self.radiance / of_sample).astype(np.float32)
         contrast = self.contrast / np.square(of_sample.mean(axis=1))
@@ -105,20 +105,20 @@ class TexelSamples:
 
     @staticmethod
     def of(observed: Observed, switches: AngularPreset, count: int) -> TexelSamples:
-        """Sample at most ``count`` visible texels, evenly spread over the surface."""
+        """Sample at most ``count`` seen texels, evenly distributed over the surface."""
         views, visibility = observed.views, observed.visibility
         if not visibility.scale > 0:
             raise CaptureError(
-                "The object is black in all photographs, which says nothing of the light; look at "
-                "their gains and masks with svu check."
+                "The object is black in all photographs; check their gains and masks with svu "
+                "check."
             )
         enough = np.flatnonzero(observed.coverage >= FEWEST)
         if not len(enough):
             raise CaptureError(
-                f"No texel is seen in {FEWEST} photographs, the fewest that say anything of the "
-                "light, or of gains; take more, or give them."
+                f"No texel is seen in {FEWEST} photographs, which estimates of light and gains "
+                "need; take more photographs, or give the light and the gains."
             )
-        # Texels are in a coherent order: equal steps are spread over the surface.
+        # Texels are ordered by position: equal steps cover the surface evenly.
         count = min(count, len(enough))
         chosen = enough[((np.arange(count) + 0.5) * len(enough) / count).astype(np.int64)]
         texel = to_drjit(mi.UInt32, chosen.astype(np.uint32))

@@ -1,4 +1,4 @@
-"""Summaries of estimated light and gains: sentences, and a comparison with a known light."""
+"""Summaries of estimated light and gains, and comparison with a known light."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from svu_mi.core.arrays import fibonacci
 from svu_mi.light.band_limited import degrees
 from svu_mi.light.environment import Environment, basis_at, polar_from_local, read_environment
 
-BLUR = 15.0  # degrees, full width at half maximum, at which light is compared
-DEGREE = 48  # beyond which that leaves nothing
-POINTS = 2048  # even directions
-STANDS_OUT = 2.0  # times the mean, from which a direction is called bright
+BLUR = 15.0  # full width at half maximum of the compared lights, in degrees
+DEGREE = 48  # higher degrees are removed by the blur
+POINTS = 2048  # evenly spaced directions
+STANDS_OUT = 2.0  # minimum ratio of the brightest direction to the mean
 UP = np.array([0.0, 1.0, 0.0])
-NOTED = 0.08  # log gain: twice the error with few photographs
-FEWEST = 3  # photographs in each quarter, to detect drift
-OF_MEDIAN = 1.25 * 1.48  # standard error of a median, by the median deviation of one value
-CERTAIN = 4.5  # standard errors of a drift
+NOTED = 0.08  # reported log gain: twice the error with few photographs
+FEWEST = 3  # photographs per quarter needed to detect drift
+OF_MEDIAN = 1.25 * 1.48  # standard error of a median relative to the median deviation
+CERTAIN = 4.5  # significance of a drift in standard errors
 LETTERS = "RGB"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightComparison:
-    """Comparison of estimated light with the light that a capture has.
+    """Comparison of an estimated light with the light of the capture.
 
     Attributes:
-        correlation: of both, blurred to 15 degrees, over all directions.
-        scale: (3,) factor per channel, by which the true light is brighter.
-        inside: whether that factor is in the 90 % interval of the estimate, in all channels;
-            None where the scale was given.
-        angle: degrees between their brightest directions.
+        correlation: Correlation over all directions, after a blur of 15 degrees.
+        scale: (3,) ratio of the known to the estimated light per channel.
+        inside: True if ``scale`` is in the 90 % interval in all channels; None if the scale was
+            given.
+        angle: Angle between the brightest directions in degrees.
     """
 
     correlation: float
@@ -55,14 +55,14 @@ def blurred(environment: Environment, world: np.ndarray, width: float = BLUR) ->
 
 
 def environment_of(estimate: LightEstimate) -> Environment:
-    """Return an estimate as an environment."""
+    """Return the estimated light as an ``Environment``."""
     none = np.zeros((0, 3))
     radiance = estimate.radiance.astype(np.float64)
     return Environment(radiance, none, np.zeros(0), none, to_local=np.eye(3))
 
 
 def brightest(estimate: LightEstimate) -> np.ndarray | None:
-    """Return the brightest unit direction (3,); None if none stands out."""
+    """Return the brightest unit direction (3,); None if the light is nearly constant."""
     world = fibonacci(POINTS)
     grey = blurred(environment_of(estimate), world).mean(axis=1)
     if grey.max() < STANDS_OUT * grey.mean():
@@ -71,7 +71,7 @@ def brightest(estimate: LightEstimate) -> np.ndarray | None:
 
 
 def compare_lights(estimate: LightEstimate, emitter: Any) -> LightComparison:
-    """Compare an estimate with the ``environment`` of a capture."""
+    """Compare an estimated light with an emitter, such as ``Capture.environment``."""
     world = fibonacci(POINTS)
     truth = blurred(read_environment(emitter), world)
     estimated = blurred(environment_of(estimate), world)
@@ -88,12 +88,12 @@ def compare_lights(estimate: LightEstimate, emitter: Any) -> LightComparison:
 
 
 def summary_sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> Iterator[str]:
-    """Yield sentences about an estimate; elevations count from ``up`` (3,), +Y by default."""
-    yield f"Of the light from all directions, photographs tell {100 * estimate.known_part:.0f} %."
+    """Yield sentences about an estimate; ``up``: (3,) zenith of elevations (default: +Y)."""
+    yield f"The photographs determine {100 * estimate.known_part:.0f} % of the light's variance."
     yield direction_sentence(estimate, UP if up is None else up)
     yield scale_sentence(estimate)
     if estimate.moves:
-        yield "It turns with the camera: a turntable, or a lamp on the camera."
+        yield "The light moves with the camera: turntable or flash."
     yield from estimate.remarks
 
 
@@ -101,16 +101,18 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
     """Return a sentence about the brightest direction."""
     toward = brightest(estimate)
     if toward is None:
-        return "It comes from all around: no direction stands out."
+        return "The light is nearly constant: it has no brightest direction."
     if estimate.moves:
-        return f"It is brightest from {_vector(toward)} in camera space (+X left, +Y up, +Z ahead)."
+        return (
+            f"Brightest direction: {_vector(toward)} in camera space (+X left, +Y up, +Z forward)."
+        )
     elevation = np.degrees(np.arcsin(np.clip(toward @ up, -1, 1)))
-    # Azimuth counts as maps of Mitsuba's envmap do: from -Z towards +X, if +Y is up.
+    # Azimuth as in Mitsuba's envmap: from -Z towards +X, if +Y is up.
     ahead, right = _horizon(up)
     azimuth = np.degrees(np.arctan2(toward @ right, toward @ ahead)) % 360
     return (
-        f"It is brightest from elevation {elevation:.0f} and azimuth {azimuth:.0f} degrees "
-        f"({_vector(toward)} in the world)."
+        f"Brightest direction: elevation {elevation:.0f} and azimuth {azimuth:.0f} degrees "
+        f"({_vector(toward)} in world space)."
     )
 
 
@@ -118,10 +120,10 @@ def scale_sentence(estimate: LightEstimate) -> str:
     """Return a sentence about the scale of the light."""
     low, high = estimate.scale_interval
     if not estimate.scale_sd.any():
-        return "Its brightness was given, so base colours are in true units."
+        return "The brightness of the light was given, so base colours are absolute."
     return (
-        f"Base colours are known up to a common factor between {low.mean():.2f} and "
-        f"{high.mean():.2f}; --grey-card or --mean-albedo of svu light fix it."
+        f"Base colours have a common unknown factor, {low.mean():.2f} to {high.mean():.2f} (90 % "
+        "interval); set it with --grey-card or --mean-albedo of svu light."
     )
 
 
@@ -131,14 +133,14 @@ def gain_sentences(gains: FoundGains, capture: Capture) -> Iterator[str]:
     factor = gains.factor[~gains.odd]
     if len(factor):
         low, high = factor.mean(axis=1).min(), factor.mean(axis=1).max()
-        yield f"Photographs are {low:.2f} to {high:.2f} times as bright as if all were alike."
+        yield f"Exposure gains range from {low:.2f} to {high:.2f}."
         yield from _balance(gains)
     usual = float(np.median(gains.noise[gains.noise > 0])) if gains.noise.any() else 1.0
     for view in np.flatnonzero(gains.odd):
         brighter, unlike = gains.factor[view].mean(), gains.noise[view] / usual
         yield (
-            f"{names[view]} does not fit the others ({brighter:.2g} times as bright, "
-            f"{unlike:.1f} times as far from what they explain); left out."
+            f"{names[view]} is an outlier (gain {brighter:.2g}, residual {unlike:.1f} times the "
+            "median); excluded."
         )
 
 
@@ -165,18 +167,18 @@ def _balance(gains: FoundGains) -> Iterator[str]:
         changes = np.exp(last - first)
         each = (f"{letter} {x:.2f}" for letter, x in zip(LETTERS, changes, strict=True))
         yield (
-            "They drift: from the first quarter of the photographs to the last, gains change by "
+            "Gains drift: from the first to the last quarter of the photographs, they change by "
             f"{', '.join(each)}."
         )
 
 
 def comparison_sentence(match: LightComparison) -> str:
-    """Return a sentence that compares the light with the capture's own."""
+    """Return a sentence about a comparison of lights."""
     factors = ", ".join(f"{x:.2f} ({c})" for c, x in zip(LETTERS, match.scale, strict=True))
     where = "" if match.inside is None else f", {'in' if match.inside else 'out'}side the interval"
     return (
-        f"Against the capture's own light: correlation {match.correlation:.2f} at 15 degrees; "
-        f"that one is brighter by {factors}{where}; "
+        f"Comparison with the light of the capture: correlation {match.correlation:.2f} at 15 "
+        f"degrees; it is brighter by {factors}{where}; "
         f"brightest directions {match.angle:.0f} degrees apart."
     )
 

@@ -1,8 +1,8 @@
-"""Radiance of samples under even cells of light, and the posterior of their materials.
+"""Radiance of samples under cells of light, and the posterior of their materials.
 
-Radiance is linear in the light: r = sum_j K_j L_j over N cells, with the K of the reflection
-model (``reflection/wide_lobes.py``, ``mix_columns.py``) and traced visibility. A lobe that is
-narrower than the cells is widened to their size, so that it gathers all of its light.
+Radiance is linear in the light: r = sum_j K_j L_j over N cells of equal size, with K from the
+reflection model (``reflection/wide_lobes.py``, ``mix_columns.py``) and traced visibility. Lobes
+narrower than the cells are widened to their size, so that they do not miss light.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns,
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import Statistics
 
-WIDENED = 0.55  # radii of a cell that are added to the width of a lobe, in quadrature
-PARTS = 3  # of specular light: p, q, d
-HEAT, COOLING = 12.0, 0.6  # factor of the first round's overdispersion, and its decay
+WIDENED = 0.55  # widening of lobes in cell radii, added in quadrature
+PARTS = 3  # specular columns p, q, d
+HEAT, COOLING = 12.0, 0.6  # initial factor of the overdispersion, and its decay
 
 
 class Materials(NamedTuple):
-    """Parameters of n texels, float64: roughness (n,), those that mix the columns (n, M) in the
-    order of ``MIXED``, and base colour (n, 3)."""
+    """Parameters of n texels, float64: roughness (n,), mixing parameters (n, M) in the order of
+    ``MIXED``, and base colour (n, 3)."""
 
     roughness: np.ndarray
     mixed: np.ndarray
     color: np.ndarray
 
     def mixture(self, owner: np.ndarray) -> Mixture:
-        """Return how the texels of samples mix the columns, of shape (S, 1)."""
+        """Return the mixtures of the texels ``owner`` of S samples, of shape (S, 1)."""
         return mixture(*(values[owner, None] for values in self.mixed.T))
 
 
@@ -56,16 +56,16 @@ class Columns(NamedTuple):
     d: np.ndarray
 
     def at(self, level: int) -> tuple[np.ndarray, ...]:
-        """Return the columns that a mixture is of, (S, 3) each, at one of the roughnesses."""
+        """Return the mixed columns at a roughness level, (S, 3) each."""
         return columns(*(part[:, level] for part in self))
 
     def subset(self, samples: np.ndarray) -> Columns:
-        """Return those of some samples."""
+        """Return the columns of selected samples."""
         return Columns(*(part[samples] for part in self))
 
 
 class _CellReflection(NamedTuple):
-    """One cell: diffuse light a + roughness b, Fresnel's parts of p, q and d, and lobes."""
+    """Reflection of one cell: diffuse a + roughness b, Fresnel factors of p, q, d, and lobes."""
 
     diffuse: tuple[Any, Any]
     fresnel: tuple[Any, Any, Any]
@@ -74,14 +74,17 @@ class _CellReflection(NamedTuple):
 
 @dataclass(frozen=True)
 class Transport:
-    """Samples, and N even cells of light around them, which ``moves`` with the cameras or not.
+    """Samples, and N cells of distant light.
 
     Attributes:
-        lanes: texel and view (UInt32), direction (Vector3f) and cosine (Float) of every sample.
-        cells: (3 N,) Float, their directions in their own frame.
-        frames: (9 V,) Float, rotations of that frame to world space, of every view.
-        free: Bool, visibility of (texel or, if the cells move, sample) x cell.
-        count: N, opaque.
+        samples: Samples of n texels.
+        number: Number of cells, N.
+        moves: True if the light moves with the cameras.
+        lanes: Texel and view (UInt32), direction (Vector3f) and cosine (Float) of the samples.
+        cells: (3 N,) Float directions of the cells in the light frame.
+        frames: (9 V,) Float rotations from the light frame to world space, per view.
+        free: Bool visibility of each (texel, cell), or each (sample, cell) if the light moves.
+        count: N as an opaque UInt32.
     """
 
     samples: TexelSamples
@@ -125,13 +128,13 @@ class Transport:
         return free
 
     def _toward(self, cell: Any, view: Any) -> Any:
-        """Return the world direction of a cell."""
+        """Return the direction of a cell in world space."""
         local = dr.gather(mi.Vector3f, self.cells, cell)
         rows = [dr.gather(mi.Vector3f, self.frames, 3 * view + k) for k in range(3)]
         return mi.Vector3f(*(dr.dot(row, local) for row in rows))
 
     def _reflected(self, lane: Any, cell: Any, widths: list[Any]) -> _CellReflection:
-        """Reflect one cell of unit radiance, in lobes of some widths."""
+        """Return the reflection of one cell of unit radiance, with lobes of given widths."""
         texel, view, direction, cosine = (dr.gather(type(x), x, lane) for x in self.lanes)
         normal = self.samples.surface.at(texel).normal
         toward = self._toward(cell, view)
@@ -143,12 +146,12 @@ class Transport:
         received = solid * incident
         grazing = received * (1 - incident) ** 5
         moments = [received, *(received * toward), grazing, *(grazing * toward)]
-        # Opposite directions have no half vector, and a cell that is hidden needs none.
+        # Opposite directions have no half vector; occluded cells do not need it.
         lit = dr.select(free, toward, direction)
         half = dr.normalize(lit + direction)
         across, up = dr.maximum(dr.dot(lit, half), GRAZING), dr.dot(normal, half)
-        # A disk as large as a cell has the square of its radius 4 / N.
-        # The half vector turns by half the angle, and across the plane of incidence by more.
+        # A disk of the solid angle of a cell has the squared radius 4 / N. The half vector turns by
+        # half the angle, and by more across the plane of incidence.
         spread = 0.5 * (1 + dr.rcp(across * across))
         cell_width = WIDENED**2 * 4 / mi.Float(self.count) * spread
         wide = [dr.sqrt(dr.fma(alpha, alpha, cell_width)) for alpha in widths]
@@ -162,7 +165,7 @@ class Transport:
         )  # fmt: skip
 
     def columns(self, light: np.ndarray, roughness: np.ndarray) -> Columns:
-        """Return the columns at roughnesses (K,), or (n, K), under light (N, 3)."""
+        """Return the columns at roughness (K,) or (n, K) under light (N, 3)."""
         levels = np.broadcast_to(roughness, (self.samples.texels, np.shape(roughness)[-1]))
         of_texel = [to_drjit(mi.Float, alpha_from_roughness(level)) for level in levels.T]
         widths = [dr.gather(mi.Float, alpha, self.lanes[0]) for alpha in of_texel]
@@ -194,7 +197,7 @@ class Transport:
         return Columns(*(np.moveaxis(x, -1, 0) for x in (e, *np.moveaxis(specular, 1, 0))))
 
     def matrix(self, materials: Materials) -> np.ndarray:
-        """Return K of ``r = K L`` for every channel: (3, S, N) float32."""
+        """Return K of ``r = K L`` per channel, (3, S, N) float32."""
         lanes = dr.arange(mi.UInt32, self.samples.count * self.number)
         lane, cell = lanes // self.count, lanes % self.count
         texel = dr.gather(mi.UInt32, self.lanes[0], lane)
@@ -214,16 +217,16 @@ class Transport:
 
 
 def columns_of(transport: Transport, light: np.ndarray, switches: AngularPreset) -> Columns:
-    """Return the columns of light (N, 3) at the roughness levels of the statistics."""
+    """Return the columns under light (N, 3) at the roughness levels of the statistics."""
     return transport.columns(light, np.linspace(0, 1, switches.levels))
 
 
 @dataclass(frozen=True)
 class SampleMoments:
-    """Sums over the samples of n texels under a light, for any dimmer or brighter one.
+    """Sums over the samples of n texels under a light of any scale.
 
-    ``table``: (5, 5, n, K, 3) float64, weighted products of e, p, q, d and the observation at K
-    roughnesses.
+    ``table``: (5, 5, n, K, 3) float64 weighted products of e, p, q, d and the observation at K
+    roughness levels.
     """
 
     samples: TexelSamples
@@ -231,7 +234,7 @@ class SampleMoments:
 
     @staticmethod
     def of(samples: TexelSamples, columns: Columns) -> SampleMoments:
-        """Sum over samples, given ``columns_of`` a light."""
+        """Sum over samples, given the ``columns_of`` a light."""
         observed = np.broadcast_to(samples.radiance[:, None].astype(np.float64), columns.e.shape)
         parts, weight = (*columns, observed), samples.weight[:, None, None]
         table = np.empty((len(parts), len(parts), samples.texels, *columns.e.shape[1:]))
@@ -244,7 +247,7 @@ class SampleMoments:
     def posterior(
         self, switches: AngularPreset, factor: np.ndarray | float = 1.0
     ) -> Posterior[CalibratedKernel]:
-        """Return the posterior of the texels under light brighter by a factor, also per channel."""
+        """Return the posterior under light times a factor, scalar or (3,)."""
         samples, unit = self.samples, np.eye(len(self.table))[..., None]
         e, p, q, d, observed = (row * np.ones(3) for row in unit)
         mixed = columns(factor * e, factor * p, factor * q, factor * d, observed)
@@ -261,7 +264,7 @@ class SampleMoments:
 
 
 def materials_of(posterior: Posterior[CalibratedKernel]) -> Materials:
-    """Return the means of a posterior."""
+    """Return the posterior means of the materials."""
 
     def mean(name: str) -> np.ndarray:
         return np.array(posterior.mean(name), np.float64)
@@ -271,15 +274,15 @@ def materials_of(posterior: Posterior[CalibratedKernel]) -> Materials:
 
 
 def misfit_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
-    """Return the noise of the median texel, relative to a radiance."""
+    """Return the median noise of the texels, relative to radiance ``unit``."""
     return float(np.median(posterior.kernel.noise)) / unit
 
 
 def noise_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
-    """Return the geometric mean of the texels' noise, relative to a radiance."""
+    """Return the geometric mean of the noise of the texels, relative to radiance ``unit``."""
     return float(np.exp(np.log(posterior.kernel.noise).mean())) / unit
 
 
 def annealed(switches: AngularPreset, factor: float) -> AngularPreset:
-    """Return switches with a likelihood annealed by a factor."""
+    """Return the preset with its overdispersion multiplied by a factor."""
     return replace(switches, overdispersion=switches.overdispersion * factor)

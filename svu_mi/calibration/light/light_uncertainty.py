@@ -1,13 +1,13 @@
-"""Uncertainty of estimated light: its scale, its details, and their effect on textures.
+"""Uncertainty of estimated light: scale, details, and their effect on textures.
 
-Brighter light and darker materials explain photographs almost equally well. The scale is decided
-by the 4 % that dielectrics mirror and by base colour being at most 1, which is as small as the
-errors of the model, and these do not average out over samples. So the probability of a factor is
-taken from the noise: 2.5 % above the least is an end of the 90 % interval. Much of the error is
-common to R, G and B and does not affect colour. Both constants were fitted to the scenes that come
-with svu_mi, and checked on dark wood and slate.
+Brighter light and darker materials explain photographs almost equally well. Only the 4 %
+reflectance of dielectrics and the bound 1 of base colour determine the scale. These effects are as
+small as the errors of the model, which do not average out over samples. The probability of a scale
+is therefore a function of the noise: the 90 % interval ends where the noise is 2.5 % above its
+minimum. Much of the error is common to R, G and B and does not affect colour. Both constants were
+fitted to the included scenes, and validated on dark wood and slate.
 
-Details are normally distributed by the normal equations (Laplace's approximation).
+Details have the normal distribution of the normal equations (Laplace approximation).
 """
 
 from __future__ import annotations
@@ -37,36 +37,36 @@ from svu_mi.parameters import NAMES
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.principled import diffuse_from_principled
 
-COLORS = 1.5  # number of independent base colours, uniform in [0, 1]: R, G and B are correlated
-TOLERANCE = 1.025  # noise at the ends of the 90 % interval of the level, relative to the least
-COLORS_SHARPER = 2.0  # weight of noise for colour, relative to that for the level
-FURTHEST = 1.5  # logarithm of the largest factor of the light
-STEPS = 13  # factors that are tried
-TINT_ROUNDS, SMALLEST = 3, 0.01  # of Newton's method, and the least change that matters
-TINT = 0.2  # logarithm of a channel's factor relative to the others, for finite differences
-MOST_TINTED = 0.5  # logarithm of a channel's factor relative to the mean
-FEWEST_DIELECTRIC = 0.2  # part of the surface that fixes the level
-LOOSE = 0.5  # standard deviation of its logarithm with less
-UNKNOWN = 0.25  # part of the prior's variance removed in half of the light, below which we say so
+COLORS = 1.5  # effective number of independent base colour channels
+TOLERANCE = 1.025  # noise at the ends of the 90 % interval, relative to the minimum
+COLORS_SHARPER = 2.0  # weight of noise for colour relative to the level
+FURTHEST = 1.5  # largest log factor of the light
+STEPS = 13  # number of tested factors
+TINT_ROUNDS, SMALLEST = 3, 0.01  # Newton iterations, and smallest step
+TINT = 0.2  # log factor of a channel for finite differences
+MOST_TINTED = 0.5  # largest log factor of a channel relative to the mean
+FEWEST_DIELECTRIC = 0.2  # dielectric fraction of the surface that determines the level
+LOOSE = 0.5  # standard deviation of the log level with less
+UNKNOWN = 0.25  # median fraction of removed prior variance, below which a remark is made
 MOST_WIDENED = 1e4  # textures carry no information
 
 # Negative log probability of noise: SHARPNESS log(noise / least).
 SHARPNESS = 0.5 * NINETY**2 / log(TOLERANCE)
 
-# Factors of R, G and B that change colour only: one channel against the others.
+# Changes of colour at constant level: one channel against the others.
 TINTS = np.eye(3) - 1 / 3
 PLANE = np.array([[2, -1, -1], [0, 3**0.5, -(3**0.5)]]).T / 6**0.5  # basis of these
 
 
 @dataclass(frozen=True)
 class LightScale:
-    """Normal distribution of the logarithm of a factor of the light, per channel.
+    """Normal distribution of the log scale of the light, per channel.
 
     Attributes:
         best: (3,) mean.
-        common: standard deviation of the channels' common part.
-        tint: (3,) standard deviation of their own parts.
-        anchored: whether enough of the surface is dielectric to fix the level.
+        common: Standard deviation of the part common to the channels.
+        tint: (3,) standard deviations of the parts of single channels.
+        anchored: True if enough of the surface is dielectric to determine the level.
     """
 
     best: np.ndarray
@@ -76,17 +76,17 @@ class LightScale:
 
     @property
     def sd(self) -> np.ndarray:
-        """(3,) standard deviation of the logarithm of each channel's factor."""
+        """(3,) standard deviation of the log scale of each channel."""
         return np.asarray(np.hypot(self.common, self.tint))
 
 
 def scale_of(samples: TexelSamples, columns: Columns, switches: AngularPreset) -> LightScale:
-    """Return the distribution of the light's scale.
+    """Return the distribution of the scale of the light.
 
-    The brighter the light, the fewer base colours in [0, 1] explain the object, by one factor per
-    channel [MacKay 1992, the Occam factor]. Texels are not counted one by one, since they share
-    few materials. Steep views are skipped: there, neighbours of the texel in the same pixel look
-    like Fresnel reflection of brighter light.
+    The brighter the light, the smaller the range of base colours in [0, 1] that explain the object
+    [MacKay 1992, the Occam factor]; it counts once per channel, not per texel, as texels share few
+    materials. Steep views are skipped: their pixels also cover neighbours of the texel, which
+    resembles Fresnel reflection of brighter light.
     """
     samples, kept = samples.without_steep_views()
     moments = SampleMoments.of(samples, columns.subset(kept))
@@ -105,7 +105,7 @@ def scale_of(samples: TexelSamples, columns: Columns, switches: AngularPreset) -
 
 
 def _common_factor(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
-    """Return the median and the standard deviation of the factor of all channels."""
+    """Return median and standard deviation of the log factor common to all channels."""
     steps = np.linspace(-FURTHEST, FURTHEST, STEPS)
     noise = scipy.interpolate.PchipInterpolator(steps, [worse(np.full(3, step)) for step in steps])
     fine = np.linspace(-FURTHEST, FURTHEST, 601)
@@ -116,7 +116,7 @@ def _common_factor(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
 
 
 def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviations (3,) of colour at a level, by Newton's method."""
+    """Return mean and standard deviations (3,) of log tint at a level, by Newton's method."""
 
     def energy(tint: np.ndarray) -> float:
         return COLORS_SHARPER * worse(level + tint) + 0.5 * float(tint @ tint) / COLOR.scale**2
@@ -139,7 +139,7 @@ def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarra
 def _slope_and_covariance(
     energy: Callable[[np.ndarray], float], tint: np.ndarray, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return slope (3,) and inverse curvature (3, 3) of the energy of colours."""
+    """Return slope (3,) and inverse curvature (3, 3) of the energy of the tint."""
     steps = TINT * np.concatenate([TINTS, -TINTS])
     excess = np.array([energy(tint + step) for step in steps]) - least
     a, b = (steps @ PLANE).T
@@ -147,22 +147,22 @@ def _slope_and_covariance(
     *slope, aa, ab, bb = np.linalg.lstsq(terms, excess, rcond=None)[0]
     values, vectors = np.linalg.eigh([[aa, ab], [ab, bb]])
     axes = PLANE @ vectors
-    curvature = np.maximum(values, COLOR.scale**-2)  # no less than the prior's own
+    curvature = np.maximum(values, COLOR.scale**-2)  # at least that of the prior
     return PLANE @ slope, axes @ np.diag(1 / curvature) @ axes.T
 
 
 class LightSamples(NamedTuple):
     """Posterior samples (K, N, 3) of log radiance at the level of the mean, and standard deviations
-    (N,) of the channels' mean of a cell, relative to that level."""
+    (N,) of the channel mean of a cell, relative to the level."""
 
     draws: np.ndarray
     cell_sd: np.ndarray
 
 
 def sample_lights(fit: LightFit, count: int, seed: int = 0) -> LightSamples:
-    """Draw K = ``count`` lights from the Gaussian of the normal equations."""
+    """Draw ``count`` lights from the normal distribution of the normal equations."""
     number, root = len(fit.x), np.linalg.cholesky(fit.system.matrix)
-    every = len(root)  # gains of photographs follow the cells of each channel
+    every = len(root)  # gains follow the cells of each channel
     inverse = scipy.linalg.solve_triangular(root, np.eye(every), lower=True, check_finite=False)
     noise = np.random.default_rng(seed).standard_normal((every, count))
     free = (inverse.T @ noise).T.reshape(count, 3, -1)[..., :number].transpose(0, 2, 1)
@@ -175,12 +175,12 @@ def sample_lights(fit: LightFit, count: int, seed: int = 0) -> LightSamples:
 
 
 def remarks_of(level: LightScale, cell_sd: np.ndarray) -> tuple[str, ...]:
-    """Return sentences about unknown parts of the light."""
+    """Return sentences about undetermined parts of the light."""
     remarks = []
     if np.median(1 - np.square(cell_sd / SD)) < UNKNOWN:
         remarks.append(
-            "Hardly any detail of the light is known: the object mirrors too little of it, which "
-            "is no harm to its own textures."
+            "The photographs hardly determine details of the light, since the object is too rough; "
+            "its textures are not affected."
         )
     if not level.anchored:
         remarks.append(UNANCHORED)
@@ -191,14 +191,14 @@ def widening_of(
     transport: Transport, columns: Columns, draws: np.ndarray, level: LightScale,
     switches: AngularPreset,
 ) -> float:  # fmt: skip
-    """Return the factor of the variance of textures that the uncertainty of the light adds.
+    """Return the factor of the variance of textures due to the uncertainty of the light.
 
-    The posterior means under K other lights, (K, N, 3) logarithms, differ: their variance adds to
-    the posterior variance. The common factor of base colours has its own interval.
+    The variance of the posterior means under K sampled lights, (K, N, 3) logarithms, adds to the
+    posterior variance. The common factor of base colours is varied separately.
     """
     samples, parts = transport.samples, []
     own = SampleMoments.of(samples, columns).posterior(switches, np.exp(level.best))
-    # Levels at even quantiles, as many as there are lights.
+    # One level per light, at evenly spaced quantiles.
     quantiles = (np.arange(len(draws)) + 0.5) / len(draws)
     factors = np.exp([level.common * NormalDist().inv_cdf(float(q)) for q in quantiles])
     others = [

@@ -1,7 +1,7 @@
-"""Light of a capture: its own, a given one, or one estimated from the photographs and cached.
+"""Light of a capture: its own, a given one, or a cached estimate from the photographs.
 
-An estimate is kept in the capture's folder, under ``light`` (``light-gains`` together with gains),
-and reused as long as the photographs are the same, whatever its options and version were.
+An estimate is cached in the folder ``light`` of the capture (``light-gains`` if gains were
+estimated too). It is reused while the photographs are unchanged, for any options and version.
 """
 
 from __future__ import annotations
@@ -30,30 +30,36 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OutputError, SceneError
 from svu_mi.geometry.texels import texels
 
-EMITTER = "found_light"  # of the emitter
-FOLDER = "light"  # in the capture's folder
-WITH_GAINS = "-gains"  # at the end of its name, for light estimated together with gains
+EMITTER = "found_light"  # id of the emitter
+FOLDER = "light"  # in the folder of the capture
+WITH_GAINS = "-gains"  # suffix of the folder of light estimated together with gains
 RESOLUTION = 256  # texels per side for the estimate of the light
 OPTIONS = LightOptions()
 
 
 def with_light(capture: Capture, light: LightEstimate) -> Capture:
-    """Return the capture in a scene that has this light, and no other.
+    """Return the capture with its light replaced by an estimated light.
 
     The uncertainty of the light inflates the noise of later estimates, if noise is estimated from
-    the photographs (angular ``default`` and ``fast``); what assumes its noise takes light as given.
+    the photographs (angular ``default`` and ``fast``); presets with fixed noise ignore it.
 
     Args:
-        capture: with or without a light; it is not modified.
-        light: of ``estimate_light``.
+        capture: Capture with or without a light; not modified.
+        light: Estimated light.
 
     Raises:
-        SceneError: the light moves with the cameras, which scenes cannot represent.
+        SceneError: The light moves with the cameras, which scenes do not support.
+
+    Example:
+        >>> options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
+        >>> lit = svu.with_light(capture, svu.estimate_light(capture, texels, options))
+        >>> lit.light_uncertainty is None
+        False
     """
     if light.moves:
         raise SceneError(
-            "The light turns with the camera (a turntable, or a lamp on the camera), and nothing "
-            "goes on from such a light yet; photograph an object that stands still."
+            "The light moves with the camera (turntable or flash), which estimates do not support; "
+            "photograph a static object under static light."
         )
     uncertainty = LightUncertainty(light.widening, tuple(float(sd) for sd in light.scale_sd))
     scene = _scene_under(capture, light.radiance)
@@ -61,19 +67,19 @@ def with_light(capture: Capture, light: LightEstimate) -> Capture:
 
 
 def with_map(capture: Capture, path: str | Path) -> tuple[Capture, list[str]]:
-    """Return the capture under a lat-long map in the frame of Mitsuba's ``envmap``, and remarks."""
+    """Return the capture under a lat-long map (frame of Mitsuba's ``envmap``), and notes."""
     pixels, _, notes = read_environment_map(Light(path=Path(path)))
     scene = _scene_under(capture, pixels)
     return replace(capture, scene=scene, light_uncertainty=None, found_light=None), notes
 
 
 def _scene_under(capture: Capture, radiance: np.ndarray) -> Any:
-    """Return a scene of the capture's shapes under a map (H, W, 3)."""
+    """Return a scene with the shapes of the capture under a map (H, W, 3)."""
     emitter = mi.load_dict({
         "type": "envmap", "id": EMITTER,
         "bitmap": mi.Bitmap(np.ascontiguousarray(radiance, np.float32)),
     })  # fmt: skip
-    integrator = capture.scene.integrator()  # None in a scene that has none
+    integrator = capture.scene.integrator()  # None if not set
     others = [] if integrator is None else [integrator]
     return make_scene([*capture.scene.shapes(), *others, emitter])
 
@@ -86,16 +92,16 @@ def with_resolved_light(
     gains: bool = False,
     progress: Progress | None = None,
 ) -> Capture:
-    """Return a capture with a light; unchanged if it has one and no other is given.
+    """Return the capture with a light: the given one, its own, or an estimate.
 
     Args:
-        capture: loaded with ``light="optional"``.
-        given: a folder that ``svu light`` wrote, or a lat-long map in the frame of Mitsuba's
-            ``envmap``; it replaces the light of the scene.
-        elsewhere: folder for the estimate, if the capture's cannot be written.
-        gains: whether the photographs have unknown gains. They are estimated and divided out, and
-            outliers are not used. Gains that were estimated together with ``given`` are reused.
-        progress: displays the progress.
+        capture: Capture loaded with ``light="optional"``.
+        given: Folder written by ``svu light``, or lat-long map in the frame of Mitsuba's
+            ``envmap``; replaces the light of the scene.
+        elsewhere: Cache folder of the estimate, if the folder of the capture is read-only.
+        gains: Estimate gains of the photographs, divide by them, and exclude outliers. Gains that
+            were estimated together with ``given`` are reused.
+        progress: Display of the progress.
     """
     progress = progress or Progress()
     lit, estimates = _resolved(capture, given, elsewhere, gains, progress)
@@ -109,9 +115,9 @@ def with_resolved_light(
 def photo_gains(
     capture: Capture, elsewhere: Path | None = None, progress: Progress | None = None
 ) -> FoundGains:
-    """Return the gains of photographs under the light of the capture, or estimated with it.
+    """Return gains of the photographs, estimated with a missing light if necessary.
 
-    Arguments and errors are those of ``with_resolved_light``.
+    See ``with_resolved_light`` for arguments and errors.
     """
     _, gains = _resolved(capture, None, elsewhere, True, progress or Progress())
     assert gains is not None
@@ -121,7 +127,7 @@ def photo_gains(
 def _resolved(
     capture: Capture, given: Path | None, elsewhere: Path | None, gains: bool, progress: Progress
 ) -> tuple[Capture, FoundGains | None]:
-    """Return the capture under a light, and gains estimated with the light or on request."""
+    """Return the capture with a light, and gains if available or requested."""
     lit, factors = capture, None
     if given is not None:
         lit, factors = _under_given(capture, given, progress)
@@ -136,7 +142,7 @@ def _resolved(
 def _estimated(
     capture: Capture, elsewhere: Path | None, gains: bool, progress: Progress
 ) -> LightEstimate:
-    """Return the light of photographs, estimated now or before."""
+    """Return the light estimated from photographs, from the cache if possible."""
     places = [capture.source / FOLDER] if capture.source and capture.source.is_dir() else []
     places += [elsewhere] if elsewhere is not None else []
     if gains:
@@ -144,7 +150,7 @@ def _estimated(
     key = photographs_key(capture)
     light = _load_kept(places, key, progress)
     if light is None:
-        progress.say("The capture has no light: it is found in the photographs first.")
+        progress.say("The capture has no light; estimating it from the photographs.")
         options = replace(OPTIONS, gains=gains)
         light = estimate_light(capture, texels(capture.mesh, RESOLUTION), options, progress)
         for sentence in summary_sentences(light):
@@ -156,22 +162,22 @@ def _estimated(
 def _under_given(
     capture: Capture, given: Path, progress: Progress
 ) -> tuple[Capture, FoundGains | None]:
-    """Return a capture under a given light, and gains that were estimated with it."""
+    """Return the capture under a given light, and gains that were estimated with it."""
     if given.is_dir():
         light, key = load_light(given), photographs_of(given)
         is_same = key == photographs_key(capture)
         if not is_same and key:
-            progress.say(f"{given}: the light was found in other photographs; it is used as it is.")
+            progress.say(f"{given}: using a light that was estimated from other photographs.")
         if light.gains is not None and not is_same:
             progress.say(
-                f"{given}: gains were found with this light, but maybe not of these photographs; "
-                "they stay as they are, and --gains estimate finds theirs."
+                f"{given}: its gains may be of other photographs and are not used; estimate gains "
+                "with --gains estimate."
             )
         return with_light(capture, light), light.gains if is_same else None
     if not given.is_file():
         raise CaptureError(
-            f"{given}: no such file or folder; give a folder that svu light wrote, or a map of the "
-            "light (EXR or HDR)."
+            f"{given}: no such file or folder; give a folder written by svu light, or an "
+            "environment map (EXR or HDR)."
         )
     with_given, notes = with_map(capture, given)
     for note in notes:
@@ -180,19 +186,19 @@ def _under_given(
 
 
 def _load_kept(places: list[Path], key: str, progress: Progress) -> LightEstimate | None:
-    """Return a kept light of photographs with this key, None if there is none."""
+    """Return the cached light of photographs with this key, or None."""
     for place in places:
         if not (place / RECORD).is_file():
             continue
         if photographs_of(place) != key:
-            progress.say(f"{place}: the light there was found in other photographs.")
+            progress.say(f"{place}: not used, as it was estimated from other photographs.")
             continue
         try:
             light = load_light(place)
         except CaptureError as error:
-            progress.say(f"{error.shell} It is found again.")
+            progress.say(f"{error.shell} Estimating the light again.")
             continue
-        progress.say(f"Using the light found before in {place}.")
+        progress.say(f"Using the estimated light in {place}.")
         return light
     return None
 
@@ -200,16 +206,18 @@ def _load_kept(places: list[Path], key: str, progress: Progress) -> LightEstimat
 def _keep(
     light: LightEstimate, places: list[Path], made: tuple[str, LightOptions], progress: Progress
 ) -> None:
-    """Keep light in the first folder that can be written, with its key and options."""
+    """Cache the light in the first writable folder, with its key and options."""
     key, options = made
     about = {"settings": {"used": asdict(options), "resolution": [RESOLUTION, RESOLUTION]}}
     for place in places:
         try:
-            with claimed(place, LIGHT, overwrite=True) as claim:  # by others, or damaged
+            with claimed(
+                place, LIGHT, overwrite=True
+            ) as claim:  # from other photographs, or damaged
                 save_light(light, claim, photographs=key, about=about)
         except OutputError as error:
             progress.say(error.shell)
             continue
-        progress.say(f"The light is kept in {place}.")
+        progress.say(f"The light is cached in {place}.")
         return
-    progress.say("The light is not kept: it will be found again, and be the same.")
+    progress.say("The light cannot be cached; the next command estimates it again.")
