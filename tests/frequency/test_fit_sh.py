@@ -1,4 +1,4 @@
-"""Eq. 12 against a double precision solve, and what must not change its result."""
+"""Tests of Eq. 12 against a double precision solver, and of invariances."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def samples(
     rng: np.random.Generator, texels: int, views: int, channels: int, *,
     kind: str = "hemisphere", visible: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Directions, weights (cosine, or 0) and noisy positive values, float32."""
+    """Return directions, weights (cosine, or 0) and noisy positive values, float32."""
     d = placed(rng, kind, texels, views)
     seen = rng.random((texels, views)) < visible
     seen[:, 0] = True
@@ -30,7 +30,7 @@ def samples(
 
 
 def spectrum_error(got: np.ndarray, truth: np.ndarray) -> float:
-    """Largest error of a degree over the largest degree of its texel and channel."""
+    """Return the largest error relative to the largest degree of the same texel and channel."""
     got, truth = oracle.power(np.asarray(got, np.float64)), oracle.power(truth)
     return float((np.abs(got - truth) / truth.max(axis=1, keepdims=True)).max())
 
@@ -40,9 +40,9 @@ def spectrum_error(got: np.ndarray, truth: np.ndarray) -> float:
 @pytest.mark.parametrize("kind", ["hemisphere", "grazing", "identical", "crowded", "in a plane"])
 @pytest.mark.parametrize("views, lmax", [(7, 6), (256, 6), (1, 9), (32, 6)])
 def test_spectra_agree_with_a_double_precision_solve(views, lmax, kind, method):
-    """The method needs 1e-3 of the largest degree; rounding of the output alone is 2e-7.
+    """The method requires 1e-3 of the largest degree; rounding of the output alone is 2e-7.
 
-    Noise of alternating signs is the worst: of crowded views, only differences have power.
+    Alternating noise is the worst case: with close views, only differences have power.
     """
     rng = np.random.default_rng(515377 + views)
     d, w, f = samples(rng, 60 if views < 100 else 8, views, 2, kind=kind, visible=0.7)
@@ -57,7 +57,7 @@ def test_spectra_agree_with_a_double_precision_solve(views, lmax, kind, method):
 
 @pytest.mark.parametrize("scale", [1e-20, 1e-3, 1e3])
 def test_weights_of_any_size_can_be_used(scale):
-    """Only w^2 / lambda counts, and where that is tiny the free constant still is the mean."""
+    """Only w^2 / lambda matters; if it is tiny, the unpenalised constant is still the mean."""
     d, w, f = samples(np.random.default_rng(4711), 8, 20, 2)
     w = (w * scale).astype(np.float32)
     truth = oracle.fit(d, w, f, 3, 1e-2, False)
@@ -66,7 +66,7 @@ def test_weights_of_any_size_can_be_used(scale):
 
 @pytest.mark.parametrize("lmax", [0, 9])
 def test_lowest_and_highest_degree_can_be_fitted(lmax):
-    """Signs of the basis included: coefficients are compared, not powers."""
+    """Coefficients are compared, not powers, so signs of the basis are included."""
     d, w, f = samples(np.random.default_rng(96284512), 5, 60, 2)
     truth = oracle.fit(d, w, f, lmax, LAMBDA, False)
     np.testing.assert_allclose(
@@ -75,7 +75,7 @@ def test_lowest_and_highest_degree_can_be_fitted(lmax):
 
 
 def test_texels_with_different_views_are_independent():
-    """Lanes of one packet hold different numbers of samples, none included."""
+    """Lanes of a packet have different numbers of samples, including 0."""
     rng = np.random.default_rng(4404823)
     d, w, f = samples(rng, 70, 24, 2)
     w *= rng.random((70, 1)) > rng.random((70, 24))
@@ -84,7 +84,7 @@ def test_texels_with_different_views_are_independent():
     for method in ("auto", *METHODS):
         got = np.array(fit_sh(d, w, f, 4, method=method))
         np.testing.assert_allclose(got, truth, atol=1e-6 * np.abs(truth).max(), err_msg=method)
-        assert not got[::9].any(), "a texel nobody sees has no signal"
+        assert not got[::9].any(), "unseen texels have no signal"
 
 
 def test_auto_chooses_the_primal_for_many_views_and_agrees():
@@ -92,7 +92,7 @@ def test_auto_chooses_the_primal_for_many_views_and_agrees():
     w[:20, 3:] = 0
     for counts in ((w > 0).sum(axis=1), mi.UInt32((w > 0).sum(axis=1).astype(np.uint32))):
         chosen = {g.capacity: dr.width(g.selection) for g in solver_groups(counts, 2)}
-        assert chosen == {32: 20, 0: 20}  # the dual, the primal
+        assert chosen == {32: 20, 0: 20}  # dual and primal
     assert solver_groups(np.zeros(7), 2) == []
     truth = oracle.fit(d, w, f, 2, LAMBDA, False)
     assert spectrum_error(fit_sh(d, w, f, 2), truth) < 1e-6
@@ -100,7 +100,7 @@ def test_auto_chooses_the_primal_for_many_views_and_agrees():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_views_that_see_nothing_change_nothing(method):
-    """Whatever they carry, NaN included: only a weight of 0 counts."""
+    """Weight 0 excludes samples with any values, including NaN."""
     rng = np.random.default_rng(30331)
     d, w, f = samples(rng, 20, 12, 3)
     nan = np.full((20, 5, 3), np.nan, np.float32)
@@ -120,7 +120,7 @@ def test_a_diffuse_texel_has_no_power_above_degree_0_by_default():
     d, w, _ = samples(np.random.default_rng(771029), 8, 30, 1)
     c = np.array(fit_sh(d, w, np.ones((8, 30, 1), np.float32)))
     np.testing.assert_allclose(c[:, 0], np.sqrt(4 * np.pi), rtol=1e-6)
-    assert np.abs(c[:, 1:]).max() < 1e-5  # the dielectric that must show has 0.04 of the light
+    assert np.abs(c[:, 1:]).max() < 1e-5  # small relative to a dielectric's 0.04
 
 
 def test_any_precision_memory_order_and_tensors_are_taken():

@@ -1,4 +1,4 @@
-"""The posterior of angular statistics, against brute force over every cell."""
+"""Tests of the angular posterior, against brute force over all bins."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def scene(tmp_path_factory):
 
 
 def random_samples(rng, texels, channels, levels=5, views=None):
-    """Samples of shiny and dull texels: w (T, V), e, p, q, d (T, R, C, V), b (T, C, V)."""
+    """Return samples of shiny and dull texels: w (T, V), e, p, q, d (T, R, C, V), b (T, C, V)."""
     views = int(rng.integers(4, 9)) if views is None else views
     e = rng.random((texels, 1, channels, 1)) * (0.8 + 0.4 * rng.random((texels, levels, 1, views)))
     s = rng.exponential(size=(texels, levels, channels, views))
@@ -39,12 +39,12 @@ def random_samples(rng, texels, channels, levels=5, views=None):
 
 
 def some_views(samples, counts):
-    """The first views of every texel: w, e, p, q, d and b of each, as many as it has."""
+    """Return w, e, p, q, d and b of each texel, restricted to its first ``counts`` views."""
     return [[x[t, ..., :n] for x in samples] for t, n in enumerate(counts)]
 
 
 def statistics_of(texels):
-    """``Statistics`` of stored samples, texel by texel."""
+    """Return ``Statistics`` of stored samples."""
     table = np.stack(
         [np.moveaxis(oracle.products(w, (e, p, q, d), b), 0, -1) for w, e, p, q, d, b in texels]
     )  # (T, R, C, 10)
@@ -54,7 +54,7 @@ def statistics_of(texels):
 
 
 def of(samples):
-    """``Statistics`` of all views."""
+    """Return ``Statistics`` of samples of all views."""
     return statistics_of(some_views(samples, [samples[0].shape[1]] * len(samples[0])))
 
 
@@ -78,7 +78,7 @@ def grid_of(switches):
 
 
 def brute_force(switches, samples, prior=None):
-    """(*grid, C) probabilities of one texel, and the index of the best cell by channel."""
+    """Return probabilities of one texel, (*grid, C), and the index of the best bin per channel."""
     w, *columns, b = samples
     grid, energies = grid_of(switches), []
     for c in range(len(b)):
@@ -97,7 +97,7 @@ def brute_force(switches, samples, prior=None):
 
 
 def random_prior(rng, grid):
-    """Weights with holes, one of them a whole roughness."""
+    """Return random weights with zeros, also for a whole roughness, in the grid's shape."""
     prior = rng.random(grid.shape) * (rng.random(grid.shape) > 0.3)
     prior[2] = 0
     return prior
@@ -107,7 +107,7 @@ def random_prior(rng, grid):
 @pytest.mark.parametrize("with_prior", [False, True], ids=["uniform", "prior"])
 @pytest.mark.parametrize("switches", RULES, ids=rule)
 def test_every_rule_agrees_with_brute_force(switches, with_prior):
-    """Probabilities, entropy, marginals and the most probable cell."""
+    """Check probabilities, entropy, marginals and the most probable bin."""
     rng = np.random.default_rng(141421)
     channels, grid = 3 if switches.channels == "joint" else 1, grid_of(switches)
     samples = some_views(random_samples(rng, 8, channels, views=40), rng.integers(1, 40, 8))
@@ -179,7 +179,7 @@ def test_factors_do_as_well_as_the_statistics_they_are_of():
 
 
 def test_some_texels_of_many_stand_where_they_belong():
-    """Statistics of seen texels alone; others, among all T, know nothing."""
+    """Statistics contain seen texels only; all other texels have the prior."""
     statistics = of(random_samples(np.random.default_rng(44), 3, 1))
     texel = np.array([6, 1, 4], np.uint32)
     few = angular_posterior(statistics, PRINCIPLED, SCALE)
@@ -196,7 +196,7 @@ def test_some_texels_of_many_stand_where_they_belong():
 def test_levels_that_the_prior_excludes_need_no_statistics():
     samples = random_samples(np.random.default_rng(71), 5, 1)
     prior = random_prior(np.random.default_rng(6), PRINCIPLED)
-    levels = np.arange(5) != 2  # of which the prior has none
+    levels = np.arange(5) != 2  # the prior excludes level 2
     w, *columns, b = samples
     fewer = replace(of((w, *(x[:, levels] for x in columns), b)),
                     roughness=np.linspace(0, 1, 5)[levels])  # fmt: skip
@@ -213,7 +213,7 @@ def test_levels_that_the_prior_excludes_need_no_statistics():
 
 @pytest.mark.parametrize("channels", ["grey", "joint"])
 def test_statistics_and_posterior_together_are_brute_force(scene, channels):
-    """From photographs to the entropy, with a loop over stored samples in the middle."""
+    """Run all steps from photographs to entropy, with samples stored in between."""
     switches = angular(channels=channels, sigma=0.4)
     grid = PrincipledGrid(roughness=4, metallic=3, base_color=3)
     observed = seen_in(noise_capture(scene), 16)

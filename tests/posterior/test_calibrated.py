@@ -1,4 +1,4 @@
-"""The calibrated posterior: against its oracle, and against truths drawn from its own model."""
+"""Tests of the calibrated posterior, against its oracle and against samples of its model."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ PARTS = oracle.even(42), oracle.mixed(14, 0.8)
 
 
 def lobe(roughness: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """A highlight that gets wider and lower."""
+    """Return a highlight that is wider and lower with roughness."""
     alpha = 0.15 + 0.6 * roughness
     return (alpha**2 + 0.02) / (alpha**2 + np.sin(angle) ** 2) * (0.3 + 0.7 / (1 + 6 * alpha))
 
 
 def columns(rng: np.random.Generator, count: int, views: int, at: np.ndarray) -> list[np.ndarray]:
-    """e, p, q, d (S, R, V, 3) at roughness (S or 1, R)."""
+    """Return e, p, q, d, (S, R, V, 3), at roughness (S or 1, R)."""
     angle = rng.uniform(0, 0.9, (count, 1, views, 1))
     tint = rng.uniform(0.6, 1.4, (count, 1, 1, 3))
     light = 4 * tint * lobe(at[:, :, None, None], angle)
@@ -47,8 +47,10 @@ def simulate(
     exposure: float = 1.0,
     materials: int | None = None,
 ) -> tuple[oracle.Samples, dict[str, np.ndarray]]:
-    """Draw parameters from the prior, and photographs from the likelihood; those of a few texels,
-    if materials repeat."""
+    """Sample parameters from the prior, and photographs from the likelihood.
+
+    With ``materials``, texels share the parameters of a few.
+    """
     rng = np.random.default_rng(seed)
     metals = rng.random(count)
     truth = {
@@ -73,7 +75,7 @@ def statistics(samples: oracle.Samples) -> Statistics:
 
 
 def channels(samples: oracle.Samples, count: int) -> oracle.Samples:
-    """The first channel, so many times."""
+    """Repeat the first channel."""
     e, p, q, d, b = (np.repeat(x[..., :1], count, axis=-1) for x in
                      (samples.e, samples.p, samples.q, samples.d, samples.b))  # fmt: skip
     return oracle.Samples(e, p, q, d, b, samples.w)
@@ -105,7 +107,7 @@ def test_energies_are_those_of_the_samples() -> None:
             rest = 2 * np.array(energy_at(U, mixture(m).at(c)), np.float64)
             energies += rest + np.array(reader.residual_floor[channel], np.float64)
         energies *= samples.w.sum(axis=1)
-        scale = samples.error(int(level), 0 * metallic, 0 * color)  # of black, in single precision
+        scale = samples.error(int(level), 0 * metallic, 0 * color)  # error of a black model
         assert np.all(np.abs(energies - exact) <= 1e-6 * np.maximum(exact, scale))
 
 
@@ -119,7 +121,7 @@ def test_erfcx() -> None:
 
 
 def test_color_in_closed_form_is_its_quadrature() -> None:
-    """Inside and far outside [0, 1], from flat to narrow."""
+    """Means inside and far outside of [0, 1], standard deviations from small to large."""
     rng = np.random.default_rng(0)
     A, mu = 10 ** rng.uniform(-1, 5, 2000), rng.uniform(-1, 2, 2000)
     mu[::5] = rng.uniform(-8, 9, 400)
@@ -132,7 +134,7 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     best = np.clip(mu, 0, 1)
 
     def integral(low: float, high: float, power: int) -> np.ndarray:
-        """Gauss and Legendre, on pieces that get finer towards the best colour."""
+        """Integrate by Gauss-Legendre quadrature on pieces refined towards the best colour."""
         x, w = np.polynomial.legendre.leggauss(40)
         reach = np.concatenate([-np.geomspace(60, 0.02, 14), [0], np.geomspace(0.02, 60, 14)])
         ends = np.clip(best + reach[:, None] / np.sqrt(A), low, high)
@@ -161,19 +163,20 @@ def test_noise_is_that_of_student() -> None:
     least, views = np.array([3.0, 10.0, 40.0, 0.0, 0.0]), np.array([10, 10, 10, 3, 0])
     for assumed in (0.02, 2.0):
         variances = noise_variance(least, views, 3, 4.0, assumed)
-        usual = 10 / 25  # three views explain themselves, and tell nothing
+        usual = 10 / 25  # residuals of three views contain no information
         assert np.allclose(variances[:3], (4 * usual + least[:3]) / 29)
         assert np.allclose(variances[3:], usual)
     few = noise_variance(0 * least, np.minimum(views, 5), 3, 4.0, 0.02)
     assert np.allclose(few, 0.02**2)
-    views = np.array([8, 5, 5, 5, 0])  # a quarter of those seen tell, so half is assumed
+    # t is 1 for a quarter of the seen texels, so log s_0 is halfway to the median.
+    views = np.array([8, 5, 5, 5, 0])
     variances = noise_variance(0.1 * (3 * views - 5), views, 3, 4.0, 2.0)
     assert np.allclose(variances[1:], np.sqrt(0.1 * 4))
 
 
 @pytest.mark.parametrize("noise", [1e-3, 0.01])
 def test_another_view_never_lowers_the_noise_at_once(noise: float) -> None:
-    """From none that tells to all that do: texels are seen by 30 to 100 % of the views."""
+    """Number of views varies from too few for any texel to enough for all."""
     rng = np.random.default_rng(0)
     share, s = rng.uniform(0.3, 1, 400), []
     for number in range(1, 61):
@@ -213,7 +216,7 @@ def test_intervals_are_the_shortest_that_hold_enough(
     ):  # fmt: skip
         low, high = (np.array(end, np.float64) for end in posterior.interval(name, level))
         below = np.concatenate([np.zeros((1, 96)), np.cumsum(masses, axis=0)])
-        # Where metallic is 0 or 1, textures of 8 bits may be a little off.
+        # Metallic near 0 or 1, as in 8-bit textures, is inside of intervals.
         atoms = 0.02 * (parts.low == parts.high)
         lows, highs = np.maximum(parts.low - atoms, 0), np.minimum(parts.high + atoms, 1)
         for t in range(96):
@@ -234,7 +237,7 @@ def test_intervals_are_the_shortest_that_hold_enough(
         some = posterior.interval(name, level, [5, 80, 5])
         for end, other in zip(some, all_of_them, strict=True):
             assert np.array_equal(np.array(end), np.array(other)[[5, 80, 5]])
-    # A part is 1 / 42 wide, so a normal distribution's interval is at most two too long.
+    # Parts have a width of 1 / 42, so intervals are at most 2 / 42 wider than a normal's.
     narrow = np.array(posterior.sd("base_color")) < 0.05
     width = 2 * stats.norm.ppf(0.5 + level / 2) * np.array(posterior.sd("base_color"))
     assert np.all((high - low)[narrow] <= width[narrow] * 1.25 + 2.1 / 42)
@@ -242,7 +245,7 @@ def test_intervals_are_the_shortest_that_hold_enough(
 
 @pytest.mark.slow
 def test_sets_hold_what_the_model_draws() -> None:
-    """Truths from the prior, photographs from the likelihood: the level is the coverage."""
+    """With parameters sampled from the prior, the coverage of intervals equals their level."""
     samples, truth = simulate(4000, 10, 0.15, seed=3)
     posterior = calibrated_posterior(
         statistics(samples), preset=switches(overdispersion=1.0, degrees=1000.0)
@@ -251,7 +254,8 @@ def test_sets_hold_what_the_model_draws() -> None:
     for name in ("roughness", "base_color"):
         low, high = (np.array(end) for end in posterior.interval(name, 0.9))
         inside = (truth[name] >= low) & (truth[name] <= high)
-        assert 0.88 < inside.mean() < 0.95, name  # outer edges: a little more than the level
+        # Slightly above 0.9, because intervals end at edges of parts.
+        assert 0.88 < inside.mean() < 0.95, name
         rank = (np.array(drawn[name]) < truth[name]).sum(axis=0).ravel() / 100
         assert stats.kstest(rank, "uniform").statistic < 0.04, name
         z = (np.array(posterior.mean(name)) - truth[name]) ** 2
@@ -272,7 +276,7 @@ def test_draws_are_of_the_posterior(setting: tuple[svu.Posterior, oracle.Truth])
         assert np.all((values >= 0) & (values <= 1))
         off = (values.mean(axis=0) - truth.mean[name]) / (truth.sd[name] / 20 + 1e-4)
         assert np.abs(off).max() < 5, name
-    # Parameters of a draw belong together: what correlates in the posterior does in draws.
+    # Correlations within the draws match correlations of the posterior.
     again = {name: np.array(x) for name, x in posterior.draw(400, seed=5).items()}
     assert all(np.array_equal(drawn[name], again[name]) for name in drawn)
     m, c = drawn["metallic"], drawn["base_color"].mean(axis=2)
@@ -304,11 +308,11 @@ def test_what_was_never_seen_is_the_prior() -> None:
 
 
 def test_a_prior_of_cells_is_bayes() -> None:
-    """Weights of cells multiply probabilities, whatever they are."""
+    """Weights of bins multiply the probabilities."""
     samples, _ = simulate(48, 5, 0.3)
     rng = np.random.default_rng(0)
     weights = rng.uniform(0.1, 1, (8, 8, 8))
-    # Per channel the others are marginalised under the same weights, so one channel is exact.
+    # One channel, because channels are marginalised under the same weights.
     one = statistics(channels(samples, 1))
     plain = calibrated_posterior(one)
     posterior = calibrated_posterior(one, prior=plain.prior * weights)
@@ -330,7 +334,7 @@ def test_a_prior_of_cells_is_bayes() -> None:
 
 @pytest.mark.slow
 def test_a_prior_in_common_is_that_of_expectation_maximisation() -> None:
-    """Texels of two materials, and what the oracle learns from them."""
+    """Compare with the prior that the oracle learns from the same texels."""
     samples, _ = simulate(100, 12, 0.2)
     alone = calibrated_posterior(statistics(samples))
     options = {"tau": 3.5, "nu": 4, "r": PARTS[0], "m": PARTS[1]}
@@ -352,9 +356,9 @@ def test_a_prior_in_common_is_that_of_expectation_maximisation() -> None:
     (8, 0.25, 2, (0.7, 0.7, 0.9)), (12, 0.1, None, (1.2, 1.2, 1.2)),
 ])  # fmt: skip
 def test_a_prior_in_common_tells_materials_apart(views, noise, materials, parts) -> None:
-    """Few views say little of a texel; many texels say much of two materials.
+    """A few views determine a texel poorly, but many texels determine two materials.
 
-    With truths from the prior itself, what is learned of 600 of them has some noise.
+    For parameters sampled from the prior, the prior learned from 600 texels is noisy.
     """
     samples, truth = simulate(600, views, noise, materials=materials)
     alone = calibrated_posterior(statistics(samples))
@@ -367,7 +371,7 @@ def test_a_prior_in_common_tells_materials_apart(views, noise, materials, parts)
 
 
 def test_the_colour_of_a_row_is_one_that_its_prior_allows() -> None:
-    """In a prior with gaps, a mean may lie where no colour is allowed."""
+    """Where the prior has gaps, the mean can be a colour that the prior excludes."""
     samples, _ = simulate(7, 5, 0.1, seed=619)
     rng = np.random.default_rng(620)
     prior = rng.random((8, 8, 8)) * (rng.random((8, 8, 8)) < 0.4)
@@ -456,7 +460,7 @@ def test_bad_questions(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
 
 
 def test_grids_answer_the_same_questions(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
-    """Every posterior has means, sds, intervals and draws."""
+    """All posteriors provide means, standard deviations, intervals and draws."""
     samples, _ = simulate(32, 8, 0.2)
     posterior = svu.angular_posterior(statistics(samples), preset=switches(noise="relative"))
     p = np.array(posterior.probabilities, np.float64)
@@ -478,7 +482,7 @@ def test_grids_answer_the_same_questions(setting: tuple[svu.Posterior, oracle.Tr
 
 @pytest.mark.parametrize("order", [(2, 40), (40, 2), (9, 12)])
 def test_grids_of_one_process_do_not_share_memory(order: tuple[int, int]) -> None:
-    """Local memory of another size is another kernel; if not, the process ends here."""
+    """Local memory of another size compiles another kernel; otherwise the process would crash."""
     samples, _ = simulate(16, 6, 0.2)
     for metallic in order:
         grid = svu.PrincipledGrid(4, metallic, 3)
@@ -493,7 +497,7 @@ def test_grids_of_one_process_do_not_share_memory(order: tuple[int, int]) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("small", [0.0, 1e-30])
 def test_a_prior_may_contradict_the_photographs(small: float) -> None:
-    """White is all that is possible, whatever they show: by hundreds of nats."""
+    """The prior only allows white, which contradicts the likelihood by hundreds of nats."""
     samples, _ = simulate(64, 20, 0.02)
     weights = np.full((8, 8, 8), small)
     weights[..., 7] = 1

@@ -1,4 +1,4 @@
-"""A pixel that the camera got wrong costs its texel, not the map."""
+"""Tests of faulty pixels: one pixel changes its texel, not the map."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ VIEW = 2
 
 
 def with_hot_pixel(capture, value: float):
-    """One pixel of view 2, in the middle of the object, of another value."""
+    """Set one pixel of view 2, in the middle of the object."""
     images = [image.copy() for image in capture.images]
     rows, columns = np.nonzero(np.isfinite(images[VIEW]).all(axis=2) & capture.masks[VIEW])
     middle = len(rows) // 2
@@ -25,7 +25,7 @@ def with_hot_pixel(capture, value: float):
 
 
 def off(entropy: np.ndarray, before: np.ndarray) -> float:
-    """Part of the texels whose entropy is another one."""
+    """Return the fraction of texels whose entropy differs."""
     return float((np.abs(entropy - before) > 0.02).mean())
 
 
@@ -45,7 +45,7 @@ def test_a_pixel_of_1e10_is_left_out_and_its_photograph_named(vase):
 
 @pytest.mark.parametrize("value", [1e2, 1e5])
 def test_a_glaring_pixel_does_not_change_the_map(vase, value):
-    """It may be the sun, in something polished: it is used, and costs the texels that show it."""
+    """The pixel could be a reflection of the sun, so it is used and changes a few texels."""
     hot = with_hot_pixel(vase.capture, value)
     with warnings.catch_warnings(action="error", category=SvuWarning):
         entropy = svu.estimate(hot, vase.texels).entropy.numpy()

@@ -1,4 +1,4 @@
-"""Whatever goes on from an estimate traces no ray again, and makes no mask twice."""
+"""Tests of ``Observed``: later stages trace no ray and compute no silhouette again."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def layout(capture):
 
 @pytest.fixture
 def calls(monkeypatch) -> Counter[str]:
-    """How often anything was traced, or read, where ``Observed`` is made."""
+    """Count the calls of functions that trace rays or read data for ``Observed``."""
     counted: Counter[str] = Counter()
 
     def watch(place: Any, name: str) -> Callable[..., Any]:
@@ -81,12 +81,12 @@ def test_an_estimate_traces_everything_once(capture, layout, calls):
 @pytest.mark.few(2)
 @pytest.mark.parametrize("name", USES)
 def test_what_goes_on_from_an_estimate_traces_nothing_again(capture, layout, calls, name):
-    """No silhouette ray, no ray to a camera; unseen texels aside, none to a cell of the light."""
+    """No rays to cameras or light cells are traced again, except from unseen texels."""
     estimate = svu.estimate(capture, layout)
     calls.clear()
     USES[name](estimate)
-    # Forecasts are also of texels that nobody has seen, which have their own first rays; and the
-    # spectrum's irradiance is of fewer, larger cells.
+    # Forecasts include texels that are unseen so far, whose rays are new. The irradiance of the
+    # spectrum method uses fewer, larger cells.
     allowed = {"trace_light_visibility"} if name in ("spectrum", "next_best_view") else set()
     assert set(calls) <= allowed and sum(calls.values()) <= 1
     calls.clear()
@@ -120,7 +120,7 @@ def test_what_was_observed_serves_as_well_as_an_estimate(capture, layout, calls)
 
 
 def test_what_is_hidden_from_nothing_traces_no_cell(capture, layout, calls):
-    """``fast`` and ``paper`` look filtered light up."""
+    """``fast`` and ``paper`` read prefiltered light."""
     for preset in ("fast", "paper"):
         svu.estimate(capture, layout, preset=preset)
     svu.estimate(capture, layout, "spectrum", "paper")
@@ -138,7 +138,7 @@ def test_other_texels_or_none_are_refused(capture, layout):
 
 
 def test_a_reference_of_texels_that_nobody_sees_knows_nothing(capture, layout):
-    one = chosen_views(capture, [0])  # from one side: the other is not seen
+    one = chosen_views(capture, [0])  # from one side, so that the other side is unseen
     estimate = svu.estimate(one, layout)
     unseen = np.flatnonzero(estimate.observed.coverage == 0)[:4]
     assert len(unseen)
@@ -148,7 +148,7 @@ def test_a_reference_of_texels_that_nobody_sees_knows_nothing(capture, layout):
 
 
 def test_mirrors_are_read_where_narrow_lobes_are(capture, layout, calls):
-    """A roughness that is known decides which lobes there are."""
+    """A known roughness determines which lobes are computed."""
     estimate = svu.estimate(capture, layout, known={"roughness": 0.9})
     assert calls["trace_mirror_visibility"] == 0
     svu.estimate(estimate, known={"roughness": 0.1})

@@ -1,7 +1,7 @@
-"""Preset ``paper`` against the paper: one test per equation, against ``oracle/paper.py``.
+"""Tests of the preset ``paper``: one test per equation, against ``oracle/paper.py``.
 
-Values and derivatives agree to 1e-5; where a tolerance is another one, it says why. Arrays are
-given to both sides as float32, since that is what the package takes.
+Values and derivatives agree to 1e-5 unless a comment explains another tolerance. Both sides get
+float32 arrays, the input type of the package.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ ALPHAS = ROUGHNESS**2
 
 
 def test_settings_are_those_of_the_paper():
-    """Numbers of the text: 8 x 8 cells, lambda, l*, Adam's rate and steps, weights, 32 paths."""
+    """Numbers in the text: 8 x 8 bins, lambda, l*, Adam's rate and steps, weights, 32 paths."""
     spectra, sh, path = preset("paper"), SH_PRESETS["paper"], PATH_PRESETS["paper"]
     grid = spectrum_grid(None, spectra)
     np.testing.assert_allclose(grid.roughness_nodes, np.linspace(0, 1, 8))
@@ -65,15 +65,15 @@ def test_settings_are_those_of_the_paper():
 
 
 def light_coefficients(rng: np.random.Generator, texels: int, channels: int = 3) -> np.ndarray:
-    """(T, (L + 1)^2, C), weaker by degree, as light is."""
+    """Return coefficients, (T, (L + 1)^2, C), that decrease with degree as in natural light."""
     l = np.array([l for l in range(L + 1) for _ in range(2 * l + 1)])
     c = rng.normal(size=(texels, (L + 1) ** 2, channels)) * np.exp(-0.35 * l)[:, None]
-    c[:, 0] = np.abs(c[:, 0]) + 1  # light is positive
+    c[:, 0] = np.abs(c[:, 0]) + 1  # radiance is positive
     return c
 
 
 def spectra(rng: np.random.Generator, texels: int) -> tuple[np.ndarray, np.ndarray]:
-    """S_L and noisy S_B, (T, L + 1, 3) float32."""
+    """Return S_L and noisy S_B, (T, L + 1, 3) float32."""
     incoming = np.array([paper.power(c) for c in light_coefficients(rng, texels)])
     Ks, roughness = rng.uniform(0.1, 0.9, texels), rng.uniform(0, 0.9, texels)
     shown = np.array([
@@ -84,21 +84,21 @@ def spectra(rng: np.random.Generator, texels: int) -> tuple[np.ndarray, np.ndarr
 
 
 def hemisphere(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Directions (..., 3) float32 above the horizon."""
+    """Return directions (..., 3) float32 above the horizon."""
     d = rng.normal(size=(*shape, 3))
     d[..., 2] = 0.03 + np.abs(d[..., 2])
     return (d / np.linalg.norm(d, axis=-1, keepdims=True)).astype(np.float32)
 
 
 def close(values: Any, exact: np.ndarray, tolerance: float = EXACT) -> None:
-    """Agreement to a part of the largest value."""
+    """Check the difference relative to the largest value."""
     exact = np.asarray(exact, np.float64)
     error = np.abs(np.asarray(values, np.float64) - exact).max()
     assert error <= tolerance * np.abs(exact).max(), error / np.abs(exact).max()
 
 
 def backward(loss: Any, values: np.ndarray) -> tuple[float, np.ndarray]:
-    """Value and derivatives by Dr.Jit's AD of a function of a TensorXf."""
+    """Return value and derivatives of a function of a TensorXf, by Dr.Jit's AD."""
     live = as_tensor(values)
     dr.enable_grad(live)
     result = loss(live)
@@ -115,7 +115,7 @@ def of_paper(S_L: np.ndarray, S_B: np.ndarray, sigma: float, prior: Any = None) 
 
 
 def exact_distances(S_L: np.ndarray, S_B: np.ndarray) -> np.ndarray:
-    """(T, 5, 4) by Eq. 11."""
+    """Return distances, (T, 5, 4), by Eq. 11."""
     pairs = zip(S_B.astype(np.float64), S_L.astype(np.float64), strict=True)
     return np.array([paper.distances(B, light, KS, ALPHAS) for B, light in pairs])
 
@@ -132,12 +132,12 @@ def test_eq01_02_04_posterior_is_likelihood_times_prior(uniform):
 
 @pytest.mark.parametrize("sigma", [0.5, 2.0])
 def test_eq03_log_likelihood_is_distance_over_2_sigma_squared(sigma):
-    """The ratio of two cells has no normalisation in it."""
+    """Ratios of two bins do not depend on the normalisation."""
     S_L, S_B = spectra(np.random.default_rng(911382), 20)
     p = np.array(of_paper(S_L, S_B, sigma).probabilities, np.float64)
     for table, d in zip(p, exact_distances(S_L, S_B), strict=True):
         exact = paper.likelihood(d, sigma)
-        likely = exact > 1e-8  # single precision has no digits of what is less likely
+        likely = exact > 1e-8  # smaller values are lost in single precision
         close(np.log(table[likely] / table.max()), np.log(exact[likely]))
 
 
@@ -172,7 +172,7 @@ NODES = np.linspace(0, 1, LEVELS)
 
 @pytest.fixture(scope="module")
 def observed(tmp_path_factory):
-    """A ball in a studio, 14 photographs, and all that follows from its texels."""
+    """Return the observations of a ball in a studio, with 14 photographs."""
     capture = render_ball(
         tmp_path_factory.mktemp("paper"), STUDIO, PAINT, views=14, resolution=(32, 32), spp=16
     )
@@ -181,7 +181,7 @@ def observed(tmp_path_factory):
 
 @dataclass(frozen=True)
 class Samples:
-    """What S seen texels show, float64; directions in world space."""
+    """Samples of S seen texels, float64; directions in world space."""
 
     seen: np.ndarray  # (V, S)
     direction: np.ndarray  # (V, S, 3)
@@ -192,7 +192,7 @@ class Samples:
     texel: np.ndarray  # (S,)
 
     def of(self, s: int) -> tuple[Any, ...]:
-        """Samples of one texel, in the order of ``sh_model``; and what it shows."""
+        """Return samples of one texel, in the order of ``sh_model``, and its radiance."""
         on = self.seen[:, s]
         wo, cosine = self.direction[on, s], self.cosine[on, s]
         light = wo, cosine, self.mirrored[on, s]
@@ -201,7 +201,7 @@ class Samples:
 
 @pytest.fixture(scope="module")
 def samples(observed) -> Samples:
-    """Read from the capture; what is looked at is the same, what is made of it is not."""
+    """Read samples from the capture; they are the input of both sides."""
     surface = TexelLanes.of(observed.texels, to_drjit(mi.UInt32, observed.seen.astype(np.uint32)))
     normal = unit(surface.normal.numpy().T)
     rows = []
@@ -230,7 +230,7 @@ def test_sec_332_band_limit_follows_number_of_photographs(observed):
 
 
 def test_eq06_the_sh_model(observed, samples):
-    """Radiance of random materials in all photographs, at roughness nodes of an estimate."""
+    """Compare the radiance of random materials in all photographs, at roughness nodes."""
     model = observed.model(NODES, SH, 3)
     rng = np.random.default_rng(30033)
     color, metallic = rng.random((LEVELS, 3)), rng.random(LEVELS)
@@ -257,7 +257,7 @@ def test_eq06_the_sh_model(observed, samples):
 
 
 def test_eq06_irradiance_is_the_integral_over_the_light(observed, samples):
-    """The diffuse term is Kd / pi E. To 1 %: the light is a map, and E an expansion of it."""
+    """The diffuse term is Kd / pi E; 1 % tolerance, because E is expanded in harmonics."""
     environment = observed.lighting.environment
     rows, columns = environment.radiance.shape[:2]
     local = directions(columns, rows).reshape(-1, 3)
@@ -274,9 +274,9 @@ def test_eq06_irradiance_is_the_integral_over_the_light(observed, samples):
 
 @pytest.mark.slow
 def test_eq06_the_posterior_of_the_sh_model(observed, samples):
-    """Eq. 1 to 6 together, as ``svu.estimate(preset="paper")`` has them: in grey, all views.
+    """Eq. 1 to 6 together, as in ``svu.estimate(preset="paper")``: grey, all views.
 
-    sigma is a part of the capture's mean radiance, since the text does not say what it is.
+    sigma is relative to the capture's mean radiance, because the paper does not define its unit.
     """
     grid = PrincipledGrid(3, 4, 4)
     estimate = svu.estimate(observed.capture, observed.texels, preset="paper", grid=grid)
@@ -299,7 +299,7 @@ def test_eq06_the_posterior_of_the_sh_model(observed, samples):
 
 
 def textures_of(observed: Any, rows: np.ndarray) -> dict[str, Any]:
-    """Lay (S, 5) parameters of the seen texels out as textures; 0.5 elsewhere."""
+    """Return textures of (S, 5) parameters of the seen texels; 0.5 elsewhere."""
     width, height = observed.texels.resolution
     flat = np.full((width * height, 5), 0.5, np.float32)
     flat[observed.texels.index.numpy()[observed.seen]] = rows
@@ -308,7 +308,7 @@ def textures_of(observed: Any, rows: np.ndarray) -> dict[str, Any]:
 
 
 def gradient_of(objective: Any, textures: dict[str, Any], place: np.ndarray) -> tuple[float, Any]:
-    """Loss, and its derivatives by the parameters of the texels at ``place``, (S, 5)."""
+    """Return the loss, and its derivatives with respect to the parameters of texels, (S, 5)."""
     dr.enable_grad(textures)
     loss = objective(textures)
     dr.backward(loss)
@@ -320,7 +320,7 @@ def gradient_of(objective: Any, textures: dict[str, Any], place: np.ndarray) -> 
 
 
 def exact_loss(samples: Samples, rows: np.ndarray, scale: float) -> tuple[float, np.ndarray]:
-    """Mean |B - model| / scale over all samples and channels, and its derivatives (S, 5)."""
+    """Return mean |B - model| / scale over all samples and channels, and its derivatives (S, 5)."""
     total, slopes, count = 0.0, np.zeros_like(rows), 3 * int(samples.seen.sum()) * scale
     for s, x in enumerate(rows):
         *sample, shown = samples.of(s)
@@ -337,7 +337,7 @@ def exact_loss(samples: Samples, rows: np.ndarray, scale: float) -> tuple[float,
 
 @pytest.mark.slow
 def test_eq06_the_loss_of_recovery_by_the_sh_model(observed, samples):
-    """G1(theta_i) is in what the light is fitted to: the fit changes with roughness, too."""
+    """The fit changes with roughness, because G1(theta_i) is a factor of the fitted light."""
     rng = np.random.default_rng(66311)
     rows = rng.uniform(0.05, 0.95, (len(samples.texel), 5)).astype(np.float32)
     objective = angular_objective(observed, SH)
@@ -355,11 +355,11 @@ def test_eq06_the_loss_of_recovery_by_the_sh_model(observed, samples):
 def spectral_loss(
     domain: str, outgoing: np.ndarray, incoming: np.ndarray, E: np.ndarray
 ) -> SpectralObjective:
-    """The recovery's loss on given coefficients (T, n, 3) and irradiance (T, 3), unit 1."""
+    """Return the recovery's loss on given coefficients (T, n, 3) and irradiance (T, 3), unit 1."""
     count, n, _ = outgoing.shape
     table = np.concatenate([outgoing, incoming], axis=2).transpose(1, 2, 0)
     power = np.stack([np.array(svu.power_spectrum(c)) for c in (outgoing, incoming)])
-    rows = power.transpose(2, 3, 0, 1)  # degree, channel, B and L, texel
+    rows = power.transpose(2, 3, 0, 1)  # axes: degree, channel, B and L, texel
     return SpectralObjective(
         domain=domain,
         coefficients=Coefficients(
@@ -374,12 +374,12 @@ def spectral_loss(
 
 
 def materials(rng: np.random.Generator, count: int) -> np.ndarray:
-    """(T, 5) base colour, roughness, metallic, float32."""
+    """Return base colour, roughness and metallic, (T, 5) float32."""
     return rng.uniform(0.1, 0.9, (count, 5)).astype(np.float32)
 
 
 def summed_errors(objective: Any, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Error of every texel, and its derivatives by the five parameters (T, 5)."""
+    """Return the error of each texel, and its derivatives with respect to the parameters (T, 5)."""
     values = as_values(rows.T)
     dr.enable_grad(values)
     errors = objective.errors(values)
@@ -390,13 +390,13 @@ def summed_errors(objective: Any, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def exact_coefficients(x: np.ndarray, light: np.ndarray, E: np.ndarray) -> np.ndarray:
-    """B_lm of Eq. 7 for a material (5,) float64."""
+    """Return B_lm of Eq. 7 for a material, (5,) float64."""
     Kd, Ks = paper.reflectances(x[:3], x[4])
     return paper.reflected(light, Kd, Ks, float(paper.alpha_of(x[3])), E)
 
 
 def check_spectral_loss(domain: str, seed: int) -> None:
-    """Value and derivatives of sum |model - observed| over coefficients, or degrees."""
+    """Compare value and derivatives of sum |model - observed| over coefficients, or degrees."""
     rng, count = np.random.default_rng(seed), 30
     light = light_coefficients(rng, count).astype(np.float32)
     E, rows = rng.uniform(0.5, 3, (count, 3)).astype(np.float32), materials(rng, count)
@@ -413,7 +413,7 @@ def check_spectral_loss(domain: str, seed: int) -> None:
             return measure(exact_coefficients(y, l, e))
 
         away, by_model = paper.absolute_error(modelled(x), measure(B))
-        exact.append(away * by_model.size)  # the sum: the mean times their number
+        exact.append(away * by_model.size)  # sum = mean times number
         change = paper.differences(modelled, x)
         rise.append((change * by_model * by_model.size).sum(axis=(1, 2)))
     np.testing.assert_allclose(errors, exact, rtol=EXACT)
@@ -421,17 +421,17 @@ def check_spectral_loss(domain: str, seed: int) -> None:
 
 
 def test_eq07_coefficients_of_the_reflected_light():
-    """By the loss of the recovery that compares them: B_lm, and the diffuse term's constant."""
+    """By the recovery's loss on coefficients B_lm, and the constant of the diffuse term."""
     check_spectral_loss("coefficients", 40087)
 
 
 def test_eq07_a_constant_has_one_coefficient():
-    """The fit of a radiance Kd E / pi, seen from everywhere, is 2 Kd E / sqrt(pi) Y_00."""
+    """The fit of a constant radiance Kd E / pi is 2 Kd E / sqrt(pi) Y_00."""
     rng = np.random.default_rng(3307)
     d = unit_vectors(rng, 1, 4000).astype(np.float32)
     value = np.full((1, 4000, 1), 0.7 / np.pi, np.float32)
     coefficients = np.array(svu.fit_sh(d, np.ones((1, 4000)), value, preset="paper"))[0]
-    # lambda = 1e-3 against 4000 samples over 4 pi: 3e-6.
+    # lambda = 1e-3 relative to 4000 samples over 4 pi: 3e-6
     close(coefficients, paper.constant(np.array([0.7 / np.pi]), L))
 
 
@@ -442,7 +442,7 @@ def test_eq08_power_spectrum():
 
 
 def test_eq09_10_power_of_the_reflected_light():
-    """Of l > 0, through the coefficients of Eq. 7; and of degree 0 as the square of a sum."""
+    """Degrees l > 0 use the coefficients of Eq. 7; degree 0 is the square of a sum."""
     rng = np.random.default_rng(8675)
     light = light_coefficients(rng, 12).astype(np.float32)
     Ks, alpha = rng.uniform(0, 1, 12), rng.uniform(0, 1, 12)
@@ -460,10 +460,11 @@ def test_eq09_10_power_of_the_reflected_light():
 
 
 def test_eq11_distance():
-    """As far as a posterior tells it: up to what all cells have in common."""
+    """Compare posteriors, so that constant offsets of the distances cancel."""
     S_L, S_B = spectra(np.random.default_rng(52163), 20)
     exact = exact_distances(S_L, S_B)
-    sigma = float(np.sqrt(np.ptp(exact, axis=(1, 2)).max() / 20))  # all cells keep their digits
+    # Large, so that the probabilities of all bins have significant digits.
+    sigma = float(np.sqrt(np.ptp(exact, axis=(1, 2)).max() / 20))
     p = np.array(of_paper(S_L, S_B, sigma).probabilities, np.float64)
     for table, d in zip(p, exact, strict=True):
         log = np.log(table)
@@ -494,7 +495,7 @@ def test_eq12_fit(views, regularizer, method):
 
 
 def test_eq13_expected_entropy(observed, samples):
-    """Of all texels and three candidates, each fitted anew with the light of v' = 15 views."""
+    """For all texels and three candidates, fit again with light band-limited for v' = 15 views."""
     capture, sigma = observed.capture, 0.3
     estimate = svu.estimate(
         capture, observed.texels, "spectrum", preset("paper", sigma=sigma), grid=GRID
@@ -504,7 +505,7 @@ def test_eq13_expected_entropy(observed, samples):
     known = StrategyInputs(estimate, estimate.observed, candidates, samples.texel, options)
     views, asked = np.arange(14), 14 + np.arange(3)
     expected = known.forecast.expected(views, asked, np.arange(len(samples.texel)))
-    responses, prefilter = known.forecast.relight(15)  # w, direction and light of every view
+    responses, prefilter = known.forecast.relight(15)  # w, direction and light of each view
     assert prefilter == pytest.approx(15**-0.5, rel=1e-12)
     table = responses.table().astype(np.float64)
     checked, low, high = 0, 1.0, 0.0
@@ -524,7 +525,7 @@ def test_eq13_expected_entropy(observed, samples):
 
 
 def test_eq13_band_limit_follows_new_number_of_views(observed, samples):
-    """What a candidate mirrors is that light, at the mirror direction of its own."""
+    """The light of a candidate is band-limited light from its mirror direction."""
     candidates = svu.Candidates.around(observed.capture, 2)
     estimate = svu.estimate(observed.capture, observed.texels, "spectrum", "paper", grid=GRID)
     options = svu.GuidanceOptions(band_limit="growing")
@@ -551,7 +552,7 @@ RESOLUTION = (16, 10)
 
 @pytest.fixture(scope="module")
 def sphere() -> SimpleNamespace:
-    """Texels of a ball, their neighbours, and posteriors that nobody measured."""
+    """Return texels of a ball, their neighbours, and random posteriors."""
     mesh = make_mesh("ball", ball())
     where = svu.texels(mesh, RESOLUTION)
     rng = np.random.default_rng(104)
@@ -574,12 +575,12 @@ def texture(seed: int) -> np.ndarray:
 
 
 def at_texels(where: Any, values: np.ndarray) -> np.ndarray:
-    """(T, C) float64."""
+    """Return textures as (T, C) float64."""
     return values.astype(np.float64).reshape(-1, values.shape[-1])[where.index.numpy()]
 
 
 def test_eq14_sharing(sphere):
-    """Seeds are pulled by what they pull at, as the derivative of the printed sum has it."""
+    """Seeds have gradients, too, as in the derivative of the printed sum."""
     where, seeds = sphere.where, np.array([7, 61, 90, 118])
     sharing = svu.GlobalSharing.printed(sphere.estimate, sphere.mesh, seeds=seeds)
     w = paper.sharing_weights(sphere.p, seeds)
@@ -590,7 +591,7 @@ def test_eq14_sharing(sphere):
     close(at_texels(where, gradient), slope)
     assert np.abs(gradient).sum() == pytest.approx(
         np.abs(at_texels(where, gradient)).sum()
-    )  # and nothing outside the charts
+    )  # texels outside the charts have no gradient
 
 
 def test_eq15_weights(sphere):
@@ -614,7 +615,7 @@ def test_eq15_seeds_are_the_least_local_minima(sphere):
 
 
 def test_total_variation(sphere):
-    """In texture space: every texel, and those to its right and below it."""
+    """In texture space: pairs of each texel with its right and lower neighbours."""
     width, height = RESOLUTION
     number = np.full((height, width), -1)
     number.ravel()[sphere.where.index.numpy()] = np.arange(sphere.where.count)

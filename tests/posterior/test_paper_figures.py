@@ -1,8 +1,8 @@
-"""Figures 2, 4 and 7 of the paper, as tests of order: what is more certain than what.
+"""Tests of figures 2, 4 and 7 of the paper: order of entropies.
 
-Scenes are our own, so entropies are not those of the paper; the order of its pictures has to be
-theirs. As printed (preset ``paper``) and with ours, by power spectra and by the SH model in angle.
-Figure 7 is taken to say that entropy falls with the number of views and the sharpness of light.
+Our scenes differ from the paper's, so only the order of entropies is compared, for the preset
+``paper`` and for our presets, by power spectra and by the SH model. Figure 7 is interpreted as:
+entropy decreases with the number of views and with sharper light.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from svu_mi.presets import preset
 pytestmark = pytest.mark.slow
 
 METHODS = pytest.mark.parametrize("method", ["angular", "spectrum"])
-AXIS = np.array([0.36, 0.8, 0.48])  # where the lamp is
+AXIS = np.array([0.36, 0.8, 0.48])  # direction of the lamp
 NEAR = np.cos(np.radians(35))
-# Of all light together. That the paper's sigma is in squared radiance makes it matter: with twice
-# as much, the spectra of low-frequency light are as telling as those of a lamp.
+# Total flux of each light. It matters because the paper's sigma is in squared radiance: with twice
+# the flux, low-frequency light determines roughness as well as a lamp.
 FLUX = 6.0
-ROUGHNESS, NODE = 0.447, 3  # alpha 0.2, as in the figure; the nearest of 8 nodes
+ROUGHNESS, NODE = 0.447, 3  # alpha 0.2, as in the figure; NODE is the nearest of 8 nodes
 
 
 # --- Figure 2: which plane is glossy? -------------------------------------------------------
@@ -37,7 +37,7 @@ ROUGHNESS, NODE = 0.447, 3  # alpha 0.2, as in the figure; the nearest of 8 node
 
 @pytest.fixture(scope="module")
 def planes():
-    """Observe a matte plane (left) and a glossy one, under a light of this name."""
+    """Observe a matte plane (left) and a glossy one under a given light."""
 
     @cache
     def observed(light):
@@ -49,7 +49,7 @@ def planes():
 
 
 def plane_entropies(planes, light, method, switches):
-    """Mean entropies of the matte and the glossy plane."""
+    """Return mean entropies of the matte and the glossy plane."""
     result = svu.estimate(planes(light), method=method, preset=switches)
     entropy, seen = np.array(result.entropy), np.array(result.coverage) > 3
     left = result.texels.uv.x.numpy() < 0.5
@@ -61,9 +61,9 @@ def plane_entropies(planes, light, method, switches):
     [("angular", "paper"), ("spectrum", "paper"), ("angular", "fixed"), ("spectrum", "default")],
 )
 def test_figure_2_clear_light_tells_more_about_the_glossy_plane(planes, method, name):
-    """Overcast light says little about either plane; clear light much about the glossy one.
+    """Overcast light determines neither plane; clear light determines the glossy one.
 
-    Over (roughness, Ks), as in the figure; the SH model as printed is over all three parameters.
+    Over (roughness, Ks), as in the figure; the SH model as printed uses all three parameters.
     """
     free = {} if name == "paper" else {"parameters": "specular"}
     switches = preset(name, method=method, **free)
@@ -71,14 +71,14 @@ def test_figure_2_clear_light_tells_more_about_the_glossy_plane(planes, method, 
     clear_matte, clear_glossy = plane_entropies(planes, "clear", method, switches)
     assert overcast_matte > 0.5
     assert overcast_glossy > 0.5
-    assert clear_glossy < 0.4  # a third is what 24 views leave open: roughness below 0.45
+    assert clear_glossy < 0.4  # 24 views exclude roughness above 0.45, a third remains
     assert clear_glossy < clear_matte
     assert clear_glossy < 0.6 * overcast_glossy
     assert clear_matte - clear_glossy > 1.2 * abs(overcast_matte - overcast_glossy)
 
 
 def test_clear_light_helps_glossy_plane_with_estimated_noise(planes):
-    """Of renders, which the model explains well, even overcast light says much."""
+    """Without camera noise, the model explains renders well, also under overcast light."""
     switches = preset(method="angular")
     overcast_matte, overcast_glossy = plane_entropies(planes, "overcast", "angular", switches)
     clear_matte, clear_glossy = plane_entropies(planes, "clear", "angular", switches)
@@ -91,7 +91,7 @@ def test_clear_light_helps_glossy_plane_with_estimated_noise(planes):
 
 
 def lamp(width):
-    """Light whose harmonics fall off as exp(-(width l)^2), of the same total whatever the width."""
+    """Return light with harmonics proportional to exp(-(width l)^2), of constant flux."""
     rows = 64
     theta, phi = (np.pi * (np.arange(n) + 0.5) / rows for n in (rows, 2 * rows))
     across, up = np.sin(theta)[:, None], np.cos(theta)[:, None]
@@ -104,7 +104,7 @@ def lamp(width):
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
-    """Observe a metal ball from the lamp's side; of Ks alone: a metal has no diffuse term."""
+    """Observe a metal ball from the lamp's side; metals have no diffuse term."""
     folder = tmp_path_factory.mktemp("figures")
 
     @cache
@@ -121,7 +121,7 @@ def ball(tmp_path_factory):
 
 
 def printed(ball, method):
-    """Preset ``paper`` over (roughness, Ks), with one noise for all balls, however dark."""
+    """Return preset ``paper`` over (roughness, Ks), with the same noise for all balls."""
     if method == "spectrum":
         return preset("paper")
     known = preset("paper", method="angular")
@@ -130,23 +130,23 @@ def printed(ball, method):
 
 
 def towards_the_lamp(estimate):
-    """Cosines (T,) of the angle between the texel's normal and the lamp."""
+    """Return cosines (T,) between the texels' normals and the direction of the lamp."""
     return AXIS @ np.array(estimate.texels.position).reshape(3, -1)
 
 
 def near_entropy(ball, method, **changes):
-    """Mean entropy of the texels that face the lamp; one that is never seen counts as 1."""
+    """Return the mean entropy of texels that face the lamp; 1 for unseen texels."""
     result = svu.estimate(ball(**changes), method=method, preset=printed(ball, method))
     return np.array(result.entropy)[towards_the_lamp(result) > NEAR].mean()
 
 
 @METHODS
 def test_figure_4_the_posterior_of_a_texel_is_narrow_or_wide(ball, method):
-    """A lamp narrows it; light without high frequencies and a dim reflection do not.
+    """A lamp determines roughness; low-frequency light and weak reflection do not.
 
-    The three pictures of the figure: alpha 0.2 with Ks 0.8 in the light of a point (H .25), in that
-    of low frequencies alone, where many roughnesses do as well as the true one (.69), and with Ks
-    0.1 in the light of a point again (.87).
+    The figure has three pictures, all with alpha 0.2: Ks 0.8 under a point light (H 0.25), Ks 0.8
+    under low frequencies, which many values of roughness explain (0.69), and Ks 0.1 under a point
+    light (0.87).
     """
     cases = {"sharp": {}, "low frequencies": {"width": 0.566}, "low Ks": {"Ks": 0.1}}
     entropy, cells, roughness = {}, {}, {}
@@ -161,14 +161,14 @@ def test_figure_4_the_posterior_of_a_texel_is_narrow_or_wide(ball, method):
     assert entropy["sharp"] + 0.15 < entropy["low frequencies"] < entropy["low Ks"] - 0.1
     assert 2 * cells["sharp"] < cells["low frequencies"] < cells["low Ks"]
     assert (roughness["low frequencies"] > 0.05).sum() > (roughness["sharp"] > 0.05).sum()
-    # Not at the truth: as printed, light is band-limited for 24 views and photographs are not, so
-    # that roughness comes out too low, or as that of a mirror.
+    # Not at the true roughness: as printed, light is band-limited for 24 views and photographs are
+    # not, so the estimated roughness is too low.
     assert np.argmax(roughness["sharp"]) <= NODE
 
 
 @pytest.fixture(scope="module")
 def scene_ball(tmp_path_factory):
-    """Observe a ball of coloured metal, or of no metal, in the light of one of our scenes."""
+    """Observe a ball, of coloured metal or of a dielectric, under a light of our scenes."""
 
     @cache
     def observed(light, metallic):
@@ -184,7 +184,7 @@ def scene_ball(tmp_path_factory):
 
 @METHODS
 def test_figure_4_ordering(scene_ball, method):
-    """The same on the mean of a whole object, by our own presets."""
+    """Check the order of mean entropies of whole objects by our own presets."""
 
     def mean(light, metallic):
         result = svu.estimate(scene_ball(light, metallic), method=method)

@@ -1,4 +1,4 @@
-"""Eq. 3, 5 and 11 against brute force, and what a posterior must obey."""
+"""Tests of Eq. 3, 5 and 11 against brute force, and properties of posteriors."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from svu_mi.reflection.lobes import split_sum
 GRID = ParameterGrid(roughness=5, specular=4)
 RULES = [
     preset("paper"),
-    preset("paper", channels="grey"),  # of three channels, each has its own
+    preset("paper", channels="grey"),  # Ks per channel
     preset("default"),
     preset("default", channels="sum"),
 ]
 
 
 def mean_power(S_B: np.ndarray) -> float:
-    """Mean over texels and channels of the power of all degrees."""
+    """Return the power of all degrees, mean over texels and channels."""
     return S_B.astype(np.float64).sum(axis=1).mean()
 
 
 def brute_force(S_L, S_B, switches, grid, scale, prior=1.0, prefilter=0.0):
-    """Probabilities of one texel (L + 1, C), cell by cell; relative sigma is a part of scale."""
+    """Return probabilities of one texel, (L + 1, C); ``scale`` is the unit of a relative sigma."""
     S_L, S_B = S_L.astype(np.float64), S_B.astype(np.float64)
     paper, channels = switches.name == "paper", S_L.shape[1]
     rough, Ks = oracle.nodes(grid.roughness, grid.specular, grid.spacing or switches.spacing)
@@ -55,17 +55,17 @@ def brute_force(S_L, S_B, switches, grid, scale, prior=1.0, prefilter=0.0):
     for cell in itertools.product(*(range(n) for n in joint.shape)):
         r, columns = cell[0], cell[1:]
         joint[cell] = sum(single[c][r, s] for c, s in enumerate(columns))
-        # The prior of a row, times that of each channel's Ks given the row.
+        # Multiply the prior of a row by the prior of each channel's Ks given the row.
         given_row = [prior[r, s] / rows[r] if rows[r] else 0 for s in columns]
         weight[cell] = rows[r] * np.prod(given_row)
     p = oracle.normalize(joint, weight)
-    # (roughness, Ks) of one channel at a time, the other channels summed over.
+    # Probabilities over (roughness, Ks) of each channel, with the other channels marginalised.
     others = ([1 + k for k in range(channels) if k != c] for c in range(channels))
     return np.stack([p.sum(axis=tuple(axes)) for axes in others], axis=-1)
 
 
 def entropy_of(p):
-    """Eq. 5 of (R, S), or the mean over channels of (R, S, C)."""
+    """Return the entropy (Eq. 5) of (R, S), or the mean over channels of (R, S, C)."""
     if p.ndim == 2:
         return oracle.entropy(p)
     return np.mean([oracle.entropy(p[..., c]) for c in range(p.shape[2])])
@@ -84,12 +84,12 @@ def test_every_rule_agrees_with_brute_force(switches, with_prior):
         truth = brute_force(
             S_L[t], S_B[t], switches, GRID, mean_power(S_B), 1.0 if prior is None else prior, 0.3,
         )  # fmt: skip
-        np.testing.assert_allclose(p[t], truth, atol=2e-6)  # float32 exponentials
+        np.testing.assert_allclose(p[t], truth, atol=2e-6)  # rounding of float32 exponentials
         assert abs(H[t] - entropy_of(truth)) < 1e-6
 
 
 def test_exposure_matters_in_paper():
-    """A fixed sigma is in squared radiance: brighter photographs look more certain."""
+    """With a fixed sigma in squared radiance, brighter photographs reduce entropy."""
     S_L, S_B = spectra(np.random.default_rng(1729), 200)
     before = np.array(spectrum_posterior(S_L, S_B, preset="paper").entropy())
     after = np.array(spectrum_posterior(16 * S_L, 16 * S_B, preset="paper").entropy())
@@ -103,18 +103,18 @@ def test_entropy_is_1_without_information_and_near_0_if_sharp():
     dark = np.array(spectrum_posterior(0 * S_L, 0 * S_B).entropy())
     np.testing.assert_allclose(flat, 1, atol=1e-6)
     np.testing.assert_array_equal(dark, 1)
-    # A texel whose best cell has Ks = 0 cannot know its roughness: log 8 / log 64 at most.
+    # If the best bin has Ks = 0, roughness is unknown: entropy is at most log 8 / log 64.
     assert np.median(sharp) < 1e-3
     assert sharp.max() < 0.5 + 1e-6
 
 
 def one_row(shape):
-    """All of the prior on one roughness: weights of rows."""
+    """Return prior weights that allow only one roughness."""
     return np.eye(shape[0])[1] * 3.0
 
 
 def uneven(shape):
-    """Weights with holes, one of them a whole roughness, and one cell above all."""
+    """Return weights with zeros, also for a whole roughness, and one dominant bin."""
     rng = np.random.default_rng(577215)
     weights = rng.random(shape) * (rng.random(shape) > 0.4)
     weights[2] = 0
@@ -126,7 +126,7 @@ def uneven(shape):
 @pytest.mark.parametrize("prior", [None, one_row, uneven], ids=lambda f: f and f.__name__)
 @pytest.mark.parametrize("switches", [*RULES, None], ids=lambda s: s and f"{s.name}-{s.channels}")
 def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, prior):
-    """By every rule, and on the grid of principled parameters."""
+    """For all noise rules, and on the principled grid."""
     S_L, S_B = spectra(np.random.default_rng(6), 9)
     grid, more = GRID, {"preset": switches}
     if switches is None:
@@ -140,7 +140,7 @@ def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, prior):
 
 
 def test_black_under_light_is_an_observation():
-    """It says that Ks is small; not seen would say nothing."""
+    """A black texel has low Ks; an unseen texel has the prior."""
     S_L, _ = spectra(np.random.default_rng(137), 20)
     H = np.array(spectrum_posterior(S_L, 0 * S_L).entropy())
     assert H.max() < 0.6
@@ -150,7 +150,7 @@ def test_prior_moves_the_posterior_and_excludes_cells():
     S_L, S_B = spectra(np.random.default_rng(2718281), 20)
     prior = np.zeros(8)
     prior[3] = 5.0
-    for sigma in (1e-5, 0.1, 1e3):  # however clear the likelihood
+    for sigma in (1e-5, 0.1, 1e3):  # from a sharp to a flat likelihood
         posterior = spectrum_posterior(S_L, S_B, None, sigma, "paper", prior=prior)
         rough = np.array(posterior.marginal("roughness"))
         np.testing.assert_allclose(rough, np.tile(np.eye(8)[3], (20, 1)), atol=1e-7)
@@ -178,7 +178,7 @@ def test_marginals_are_sums_of_the_probabilities(switches):
 
 @pytest.mark.parametrize("channels", ["sum", "grey"])
 def test_map_recovers_the_truth(channels):
-    """Every node but perfectly flat ones, where the spectra carry nothing."""
+    """All nodes except spectra without power, which contain no information."""
     switches = preset("default", channels=channels, sigma=1e-3)
     rough, Ks = oracle.nodes(8, 8, switches.spacing)
     l = np.arange(L + 1)
@@ -194,7 +194,7 @@ def test_map_recovers_the_truth(channels):
 
 
 def test_prefilter_of_the_light_is_undone_when_asked():
-    """Light is band-limited, photographs are not: the exponent is alpha^2 - alpha'^2."""
+    """Only light is band-limited, so the exponent is alpha^2 - alpha'^2."""
     rough, Ks = oracle.nodes(8, 8, "dielectric")
     l = np.arange(L + 1)
     S_L = 5 * np.exp(-0.3 * l)
@@ -211,7 +211,7 @@ def test_prefilter_of_the_light_is_undone_when_asked():
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_degree_0_decides_on_the_diffuse_part(channels):
-    """(roughness, metallic, base colour) by brute force, from Eq. 7 and 11."""
+    """Compare with brute force over (roughness, metallic, base colour), from Eq. 7 and 11."""
     rng = np.random.default_rng(31337)
     S_L, S_B = spectra(rng, 8, channels)
     E = rng.random((8, S_L.shape[2])) * 3
@@ -263,7 +263,7 @@ def test_divergence_matches_brute_force_and_is_0_on_itself(channels):
     assert KL.shape == (6, 4)
     assert (KL >= 0).all()
     for i, j in itertools.product(range(6), range(4)):
-        ratio = np.maximum(p[i], 1e-30) / np.maximum(q[j], 1e-30)  # the documented floor
+        ratio = np.maximum(p[i], 1e-30) / np.maximum(q[j], 1e-30)  # documented minimum
         truth = (p[i] * np.log(ratio)).sum() / a.channels
         assert KL[i, j] == pytest.approx(truth, rel=1e-3, abs=1e-5)
     np.testing.assert_allclose(np.diag(np.array(a.kl(a))), 0, atol=1e-6)

@@ -1,4 +1,4 @@
-"""Texels tile by tile: what is said of them is what is said of them together."""
+"""Tests of tiles: results are equal to those without tiles."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from svu_mi.recovery.uncertainty.texture_field import texture_field
 MAPS = [f"roughness_{what}" for what in ("mean", "sd", "low", "high")]
 
 
-SMALL = 496  # texels of a tile; of 1500, the last tile is smaller
+SMALL = 496  # texels per tile; 1500 texels, so the last tile is smaller
 
 
 @pytest.fixture
 def tiled(monkeypatch):
-    """Estimate in small tiles, or do something else so."""
+    """Estimate (or ``do`` something else) in small tiles."""
 
     def estimated(*args, do=svu.estimate, **options):
         monkeypatch.setattr(pipeline, "TILE", SMALL)
@@ -38,7 +38,7 @@ def tiled(monkeypatch):
 
 @pytest.fixture(scope="module", params=["floats", "clipped"])
 def shown(request, vase):
-    """The vase in floats, and in 8 bits with its highlights clipped."""
+    """Return the vase in floats, or in 8 bits with saturated highlights."""
     if request.param == "floats":
         return vase.capture
     return in_integers(vase.capture, vase.estimate.observed, 0.3)[0]
@@ -136,7 +136,7 @@ def test_kernel_of_few_texels_is_cached(vase, tiled, monkeypatch):
     object.__setattr__(posterior.kernel, "make", make)
     few = np.arange(0, posterior.count, 13)
     kept = [posterior.half_width(name, 0.9, few) for name in posterior.axes]
-    assert not made  # the first pass has kept those of some texels
+    assert not made  # the first pass caches half-widths of a sample
     for name, half_width in zip(posterior.axes, kept, strict=True):
         np.testing.assert_allclose(
             half_width, vase.estimate.posterior.half_width(name, 0.9, few), atol=1e-6
@@ -149,7 +149,7 @@ def test_kernel_of_few_texels_is_cached(vase, tiled, monkeypatch):
 
 
 def test_too_many_statistics_are_refused_before_gathering(vase, tiled, monkeypatch):
-    """Dr.Jit counts entries in 32 bits: 16 million texels of 260 in three channels."""
+    """Dr.Jit uses 32-bit indices: 16 million texels with 260 values in three channels."""
     limit = 260 * 1000
     monkeypatch.setattr(estimators, "_factors", None)
 

@@ -1,4 +1,4 @@
-"""What is skipped changes nothing: with and without, and against a prior that says the same."""
+"""Tests of skipped work: results are equal with and without it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TEXTURE = {
 
 
 def material(**changes):
-    """Grey, with textures for all but the metallic."""
+    """Return a grey material with textures for all parameters except metallic."""
 
     def texture():
         return {**TEXTURE, "data": mi.TensorXf(TEXTURE["data"])}
@@ -41,7 +41,7 @@ def material(**changes):
 
 
 def lamps(color=(1, 1, 1)):
-    """A sky with two lamps in it."""
+    """Return a sky with two lamps."""
     sky = np.full((16, 32, 3), 0.2) * color
     sky[4:6, 5:8] += 12 * np.array(color)
     sky[9:11, 20:24] += 5 * np.array(color)
@@ -49,7 +49,7 @@ def lamps(color=(1, 1, 1)):
 
 
 def one_sided(tmp_path, emitter=None, bsdf=None):
-    """Photographs of one side of a ball; the last camera looks away from it."""
+    """Return photographs of one side of a ball; the last camera looks away from it."""
     scene = ball_scene(tmp_path, emitter or lamps(), bsdf or material())
     sensors = [s for s in sphere_sensors(scene.shapes()[0], 40, (48, 40)) if place(s)[2] > 0.5]
     images = [np.array(mi.render(scene, sensor=s, spp=8, seed=i)) for i, s in enumerate(sensors)]
@@ -67,7 +67,7 @@ def place(sensor):
 
 @pytest.fixture(scope="module")
 def grey(tmp_path_factory):
-    """A grey capture with unseen texels and a blind view, and its texels."""
+    """Return a grey capture with unseen texels and a blind view, and its texels."""
     capture = one_sided(tmp_path_factory.mktemp("grey"))
     return capture, svu.texels(capture.mesh, 40)
 
@@ -79,12 +79,12 @@ def entropy(result):
     return np.array(result.entropy)
 
 
-PRIOR = np.array([0, 0, 1, 1, 2, 1, 1, 0.0])  # of roughness
+PRIOR = np.array([0, 0, 1, 1, 2, 1, 1, 0.0])  # per roughness node
 
 
 @pytest.fixture(scope="module")
 def estimates(grey):
-    """Return the estimate by a rule, with some work left out."""
+    """Return a function that estimates with a noise rule and options to skip."""
 
     @functools.cache
     def estimated(method, rule, skip):
@@ -132,7 +132,7 @@ def test_the_record_says_what_was_skipped(grey, caplog):
 
 @pytest.mark.parametrize("name", ["default", "fixed"])
 def test_work_is_really_left_out(grey, name):
-    """Statistics of one channel only, and two levels; or, between levels, two cells' nodes."""
+    """Statistics have one channel and two levels; interpolated levels have two bins' nodes."""
     capture, texels = grey
     switches = preset(name, method="angular", channels="joint")
     prior = np.array([0, 0, 1, 1, 0, 0, 0, 0.0])
@@ -159,7 +159,7 @@ def test_one_channel_stands_for_three(grey):
 
 @pytest.fixture(scope="module", params=["light", "object"])
 def colored(request, tmp_path_factory):
-    """What has a colour, and a capture of it with its texels."""
+    """Return a capture with coloured light or material, and its texels."""
     emitter = lamps((1.0, 0.7, 0.4) if request.param == "light" else (1, 1, 1))
     paint = {"base_color": {"type": "rgb", "value": [0.7, 0.3, 0.2]}}
     bsdf = material(**(paint if request.param == "object" else {}))
@@ -199,7 +199,7 @@ def test_a_bright_grey_sun_does_not_make_a_coloured_sky_grey(tmp_path):
 @pytest.mark.parametrize("name, node", [("metallic", 0), ("metallic", 7), ("roughness", 3),
                                         ("base_color", 5)])  # fmt: skip
 def test_a_known_value_is_a_prior_that_says_so(grey, method, rule, name, node):
-    """H log n is the same as on the whole grid with all of the prior on that node."""
+    """H log n equals the whole grid's under a prior that allows only that node."""
     capture, texels = grey
     prior = np.zeros((8, 8, 8))
     prior[(slice(None),) * AXES[name] + (node,)] = 1
@@ -214,7 +214,7 @@ def test_a_known_value_is_a_prior_that_says_so(grey, method, rule, name, node):
 
 @pytest.mark.slow
 def test_known_value_equals_prior_on_a_narrow_bin(grey):
-    """With the usual prior of the others; the narrower the cell, the nearer to what is known."""
+    """With the default prior of other parameters; narrower bins approach the known value."""
     capture, texels = grey
     off = []
     for steps in (8, 64):
@@ -228,7 +228,7 @@ def test_known_value_equals_prior_on_a_narrow_bin(grey):
 
 
 def test_a_known_value_need_not_be_a_node(grey):
-    """Between two nodes, entropy is continuous in what is known."""
+    """Between two nodes, entropy is a continuous function of the known value."""
     capture, texels = grey
     values = [0.3, 0.3 + 1e-4]
     a, b = (entropy(estimate(capture, texels, known={"metallic": value})) for value in values)
@@ -238,7 +238,7 @@ def test_a_known_value_need_not_be_a_node(grey):
 @pytest.mark.few(1)
 @RULES
 def test_another_prior_needs_no_other_kernel(grey, method, rule):
-    """Of entropy, and of all that is asked of a posterior."""
+    """Neither the entropy nor other results compile a new kernel for another prior."""
     from drjit import detail
 
     capture, texels = grey
@@ -292,7 +292,7 @@ def test_known_values_that_are_refused(grey, known, words):
 
 @pytest.mark.slow
 def test_pictures_and_record_of_what_is_known(grey, tmp_path):
-    """Overview, figures and run.json with an axis of one node; its marginal says nothing new."""
+    """Overview, figures and run.json with an axis of one node, whose marginal is constant."""
     import json
 
     from matplotlib import pyplot as plt

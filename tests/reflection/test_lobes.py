@@ -1,4 +1,4 @@
-"""Lobes and their albedo against dense quadrature; the diffuse model against light by light."""
+"""Tests of lobes and albedos against quadrature, and of the diffuse model against direct sums."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def test_profile_is_the_lobe_up_to_a_factor(kind, alpha):
     angle = np.linspace(0, np.pi, 181)
     ours = zonal_profile(kind, alpha, np.cos(angle))
     truth = oracle.lobe(kind, alpha, angle)
-    assert (ours >= 0).all() or kind == "gaussian"  # whose series has no reason to be
-    # A narrow Gaussian is that of a plane.
+    assert (ours >= 0).all() or kind == "gaussian"  # its series can be negative
+    # A narrow Gaussian equals a Gaussian on a plane.
     atol = 1e-4 if kind == "gaussian" else 3e-6
     np.testing.assert_allclose(ours / ours[0], truth / truth[0], rtol=1e-6, atol=atol)
 
@@ -69,12 +69,12 @@ def test_lobes_lean_from_the_mirror_to_the_normal_as_they_widen():
 def test_split_sum_is_the_directional_albedo(alpha):
     table = split_sum(np.array([alpha]))[0]
     for node in range(0, ALBEDO_NODES, 5):
-        truth = oracle.albedo(alpha, COSINES[node], nodes=150)  # to 1e-5, as with 500
+        truth = oracle.albedo(alpha, COSINES[node], nodes=150)  # within 1e-5 of 500 nodes
         np.testing.assert_allclose(table[node], truth, atol=5e-3)
 
 
 def shading(lights, flux, n, o, roughness, model="disney"):
-    """``diffuse_shading`` of moments that are summed here."""
+    """Return ``diffuse_shading`` with moments from direct sums."""
     cosine = np.maximum(lights @ n, 0)
     grazing = (1 - cosine) ** 5
     moments = []
@@ -87,7 +87,7 @@ def shading(lights, flux, n, o, roughness, model="disney"):
 
 @pytest.mark.parametrize("roughness", [0.0, 0.5, 1.0])
 def test_moments_hold_disneys_diffuse_model(roughness):
-    """All but the product of both grazing weights, exactly; that one where it is small."""
+    """Exact except for the product of both grazing weights; compared where it is small."""
     rng = np.random.default_rng(30113)
     lights, flux = unit_vectors(rng, 40), rng.exponential(size=40)
     for n, o in zip(unit_vectors(rng, 12), unit_vectors(rng, 12), strict=True):
@@ -102,7 +102,7 @@ def test_moments_hold_disneys_diffuse_model(roughness):
 
 @pytest.mark.parametrize("roughness", [0.2, 0.9])
 def test_the_diffuse_model_is_that_of_mitsuba(roughness):
-    """A dielectric's specular lobe does not know the base colour: white minus black is diffuse."""
+    """Specular lobes of dielectrics do not depend on base colour: white minus black is diffuse."""
     rng = np.random.default_rng(8)
     up = np.array([0, 0, 1.0])
     lights, o = unit_vectors(rng, 30), np.array([0.48, -0.6, 0.64])
@@ -128,7 +128,7 @@ def test_light_from_one_direction_is_not_blurred(alpha):
     exact = oracle.ggx(up, alpha) * oracle.g1(incident, alpha)
     angles = (float_array(x) for x in np.broadcast_arrays(up, incident))
     ours = blurred_ggx(*angles, [alpha], 0.0)[0]
-    # Single precision of sin^2 of the half vector, where the lobe is narrow.
+    # sin^2 of the half vector in single precision, for narrow lobes.
     keep = np.broadcast_to(1 - up**2 + alpha**2 * up**2 > 1e-3, exact.shape)
     np.testing.assert_allclose(ours.numpy()[keep.ravel()], exact[keep], rtol=1e-3)
     known = ggx(up, alpha) * smith_g1(incident, alpha)
@@ -138,32 +138,32 @@ def test_light_from_one_direction_is_not_blurred(alpha):
 @pytest.mark.parametrize("alpha", [0.05, 0.3, 1.0])
 @pytest.mark.parametrize("rho", [0.02, 0.1, 1.0])
 def test_light_from_a_disk_is_that_of_its_formula(alpha, rho):
-    """Also where the disk is too large for it."""
+    """Also for disks larger than the lobe."""
     up, incident = np.linspace(0.3, 0.99, 30), np.linspace(0.05, 1, 30)
     ours = blurred_ggx(float_array(up), float_array(incident), [alpha], rho**2)[0].numpy()
     exact = oracle.blurred(up, alpha, rho**2) * oracle.g1(incident, alpha)
     np.testing.assert_allclose(ours, exact, rtol=2e-4)
 
 
-@pytest.mark.parametrize("alpha", [0.02, 0.05])  # where the sphere is flat
+@pytest.mark.parametrize("alpha", [0.02, 0.05])  # widths at which the sphere is flat
 @pytest.mark.parametrize("spot", [0.0, 0.3, 0.6, 1.0, 2.0, 4.0])
 def test_a_blurred_lobe_is_the_average_over_a_small_disk(alpha, spot):
-    """To first order of rho^2 / s: what is left over is a small part of what the disk changes.
+    """To first order of rho^2 / s: the error is a small part of the change.
 
-    Where the change is 0 by itself (2 s = 3 alpha^2), of what it is at the peak.
+    If the change is 0 (2 s = 3 alpha^2), the error is relative to the change at the peak.
     """
-    tilt = spot * alpha  # of the half vector
+    tilt = spot * alpha  # angle of the half vector
     s = np.sin(tilt) ** 2 + (alpha * np.cos(tilt)) ** 2
     rho = 0.3 * float(np.sqrt(s))
     average, center = averages(alpha, tilt, rho)
     up = float_array(np.array([np.cos(tilt)]))
     ours = float(blurred_ggx(up, mi.Float(1), [alpha], rho**2)[0][0])
-    plain = float(blurred_ggx(up, mi.Float(1), [alpha], 0.0)[0][0])  # both in single precision
+    plain = float(blurred_ggx(up, mi.Float(1), [alpha], 0.0)[0][0])  # also in single precision
     assert ours / plain - 1 == pytest.approx(average / center - 1, rel=0.06, abs=1.5e-3)
 
 
 def averages(alpha, tilt, rho):
-    """Of D over half vectors that are off by up to rho / 2, all around; and D in the middle."""
+    """Return the mean of D over half vectors within rho / 2, and D at the centre."""
     radius = rho / 2 * np.sqrt((np.arange(200) + 0.5) / 200)
     turn = 2 * np.pi * (np.arange(64) + 0.5) / 64
     x = np.tan(radius)[:, None] * np.cos(turn)
@@ -192,6 +192,6 @@ def test_no_surface_reflects_more_than_it_receives():
     assert (A >= 0).all()
     assert (B >= 0).all()
     assert (A + B <= 1 + 1e-12).all()
-    # R0 = 1 under a white sky: only masking takes away, and the more the wider the lobe.
+    # With R0 = 1 under a white sky, only masking reduces the albedo, more for wider lobes.
     assert (np.diff((A + B)[:, 4:], axis=0) < 1e-3).all()
     assert (A + B)[0].min() > 0.99

@@ -1,4 +1,4 @@
-"""Wide lobes by quadrature over cells, against float64 and against Mitsuba itself."""
+"""Tests of wide lobes by quadrature over cells, against float64 and Mitsuba."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def environment(image: np.ndarray, **more: object) -> Environment:
 
 
 def spotted() -> np.ndarray:
-    """(H, W, 3) a dim sky with one bright patch."""
+    """Return an environment map, (H, W, 3): a dim sky with one bright patch."""
     image = np.random.default_rng(SEED).uniform(0.1, 0.3, (24, 48, 3)).astype(np.float32)
     image[5:7, 30:32] = (60, 50, 40)
     return image
@@ -38,7 +38,7 @@ def spotted() -> np.ndarray:
 def surroundings(
     image: np.ndarray, coarse: int, fine: int = 512
 ) -> tuple[Texels, TexelLanes, LightVisibility]:
-    """Texels of a ball beside a wall, and what they see of a light."""
+    """Return texels of a ball next to a wall, and the visibility of a light from them."""
     mesh = capture_mesh.make_mesh("ball", ball())
     turn = mi.ScalarTransform4f().translate([1.3, 0, 0]).rotate([0, 1, 0], -90).scale(1.5)
     wall = {"type": "rectangle", "to_world": turn, "bsdf": {"type": "diffuse"}}
@@ -49,7 +49,7 @@ def surroundings(
 
 
 def views_of(grid: Texels, spread: float = 0.8) -> tuple[np.ndarray, np.ndarray]:
-    """Normals and directions to cameras of all texels, some of them grazing, float64."""
+    """Return normals and directions to cameras of all texels, some grazing, float64."""
     normal = unit(np.array(grid.normal).T)
     view = unit(normal + np.random.default_rng(3).normal(scale=spread, size=normal.shape))
     away = (view * normal).sum(axis=1) < 0.1
@@ -64,7 +64,7 @@ def found_by(
     channels: int = 3,
     alpha: np.ndarray = ALPHA,
 ) -> np.ndarray:
-    """(K, 3, C, T) p, q and d."""
+    """Return p, q and d, (K, 3, C, T)."""
     normal = surface.normal.numpy().T
     cosine = (view * normal / np.linalg.norm(normal, axis=1, keepdims=True)).sum(axis=1)
     lobes = WideLobes(visibility, alpha, channels).reflect(
@@ -76,7 +76,7 @@ def found_by(
 
 
 def table(cells: LightCells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Directions, flux in colour, and radii, float64."""
+    """Return directions, flux per channel, and radii of cells, float64."""
     toward = cells.toward.numpy().reshape(-1, 4).astype(np.float64)
     return toward[:, :3], cells.flux.numpy().reshape(-1, 4)[:, :3].astype(np.float64), toward[:, 3]
 
@@ -84,7 +84,7 @@ def table(cells: LightCells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def direct(
     cells: LightCells, seen: np.ndarray, normal: np.ndarray, view: np.ndarray, disks: bool = True
 ) -> np.ndarray:
-    """(K, 3, C, T): the sum over the cells that each texel sees, one by one, float64."""
+    """Return the sum over the visible cells of each texel, (K, 3, C, T), float64."""
     toward, flux, radius = table(cells)
     toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
     radius = radius if disks else 0 * radius
@@ -100,7 +100,7 @@ def direct(
 
 
 def below(first: object, seen: np.ndarray) -> np.ndarray:
-    """(N_below, T): what stands below a cell is seen if the cell is."""
+    """Return the visibility of children, (N_below, T), inherited from their cells."""
     return np.repeat(seen, np.diff(first.numpy().astype(int)), axis=0)
 
 
@@ -108,7 +108,7 @@ def below(first: object, seen: np.ndarray) -> np.ndarray:
 def test_what_is_not_refined_is_the_sum_over_visible_cells(
     count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The exact BRDF of every coarse cell, blurred as its disk blurs it."""
+    """Compare with the exact BRDF of each coarse cell, blurred over its disk."""
     monkeypatch.setattr(wide_lobes, "LARGE", 1e30)
     grid, surface, visibility = surroundings(spotted(), count)
     normal, view = views_of(grid)
@@ -116,7 +116,7 @@ def test_what_is_not_refined_is_the_sum_over_visible_cells(
     assert 0.05 < seen.mean() < 0.5
     exact = direct(visibility.tree.coarse, seen, normal, view)
     ours = found_by(visibility, surface, view)
-    # Cosines in single precision: relative, those of grazing directions are worse.
+    # Cosines of grazing directions have larger relative errors in single precision.
     size = exact.max(axis=3, keepdims=True)
     np.testing.assert_allclose(ours[1:], exact[1:], rtol=1e-4, atol=1e-5 * float(size[1:].max()))
     assert np.quantile(np.abs(ours - exact)[1:] / exact[1:].clip(1e-9), 0.95) < 5e-5
@@ -124,20 +124,20 @@ def test_what_is_not_refined_is_the_sum_over_visible_cells(
 
 
 def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of fine cells that are seen."""
+    """Compare with the sum over leaves of visible fine cells."""
     monkeypatch.setattr(wide_lobes, "LARGE", 0.0)
     grid, surface, visibility = surroundings(spotted(), 64)
     normal, view = views_of(grid)
     leaves = below(visibility.tree.first_leaf, bits_of(visibility.fine, 512, grid.count))
     exact = direct(visibility.tree.leaves, leaves, normal, view)
     ours = found_by(visibility, surface, view)
-    # A cell whose disk lies below the horizon is left out with its leaves.
+    # Cells below the horizon are skipped with their leaves.
     np.testing.assert_allclose(ours[1:], exact[1:], rtol=2e-3, atol=1e-4 * float(exact[1:].max()))
 
 
 @pytest.mark.parametrize("name", ["spotted", "studio-like"])
 def test_at_all_widths_it_is_the_quadrature_over_leaves(name: str) -> None:
-    """Few cells instead of thousands, for a few percent."""
+    """Few cells instead of thousands have errors of a few percent."""
     image = spotted()
     if name == "studio-like":
         image[10:14, 5:20] = (3, 4, 5)
@@ -150,12 +150,12 @@ def test_at_all_widths_it_is_the_quadrature_over_leaves(name: str) -> None:
         direct(visibility.tree.leaves, leaves, normal, view, disks=disks) for disks in (False, True)
     )
     for k, alpha in enumerate(ALPHA):
-        # Leaves are 0.06 apart: no quadrature for the narrowest lobe, unless they have an extent.
+        # Leaves are 0.06 apart, too coarse for the narrowest lobe unless they have an extent.
         exact, most = (blurred[k], 0.1) if alpha < 0.06 else (plain[k], 0.05)
         error = np.sqrt(((ours[k] - exact) ** 2).mean(axis=(1, 2)))
         p, q, d = error / exact.mean(axis=(1, 2))
         assert p < most and d < most, (alpha, p, d)
-        # What Fresnel adds to a metal comes from few, grazing views, and is little.
+        # The Fresnel term of a metal comes from few, grazing views, and is small.
         assert error[1] < 0.02 * exact[0].mean(), (alpha, q)
         for part in (0, 2):
             away = np.abs(ours[k, part] - exact[part]) / exact[part].clip(1e-6)
@@ -171,7 +171,7 @@ def test_one_channel_is_the_mean_of_three() -> None:
 
 @pytest.mark.slow
 def test_a_rough_metal_under_a_sun_is_what_mitsuba_renders() -> None:
-    """Pre-filtered light is off by tens of percent here; the sum is not."""
+    """Prefiltered light has errors of tens of percent here, sums do not."""
     light = {"type": "envmap", "bitmap": mi.Bitmap(spotted())}
     mesh = capture_mesh.make_mesh("ball", ball(96, 48))
     mesh.set_bsdf(mi.load_dict({"type": "principled", "base_color": {"type": "rgb", "value": 0.8},

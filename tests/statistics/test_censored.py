@@ -1,4 +1,4 @@
-"""Clipped channels: at least this bright, from the file to the statistics."""
+"""Tests of saturated samples as lower bounds, from the file to the statistics."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_parabola_has_slope_and_curvature_of_likelihood():
     t, h = (x.numpy().astype(np.float64) for x in parabola(
         mi.Float(r.astype(np.float32)), mi.Float(least), mi.Float(noise)))  # fmt: skip
     ratio = np.exp(norm.logpdf(z) - norm.logcdf(z))
-    slope, curvature = -ratio / noise, ratio * (ratio + z) / noise**2  # of -log Phi
+    slope, curvature = -ratio / noise, ratio * (ratio + z) / noise**2  # derivatives of -log Phi
     np.testing.assert_allclose(h / noise**2, curvature, rtol=0.02, atol=1e-4)
     np.testing.assert_allclose(h * (r - t) / noise**2, slope, rtol=0.02, atol=2e-3)
 
@@ -77,7 +77,7 @@ def test_the_best_models_are_those_of_a_search():
 
 
 def photograph(path, over=((3, 4), (5, 6))) -> np.ndarray:
-    """An 8-bit photograph of which some pixels are clipped, the second in red only."""
+    """Return an 8-bit photograph with saturated pixels; in the second one only red is saturated."""
     pixels = np.full((24, 24, 3), 120, np.uint8)
     pixels[over[0]] = 255
     pixels[over[1]] = (255, 90, 80)
@@ -87,7 +87,7 @@ def photograph(path, over=((3, 4), (5, 6))) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def shiny(tmp_path_factory):
-    """A glossy ball in a bright lamp, from 16 sides, in HDR."""
+    """Return HDR photographs of a glossy ball under a bright lamp from 16 sides."""
     light = np.full((32, 64, 3), 0.3, np.float32)
     light[6:12, 20:28] = 12
     emitter = {"type": "envmap", "bitmap": mi.Bitmap(light)}
@@ -133,7 +133,7 @@ def test_what_is_not_clipped_is_as_before(shiny):
 
 @pytest.mark.slow
 def test_what_is_clipped_in_all_views_is_seen_to_be_bright(vase):
-    """It has not been unseen: it is at least as bright as photographs can say."""
+    """Saturated texels are seen; their radiance has a lower bound."""
     before = vase.estimate
     stored, _ = in_integers(vase.capture, before.observed, 0.3)
     estimate = svu.estimate(stored, vase.texels)
@@ -176,7 +176,7 @@ def statistics_of(capture, texels, **options):
 
 
 def test_a_clipped_highlight_still_says_that_it_is_one(shiny):
-    """Roughness without the highlight's pixels is open; that they are bright settles it."""
+    """Without its saturated pixels, roughness at the highlight is unknown; bounds determine it."""
     texels = svu.texels(shiny.mesh, 48)
     observed = observe(shiny, texels)
     stored, part = in_integers(shiny, observed, 0.05)
@@ -207,7 +207,7 @@ def test_bounds_add_weight_to_saturated_texels_only(shiny):
     assert 0.05 < touched.mean() < 0.9
     assert np.median((one.weight / other.weight)[touched]) > 1
     assert (one.views.numpy()[touched] >= other.views.numpy()[touched]).mean() > 0.9
-    pure = ~touched & (one.views.numpy() == other.views.numpy())  # no pixel of theirs is clipped
+    pure = ~touched & (one.views.numpy() == other.views.numpy())  # without saturated pixels
     assert pure.mean() > 0.1
     scale = other.table().max(axis=(0, 1, 2))
     off = np.abs(one.table() - other.table()).max(axis=(0, 1, 2)) / scale
@@ -215,7 +215,7 @@ def test_bounds_add_weight_to_saturated_texels_only(shiny):
 
 
 def test_mirror_directions_of_clipped_views_are_traced_too(shiny):
-    """Nothing stands in the way of a ball's: all that is seen, clipped or not, is free."""
+    """A ball does not occlude its mirror directions, so all samples are unoccluded."""
     texels = svu.texels(shiny.mesh, 32)
     stored, _ = in_integers(shiny, observe(shiny, texels), 0.05)
     seen = observe(stored, texels)

@@ -1,4 +1,4 @@
-"""Statistics against the samples that they are made of, in double precision."""
+"""Tests of statistics against stored samples, in double precision."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from svu_mi.statistics.statistics import Statistics
 
 
 def products(factors: Factors) -> np.ndarray:
-    """U^T U of every texel, (R, C, 10, S) float64."""
+    """Return U^T U of each texel, (R, C, 10, S) float64."""
     U = dict(zip(PAIRS, np.moveaxis(factors.table().astype(np.float64), 2, 0), strict=True))
     return np.stack([sum(U[k, i] * U[k, j] for k in range(i + 1)) for i, j in PAIRS], axis=2)
 
@@ -36,7 +36,7 @@ def scene(tmp_path_factory):
 
 
 def factor_error(U, c, m):
-    """|U (c (1 - m), c m, m, 1)|^2 of entries (10,), U_44 itself."""
+    """Return |U (c (1 - m), c m, m, 1)|^2 of entries (10,), with U_44 not squared."""
     x = np.array([c * (1 - m), c * m, m, 1.0])
     square = np.zeros((4, 4))
     for pair, value in zip(PAIRS, U.astype(np.float64), strict=True):
@@ -45,7 +45,7 @@ def factor_error(U, c, m):
 
 
 def assert_sufficient(capture, switches, kappa=np.inf, current=None, seed=1):
-    """What sums and factors say of random (c, m) is what the samples say, for all texels."""
+    """Compare errors of random (c, m) from sums and factors with errors of the samples."""
     observed = seen_in(capture)
     if current is not None:
         current = current(len(observed.seen))
@@ -57,7 +57,7 @@ def assert_sufficient(capture, switches, kappa=np.inf, current=None, seed=1):
     np.testing.assert_array_equal(statistics.views.numpy(), samples.seen.sum(axis=0))
     np.testing.assert_array_equal(statistics.texel.numpy(), observed.seen)
     assert statistics.channels == switches.colors
-    # Sums that were weighted by what parameters are off never add to others.
+    # Weights that depend on current parameters give NaN kappa, so these sums do not add.
     np.testing.assert_equal(statistics.kappa, kappa if current is None else np.nan)
     np.testing.assert_allclose(statistics.weight, samples.w.sum(axis=0), rtol=1e-5)
     rng, factors = np.random.default_rng(seed), statistics.factor()
@@ -71,7 +71,7 @@ def assert_sufficient(capture, switches, kappa=np.inf, current=None, seed=1):
             own = [x[level, channel] for x in columns]
             for k in range(len(c)):
                 exact = (w * (b[channel] - oracle.modelled(own, c[k], m[k])) ** 2).sum() / w.sum()
-                # What is left of a sample that fits by chance is what radiance is rounded to.
+                # Rounding of radiance limits the residual of samples that fit exactly.
                 rounded = 4e-7 * size[channel] * np.sqrt(exact)
                 ours = errors[texel, level, channel, k, k]
                 assert abs(ours - exact) < max(1e-4 * exact, rounded)
@@ -101,7 +101,7 @@ def label(switches):
     ("switches", "kappa"), MODELS, ids=[f"{label(s)}-{kappa}" for s, kappa in MODELS]
 )
 def test_statistics_are_sufficient(scene, switches, kappa):
-    """The error of any (c, m) as if all samples had been kept."""
+    """Compare errors of random (c, m) with errors of all samples."""
     assert_sufficient(noise_capture(scene), switches, kappa)
 
 
@@ -112,13 +112,13 @@ def test_a_lamp_in_the_photograph_is_a_sample_like_others(scene, kappa):
 
 @pytest.mark.parametrize("channels", ["grey", "joint"])
 def test_one_view_and_identical_views_are_no_special_case(scene, channels):
-    """One sample leaves no residual, identical ones make the columns dependent."""
+    """One sample has no residual; identical samples have dependent columns."""
     assert_sufficient(noise_capture(scene, [0]), angular(channels=channels))
     assert_sufficient(noise_capture(scene, [0] * 5), angular(channels=channels))
 
 
 def test_samples_count_less_the_more_parameters_are_off(scene):
-    """1 / |r - b|, r between two levels interpolated: squares become absolute errors."""
+    """Weights are 1 / |r - b|, with r interpolated between two levels: absolute errors."""
 
     def current(count):
         return np.random.default_rng(50159).random((5, count)).astype(np.float32)
@@ -143,7 +143,7 @@ def test_texels_nobody_sees_have_no_statistics(scene):
 
 
 def test_statistics_of_chosen_texels_are_those_of_all(scene):
-    """In any order, traced with the others or later, seen or not."""
+    """Texels in any order, traced together or later, seen or not."""
     observed = seen_in(noise_capture(scene, [0, 4]))
     whole = observed.statistics(ROUGHNESS, angular(), 1)
     unseen = np.flatnonzero(observed.coverage == 0)[:3]
@@ -158,21 +158,21 @@ def test_statistics_of_chosen_texels_are_those_of_all(scene):
 # --- sums that add --------------------------------------------------------------------------
 
 
-ENERGIES = 100  # parameter points
+ENERGIES = 100  # number of parameter points
 
 
 def random_columns(rng, views, texels=5, levels=3, channels=2):
-    """w (V, S), e, p, q, d (V, R, C, S) and b (V, C, S); some views do not see some texels."""
+    """Return w (V, S), e, p, q, d (V, R, C, S) and b (V, C, S); some pairs are not visible."""
     columns = rng.exponential(size=(4, views, levels, channels, texels))
     columns[0] = 0.5 + rng.random((views, 1, channels, texels))
     b = rng.exponential(size=(views, channels, texels))
     w = rng.uniform(0.1, 1, (views, texels)) * (rng.random((views, texels)) < 0.8)
-    w[0] = 1  # every texel is seen
+    w[0] = 1  # each texel is seen
     return w, columns, b
 
 
 def summed(samples, chosen, kappa=np.inf):
-    """``Statistics`` of some of the views, each product by NumPy."""
+    """Return ``Statistics`` of some views, computed with NumPy."""
     w, columns, b = (x[chosen] if k != 1 else x[:, chosen] for k, x in enumerate(samples))
     last = [np.moveaxis(x, 0, -1) for x in columns]
     table = oracle.products(np.moveaxis(w, 0, -1), last, np.moveaxis(b, 0, -1))
@@ -183,12 +183,12 @@ def summed(samples, chosen, kappa=np.inf):
 
 
 def points(seed=31807):
-    """Parameters: level-free metallic and base colour, every one with every other."""
+    """Return all pairs of metallic and base colour."""
     return np.random.default_rng(seed).random((2, 10))
 
 
 def assert_same(ours, theirs):
-    """The same views, weights and energies, to 1e-6 of the energy at 100 random points."""
+    """Compare views, weights and energies at 100 random points, to 1e-6 of the energy."""
     np.testing.assert_array_equal(ours.views.numpy(), theirs.views.numpy())
     np.testing.assert_array_equal(ours.texel.numpy(), theirs.texel.numpy())
     np.testing.assert_allclose(ours.weight, theirs.weight, rtol=1e-12)
@@ -198,7 +198,7 @@ def assert_same(ours, theirs):
 
 
 def splits(rng, views):
-    """Halves, a shuffle cut in two, blocks of some views, and one view at a time."""
+    """Yield halves, a shuffle cut in two, blocks of views, and single views."""
     order = rng.permutation(views)
     halves = [np.arange(views)[: views // 2], np.arange(views)[views // 2 :]]
     cuts = np.sort(rng.integers(0, views + 1, 6))
@@ -219,7 +219,7 @@ def test_halves_shuffles_and_blocks_of_views_add_up_to_all(views):
         for part in parts[1:]:
             total = total + summed(samples, part)
         assert_same(total, whole)
-        # And what is made of them: the square root, and the posterior.
+        # Factors and posterior of the sum are equal, too.
         np.testing.assert_allclose(
             products(total.factor()), products(whole.factor()), rtol=1e-5, atol=1e-5
         )
@@ -227,7 +227,7 @@ def test_halves_shuffles_and_blocks_of_views_add_up_to_all(views):
 
 
 def assert_samples(statistics, samples, rtol=1e-6):
-    """Energies are those of the samples, at 100 random points, from sums and from factors."""
+    """Compare energies of sums and factors with samples at 100 random points."""
     w, columns, b = samples
     m, c = points()
     errors = statistics.errors(m, c)
@@ -239,7 +239,7 @@ def assert_samples(statistics, samples, rtol=1e-6):
 
 
 def test_errors_of_what_fits_are_not_negative():
-    """Where nothing is left, rounding must not take the square below zero."""
+    """Rounding cannot make the square negative if the residual is 0."""
     rng = np.random.default_rng(88)
     w, columns, _ = random_columns(rng, 30, levels=1)
     m, c = points()
@@ -250,7 +250,7 @@ def test_errors_of_what_fits_are_not_negative():
 
 
 def parts_of(scene, groups, texels, switches, kappa, places, **options):
-    """Statistics of the same texels for several captures; all texels are kept."""
+    """Return statistics of the same texels for several captures; all texels are kept."""
     results = []
     for chosen in groups:
         capture = noise_capture(scene, chosen, places=places, **options)
@@ -273,7 +273,7 @@ def test_many_views_add_up(scene, places):
     assert int(whole.views.numpy().max()) >= places // 10
 
 
-# --- what does not add ----------------------------------------------------------------------
+# --- sums that do not add -------------------------------------------------------------------
 
 
 def test_sums_with_other_shape_or_kappa_are_refused():
@@ -306,7 +306,7 @@ def assert_a_sentence(caught):
 
 
 def upper(samples):
-    """(R, C, 10, S) entries of U, by NumPy's QR factorisation of the weighted samples."""
+    """Return entries of U, (R, C, 10, S), by NumPy's QR factorisation of weighted samples."""
     w, (e, p, q, d), b = samples
     columns = np.stack([e, p, q - d, d - b[:, None]])  # (4, V, R, C, S)
     _, levels, channels, texels = e.shape
@@ -329,7 +329,7 @@ def test_factor_is_that_of_a_qr_factorisation(texels):
 
 
 def test_the_least_that_nothing_explains_is_kept_apart():
-    """Of every channel; floors are what of a level is above it, and never negative."""
+    """For each channel: levels are relative to the floor, and never negative."""
     samples = random_columns(np.random.default_rng(3), 14, channels=3)
     factors, exact = summed(samples, np.arange(14)).factor(), upper(samples)[:, :, FLOOR] ** 2
     reader = factors.reader()
@@ -345,7 +345,7 @@ def test_the_least_that_nothing_explains_is_kept_apart():
 
 
 def test_dependent_columns_leave_no_nan_and_no_error():
-    """As under one view, or where p is twice e: zeros in U, and U^T U is still the sums."""
+    """One view, or p = 2 e: U has zeros, and U^T U equals the sums."""
     w, columns, b = random_columns(np.random.default_rng(9), 8)
     columns[1] = 2 * columns[0]
     for chosen in (np.arange(8), np.array([0]), np.array([0, 0, 0])):
@@ -357,7 +357,7 @@ def test_dependent_columns_leave_no_nan_and_no_error():
 
 
 def test_rounding_that_breaks_cauchy_and_schwarz_stays_rounding():
-    """Two lamps that count next to nothing, and columns that hardly change from view to view."""
+    """Columns that hardly vary between views, with two views of negligible weight."""
     rng, texels = np.random.default_rng(140219), 3000
     w, columns, b = random_columns(rng, 3, texels)
     columns[:] = columns[:, :1] * (1 + 0.01 * rng.normal(size=columns.shape))
@@ -383,7 +383,7 @@ def test_products_and_some_of_the_texels():
     samples = random_columns(np.random.default_rng(21), 9, texels=20)
     statistics = summed(samples, np.arange(9))
     factors = statistics.factor()
-    assert statistics.factor() is factors  # made once
+    assert statistics.factor() is factors  # cached
     np.testing.assert_allclose(
         products(factors), statistics.table() / statistics.weight, rtol=1e-5, atol=1e-6
     )
@@ -414,7 +414,7 @@ def test_statistics_of_some_lanes_and_back(count):
     wanted[..., lanes] *= 2
     np.testing.assert_array_equal(twice.table(), wanted)
     assert twice.views.numpy()[lanes].tolist() == (2 * (lanes + 1)).tolist()
-    np.testing.assert_array_equal(statistics.table(), table)  # as it was
+    np.testing.assert_array_equal(statistics.table(), table)  # unchanged
     nothing = np.zeros(0, np.int64)
     assert statistics.subset(nothing).count == 0
     np.testing.assert_array_equal(
@@ -426,13 +426,13 @@ def test_statistics_of_some_lanes_and_back(count):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kappa", [np.inf, 0.8], ids=["plain", "kappa"])
 def test_statistics_of_two_captures_add(scene, kappa):
-    """Through rays, photographs and kernels; and in halves, a shuffle and single views."""
+    """Split views into halves, a shuffle and single views, including rays and kernels."""
     texels, places = svu.texels(noise_capture(scene, [0]).mesh, 8), 9
     switches = angular(channels="joint")
     order = np.random.default_rng(6).permutation(places).tolist()
     whole = noise_capture(scene, range(places), places=places)
     per_view = observe(whole, texels).visibility.per_view
-    able = np.flatnonzero(per_view)[:4]  # some look at the back of the wall
+    able = np.flatnonzero(per_view)[:4]  # some see the back of the wall
     for groups in ([range(4), range(4, 9)], [order[:2], order[2:]], [[k] for k in able]):
         whole, *parts = parts_of(
             scene, [[k for group in groups for k in group], *groups], texels, switches, kappa,

@@ -1,4 +1,4 @@
-"""Photographs of integers: their steps, from files to the noise of texels."""
+"""Tests of quantised photographs: step sizes, from files to the noise of texels."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from svu_mi.posterior.observations import observe
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import noise_weight
 
-DARK = 0.004  # exposure at which the vase is a few steps of 255
+DARK = 0.004  # exposure at which the vase covers a few of 255 steps
 
 
 def in_steps(capture: svu.Capture, exposure: float) -> svu.Capture:
-    """Return photographs that were stored as 8-bit sRGB at an exposure."""
+    """Return photographs quantised as 8-bit sRGB at an exposure."""
     images = [
         decoded(quantized(srgb(np.clip(np.nan_to_num(image) * exposure, 0, 1))) / 255) / exposure
         for image in capture.images
@@ -53,7 +53,7 @@ def test_steps_are_those_between_codes(bits, transfer):
     rounding = Rounding.of(bits, transfer)
     steps_of = variance(owned_floats(middle), float(rounding.first[0]), float(rounding.slope[0]))
     said = np.sqrt(12 * steps_of.numpy())
-    lit = middle > 4e-3  # in single precision, small steps of 16 bits are rounded themselves
+    lit = middle > 4e-3  # in single precision, 16-bit steps have rounding errors, too
     if transfer == "linear":
         assert np.all(said >= 0.98 * steps)
     else:
@@ -78,7 +78,7 @@ def test_a_gain_makes_radiance_and_steps_smaller():
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
-    """A folder of 8-bit photographs, and the capture that was imported from it."""
+    """Return a folder of 8-bit photographs, and the capture imported from it."""
     folder = tmp_path_factory.mktemp("stored")
     capture = svu.render_capture(
         scenes.path("vase"), spp=4, views=3, resolution=(32, 32), defines={"light": "window"}
@@ -108,13 +108,13 @@ def test_what_was_found_of_photographs_depends_on_their_steps(stored):
     _, imported = stored
     other = replace(imported, rounding=())
     assert capture_key(imported) != capture_key(other)
-    assert photographs_key(imported) == photographs_key(other)  # light is found without them
+    assert photographs_key(imported) == photographs_key(other)  # light does not depend on steps
 
 
 def test_steps_of_a_measured_curve_are_those_of_its_codes():
     codes = np.arange(256, dtype=np.float32) / 255
     curve = np.minimum(decoded(codes) / decoded(codes)[250], 1).astype(np.float64)
-    curve[:3] = 0  # black up to the code 2, white from the code 250 on
+    curve[:3] = 0  # black up to code 2, white from code 250
     response = CameraResponse(
         name="curve", codes=codes, values=np.repeat(curve[:, None], 3, axis=1)
     )
@@ -159,7 +159,7 @@ def test_the_variance_of_samples_is_that_of_their_steps(vase):
 
 
 def test_photographs_that_round_alike_are_not_sure(vase):
-    """Their agreement says little: noise is no less than a step, and entropy higher."""
+    """Noise is at least a quantisation step, also if samples agree, so entropy increases."""
     dark = in_steps(vase.capture, DARK)
     said = svu.estimate(dark, vase.texels)
     unsaid = svu.estimate(replace(dark, rounding=()), vase.texels)
