@@ -1,14 +1,14 @@
 """Importer of IDR and NeuS: ``cameras_sphere.npz``, ``image`` and ``mask``.
 
-Yariv et al., Multiview Neural Surface Reconstruction (NeurIPS 2020); the arrays are those of its
-DATA_CONVENTION.md, https://github.com/lioryariv/idr, which NeuS has taken over:
+Yariv et al., Multiview Neural Surface Reconstruction (NeurIPS 2020). The arrays follow its
+DATA_CONVENTION.md, https://github.com/lioryariv/idr; NeuS uses the same:
 
     world_mat_0, world_mat_1, ...    (4, 4), rows K [R | t] and 0 0 0 1: world to pixel, in OpenCV's
                                      axes, times the depth
-    scale_mat_0, scale_mat_1, ...    (4, 4), unit sphere around the object to world, all the same
+    scale_mat_0, scale_mat_1, ...    (4, 4), unit sphere around the object to world, all equal
 
-Photographs and masks belong to them in the order of their names. Both programs send the ray of
-pixel (0, 0) through the point (0, 0), so that is the centre of the first pixel, as in OpenCV.
+Photographs and masks are assigned to matrices in the order of their names. Both programs trace the
+ray of pixel (0, 0) through the point (0, 0), the centre of the first pixel, as in OpenCV.
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ FILES, SUFFIX = ("cameras_sphere.npz", "cameras.npz"), ".npz"
 IMAGES, MASKS = ("image", "images"), ("mask", "masks")
 WORLD, SCALE = "world_mat", "scale_mat"
 NUMBERED = re.compile(rf"(?:{WORLD}|{SCALE})_(?:0|[1-9][0-9]{{0,5}})", re.ASCII)
-LARGEST_FILE = 2**26  # bytes: a hundred thousand cameras, with inverses beside them
-SKEW = 1e-3  # of the focal length that may be left out
-SINGULAR = 1e-12  # smallest singular value of a camera, in parts of its largest
-SAME = 1e-4  # part by which matrices of the unit sphere may differ
-FIRST_PIXEL = 0.5  # its centre, of which (0, 0) is the corner here
+LARGEST_FILE = 2**26  # bytes: 100 000 cameras and their inverses
+SKEW = 1e-3  # largest ignored skew, relative to the focal length
+SINGULAR = 1e-12  # smallest singular value of a camera, relative to its largest
+SAME = 1e-4  # relative tolerance of the equality of unit spheres
+FIRST_PIXEL = 0.5  # centre of the first pixel; its corner is (0, 0) in ``Frame``
 
 
 def recognises(path: Path, _: str) -> bool:
-    """Whether a path is an ``.npz`` file, or a folder with cameras_sphere.npz or cameras.npz."""
+    """Return whether a path is an ``.npz`` file, or a folder with one of ``FILES``."""
     file = path.suffix.lower() == SUFFIX and path.is_file()
     return file or any((path / name).is_file() for name in FILES)
 
 
 def read(path: Path, options: ReadOptions) -> Source:
-    """Read cameras, in the order of the photographs' names.
+    """Read the cameras of the photographs, which are sorted by name.
 
-    Masks belong to photographs by their order, too; both are next to the file by default.
+    Masks are assigned by their order, too. Photographs and masks are next to the file by default.
     """
     files = (path / name for name in FILES if (path / name).is_file())
     file = next(files, path / FILES[0]) if path.is_dir() else path
     worlds, sphere = _matrices(file)
     if sphere is None and options.normalized:
-        raise OptionError(f"{file}: has no {SCALE}_0; leave --normalized out.")
+        raise OptionError(f"{file}: has no {SCALE}_0; omit --normalized.")
     root = file.parent
     images = find_photographs(root, options.images, IMAGES, file, len(worlds))
     shapes = _masks(find_folder("masks", options.masks, (root / name for name in MASKS)), images)
@@ -91,14 +91,14 @@ def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
         sphere[:3, :3].T @ sphere[:3, :3] / size**2, np.eye(3), atol=RIGID
     ):
         raise CaptureError(
-            f"{file}: {SCALE}_0 must be one positive scale, a centre and no more; normalize the "
+            f"{file}: {SCALE}_0 must be a positive uniform scale and a translation; normalize the "
             "cameras again."
         )
     for index, other in enumerate(spheres):
         if np.abs(other - sphere).max() > SAME * np.abs(sphere).max():
             raise CaptureError(
-                f"{file}: {SCALE}_{index} differs from {SCALE}_0, but one unit sphere must hold "
-                "for all photographs; normalize the cameras again."
+                f"{file}: {SCALE}_{index} differs from {SCALE}_0, but all photographs need the "
+                "same unit sphere; normalize the cameras again."
             )
     return worlds, sphere
 
@@ -107,8 +107,8 @@ def _matrix(arrays: Mapping[str, np.ndarray], name: str, file: Path) -> np.ndarr
     matrix = arrays.get(name)
     if matrix is None:
         raise CaptureError(
-            f"{file}: has no {name}; cameras of IDR are {WORLD}_0, {WORLD}_1, ... without a gap, "
-            f"each with a {SCALE} of its number: write them again."
+            f"{file}: has no {name}; IDR needs {WORLD}_0, {WORLD}_1, ... without a gap, and either "
+            f"all or none of {SCALE}_0, ...: write the cameras again."
         )
     if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
         raise CaptureError(f"{file}: {name} is not a finite 4 x 4 matrix; write the cameras again.")
@@ -133,25 +133,25 @@ def _frame(matrix: np.ndarray, image: Path, mask: Path | None, label: str) -> Fr
 
 
 def decompose_projection(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
-    """Decompose a projection (3, 4), world to pixel times the depth, up to a positive factor.
+    """Decompose a projection matrix (3, 4), world to pixel times depth, into K and pose.
 
     Returns:
         K (3, 3), upper triangular with positive focal lengths and K[2, 2] = 1, and the pose
-        (4, 4), camera to world in OpenCV's axes, with a rotation.
+        (4, 4), camera to world in OpenCV's axes. A positive factor of the matrix has no effect.
     """
     left = matrix[:, :3] / max(np.abs(matrix[:, :3]).max(), 1 / LARGEST)
     values = np.linalg.svd(left, compute_uv=False)
     if values[-1] <= SINGULAR * values[0]:
         raise CaptureError(
-            f"{label}: is degenerate, so it is no K [R | t] of a camera; calibrate it again."
+            f"{label}: is singular, not a camera matrix K [R | t]; calibrate it again."
         )
     if np.linalg.det(left) < 0:
         raise CaptureError(
-            f"{label}: is mirrored (determinant < 0), so it is no K [R | t] with a rotation R and "
+            f"{label}: is mirrored (determinant < 0), not K [R | t] with a rotation R and "
             "positive focal lengths; write it again from a right-handed camera, or negate it."
         )
     K, rotation = scipy.linalg.rq(left)
-    signs = np.sign(np.diag(K))  # of RQ they are anyhow: K S and S R are the same product
+    signs = np.sign(np.diag(K))  # RQ does not determine signs: K S and S R have the same product
     K, rotation = K * signs, signs[:, None] * rotation
     K = K / K[2, 2]
     if not abs(K[0, 1]) <= SKEW * K[0, 0]:
@@ -164,7 +164,7 @@ def decompose_projection(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np
 
 
 def _masks(folder: Path | None, files: Sequence[Path]) -> Sequence[Path | None]:
-    """Return the masks of photographs by their order: in DTU their numbers differ."""
+    """Return the masks sorted by name; in DTU, their numbers differ from the photographs."""
     if folder is None:
         return [None] * len(files)
     masks = list_pictures(folder)

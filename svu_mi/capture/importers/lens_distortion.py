@@ -1,13 +1,13 @@
 """OpenCV's lens distortion and its inverse.
 
-The point that a pinhole shows at (x, y), in focal lengths from the principal point with +X right
-and +Y down, is seen at
+Coordinates are in focal lengths from the principal point, +X right, +Y down. A point at (x, y) in a
+pinhole camera is displaced to
 
     x' = x d + 2 p1 x y + p2 (r^2 + 2 x^2)
     y' = y d + p1 (r^2 + 2 y^2) + 2 p2 x y         d = 1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8
 
-which is Brown's model as OpenCV, COLMAP, instant-ngp and nerfstudio have it. k4 is nerfstudio's;
-OpenCV calls another number so, of a fraction that nobody writes to ``transforms.json``.
+This is Brown's model as in OpenCV, COLMAP, instant-ngp and nerfstudio. k4 is nerfstudio's; OpenCV's
+k4 belongs to a rational model, which ``transforms.json`` does not support.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")  # in nerfstudio's order
-STEPS = 50  # of Newton's method; sound lenses take 3 to 7
-EXACT = 1e-12  # of a point's distance plus 1: 1e-8 pixels of a photograph of any size
-FRACTIONS = np.linspace(0, 1, 33)[1:]  # of the distance from the centre, where folds are searched
+STEPS = 50  # of Newton's method; plausible lenses take 3 to 7
+EXACT = 1e-12  # relative tolerance of a point, about 1e-8 pixels in any photograph
+FRACTIONS = np.linspace(0, 1, 33)[1:]  # of the distance from the centre, tested for folds
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Coefficients of a lens."""
+    """Distortion coefficients of a lens."""
 
     k1: float = 0.0
     k2: float = 0.0
@@ -35,11 +35,11 @@ class Lens:
 
     @property
     def record(self) -> dict[str, float]:
-        """The numbers by name, see ``COEFFICIENTS``."""
+        """Coefficients by name, in the order of ``COEFFICIENTS``."""
         return asdict(self)
 
     def distort(self, points: np.ndarray) -> np.ndarray:
-        """Return where points are seen: (..., 2) float64 of (..., 2), both as in the model."""
+        """Return the displaced positions (..., 2) of pinhole positions (..., 2)."""
         x, y = np.moveaxis(points, -1, 0)
         p1, p2 = self.p1, self.p2
         square, factor, _ = self._radial(x, y)
@@ -51,8 +51,8 @@ class Lens:
     def undistort(self, seen: np.ndarray) -> np.ndarray:
         """Return the inverse of ``distort`` by Newton's method, for points (..., 2).
 
-        A point is NaN where it does not converge: the lens shows nothing there. Where the lens
-        folds over, the result may be any of several points (see ``is_one_to_one``).
+        A point that does not converge is NaN: it is outside of the image of the lens. If the lens
+        folds over, the result is one of several solutions (see ``is_one_to_one``).
         """
         points = np.array(seen, np.float64)
         near = EXACT * (1 + np.abs(points))
@@ -70,9 +70,9 @@ class Lens:
         return points
 
     def is_one_to_one(self, outline: np.ndarray) -> bool:
-        """Whether no two points inside an outline (N, 2) are seen at the same place.
+        """Return whether all points inside an outline (N, 2) have different displaced positions.
 
-        The outline need not contain the principal point; NaN makes it False.
+        The outline need not contain the principal point; NaN results in False.
         """
         with np.errstate(all="ignore"):
             xx, xy, yy = self._jacobian(FRACTIONS[:, None, None] * outline)
@@ -86,7 +86,7 @@ class Lens:
         return square, factor, k1 + square * (2 * k2 + square * (3 * k3 + square * 4 * k4))
 
     def _jacobian(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return dx'/dx, dx'/dy, which dy'/dx equals, and dy'/dy."""
+        """Return dx'/dx, dx'/dy = dy'/dx, and dy'/dy."""
         x, y = np.moveaxis(points, -1, 0)
         p1, p2 = self.p1, self.p2
         _, factor, slope = self._radial(x, y)

@@ -1,11 +1,10 @@
 """Importer of LLFF: ``poses_bounds.npy`` and the photographs in ``images``.
 
-Mildenhall et al., Local Light Field Fusion (SIGGRAPH 2019); the layout is that of its README,
-https://github.com/Fyusion/LLFF. Each row has 17 numbers: a matrix of 3 x 5, row by row, and the
-distance of the nearest and the farthest point. The matrix is [R | t | (height, width, focal)],
-camera to world; the columns of R are the camera's axes down, right and backwards. There is one
-focal length, in pixels of a photograph of that height and width, the principal point is in its
-centre, and nothing is said of the lens.
+Mildenhall et al., Local Light Field Fusion (SIGGRAPH 2019), https://github.com/Fyusion/LLFF. Each
+row has 17 numbers: a 3 x 5 matrix, row by row, and the distances of the nearest and the farthest
+point. The matrix is [R | t | (height, width, focal)], camera to world; the columns of R are the
+camera's axes down, right and backwards. The focal length is in pixels of a photograph of this
+height and width. The format has no lens data: centred principal point, no distortion.
 """
 
 from __future__ import annotations
@@ -26,21 +25,21 @@ if TYPE_CHECKING:
 
 FILE, SUFFIX = "poses_bounds.npy", ".npy"
 IMAGES, MASKS = ("images",), ("masks", "mask")
-COLUMNS = 17  # of the table: 3 x 5 and two distances
-LARGEST_FILE = 2**24  # bytes: a hundred thousand poses
+COLUMNS = 17  # of the table: a 3 x 5 matrix and two distances
+LARGEST_FILE = 2**24  # bytes: 100 000 poses
 
 
 def recognises(path: Path, _: str) -> bool:
-    """Whether a path is an ``.npy`` file, or a folder with poses_bounds.npy."""
+    """Return whether a path is an ``.npy`` file, or a folder with poses_bounds.npy."""
     file = path.suffix.lower() == SUFFIX and path.is_file()
     return file or (path / FILE).is_file()
 
 
 def read(path: Path, options: ReadOptions) -> Source:
-    """Read poses, in the order of the photographs' names.
+    """Read the poses of the photographs, which are sorted by name.
 
-    Photographs may have another size than in the file, with the same aspect ratio. Masks have their
-    names, with any suffix; both are in folders next to the file by default.
+    Photographs may be resized with the same aspect ratio. Masks have the names of photographs with
+    any suffix. Both are in folders next to the file by default.
     """
     file = path / FILE if path.is_dir() else path
     rows = _rows(file)
@@ -50,7 +49,7 @@ def read(path: Path, options: ReadOptions) -> Source:
     masks = [None if folder is None else find_mask(folder, Path(file.name)) for file in files]
     if folder is not None and not any(masks):
         raise CaptureError(
-            f"{folder}: has no mask of {files[0].name} or any other photograph; call masks as "
+            f"{folder}: has no mask of {files[0].name} or any other photograph; name masks like "
             "their photographs, or give their folder with --masks."
         )
     return Source(
@@ -62,9 +61,9 @@ def read(path: Path, options: ReadOptions) -> Source:
         ],
         camera_axes=DOWN_RIGHT_BACK,
         notes=[
-            f"{file}: the world has its own unit and up axis, which the mesh must be in; it tells "
-            "neither lens nor principal point: lines are taken to be straight, and the centre is "
-            "that of the photograph."
+            f"{file}: the poses have their own unit and up axis; the mesh must use the same. LLFF "
+            "has no lens: photographs are assumed to be undistorted, with the principal point in "
+            "their centre."
         ],
     )
 

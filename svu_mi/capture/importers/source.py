@@ -1,7 +1,7 @@
-"""``Source``: a capture of another tool in our conventions.
+"""``Source``: a capture of another tool in the conventions of this package.
 
-Readers convert the axes, angles and pixel grids of their tool into those of ``Source``, writers
-convert them back; no other module uses another convention.
+Readers convert axes, angles and pixel grids of their tool to the conventions of ``Source``, and
+writers convert them back. No other module uses the tool's conventions.
 """
 
 from __future__ import annotations
@@ -29,35 +29,35 @@ OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # +X right, +Y down, +Z forward: COLMA
 # +X down, +Y right, +Z backwards: LLFF
 DOWN_RIGHT_BACK = np.array([[0.0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
 
-MAX_DISTANCE = 1e9  # units; single precision is long lost there
-MAX_SIDE = 2**16  # pixels; no camera has more, a damaged file easily
-FOCAL = 1e-3, 1e6  # focal length, in parts of the photograph's longer side
-CENTER = 1e3  # principal point, likewise
-LARGEST = 1e30  # number in a pose: products of three of them are finite
+MAX_DISTANCE = 1e9  # units; single precision has no details beyond
+MAX_SIDE = 2**16  # pixels; larger values come from damaged files
+FOCAL = 1e-3, 1e6  # range of the focal length, relative to the longer side
+CENTER = 1e3  # limit of the principal point, relative to the sides
+LARGEST = 1e30  # limit of numbers in a pose, so that products of three are finite
 RIGID = 1e-3  # tolerance of the orthogonality and equal length of the axes of a pose
 SQUARE = 1e-6  # tolerance of the ratio of focal lengths of square pixels
-NEAR, FAR = 1e-4, 1e7  # clip planes: no file has any, nor the size of the scene
+NEAR, FAR = 1e-4, 1e7  # default clip planes; files contain neither planes nor size of the scene
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
     """One photograph and its camera.
 
-    A pose with one scale for all axes loses it; float noise in its rotation is removed.
+    A uniform scale of the pose is removed, and its rotation is made orthogonal.
 
     Attributes:
-        label: the file and frame, for messages, such as ``transforms.json: frame 3``.
-        image: the photograph's file.
-        mask: file of its mask (white = object), or None; an alpha channel counts as one, too.
+        label: file and frame for messages, such as ``transforms.json: frame 3``.
+        image: path of the photograph.
+        mask: path of the mask (white = object), or None; an alpha channel also acts as a mask.
         to_world: (4, 4) float64, camera to world, a rotation and a translation; camera space is
             +X left, +Y up, +Z forward.
         focal: (fx, fy) in pixels.
         center: (cx, cy), principal point in pixels; (0, 0) is the corner of the first pixel,
             whose centre is (0.5, 0.5).
         size: (width, height) in pixels that focal and center refer to.
-        exposure: gain of the photograph: radiance is its linear pixels divided by it.
-        transfer: how an integer image encodes linear values; EXR, HDR and PFM are linear.
-        lens: distortion of the photograph; None without any.
+        exposure: exposure gain; the radiance of a pixel is its linear value divided by the gain.
+        transfer: encoding of integer images; EXR, HDR and PFM are linear.
+        lens: lens distortion; None without distortion.
     """
 
     label: str
@@ -72,7 +72,7 @@ class Frame:
     lens: Lens | None = None
 
     def __post_init__(self) -> None:
-        """Refuse numbers that are out of range and poses that are not rigid (CaptureError)."""
+        """Raise CaptureError if numbers are out of range or the pose is not rigid."""
         object.__setattr__(self, "to_world", _rigid(self.to_world, self.label))
         width, height = self.size
         if not all(1 <= side <= MAX_SIDE for side in self.size):
@@ -99,20 +99,20 @@ class Frame:
 
     @property
     def has_square_pixels(self) -> bool:
-        """Whether both focal lengths are the same."""
+        """True if both focal lengths are equal."""
         return abs(self.focal[1] / self.focal[0] - 1) <= SQUARE
 
     def sensor(self, clip: tuple[float, float] = (NEAR, FAR)) -> Any:
-        """Return the ``perspective`` sensor of this camera, with near and far plane."""
+        """Return the ``perspective`` sensor of this camera with (near, far) clip planes."""
         if self.lens is not None:
             raise CaptureError(
-                f"{self.label}: the lens is distorted; straighten the photograph, or import it "
-                "with svu import, which does."
+                f"{self.label}: the lens is distorted; undistort the photograph, or use svu "
+                "import, which does."
             )
         if not self.has_square_pixels:
             raise CaptureError(
                 f"{self.label}: fl_x and fl_y differ, so the pixels are not square; resample the "
-                "photograph, or import it with svu import, which does."
+                "photograph, or use svu import, which does."
             )
         return make_sensor(
             {
@@ -129,9 +129,9 @@ class Frame:
 
 
 def frame_of(sensor: Any, image: Path, **fields: Any) -> Frame:
-    """Return the frame of a ``perspective`` sensor; its crop window is the photograph.
+    """Return the frame of a ``perspective`` sensor, for the pixels of its crop window.
 
-    The file ``image`` need not exist; ``fields`` are others of ``Frame``.
+    The file ``image`` need not exist; ``fields`` replace other attributes of ``Frame``.
     """
     focal = focal_length(sensor)
     return Frame(**{
@@ -146,7 +146,7 @@ def frame_of(sensor: Any, image: Path, **fields: Any) -> Frame:
 
 
 def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
-    """Return the (4, 4) rotation and translation nearest to a pose, without its scale."""
+    """Return the rigid transform (4, 4) nearest to a pose, without its scale."""
     if np.shape(matrix) != (4, 4) or not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
         raise CaptureError(f"{label}: the pose is not a finite 4 x 4 matrix; export it again.")
     if not np.allclose(matrix[3], [0, 0, 0, 1]):
@@ -174,16 +174,16 @@ def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """A capture as some tool has written it.
+    """Capture of another tool, before its import.
 
     Attributes:
         format: name of the format, such as ``colmap``.
-        root: folder that all files must lie in.
-        frames: V photographs with their cameras, in the order they get in the capture.
-        mesh: file of the object, if the format has one; its axes match the poses.
-        light: the environment, if the format has one.
-        camera_axes: matrix that turned the tool's camera axes into Mitsuba's (``OPENGL``, ...).
-        notes: sentences about decisions while reading.
+        root: path of the folder that contains all files.
+        frames: V photographs with their cameras, in the order of the capture.
+        mesh: path of the object's mesh, in the world of the poses; None if the format has none.
+        light: environment map; None if the format has none.
+        camera_axes: matrix that converted the tool's camera axes to Mitsuba's (``OPENGL``, ...).
+        notes: sentences about decisions of the reader.
     """
 
     format: str

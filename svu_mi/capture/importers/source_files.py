@@ -13,16 +13,19 @@ from svu_mi.errors import CaptureError, excerpt
 
 LONGEST = 240  # bytes of one part of a path; file systems take 255, and suffixes are added
 LONGEST_PATH = 2048  # bytes
-CONTROL = re.compile(r"[\0-\x1f\x7f-\x9f]")  # no name has these, and a terminal obeys them
+CONTROL = re.compile(r"[\0-\x1f\x7f-\x9f]")  # invalid in names, and executed by terminals
 SHOWN = 60  # characters of a name in a message
 LARGEST_TEXT = 2**24  # bytes
 
 
 def safe_path(root: Path, name: Any, label: str) -> Path:
-    r"""Return the path of a file that is named relative to a folder; it need not exist.
+    r"""Return the path of a file from its name relative to a folder; it need not exist.
 
-    ``\`` separates folders, too, as on Windows. Links are followed when the file is opened: they
-    were made by the owner of the folder. ``label``: the file and frame, for the message.
+    ``\`` also separates folders, as on Windows. Links are allowed: the owner of the folder made
+    them. ``label`` contains the file and frame for messages.
+
+    Raises:
+        CaptureError: the name is invalid, absolute, or leads out of the folder.
     """
     if not isinstance(name, str):
         raise CaptureError(f"{label}: a file's name must be text, got a {type(name).__name__}.")
@@ -39,7 +42,7 @@ def safe_path(root: Path, name: Any, label: str) -> Path:
 
 
 def relative_name(root: Path, file: Path) -> str:
-    """Return the name of a file relative to a folder; its name alone if it lies elsewhere."""
+    """Return the path of a file relative to a folder; its name if it is elsewhere."""
     return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
 
 
@@ -47,14 +50,14 @@ def _is_usable(parts: tuple[str, ...]) -> bool:
     """Return whether the operating system accepts a file of this name."""
     try:
         sizes = [len(os.fsencode(part)) for part in parts]
-    except UnicodeEncodeError:  # half a surrogate pair, which JSON can spell
+    except UnicodeEncodeError:  # unpaired surrogates, which JSON allows
         return False
     fits = max(sizes) <= LONGEST and sum(sizes) + len(sizes) <= LONGEST_PATH
     return fits and CONTROL.search("".join(parts)) is None
 
 
 def find_folder(kind: str, asked: Path | None, places: Iterable[Path]) -> Path | None:
-    """Return the folder of ``images`` or ``masks``: the one asked for, or the first of several."""
+    """Return the folder of ``images`` or ``masks``: ``asked``, or the first that exists."""
     if asked is None:
         return next((place for place in places if place.is_dir()), None)
     if not asked.is_dir():
@@ -63,17 +66,17 @@ def find_folder(kind: str, asked: Path | None, places: Iterable[Path]) -> Path |
 
 
 def missing_folder(kind: str, folder: Path) -> CaptureError:
-    """Return the error that the folder of ``images`` or ``masks`` is missing."""
+    """Return the error for a missing folder of ``images`` or ``masks``."""
     what = "photographs" if kind == "images" else kind
-    return CaptureError(f"{folder}: no such folder; give that of the {what} with --{kind}.")
+    return CaptureError(f"{folder}: no such folder; give the folder of the {what} with --{kind}.")
 
 
 def find_photographs(
     root: Path, asked: Path | None, names: Sequence[str], poses: Path, count: int
 ) -> list[Path]:
-    """Return the photographs of poses that do not name them, in the order of their names.
+    """Return the photographs for poses without file names, sorted by name.
 
-    They are in the folder ``asked``, or in one of ``names`` next to the poses.
+    They are in the folder ``asked``, or in the first existing one of ``names`` below ``root``.
     """
     folder = find_folder("images", asked, (root / name for name in names))
     if folder is None:
@@ -81,14 +84,14 @@ def find_photographs(
     files = list_pictures(folder)
     if len(files) != count:
         raise CaptureError(
-            f"{folder}: has {len(files)} photographs, but {poses} has {count} poses; give the "
-            "folder of the photographs that were posed, and no others, with --images."
+            f"{folder}: has {len(files)} photographs, but {poses} has {count} poses; give a "
+            "folder with only the posed photographs with --images."
         )
     return files
 
 
 def list_pictures(folder: Path) -> list[Path]:
-    """Return the pictures in a folder in the order of their names, without hidden files."""
+    """Return the pictures in a folder sorted by name, without hidden files."""
     try:
         files = sorted(folder.iterdir())
     except OSError as error:
@@ -100,18 +103,22 @@ def list_pictures(folder: Path) -> list[Path]:
 
 
 def find_mask(folder: Path, name: Path) -> Path | None:
-    """Return the mask of a photograph in a folder: ``a.jpg.png``, ``a.jpg``, or ``a`` with any
-    suffix; ``name`` is relative to the folder of the photographs."""
+    """Return the mask of the photograph ``name`` (a relative path) in a folder, or None.
+
+    The mask of ``a.jpg`` is ``a.jpg.png``, ``a.jpg``, or ``a`` with any suffix.
+    """
     stems = [folder / name.with_suffix(suffix) for suffix in SUFFIXES]
     names = (folder / f"{name}.png", folder / name, *stems)
     return next((file for file in names if file.is_file()), None)
 
 
 def read_lines(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:
-    """Yield number and text of each line that is not empty, without comments (``#``).
+    """Yield number and text of the non-empty lines of a file, without comments (``#``).
 
-    A file that is missing, larger than 16 MiB, or no text is refused (CaptureError) as no ``what``,
-    such as ``a list of exposures``, with the remedy ``fix``.
+    ``what``, such as ``a list of exposures``, and the remedy ``fix`` are parts of messages.
+
+    Raises:
+        CaptureError: the file is missing, larger than 16 MiB, or not text.
     """
     try:
         if path.stat().st_size > LARGEST_TEXT:

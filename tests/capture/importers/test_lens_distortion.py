@@ -253,6 +253,6 @@ def test_lenses_of_another_kind(tmp_path, changes, sentence):
 
 
 def test_a_distorted_camera_makes_no_sensor_and_a_straight_candidate(tmp_path):
-    with pytest.raises(CaptureError, match="the lens is distorted; .* import it with svu import"):
+    with pytest.raises(CaptureError, match="the lens is distorted; .* use svu import"):
         frame_of(Lens(**LENSES["barrel"])).sensor()
     assert Candidates.read(written(tmp_path, k1=-0.1)).count == 1

@@ -208,7 +208,7 @@ def test_normalized_poses_see_a_normalized_mesh(tmp_path):
         np.testing.assert_allclose(frame.focal, camera.focal, rtol=1e-9)
         np.testing.assert_allclose(frame.to_world[:3, :3], camera.pose[:3, :3], atol=1e-9)
         np.testing.assert_allclose(2.5 * frame.to_world[:3, 3] + SPHERE[:3, 3], camera.eye)
-    with pytest.raises(OptionError, match="has no scale_mat_0; leave --normalized out"):
+    with pytest.raises(OptionError, match="has no scale_mat_0; omit --normalized"):
         read_idr(write_idr(tmp_path, matrices(SHIFTED, None)), normalized=True)
     assert read_idr(tmp_path).notes == []
 
@@ -340,9 +340,9 @@ def intrinsics(matrix: np.ndarray) -> np.ndarray:
 SKEWED = np.array([[50.0, 0.2, 16], [0, 50, 13], [0, 0, 1]])
 FLAT = np.array([[50.0, 0, 16], [0, 0, 13], [0, 0, 1]])
 BAD_ARRAYS = {
-    "no world_mat": (but(world_mat_1=None), "has no world_mat_1; cameras of IDR are"),
-    "nothing": ({"other": np.eye(4)}, "has no world_mat_0; cameras"),
-    "no scale_mat": (but(scale_mat_2=None), "has no scale_mat_2; cameras"),
+    "no world_mat": (but(world_mat_1=None), "has no world_mat_1; IDR needs"),
+    "nothing": ({"other": np.eye(4)}, "has no world_mat_0; IDR needs"),
+    "no scale_mat": (but(scale_mat_2=None), "has no scale_mat_2; IDR needs"),
     "NaN": (but(world_mat_1=np.full((4, 4), np.nan)), "world_mat_1 is not a finite 4 x 4 matrix"),
     "3 x 4": (but(world_mat_1=SHIFTED[1].world_mat[:3]), "world_mat_1 is not a finite 4 x 4"),
     "transposed": (but(world_mat_1=SHIFTED[1].world_mat.T), "last row of world_mat_1 must be"),
@@ -355,8 +355,8 @@ BAD_ARRAYS = {
         but(world_mat_1=np.diag([-1.0, -1, -1, 1]) @ SHIFTED[1].world_mat),
         r"world_mat_1: is mirrored .*, or negate it\.",
     ),
-    "degenerate": (but(world_mat_1=intrinsics(FLAT)), "world_mat_1: is degenerate"),
-    "zero": (but(world_mat_1=np.diag([0.0, 0, 0, 1])), "world_mat_1: is degenerate"),
+    "degenerate": (but(world_mat_1=intrinsics(FLAT)), "world_mat_1: is singular"),
+    "zero": (but(world_mat_1=np.diag([0.0, 0, 0, 1])), "world_mat_1: is singular"),
     "skew": (
         but(world_mat_1=intrinsics(SKEWED)),
         "world_mat_1: the camera has a skew of 0.2 for a focal",
@@ -364,11 +364,11 @@ BAD_ARRAYS = {
     "another sphere": (but(scale_mat_1=np.eye(4)), "scale_mat_1 differs from scale_mat_0"),
     "a flat sphere": (
         matrices(SHIFTED, np.diag([1.0, 1, 0, 1])),
-        "scale_mat_0 must be one positive scale",
+        "scale_mat_0 must be a positive uniform",
     ),
     "an ellipsoid": (
         matrices(SHIFTED, np.diag([1.0, 1, 2, 1])),
-        "scale_mat_0 must be one positive scale",
+        "scale_mat_0 must be a positive uniform",
     ),
     "too many": (matrices([*SHIFTED, CENTERED[0]]), "has 3 photographs, but .* has 4 poses; give"),
 }
@@ -400,7 +400,9 @@ def test_folders_that_are_not_there(tmp_path):
         with pytest.raises(CaptureError, match="gone: no such folder; .*--masks"):
             read_source(folder, ReadOptions(masks=gone))
     (llff / "images").rename(llff / "images_8")
-    with pytest.raises(CaptureError, match="images: no such folder; give that of the photographs"):
+    with pytest.raises(
+        CaptureError, match="images: no such folder; give the folder of the photographs"
+    ):
         read_source(llff)
     shoot(llff / "masks", ["z.png"])
     with pytest.raises(CaptureError, match="masks: has no mask of a.jpg or any other photograph;"):
