@@ -67,7 +67,6 @@ class AngularForecast(Forecast):
         truths: (T * R * M * C,) Float, base colour of each row if the row is true.
         precision: (T,) Float, 1 / (2 s^2 tau).
         kappa: Radiance at which weights begin to fall (``noise_weight``).
-        averaged: Whether energies are means over views.
     """
 
     grid: PrincipledGrid
@@ -101,7 +100,7 @@ class AngularForecast(Forecast):
         return steps
 
     def _expect(self, texels: np.ndarray, number: int, kernel: Callable[..., Any]) -> np.ndarray:
-        """Return expected measures (number, L) of texels (L,); 0 for candidates that see none."""
+        """Return expected measures (number, L) of texels (L,); 0 for texels that are not seen."""
         place, hypothesis = self.hypotheses.of_texels(texels)
         out = dr.zeros(mi.Float, number * len(place))
         dr.eval(out)

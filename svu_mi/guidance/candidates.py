@@ -174,7 +174,7 @@ class Candidates:
 def candidates_or_default(
     given: Candidates | Sequence[Any] | None, capture: Capture
 ) -> Candidates:  # fmt: skip
-    """Return ``given`` as candidates; None selects sensors without an image file, or a sphere."""
+    """Return ``given`` as candidates; by default sensors without an image, or else a sphere."""
     if isinstance(given, Candidates):
         return given
     if isinstance(given, Sequence) and not isinstance(given, str):

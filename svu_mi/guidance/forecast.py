@@ -121,7 +121,7 @@ class Forecast(ABC):
         return result
 
     def expected(self, views: np.ndarray, candidates: np.ndarray, texels: np.ndarray) -> np.ndarray:
-        """Return E[H] with views and one candidate (Eq. 13), (A, L); NaN if it sees no texel."""
+        """Return E[H] with views and one of A candidates (Eq. 13), (A, L); NaN if not seen."""
         if not len(candidates) or not len(texels):
             return np.empty((len(candidates), len(texels)), np.float32)
         values = self._evaluate(views, candidates, texels)

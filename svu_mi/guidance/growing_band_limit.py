@@ -42,7 +42,6 @@ class GrowingForecast(SpectrumForecast):
     Attributes:
         photographs: (T (l* + 1) C,) Float, power spectra S_B by texel, degree and channel.
         observed: (T,) Bool; hypotheses of other texels are weighted by the prior alone.
-        relight: Function that recomputes the responses for a number of views.
     """
 
     photographs: Any
@@ -72,7 +71,7 @@ class GrowingForecast(SpectrumForecast):
         return self._lights[views]
 
     def _kept(self, lane: Any) -> tuple[int, SpectrumReduction]:
-        """Keep S_L'^2 and S_L' S_B by degree, and the sum of S_B^2; all over 2 sigma^2."""
+        """Add S_L' S_B by degree and the sum of S_B^2, over 2 sigma^2, to the kept values."""
         count, of_light = super()._kept(lane)
         scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
         channels = self.switches.colors

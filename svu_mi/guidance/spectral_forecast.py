@@ -123,7 +123,7 @@ class SpectrumForecast(Forecast):
         return self.switches.degree, keep
 
     def _hypotheses(self, texel: Any, kept: list[Any]) -> SpectrumHypotheses:
-        """Return the hypotheses for the lanes of a launch, given the kept values."""
+        """Return the hypotheses for the lanes of a launch; ``kept`` are the values of ``_kept``."""
         return SpectrumHypotheses(self, texel, kept)
 
     def _entropies(self, powers: Any, lane: Any, pairs: Any) -> np.ndarray:

@@ -117,7 +117,7 @@ def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str
     return [
         f"method {guidance.method}",
         f"preset {estimate.preset.name}",
-        f"by {options.strategy}",
+        f"strategy {options.strategy}",
         f"{sum(capture.used)} photographs",
         f"{reachable} of {guidance.candidates.count} candidates reachable",
         f"{width} × {height} texels, {grouped(looked_at)} of "

@@ -88,7 +88,7 @@ def fill_sentences(result: Filled) -> Iterator[str]:
 
 
 def _invented_sentences(model: ModelReport, result: Filled) -> Iterator[str]:
-    """Yield sentences on a generative model: share of texels, and errors next to likeness."""
+    """Yield sentences on a generative model: share of texels, errors on seen texels."""
     part = model.reached.sum() / result.filled.sum()
     by = f"by {model.model}; licence of its weights: {model.licence}"
     yield f"{percent(part)} of the filled texels {by}."

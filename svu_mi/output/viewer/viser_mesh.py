@@ -1,9 +1,9 @@
 """Object and cameras for viser's page: a textured mesh, and frusta with photographs.
 
 three.js, which renders the page, applies a fit of the ACES filmic curve to all colours (S. Hill,
-BakingLab, as in three.js's ``tonemapping_pars_fragment``). Textures are multiplied by the inverse
-curve, so that object, colour bar and photographs have the same colours. Frusta use OpenCV's axes:
-+X right, +Y down, +Z forward.
+BakingLab, as in three.js's ``tonemapping_pars_fragment``). The inverse curve is applied to
+textures, so that object, colour bar and photographs have the same colours. Frusta use OpenCV's
+axes: +X right, +Y down, +Z forward.
 """
 
 from __future__ import annotations
