@@ -55,13 +55,14 @@ def load_capture(
 ) -> Capture:
     """Load a scene and its photographs.
 
+    Photographs are named ``view_0000.exr``, ... in the order of the sensors, or after the ids of
+    the sensors. Files with other names are assigned in natural order, if there is one per sensor.
+
     Args:
         path: Path of a Mitsuba XML scene, or of a capture folder with a ``capture.json``.
-        images: Folder of the photographs; default: the capture folder, ``images`` next to the
-            scene if its files match, or the scene's folder. Files are named ``view_0000.exr``,
-            ..., or after the sensors' ids. With other names, their number must be equal to the
-            number of sensors, and they are assigned in natural order, with a warning. Sensors in
-            a ``capture.json`` of this folder replace the scene's.
+        images: Folder of the photographs. Default: the capture folder, ``images`` next to the scene
+            if it contains photographs, or the scene's folder. Sensors in its ``capture.json``
+            replace the sensors of the scene.
         shape: Id of the target; default: the only mesh, or the only one with a principled BSDF.
         defines: Values of the scene's ``<default>`` parameters.
         unwrap: True computes new UVs even if the mesh has UVs. A mesh without UVs is always
@@ -77,8 +78,8 @@ def load_capture(
             one pixel per texel. By default they are kept unchanged.
         memory: Bytes of memory for photographs; default: half of the free memory. Larger captures
             are mapped from a temporary file in TMPDIR or /var/tmp.
-        views: Indices of the photographs to read; default: all. The other views are unused, with
-            NaN pixels that need no memory.
+        views: Indices of the photographs to read; default: all. Other views are unused, and their
+            pixels are NaN. An empty list loads only the scene and the sensors.
 
     Raises:
         OptionError: Invalid ``missing`` or ``light``, a path of the wrong type, or an unknown view.

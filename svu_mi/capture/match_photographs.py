@@ -28,7 +28,7 @@ UNREADABLE = {
 
 
 class NoPhotographsError(CaptureError):
-    """Error for a folder without photographs of any of ``sensors`` sensors."""
+    """Error for a folder without any photograph of its ``sensors`` sensors."""
 
     sensors = 0
 

@@ -87,7 +87,7 @@ class PixelBuffer:
         return self._views(self.clipped)
 
     def places(self, images: Sequence[np.ndarray]) -> list[int] | None:
-        """Return each image's index in the buffer; None unless distinct views."""
+        """Return each image's index in the buffer; None if one is not a view."""
         numbers = {id(own): number for number, own in enumerate(self.images)}
         order = [numbers.get(id(image), -1) for image in images]
         return order if -1 not in order and len(set(order)) == len(order) else None
@@ -128,7 +128,7 @@ class PixelBuffer:
 
 
 def room_for_photographs(films: Sequence[Size]) -> float:
-    """Return bytes for photographs: half the free memory, less for decoding."""
+    """Return default bytes for photographs: half of the free memory."""
     free, largest = free_memory(), max((width * height for width, height in films), default=0)
     if free is None:
         return math.inf

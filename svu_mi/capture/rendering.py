@@ -73,8 +73,8 @@ def render_capture(
         unwrap: True computes new UVs even if the mesh has UVs (see ``load_capture``).
         trust: True lets the scene load libraries, if ``scene`` is a path (see ``load_capture``).
         progress: Callback with the number of rendered views and of all views.
-        resume: True or False keeps finished views if the run is interrupted. True continues with
-            the views of an interrupted run, False starts again. By default no views are kept.
+        resume: True continues an interrupted run, False starts again. Both keep finished views if
+            the run is interrupted; None keeps no views.
 
     Raises:
         SvuEnvironmentError: No suitable Mitsuba variant is active.

@@ -144,7 +144,7 @@ def mesh(source: MeshArrays, folder: Path, file: str, name: str) -> Element:
 
 
 def principled(name: str, textures: Mapping[str, str], *, two_sided: bool = False) -> Element:
-    """Return a textured ``principled`` BSDF with the assumed specular 0.5.
+    """Return a textured ``principled`` BSDF; specular is 0.5, as in recovery.
 
     Args:
         name: Id of the object.

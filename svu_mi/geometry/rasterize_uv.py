@@ -56,7 +56,7 @@ def _walk(corners: list[Any], width: Any, height: Any, owner: Any, count: Any) -
 
 
 def _span(values: list[Any], size: Any) -> tuple[Any, Any]:
-    """Return the range of texels whose centre may be in a triangle."""
+    """Return first and last texel whose centre may be in a triangle."""
     low = dr.minimum(dr.minimum(values[0], values[1]), values[2])
     high = dr.maximum(dr.maximum(values[0], values[1]), values[2])
     first = dr.maximum(mi.Int32(dr.ceil(low - 0.5)), 0)

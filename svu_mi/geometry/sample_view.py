@@ -1,4 +1,4 @@
-"""Samples of a view at texels, inside of a symbolic loop over views.
+"""Samples of a view at texels, inside a symbolic loop over views.
 
 ``sample_view`` traces visibility; ``sample_visible`` reads the pixels of visible texels. Samples
 stay in registers: no array has an entry per texel and view.
@@ -183,7 +183,7 @@ def sample_visible(
     views: Views, surface: TexelLanes, view: Any, seen: Any, *, dense: bool = False,
     clipped: bool = False,
 ) -> ViewSample:  # fmt: skip
-    """Sample texels of known visibility; ``clipped`` uses lower bounds."""
+    """Sample texels of known visibility; ``clipped`` includes saturated pixels."""
 
     def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
         camera = read_camera(views, view)

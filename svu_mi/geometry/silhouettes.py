@@ -81,7 +81,7 @@ def find_tiles(
     bounds: np.ndarray,
     masks: Sequence[np.ndarray | None],
 ) -> np.ndarray:
-    """Return possible tiles of the object, (N, 3): view, column, row."""
+    """Return tiles that may show the object, (N, 3): view, column, row."""
     windows = _windows(projections, near, sizes, bounds)
     of_views = [
         _tiles_of(view, window, mask)

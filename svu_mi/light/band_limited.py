@@ -138,7 +138,7 @@ class MomentMap:
     channels: int
 
     def at(self, normal: Any) -> list[list[Any]]:
-        """Look up 8 Floats per channel by world normal, in the light's frame."""
+        """Look up moments by world normal: 8 Floats per channel, local frame."""
         flat = look_up(self.texture, self.to_local @ mi.Vector3f(normal))
         return [flat[first : first + MOMENTS] for first in range(0, len(flat), MOMENTS)]
 

@@ -88,7 +88,7 @@ class LightVisibility:
 def trace_light_visibility(
     scene: Any, surface: TexelLanes, tree: LightTree, *, occluded: bool = True
 ) -> LightVisibility:
-    """Trace light cells from texels; ``occluded=False`` tests the horizon."""
+    """Trace light cells from texels; ``occluded=False`` ignores occlusion."""
     lane, count = surface.lane, surface.count
     coarse = Bits.clear(tree.coarse.number, count)
     fine = Bits.clear(tree.fine.number, count)
