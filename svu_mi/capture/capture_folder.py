@@ -28,7 +28,7 @@ class Description:
     """Content of ``capture.json``.
 
     Attributes:
-        scene: Path of the Mitsuba scene; None for a capture of a live scene.
+        scene: Path of the Mitsuba scene; None for a scene that was not loaded from a file.
         defines: Values of the scene's ``-D`` parameters.
         shape: Id of the target; None selects the only candidate.
         exposures: One gain per view; empty if all are 1.
@@ -163,16 +163,16 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
     write_json(draft.folder / FILE, record)
 
 
-def stamps(places: Iterable[Path], apart: Callable[[Path], bool]) -> list[tuple[str, int, int]]:
+def stamps(places: Iterable[Path], skip: Callable[[Path], bool]) -> list[tuple[str, int, int]]:
     """Return path, size and modification time of each input file.
 
-    Folders are searched recursively, except those with ``apart(folder)``.
+    Folders are searched recursively, except those for which ``skip`` returns True.
     """
     stamped = []
     for place in places:
         files = [place]
         for folder, inner, names in os.walk(place):
-            inner[:] = [name for name in inner if not apart(Path(folder, name))]
+            inner[:] = [name for name in inner if not skip(Path(folder, name))]
             files += [Path(folder, name) for name in names]
         for path in sorted(files):
             parts = path.relative_to(place).parts

@@ -25,11 +25,11 @@ from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.sensors import describe
 from svu_mi.core.io.hashes import Key
 
-ALIKE = 1e-4  # tolerance between stored and computed vertex normals; above rounding errors
-# Lines "name = word" or "name = number" of Mitsuba's text form. Arrays are read as parameters.
+TOLERANCE = 1e-4  # tolerance between stored and computed vertex normals; above rounding errors
+# Lines "name = word" or "name = number" of str(object). Arrays are read as parameters.
 PRINTED = re.compile(r"^\s*([\w ]+) = ([A-Za-z]\w*\[?|[-+.\de]+),?$", re.MULTILINE)
 # File names are not content; the radius of a light is set by the last scene that used it.
-NOT_ITS_OWN = ("name", "filename", "radius")
+NOT_CONTENT = ("name", "filename", "radius")
 UNWRAPPED = ("faces", "vertex_positions", "vertex_texcoords")
 ADDRESS = re.compile(r"0x[0-9a-f]+|object_\d+")
 
@@ -69,7 +69,7 @@ def scene_key(scene: Any, target: Any) -> str:
 def integrator_key(scene: Any) -> str:
     """Return a digest of a scene's integrator: 32 hexadecimal digits."""
     integrator = scene.integrator()
-    hidden = getattr(integrator, "hide_emitters", None)  # missing in its text form
+    hidden = getattr(integrator, "hide_emitters", None)  # not part of str(integrator)
     return Key(ADDRESS.sub("", str(integrator)), hidden).digest()
 
 
@@ -152,7 +152,7 @@ def _light(scene: Any, uncertainty: LightUncertainty | None = None) -> Key:
 
 def _settings(node: Any) -> list[Any]:
     """Return settings that are not parameters, such as a distribution."""
-    return [entry for entry in PRINTED.findall(str(node)) if entry[0] not in NOT_ITS_OWN]
+    return [entry for entry in PRINTED.findall(str(node)) if entry[0] not in NOT_CONTENT]
 
 
 def _are_computed(mesh: Any, normals: np.ndarray) -> bool:
@@ -171,5 +171,7 @@ def _are_computed(mesh: Any, normals: np.ndarray) -> bool:
         weighted = np.arccos(np.clip(cosine, -1, 1))[:, None] * across
         for axis in range(3):
             total[:, axis] += np.bincount(faces[:, corner], weighted[:, axis], len(total))
-    sound = np.linalg.norm(total, axis=1) > ALIKE  # otherwise the normal is undefined
-    return bool(np.abs(unit_vectors(total) - normals.reshape(-1, 3))[sound].max(initial=0) < ALIKE)
+    sound = np.linalg.norm(total, axis=1) > TOLERANCE  # otherwise the normal is undefined
+    return bool(
+        np.abs(unit_vectors(total) - normals.reshape(-1, 3))[sound].max(initial=0) < TOLERANCE
+    )

@@ -51,12 +51,12 @@ class Window:
         return self.width, self.height
 
     def cut(self, plane: np.ndarray) -> np.ndarray:
-        """Return a view of the cropped pixels, (h shrink, w shrink, ...)."""
+        """Return a view of the cropped pixels, (h * shrink, w * shrink, ...)."""
         bottom = self.top + self.height * self.shrink
         return plane[self.top : bottom, self.left : self.left + self.width * self.shrink]
 
     def joined(self, plane: np.ndarray, join: np.ufunc) -> np.ndarray:
-        """Reduce blocks of a cropped plane, (h shrink, w shrink), to (h, w)."""
+        """Reduce the blocks of a cropped plane by ``join``, such as ``np.add``."""
         k = self.shrink
         if k == 1:
             return plane
@@ -67,13 +67,13 @@ class Window:
         return np.asarray(result)
 
     def averaged(self, plane: np.ndarray) -> np.ndarray:
-        """Return the block means (h, w) of a cropped plane (h shrink, w shrink)."""
+        """Return the means (h, w) of the blocks of a cropped plane."""
         if self.shrink == 1:
             return plane
         return self.joined(plane, np.add) / np.float32(self.shrink**2)
 
     def seen_by(self, sensor: Any) -> Any:
-        """Return the sensor of the result; ``sensor`` itself if nothing changes."""
+        """Return the sensor of the result; ``sensor`` itself if it is unchanged."""
         if self == Window.whole(film_size(sensor)):
             return sensor
         return windowed_sensor(sensor, (self.left, self.top), self.size, 1 / self.shrink)

@@ -135,7 +135,7 @@ class SensorPixels:
             on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))
             hits = dr.block_sum(dr.select(on_target, mi.UInt32(1), 0), MASK_GRID**2)
             part[span] = np.array(hits) / np.float32(MASK_GRID**2)
-        return self._apart(part)
+        return self._by_view(part)
 
     def traced(
         self, scene: Any, integrator: Any, wanted: Sequence[np.ndarray], spp: int, seed: int = 0
@@ -167,7 +167,7 @@ class SensorPixels:
             mean = [dr.block_sum(channel, spp) / spp for channel in color]
             dr.eval(mean)
             image[pixels] = np.stack([channel.numpy() for channel in mean], axis=1)
-        return self._apart(image)
+        return self._by_view(image)
 
     def _launches(self, pixels: np.ndarray, rays: int) -> Iterator[tuple[slice, Any]]:
         """Yield slices of ``pixels``, and a function that makes their rays.
@@ -185,7 +185,7 @@ class SensorPixels:
             )
             yield span, partial(pixel_rays, table, parts, rays)
 
-    def _apart(self, values: np.ndarray) -> list[np.ndarray]:
+    def _by_view(self, values: np.ndarray) -> list[np.ndarray]:
         """Split values (N, ...) of all pixels into V arrays (h, w, ...)."""
         return [
             values[begin:end].reshape(height, width, *values.shape[1:])

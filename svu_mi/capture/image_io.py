@@ -94,7 +94,7 @@ class ImageFile:
                 return int(image.getexif().get(ORIENTATION, 1)) > 1
 
     def remarks(self) -> list[str]:
-        """Describe metadata that is ignored, as clauses without a subject."""
+        """Return messages about ignored metadata, without the name of the file."""
         clauses = []
         if self.header.foreign:
             clauses.append(

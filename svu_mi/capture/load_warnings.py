@@ -27,14 +27,14 @@ ASSUMED = {
     "specular": 0.5, "eta": 1.5, "anisotropic": 0.0, "clearcoat": 0.0, "sheen": 0.0,
     "spec_tint": 0.0, "spec_trans": 0.0, "flatness": 0.0,
 }  # fmt: skip
-ALIKE = 1e-3  # tolerated difference from these values
-WRAPPERS = {  # names of unsupported BSDFs in Mitsuba's text form, and their description
+TOLERANCE = 1e-3  # tolerated difference from these values
+WRAPPERS = {  # names of unsupported BSDFs in str(bsdf), and their description
     "BumpMap[": "a bump map", "NormalMap[": "a normal map", "Mask[": "an opacity",
     "BlendBSDF[": "a blend of two materials", "Thin Principled": "a thin, transparent surface",
 }  # fmt: skip
 NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # prefix of parameters of nested BSDFs
 BLACK = 0.05  # largest reflectance of black cloth, paper or paint
-BESIDE = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brighten a dark BSDF
+HARMLESS = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brighten a dark BSDF
 SMALL = 0.01  # fraction of all directions; shapes that cover less are ignored
 SHAPES = 5  # shapes that a message lists by name
 MOST = 0.6  # share of back faces that causes a warning; 0.5 for a plate seen from both sides
@@ -124,7 +124,7 @@ def _of_material(bsdf: Any) -> Iterator[str]:
         name, _, kind = NESTED.sub("", key).partition(".")
         if name in ASSUMED and not kind.endswith("to_uv"):
             values = np.array(value, np.float64).ravel()
-            if np.abs(values - ASSUMED[name]).max(initial=0) > ALIKE:
+            if np.abs(values - ASSUMED[name]).max(initial=0) > TOLERANCE:
                 constant = kind in ("", "value")  # otherwise a texture
                 yield f"{name} {values[0]:.3g}" if constant else f"a {name} texture"
 
@@ -145,7 +145,7 @@ def _is_black(bsdf: Any) -> bool:
         return True
     colors = [*inputs.pop("reflectance", ()), *inputs.pop("diffuse_reflectance", ())]
     gloss = [((eta - 1) / (eta + 1)) ** 2 for eta in inputs.pop("eta", ())]  # typically 4 %
-    is_diffuse = bool(colors) and set(inputs) <= BESIDE  # other BSDFs have other parameters
+    is_diffuse = bool(colors) and set(inputs) <= HARMLESS  # other BSDFs have other parameters
     return is_diffuse and all((values <= BLACK).all() for values in [*colors, *gloss])
 
 

@@ -27,7 +27,7 @@ class Saturation:
 
     @staticmethod
     def of(over: np.ndarray, least: float) -> Saturation:
-        """Make a record from flags (H, W, 3), and one lower bound for all channels."""
+        """Make it from flags (H, W, 3), and one lower bound for all channels."""
         bits = np.array([1, 2, 4], np.uint8)
         return Saturation((over * bits).sum(axis=-1, dtype=np.uint8), np.full(3, least, np.float32))
 
@@ -37,7 +37,7 @@ class Saturation:
         return (self.channels[..., None] & np.array([1, 2, 4], np.uint8)) > 0
 
     def divided(self, gain: np.ndarray | np.floating) -> Saturation:
-        """Return the record of the photograph divided by a gain, a scalar or (3,)."""
+        """Return the saturation after division by a gain, a scalar or (3,)."""
         return replace(self, least=(self.least / gain).astype(np.float32))
 
 
@@ -67,7 +67,7 @@ class Rounding:
         return Rounding(np.full(3, first, np.float32), np.full(3, last, np.float32))
 
     def divided(self, gain: np.ndarray | np.floating | float) -> Rounding:
-        """Return the steps of the photograph divided by a gain, a scalar or (3,)."""
+        """Return the steps after division by a gain, a scalar or (3,)."""
         gain = np.asarray(gain, np.float64)
         return Rounding(
             (self.first / gain).astype(np.float32),

@@ -153,9 +153,9 @@ class _TexelFrames:
         first, second = pairs.T
         apart = _length(self.position[first] - self.position[second])
         longest = np.maximum(_length(step)[first], _length(step)[second])
-        return (apart <= REACH * longest) & self.alike(first, second)
+        return (apart <= REACH * longest) & self.same_side(first, second)
 
-    def alike(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    def same_side(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Return whether texels are on the same side of a sheet, by their normals."""
         return (self.normal[first] * self.normal[second]).sum(axis=-1) > OPPOSITE
 
@@ -194,7 +194,7 @@ def _seam_pairs(surface: _TexelFrames, right: np.ndarray, down: np.ndarray) -> n
     # Texels across the seam may be larger.
     longest = np.maximum(*map(_length, surface.steps))
     scale = np.maximum(_length(way)[:, None], longest[other])
-    usable = surface.alike(here, other) & ((gap * way[:, None]).sum(axis=-1) > 0)
+    usable = surface.same_side(here, other) & ((gap * way[:, None]).sum(axis=-1) > 0)
     usable &= (_length(gap) <= REACH * scale) & (distance <= scale)
     usable &= ~_within_steps(count, np.concatenate([right, down]), border, here, other)
     distance = np.where(usable, distance, np.inf)

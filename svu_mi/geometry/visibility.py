@@ -24,7 +24,7 @@ from svu_mi.geometry.sample_view import (
     sample_visible,
 )
 
-GLARE = 1e3  # upper limit of a texel's radiance in the mean, in medians of all texels
+MEAN_LIMIT = 1e3  # upper limit of a texel's radiance in the mean, in medians of all texels
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
     lit = total > 0
     if not lit.any():
         return 0.0
-    most = GLARE * np.median(total[lit] / samples[lit])
+    most = MEAN_LIMIT * np.median(total[lit] / samples[lit])
     return float(np.minimum(total, most * samples).sum() / samples.sum())
 
 

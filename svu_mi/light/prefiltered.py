@@ -167,7 +167,7 @@ class LightStack:
     def _at(self, level: Any, u: Any, v: Any) -> list[Any]:
         """Interpolate in one map, whose first and last rows are at the poles."""
         first, rows, columns = (dr.gather(mi.UInt32, self.tables, 3 * level + k) for k in range(3))
-        x = u * columns + 0.5  # includes the wrapped column
+        x = u * columns + 0.5  # column 0 is the wrapped one
         y = v * (rows - 1)
         left = dr.minimum(mi.UInt32(dr.detach(x)), columns)
         top = dr.minimum(mi.UInt32(dr.detach(y)), rows - 2)
