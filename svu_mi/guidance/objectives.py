@@ -1,13 +1,12 @@
 """Objectives of a forecast: entropy of a texel, or variance of its parameters.
 
-Each is a mean over truths psi_0 of a sum over rows (roughness and metallic). Energies are relative
-to the row of psi_0. Base colours are integrated in closed form per channel. Given a row and a truth
-of colour c_0,
+Each is a mean over truths psi_0 of a sum over rows (roughness and metallic), with energies relative
+to the row of psi_0. Base colours c are integrated in closed form per channel, for a truth c_0:
 
     E(c) = A x^2 - 2 B x + C,    x = c - c_0,
 
-where A, B, C sum w slope^2, w slope rest, w rest^2 over the views, in units of 2 s^2 tau, and
-``rest`` is the difference of radiance at c_0. Entropies are computed from the grid's cell masses.
+where A, B, C sum w slope^2, w slope rest, w rest^2 over the views, in units of 2 s^2 tau. ``rest``
+is the difference of radiance at c_0. Entropies are computed from the grid's cell masses.
 """
 
 from __future__ import annotations
