@@ -56,7 +56,7 @@ SELECTION = Selection(cases=CASES, variants=VARIANTS)
 
 @pytest.fixture(scope="module", params=[pytest.param("all", marks=pytest.mark.slow)])
 def finished(tmp_path_factory):
-    """Every benchmark on one cell: where, and the record."""
+    """Run of every benchmark on one case, and its records."""
     bench = BenchRun(tmp_path_factory.mktemp("bench"), SIZES, quick=True)
     with pytest.MonkeyPatch.context() as patch:
         for name, short in SHORT.items():
@@ -101,7 +101,7 @@ def test_figures_tables_and_plots_are_written(finished, root):
         assert picture.width > 600
 
 
-def test_what_is_stored_is_all_that_a_second_run_needs(finished):
+def test_stored_results_are_complete(finished):
     bench, record = finished
     for name in ON_SCENES:
         study = import_module(f"svu_mi.bench.{name}").STUDY
@@ -126,7 +126,7 @@ def test_accuracy_has_every_figure_in_its_range(finished):
     assert kinds == ["estimator", "sanity", "sanity", "reference"]
 
 
-def test_run_times_of_one_cell(finished):
+def test_run_times_of_one_case(finished):
     (case,) = finished[1]["speed"]["cells"]
     parts = case["rows"]
     ((label, times),) = parts["estimators"].items()
@@ -155,7 +155,7 @@ def test_every_way_of_recovery_has_figures(finished):
         assert case["truth_relit"]["psnr_ldr"] > row["relit"]["psnr_ldr"]
 
 
-def test_every_strategy_adds_views_that_are_judged(finished):
+def test_every_strategy_adds_scored_views(finished):
     (run,) = finished[1]["guidance"]["cells"]
     assert (run["cell"], run["kind"], len(run["start"])) == ("vase / window", "one-sided", 2)
     assert len(run["agreement"]["gains"]) == len(run["agreement"]["changes"]) == 3
@@ -190,13 +190,13 @@ def test_true_textures_have_no_error_and_others_do(capture, tmp_path):
 
 
 def test_the_truth_under_its_own_light_is_the_photograph(capture):
-    """Relit by the light of the photographs, with the same samples: the same picture."""
+    """With the light and the samples of the photographs, relit pictures are equal."""
     relit = RelightingScorer.of(capture, CASES[0], 6, SIZES.spp, SIZES.seed)
     for picture, photograph, mask in zip(relit.truth, capture.images, relit.masks, strict=True):
         np.testing.assert_allclose(picture[mask], photograph[mask], rtol=2e-3)  # half floats
 
 
-def test_bars_tell_a_hit_from_a_miss(finished):
+def test_bars_separate_met_and_missed_limits(finished):
     record = json.loads(json.dumps(finished[1]["recovery"], default=vars))
     rows = record["cells"][0]["rows"]
 
@@ -211,7 +211,7 @@ def test_bars_tell_a_hit_from_a_miss(finished):
     assert part.value == pytest.approx(1 / 16) and part.holds
     assert not bars(20.6)[0].holds
     del rows[PATH.label]
-    assert [bar.limit for bar in find_bars(record)] == [0, 1]  # those of the paper's
+    assert [bar.limit for bar in find_bars(record)] == [0, 1]  # comparisons with the paper
 
 
 # --- guidance -----------------------------------------------------------------------------
@@ -219,7 +219,7 @@ def test_bars_tell_a_hit_from_a_miss(finished):
 MARKS = (1, 2, 4)
 
 
-def test_views_needed_is_where_a_curve_crosses_for_good():
+def test_views_needed_is_the_last_crossing():
     assert views_needed(MARKS, [10, 10.5, 11.5, 12], 1.0) == pytest.approx(1.5)
     assert views_needed(MARKS, [10, 11.5, 10.5, 12], 1.0) == pytest.approx(2 + 2 / 3)
     assert views_needed(MARKS, [10, 12, 12, 12], 1.0) == pytest.approx(0.5)
@@ -227,7 +227,7 @@ def test_views_needed_is_where_a_curve_crosses_for_good():
 
 
 def runs_of(first, second, starts=1):
-    """Runs of two strategies in as many cells as there are rows; a start per column."""
+    """Return runs of two strategies; rows are cases, columns are initial sets."""
     return [
         {"cell": f"cell {c} {s}", "object": f"object {c}", "rows": {
             name: {"psnr": [0, *rows[c][s]], "entropy": [0, *(-x for x in rows[c][s])]}
@@ -236,7 +236,7 @@ def runs_of(first, second, starts=1):
     ]  # fmt: skip
 
 
-def test_starts_of_an_object_are_no_independent_samples():
+def test_runs_of_an_object_are_averaged():
     rng = np.random.default_rng(0)
     first, second = (rng.normal(1, 0.2, (6, 2, 2)).tolist() for _ in range(2))
     sizes = GuidanceSizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
@@ -249,14 +249,14 @@ def test_starts_of_an_object_are_no_independent_samples():
     assert entropy["difference"] == pytest.approx(comparison["difference"])  # lower is better there
 
 
-def test_who_never_gets_there_needs_at_least_all_views():
+def test_a_strategy_below_the_step_needs_all_views():
     sizes = GuidanceSizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
     runs = runs_of([[[1.0, 2.0]]], [[[0.1, 0.2]]])
     assert views_ratio(runs, sizes, "entropy", "random") == pytest.approx(2)
     assert np.isnan(views_ratio(runs, sizes, "random", "entropy"))
 
 
-def test_farthest_is_the_library_s_own(finished, capture):
+def test_farthest_uses_the_sampling_of_guidance(finished, capture):
     bench, record = finished
     (run,) = record["guidance"]["cells"]
     sided, even = (ViewSelectionCase(bench, CASES[0], 0, kind) for kind in ("one-sided", "even"))

@@ -43,7 +43,7 @@ class Letter:
 
 @dataclass(frozen=True)
 class Word:
-    """A case that counts letters, and lists what was measured; a dot cannot be measured."""
+    """A case that counts letters and lists its measurements; a dot is an error."""
 
     name: str
     rows: tuple[Letter, ...]
@@ -70,7 +70,7 @@ class Word:
 
 
 def run_words(bench, *words, letters="ab", reports=None, whole=False):
-    """The record, and what was measured of each word."""
+    """Return the record, and the measurements of each word."""
     subjects = [Word(name, tuple(map(Letter, letters))) for name in words]
     record = Experiment("words", subjects, whole).run(bench, reports)
     return record, [subject.measured for subject in subjects]
@@ -81,7 +81,7 @@ def bench(tmp_path):
     return BenchRun(tmp_path)
 
 
-def test_every_row_of_every_cell_is_measured_and_told(bench):
+def test_every_row_of_every_case_is_measured(bench):
     reports = []
     record, measured = run_words(
         bench, "abba", "bar", reports=lambda record: reports.append(len(record["cells"]))
@@ -94,7 +94,7 @@ def test_every_row_of_every_cell_is_measured_and_told(bench):
     assert measured == [["head", "a", "b"]] * 2
 
 
-def test_what_is_finished_is_not_measured_again(bench):
+def test_finished_rows_are_not_measured_again(bench):
     first, _ = run_words(bench, "abba")
     again, measured = run_words(bench, "abba", "bar", letters="abr")
     assert measured == [["r"], ["head", "a", "b", "r"]]
@@ -103,14 +103,14 @@ def test_what_is_finished_is_not_measured_again(bench):
     assert measured == [["head", "a", "b"]]
 
 
-def test_an_interrupted_run_goes_on_where_it_stopped(bench):
+def test_an_interrupted_run_is_continued(bench):
     with pytest.raises(KeyboardInterrupt):
         run_words(bench, "abba", "bar", letters="a!b")
     record, measured = run_words(bench, "abba", "bar")
     assert measured == [["b"], ["head", "a", "b"]] and len(record["cells"]) == 2
 
 
-def test_results_of_another_version_are_taken_up_only_if_asked_for(bench, monkeypatch):
+def test_results_of_another_version_need_an_option(bench, monkeypatch):
     run_words(bench, "abba")
     monkeypatch.setattr(experiment, "code_now", lambda: "other")
     for how in ({"keep": True}, {"stored": True}):
@@ -123,7 +123,7 @@ def test_results_of_another_version_are_taken_up_only_if_asked_for(bench, monkey
     assert measured == [[], []] and list(record["cells"][0]["rows"]) == ["a", "b"]
 
 
-def test_what_cannot_be_measured_is_told_and_left_out(bench):
+def test_failed_rows_are_reported_and_skipped(bench):
     with pytest.warns(SvuWarning, match="the word abba: [.] is skipped: a dot"):
         record, _ = run_words(bench, "abba", letters="a.")
     assert record["failed"] == [{"cell": "the word abba: .", "reason": "a dot"}]
@@ -135,8 +135,8 @@ def test_what_cannot_be_measured_is_told_and_left_out(bench):
     assert "| the word abba: . | a dot |" in text and "3 versions of the code" in text
 
 
-def test_a_module_and_a_line_are_a_benchmark(bench, monkeypatch):
-    """What CONTRIBUTING.md says: its name among ``BENCHMARKS``, and a module with a ``STUDY``."""
+def test_a_module_and_a_line_add_a_benchmark(bench, monkeypatch):
+    """As in CONTRIBUTING.md: a name in ``BENCHMARKS``, and a module with a ``STUDY``."""
     letters = (Letter("a"),)
     module = ModuleType("svu_mi.bench.words")
     module.STUDY = Study(
@@ -166,10 +166,10 @@ def test_a_record_counts_only_under_its_key(tmp_path):
         assert store.load("x", key) is None
 
 
-# --- what is run --------------------------------------------------------------------------
+# --- selection -----------------------------------------------------------------------------
 
 
-def test_an_unknown_benchmark_is_one_line(tmp_path, capsys, variant):
+def test_an_unknown_benchmark_is_refused(tmp_path, capsys, variant):
     assert main(["bench", "power", "-o", str(tmp_path)]) == 2
     assert f"use one of {', '.join(BENCHMARKS)}, all" in capsys.readouterr().err
     assert main(["bench", "recovery", "--rows", "poth", "--stored", "-o", str(tmp_path)]) == 2
@@ -195,7 +195,7 @@ def test_bad_folders_end_with_one_line_and_status_2(tmp_path, capsys, variant):
 
 
 @pytest.mark.slow
-def test_photographs_with_other_settings_are_rendered_anew(tmp_path, monkeypatch):
+def test_photographs_with_other_settings_are_rendered_again(tmp_path, monkeypatch):
     rendered, render = [], captures.render_capture
     monkeypatch.setattr(captures, "render_capture",
                         lambda *a, **k: rendered.append(1) or render(*a, **k))  # fmt: skip
@@ -204,7 +204,7 @@ def test_photographs_with_other_settings_are_rendered_anew(tmp_path, monkeypatch
     for settings, count in ((small, 1), (small, 1), (replace(small, spp=2), 2)):
         whole = capture_of(case, settings, tmp_path / "capture", Progress())
         assert len(rendered) == count
-    (tmp_path / "capture" / "bench.json").write_text("{")  # a broken mark is no mark
+    (tmp_path / "capture" / "bench.json").write_text("{")  # a damaged mark is ignored
     capture_of(case, replace(small, spp=2), tmp_path / "capture", Progress())
     assert len(rendered) == 3
     half = even_views(whole, 3)  # evenly
@@ -241,7 +241,7 @@ def pictures():
 
 
 def parameters_at(folder, uvs):
-    """What Mitsuba's scene of the folder has at UVs."""
+    """Return the parameters of Mitsuba's scene of the folder at UVs."""
     light = scenes.FOLDER / "lights" / "studio.exr"
     scene = load_scene(scenes.path("object"), {"object": str(folder), "environment": str(light)})
     si = mi.SurfaceInteraction3f()
@@ -342,7 +342,7 @@ def test_a_posterior_at_the_truth_is_judged_perfect():
         score_posterior(p[:, :4], axes, truth, rng.random(30), kept)
 
 
-def test_a_bar_holds_on_its_own_side():
+def test_a_bar_is_an_upper_or_a_lower_limit():
     assert Bar("time", 1.0, 2.0, "s").holds
     assert not Bar("time", 3.0, 2.0, "s").holds
     assert Bar("rate", 3.0, 2.0, least=True).holds

@@ -90,7 +90,7 @@ def written(tmp_path):
     return tmp_path, mesh, captures
 
 
-def test_what_is_written_is_read(written):
+def test_a_written_data_set_is_read(written):
     root, mesh, (capture, _) = written
     path = root / "blender_HDR" / capture.name
     source = read_orb(path)
@@ -112,7 +112,7 @@ def test_what_is_written_is_read(written):
     np.testing.assert_allclose(rows["vn"], np.stack([x, -z, y], axis=-1), atol=1e-7)
 
 
-def test_eight_bits_are_read_like_floats(written):
+def test_eight_bit_photographs_match_floats(written):
     root, _, (capture, _) = written
     high, low = (read_orb(root / kind / capture.name) for kind in ("blender_HDR", "blender_LDR"))
     for a, b in zip(high.frames, low.frames, strict=True):
@@ -159,7 +159,7 @@ def test_svu_import_recognises_it(written):
         read_views(root, "train")
 
 
-def test_without_ground_truth_there_is_neither_mesh_nor_light(written):
+def test_ground_truth_is_required_for_mesh_and_light(written):
     root, _, (capture, _) = written
     shutil.rmtree(root / "ground_truth")
     source = read_orb(root / "blender_HDR" / capture.name)
@@ -204,7 +204,7 @@ def test_a_mesh_is_written_with_normals_and_uvs(written, tmp_path):
 
 
 def pictures():
-    """A photograph, a picture of it, and a mask that reaches one border."""
+    """Return a photograph, a rendered picture, and a mask that reaches one border."""
     rng = np.random.default_rng(330917452)
     truth = rng.uniform(size=(14, 17, 3)) * 3
     picture = truth * [0.5, 1, 2] + rng.uniform(size=truth.shape) * 0.2
@@ -223,7 +223,7 @@ def decibels(a, b):
     return -10 * np.log10(np.mean((a - b) ** 2))
 
 
-def test_psnr_is_of_the_whole_picture_with_channels_scaled_on_the_eroded_mask():
+def test_psnr_scales_channels_on_the_eroded_mask():
     picture, truth, mask, inside = pictures()
     for scaled in (True, False):
         a, b = (np.where(inside[..., None], x, 0) for x in (picture, truth))
@@ -242,7 +242,7 @@ def test_psnr_is_of_the_whole_picture_with_channels_scaled_on_the_eroded_mask():
     assert error.psnr_hdr is None
 
 
-def test_no_picture_is_worse_than_grey():
+def test_psnr_is_at_least_that_of_grey():
     picture, truth, mask, inside = pictures()
     truth = truth / 30
     bad = orb_error(np.full_like(picture, 1e3), truth, mask, scaled=False)
@@ -251,7 +251,7 @@ def test_no_picture_is_worse_than_grey():
     assert bad.psnr_ldr == pytest.approx(decibels(grey, low), abs=1e-9)
 
 
-def test_what_cannot_be_compared_is_refused():
+def test_invalid_pictures_are_refused():
     picture, truth, mask, _ = pictures()
     with pytest.raises(ShapeError, match="Two .H, W, 3. pictures"):
         orb_error(picture[:5], truth, mask, scaled=True)
@@ -260,12 +260,12 @@ def test_what_cannot_be_compared_is_refused():
     truth[7, 7] = np.nan
     with pytest.raises(OptionError, match="the true picture has 3 values"):
         orb_error(picture, truth, mask, scaled=True)
-    truth[7, 7], truth[0, 0] = 1, np.nan  # outside, nobody looks
+    truth[7, 7], truth[0, 0] = 1, np.nan  # outside of the mask
     black = orb_error(picture * [1, 0, 1], truth, mask, scaled=True)
     assert np.isfinite([black.psnr_hdr, black.ssim]).all()
 
 
-def test_lpips_is_asked_where_it_is_installed(monkeypatch):
+def test_lpips_is_computed_if_installed(monkeypatch):
     """Stand-ins for ``torch`` and the network: mean squared difference."""
 
     def distance(a, b, normalize):
@@ -344,7 +344,7 @@ def test_normals_of_the_scan_are_computed_anew(setting):
     assert np.einsum("fi,fi->f", face, mesh.normals[mesh.faces].mean(axis=1)).mean() > 0.9
 
 
-def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting):
+def test_true_textures_under_their_light_match_photographs(setting):
     textures = true_textures()
     scores = setting.score(textures, "truth")
     assert scores["light"]["mean"]["psnr_ldr"] > 40 and scores["light"]["mean"]["psnr_hdr"] > 30
@@ -373,7 +373,7 @@ def test_recovered_textures_are_far_better_than_grey(record):
     assert {one["capture"] for one in recovered["view"]["single"]} == {FIRST}
 
 
-def test_everything_is_written(record, folder):
+def test_record_csv_and_pictures_are_written(record, folder):
     stored = json.loads((folder / "orb.json").read_text())
     assert stored["cells"][0]["name"] == FIRST
     with (folder / "orb.csv").open(encoding="utf-8") as stream:
@@ -388,11 +388,11 @@ def test_everything_is_written(record, folder):
     assert (folder / "orb" / FIRST / "sh_ours.png").stat().st_size > 5000
 
 
-def test_what_is_finished_is_kept(record, data, folder):
+def test_finished_results_are_kept(record, data, folder):
     assert run(folder, data, stored=True)["cells"] == record["cells"]
 
 
-def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeypatch):
+def test_an_unreadable_capture_is_skipped(record, data, folder, monkeypatch):
     head = OrbCase.head
 
     def torn(self):
@@ -407,7 +407,7 @@ def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeyp
     assert record["failed"] == [{"cell": SECOND, "reason": "torn"}]
 
 
-def test_a_test_needs_its_light_and_its_mask(data):
+def test_a_test_photograph_needs_light_and_mask(data):
     view = read_views(data / "blender_HDR" / FIRST, "test")[0]
     with pytest.raises(CaptureError, match="0012.exr: the environment map is missing"):
         Target.of(replace(view, light=None), 48)
@@ -422,7 +422,7 @@ def test_a_test_needs_its_light_and_its_mask(data):
     np.testing.assert_allclose(small.photograph, whole, rtol=1e-5)
 
 
-def test_names_are_looked_up_before_anything_is_run(data):
+def test_names_are_checked_before_a_run(data):
     folders = find_captures(data)
     assert chosen_captures(folders, ["vase"]) == chosen_captures(folders, []) == folders
     assert [path.name for path in chosen_captures(folders, [SECOND])] == [SECOND]
@@ -435,7 +435,7 @@ def test_names_are_looked_up_before_anything_is_run(data):
     assert all(row.options()[1].max_depth is None for row in ROWS)
 
 
-def test_without_the_data_set_our_own_scenes_are_rendered_once(tmp_path, monkeypatch):
+def test_own_scenes_replace_the_data_set(tmp_path, monkeypatch):
     rendered = []
 
     def note(root, cases, sizes, progress):

@@ -91,7 +91,7 @@ def measured(imported: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_photographs_of_a_phone_are_predicted_from_each_other(measured):
+def test_photographs_of_a_phone_are_predicted(measured):
     (case,) = json.loads((measured / "real.json").read_text())["cells"]
     rows = case["rows"]
     assert (case["photographs"], case["left_out"]) == (VIEWS, VIEWS // 4)
@@ -103,7 +103,7 @@ def test_photographs_of_a_phone_are_predicted_from_each_other(measured):
 
 
 @pytest.mark.slow
-def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, capsys, monkeypatch):
+def test_check_reports_estimated_gains(imported, tmp_path, capsys, monkeypatch):
     few = svu.LightOptions(texels=400, depths=((256, 8),), draws=2)
     monkeypatch.setattr(resolve_light, "OPTIONS", few)
     words = ("check", imported, "--gains", "estimate", "-o", tmp_path)
@@ -116,7 +116,7 @@ def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, cap
     assert "Using the estimated light" in " ".join(capsys.readouterr().out.split())
 
 
-def test_without_a_capture_there_is_nothing_to_run(tmp_path):
+def test_the_real_benchmark_needs_a_capture(tmp_path):
     with pytest.raises(OptionError, match="No capture given"):
         run_bench(
             BenchRun(tmp_path / "out"), ["real"], Selection(cases=own_cases(["vase"], ["window"]))
@@ -125,7 +125,7 @@ def test_without_a_capture_there_is_nothing_to_run(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_is_no_real_capture_is_refused(imported, tmp_path, capsys):
+def test_an_invalid_real_capture_is_refused(imported, tmp_path, capsys):
     out = ("-o", tmp_path / "out")
     assert "needs a capture" in fails(capsys, "bench", "real", *out)
     assert "no such file" in fails(capsys, "bench", "real", tmp_path / "none", *out)
@@ -140,8 +140,8 @@ def test_what_is_no_real_capture_is_refused(imported, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
-    """Squared errors of every view, one by one, add up to those of the sums."""
+def test_predictions_equal_the_model_of_the_statistics(vase):
+    """The squared errors of single views add up to the squared errors of the statistics."""
     observed, switches = vase.estimate.observed, preset("default", method="angular")
     number = np.flatnonzero(observed.coverage == observed.coverage.max())[:40]
     levels = np.linspace(0, 1, switches.levels)
@@ -167,7 +167,7 @@ def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
 
 
 def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
-    """What every view shows of some texels: whether it does, and radiance."""
+    """Return visibility and radiance of some texels in every view."""
     from svu_mi.core.arrays import to_drjit
     from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 
@@ -181,7 +181,7 @@ def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
     return samples
 
 
-def test_between_levels_it_is_what_the_posterior_goes_by():
+def test_predictions_interpolate_between_levels():
     levels = np.linspace(0, 1, 8)
     shares = np.stack([x.numpy() for x in shares_of(np.array([0.07, 0.5, 1.0]), levels)], axis=1)
     near, weights = spline_weights(np.array([0.07, 0.5, 1.0]), levels)
@@ -193,7 +193,7 @@ def test_between_levels_it_is_what_the_posterior_goes_by():
     assert shares[0].min() < 0  # not linear
 
 
-def test_the_same_point_of_view_gives_the_same_and_compiles_nothing_new(vase):
+def test_equal_views_are_equal_and_compile_no_kernels(vase):
     observed = vase.estimate.observed
     number = observed.seen[:200]
     prediction = Prediction.of(vase.estimate, number, draws=2)
@@ -207,7 +207,7 @@ def test_the_same_point_of_view_gives_the_same_and_compiles_nothing_new(vase):
     np.testing.assert_array_equal(first, again)
 
 
-def test_diffuse_texels_look_the_same_from_everywhere_but_for_grazing_angles(vase):
+def test_diffuse_radiance_varies_at_grazing_angles_only(vase):
     observed, switches = vase.estimate.observed, preset("default", method="angular")
     white = diffuse_seen_from(observed, switches, observed.seen[:200])
     center = np.array([0.0, 0.5, 0.0])
@@ -216,7 +216,7 @@ def test_diffuse_texels_look_the_same_from_everywhere_but_for_grazing_angles(vas
     np.testing.assert_allclose(np.median(near / np.maximum(far, 1e-9)), 1, rtol=0.2)
 
 
-def test_what_is_no_calibrated_posterior_predicts_nothing(vase):
+def test_prediction_requires_a_calibrated_posterior(vase):
     fixed = svu.estimate(vase.estimate, preset="fixed")
     fast = svu.estimate(vase.estimate, preset="fast")
     for estimated in (fixed, fast):  # without noise, and in grey
@@ -227,7 +227,7 @@ def test_what_is_no_calibrated_posterior_predicts_nothing(vase):
 # --- scores -----------------------------------------------------------------------------------
 
 
-def test_a_gain_is_of_no_matter():
+def test_gains_do_not_affect_scores():
     rng = np.random.default_rng(0)
     right = rng.uniform(0.1, 1, (400, 3))
     gain = np.array([0.5, 2.0, 1.5])
@@ -240,15 +240,15 @@ def test_a_gain_is_of_no_matter():
     assert record["holds"] == {} and score.predicted[0].shape == ((~score.first).sum(), 3)
 
 
-def test_r_squared_of_the_mean_is_none():
+def test_r_squared_of_the_mean_is_zero():
     shown = np.random.default_rng(1).uniform(0, 1, (100, 3))
     mean = np.broadcast_to(shown.mean(axis=0), shown.shape)
     assert r_squared([mean], [shown]) == pytest.approx(0)
     assert r_squared([mean + 1], [shown]) < 0
 
 
-def test_that_photographs_differ_in_brightness_is_no_prediction():
-    """What knows nothing of the texels has no R^2, however photographs are exposed."""
+def test_brightness_of_photographs_does_not_affect_scores():
+    """R^2 is 0 without differences between texels, for any exposures of the photographs."""
     rng, score = np.random.default_rng(3), Score.start(400)
     for gain in np.exp(rng.normal(0, 0.7, 12)):
         shown = gain * rng.uniform(0.1, 1, (400, 3))
@@ -266,7 +266,7 @@ def test_a_black_photograph_is_not_scored():
 
 
 @pytest.mark.parametrize(("claimed", "low", "high"), [(0.1, 0.88, 0.92), (0.03, 0.2, 0.5)])
-def test_intervals_hold_as_often_as_noise_is_what_it_is_said_to_be(claimed, low, high):
+def test_coverage_of_intervals_depends_on_the_claimed_noise(claimed, low, high):
     rng = np.random.default_rng(2)
     right = rng.uniform(0.5, 1, (8000, 3))
     score = Score.start(8000)

@@ -58,7 +58,7 @@ TINY = {
     [("calibration", 1, 3), ("light", 1, 1), ("paper", 3, None), ("paths", 1, 1),
      ("scaling", 1, 4), ("sureness", 1, 4)],
 )  # fmt: skip
-def test_a_study_finds_figures_for_every_row(name, cases, rows, tmp_path, monkeypatch):
+def test_a_study_measures_every_row(name, cases, rows, tmp_path, monkeypatch):
     for module, changes in TINY.items():
         for constant, value in changes.items():
             monkeypatch.setattr(module, constant, value)
@@ -107,7 +107,7 @@ def test_the_survey_and_both_bare_ways_trace_the_same_rays():
     assert len(free) == 1 and 0 < free.pop() < rays.count
 
 
-def test_the_clock_sees_kernels_and_compilation():
+def test_run_counts_kernels_and_compilation():
     factor = 1 + np.random.default_rng().random()  # a literal no cache has seen
 
     def function():
@@ -121,13 +121,13 @@ def test_the_clock_sees_kernels_and_compilation():
 
 
 @pytest.mark.slow
-def test_a_failed_process_says_why(tmp_path):
+def test_a_failed_process_reports_its_error(tmp_path):
     with pytest.raises(SvuEnvironmentError, match="failed in a new process: .*nowhere"):
         arguments = {"source": str(tmp_path / "nowhere"), "resolution": 8, "method": "angular"}
         in_new_process(run_from_files, **arguments)
 
 
-def test_a_line_is_fitted_and_the_exponent_of_the_upper_half():
+def test_line_and_exponent_are_fitted():
     fit = line([1, 2, 4, 8], [5.0, 7.0, 11.0, 19.0])
     assert (fit["a"], fit["b"], fit["r2"]) == pytest.approx((3, 2, 1))
     assert line([1, 2, 4, 8], [1, 4, 16, 64])["slope"] == pytest.approx(2)
