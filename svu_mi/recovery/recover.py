@@ -59,8 +59,8 @@ def recover(
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
 
     Args:
-        source: Capture, or its estimate. ``sh`` starts from the posterior of the estimate, which is
-            recomputed unless it is RGB. Known parameters of the estimate stay fixed.
+        source: Capture, or its estimate. ``sh`` starts at the estimate's posterior means; other
+            posteriors than the RGB default are recomputed. Known parameters stay fixed.
         texels: Texels of ``capture.mesh``, one per texture pixel; optional with an estimate.
         method: ``sh`` compares photographs with a reflection model, ``path`` with renderings by
             Mitsuba's ``prb``; ``sh+path`` runs ``sh``, then one epoch of ``path``.
@@ -76,7 +76,7 @@ def recover(
         sh: Options of ``sh``, override the preset.
         path: Options of ``path``, override the preset.
         checkpoint: File (.npz) to which the state of the last descent is saved.
-        resume: Continue from ``checkpoint`` if the file exists.
+        resume: True to continue from ``checkpoint`` if the file exists.
         checkpoint_seconds: Seconds between saved states.
         progress: Display of stages; collects timings.
 

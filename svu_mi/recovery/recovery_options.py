@@ -73,23 +73,23 @@ class ShOptions:
 
     Attributes:
         loss: Data loss. ``statistics`` (default): likelihood of the calibrated posterior, at a cost
-            independent of the number of photographs. Losses of the paper: ``angular`` (mean
-            absolute error of radiance), ``coefficients`` and ``spectrum`` (of SH expansions).
-        closed_form: Start at the smoothed posterior means (default) instead of 0.5
-            (``statistics`` only). Disable to test the dependence on the start.
+            independent of the number of photographs. To reproduce the paper: ``angular`` (mean
+            absolute error of radiance), ``coefficients`` or ``spectrum`` (of SH expansions).
+        closed_form: True (default) to start at the smoothed posterior means, False for 0.5
+            (``statistics`` only). Disable it to test the dependence on the start.
         smoothing: Descent that smooths this start (240 steps, rate 0.05); skipped if ``tv`` is 0.
         robust: Number of re-weighting passes, 0 to 20 (default 0), that bring the squared error
-            closer to an absolute error (``statistics`` only). 2 or 3 suppress outliers.
+            closer to an absolute error (``statistics`` only). Use 2 or 3 against outliers.
         tv: Weight of total variation, >= 0 (default 0.6). Unit with ``statistics``: nats per texel,
             times the square root of the number of texels. Raise it for noisy textures.
-        tv_space: Neighbours: on the ``surface`` (default), across chart seams; or in the
-            ``texture``, right and below, as in the paper.
+        tv_space: Space of neighbours: ``surface`` (default), across chart seams; or, as in the
+            paper, ``texture``: the texels to the right and below.
         tv_epsilon: Difference, >= 0 in parameter units, below which total variation is quadratic
             (default 0.01). 0 for absolute values, as in the paper.
         sharing: Weight of a ``GlobalSharing``, >= 0 (default 160). Raise it to pull uncertain
             texels harder. 0 disables all sharing; a common prior ignores other values.
-        common_prior: Share by a learned prior of all texels (default;
-            ``posterior/empirical_bayes.py``). If False, by Eq. 14 and 15 of the paper with the
+        common_prior: True (default) to share by a learned prior of all texels
+            (``posterior/empirical_bayes.py``). False for Eq. 14 and 15 of the paper, with the
             posterior of Eq. 11.
         descent: Options of the descent (100 steps, rate 0.02).
 
@@ -134,14 +134,14 @@ class PathOptions:
             value of the scene's integrator.
         loss: Loss of a pixel: ``l2`` (default); ``l1``, as in the paper; or ``relative`` (l2
             divided by squared radiance), which weights dark pixels more, but is biased by noise.
-        halves: Use each half of a pixel's paths for the gradient of the other half: two passes
-            per batch instead of three (default). Needs an even ``spp``.
+        halves: True (default) to use each half of a pixel's paths for the gradient of the other:
+            two passes per batch instead of three, if ``spp`` is even. Disable it for ``l1``.
         tv: Weight of total variation, >= 0 (default 2). Raise it for noisy textures.
         tv_space, tv_epsilon: See ``ShOptions``.
         sharing: Weight of sharing, >= 0 (default 8); 0 disables it.
-        common_prior: Pull texels towards their posterior means under a learned prior (default);
-            if False, see ``ShOptions``.
-        seed: Seed of batches and paths, 0 to 2^32 - 1 (default 0). Change it to measure noise.
+        common_prior: True (default) to pull texels towards their posterior means under a learned
+            prior; for False, see ``ShOptions``.
+        seed: Seed of batches and paths, 0 to 2^32 - 1 (default 0). Vary it to measure noise.
         descent: Options of the descent (rates 0.05 to 0.001; roughness and metallic a fifth).
 
     Example:

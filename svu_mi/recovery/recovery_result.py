@@ -27,7 +27,7 @@ class Recovery:
         coverage: (T,) uint32, number of photographs that show each texel. Texels with 0 take
             values from neighbours and, with sharing, from similar texels.
         losses: (N,) float32, loss before each of the N steps of the last descent.
-        stopped: Reason of the end of the descent: ``finished`` or ``converged``.
+        stopped: ``finished`` if the descent took all steps, ``converged`` if it stopped early.
         settings: All settings that affect the result, except for the capture.
         timings: Seconds per stage, including the work of the device.
         estimate: Per-texel posterior, with a common prior if shared; None if unused (``path``,

@@ -37,7 +37,7 @@ class GlobalSharing(Regularizer):
         L_S(psi) = 1/T sum over texels p, sum over seeds q of w_pq |psi_p - psi_q|^2   (Eq. 14)
         w_pq = exp(-KL_pq^2 / (2 tau'^2)),  tau' = tau times the mean of all KL_pq     (Eq. 15)
 
-    The object is a function of a texture that can be added to any loss. Weights are constants that
+    Call an instance with a texture, and add the result to any loss. Weights are constants that
     follow from the posteriors P; values psi_q are read from the texture. Weights are not
     normalised: texels similar to no seed are not changed. The weight of an unseen texel hardly
     depends on the seed, because its posterior is the prior.

@@ -25,7 +25,7 @@ class TotalVariation(Regularizer):
         TV(psi) = 1/P sum over pairs (i, j), sum over channels of
                   sqrt((psi_i - psi_j)^2 + epsilon^2) - epsilon
 
-    The object is a function of a texture that can be added to any loss (weight 1e-2 in the paper).
+    Call an instance with a texture, and add the result to any loss (weight 1e-2 in the paper).
     Unseen texels are included, so that values of neighbours spread into them.
 
     With a mesh, neighbours are adjacent on the surface: across seams of UV charts, but not between

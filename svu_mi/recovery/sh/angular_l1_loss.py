@@ -44,7 +44,7 @@ class AngularObjective:
         surface: The S texels visible in at least one view.
         visibility: Texel-view visibility.
         switches: Options of the reflection model.
-        light: Environment map around the mirror direction of each texel.
+        light: Light that the texels reflect into their views, for the SH fit (Eq. 12).
         moments: Moments of the diffuse irradiance, 8 Floats (S,) per channel.
         place: (S,) UInt32, flat index of each texel in a texture.
         factor: Opaque Float, 1 / (n C unit).

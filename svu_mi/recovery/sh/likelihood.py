@@ -169,7 +169,7 @@ def _map_values(do: Callable[..., Any], *values: Values) -> Values:
 
 @dataclass(frozen=True)
 class SmoothedStart:
-    """Loss whose minimum are the smoothed posterior means of T texels.
+    """Loss whose minimiser is the smoothed posterior mean of T texels.
 
         sum over texels, channels of w / S (x - m)^2  +  lambda TV(x)
 
