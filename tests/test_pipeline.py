@@ -151,7 +151,7 @@ def test_unknown_methods_and_maps_are_refused(glossy):
         estimate(capture, texels, method="magic")
     with pytest.raises(OptionError, match="Unknown preset 'best'"):
         estimate(capture, texels, preset="best")
-    with pytest.raises(OptionError, match="no map 'roughness'"):
+    with pytest.raises(OptionError, match="unknown map 'roughness'"):
         estimate(capture, texels).image("roughness")
 
 

@@ -187,7 +187,7 @@ class Observed:
         """Gather the statistics of texels (default: ``seen``) over all photographs.
 
         ``channels`` is 3, or 1 for their mean. Saturated samples count as lower bounds
-        (``censored``) if kappa is finite, without ``current``; otherwise they are ignored.
+        (``censored``) if ``weighting`` has a finite kappa and no ``current``, else are ignored.
         """
         model = self.model(roughness, switches, light_channels or channels, texels)
         return self._with_clipped(model, channels, weighting)
@@ -285,7 +285,7 @@ def observe(
 
 
 def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False) -> None:
-    """Warn of photographs without visible texels, given (V,) counts; raise if all lack them."""
+    """Check (V,) numbers of texels that photographs show: warn of zeros, raise if all are 0."""
     if not counts.any() and clipped:
         raise CaptureError(
             f"All texels of '{capture.shape.id()}' are saturated in all {len(counts)} photographs; "

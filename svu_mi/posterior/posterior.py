@@ -42,7 +42,7 @@ class Posterior(Generic[K]):
 
     @property
     def grid(self) -> Grid:
-        """Parameter grid; the order of its ``axes`` is that in ``probabilities``."""
+        """Parameter grid; its ``axes`` are in the order of the axes of ``probabilities``."""
         return self.kernel.grid
 
     @property

@@ -114,7 +114,7 @@ def dielectric_fresnel(cosine: Any) -> Any:
 
 
 def view_albedo(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any, Any]:
-    """Return (A, B, D), for albedos R0 A + B and D (dielectric), by Fresnel at theta_o (Eq. 6)."""
+    """Return albedos (A, B, D) by Fresnel at theta_o: metals R0 A + B, dielectrics D (Eq. 6)."""
     masking = smith_g1(cosine, alpha)
     schlick = (1 - cosine) ** 5 if rule == "schlick" else 0.0
     A, B = masking * (1 - schlick), masking * schlick
