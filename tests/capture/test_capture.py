@@ -61,7 +61,7 @@ def scene(tmp_path):
 # --- what goes in comes out -----------------------------------------------------------------
 
 
-def test_a_rendered_folder_is_read_again_as_it_was(tmp_path):
+def test_rendered_folder_is_loaded_without_change(tmp_path):
     path = write_scene(tmp_path)
     first = render_capture(path, spp=4, seed=831, folder=tmp_path / "shot", views=4,
                            resolution=(20, 12))  # fmt: skip
@@ -475,7 +475,7 @@ PHOTOGRAPHS = {
 
 
 @pytest.mark.parametrize(("spoil", "message"), PHOTOGRAPHS.values(), ids=PHOTOGRAPHS)
-def test_photographs_that_will_not_do_are_named(scene, spoil, message):
+def test_error_names_the_unusable_photograph(scene, spoil, message):
     spoil(scene.parent / "images")
     with pytest.raises(CaptureError, match=message):
         load_capture(scene)
@@ -499,7 +499,7 @@ def test_photograph_replaced_while_read_is_refused(scene):
         picture.planes()
 
 
-def test_pixels_that_are_no_radiance_are_masked_and_counted(scene):
+def test_invalid_pixels_are_masked_and_counted(scene):
     image = np.full((24, 24, 3), 0.5, np.float32)
     image[0, 0, 0], image[3, 4, 1], image[5, 5, 2], image[6, 6] = np.nan, np.inf, -1, -np.inf
     path = scene.parent / "images" / "view_0001.exr"
@@ -520,7 +520,7 @@ def _write_raw_exr(path, image):
         file.write(str(path))
 
 
-def test_a_black_photograph_is_left_out_with_a_warning(scene):
+def test_black_photograph_is_unused_with_a_warning(scene):
     write_exr(scene.parent / "images" / "view_0001.exr", {"RGB": np.zeros((24, 24, 3))})
     with pytest.warns(SvuWarning, match="view_0001.exr: entirely black, not used"):
         capture = load_capture(scene)
@@ -557,7 +557,7 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
 # --- bad scenes -----------------------------------------------------------------------------
 
 
-def test_places_that_there_are_not(scene):
+def test_missing_files_and_folders_are_refused(scene):
     with pytest.raises(CaptureError, match="nothing.xml: no such file"):
         load_capture(scene.parent / "nothing.xml")
     with pytest.raises(CaptureError, match="nowhere: no such folder"):
@@ -587,7 +587,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("changes", "message"), BROKEN.values(), ids=BROKEN)
-def test_a_scene_that_will_not_do_is_named(tmp_path, changes, message):
+def test_unsupported_scene_is_refused(tmp_path, changes, message):
     with pytest.raises(SceneError, match=message):
         load_capture(write_scene(tmp_path, **changes))
 
@@ -660,12 +660,12 @@ def test_unsupported_material_features_cause_a_warning(bsdf, words):
     PRINCIPLED, {"type": "twosided", "inner": PRINCIPLED}, {"type": "diffuse"},
     {"type": "principled", "eta": 1.5, "base_color": {"type": "checkerboard"}, "metallic": 1.0},
 ])  # fmt: skip
-def test_nothing_is_said_of_materials_that_are_accounted_for(bsdf):
+def test_supported_materials_cause_no_warning(bsdf):
     shape = shape_of(bsdf)
     assert unsupported(make_scene([shape]), shape) == []
 
 
-def test_a_grey_table_under_the_object_is_said(tmp_path):
+def test_grey_table_under_the_object_causes_a_warning(tmp_path):
     table = (
         '<shape type="rectangle" id="table"><transform name="to_world"><rotate x="1" angle="-90"/>'
         '<translate y="-1.1"/></transform><bsdf type="diffuse"><rgb name="reflectance" '
@@ -719,13 +719,13 @@ BRIGHT = {
 @pytest.mark.parametrize(
     ("bsdf", "said"), [*((b, False) for b in BLACK.values()), *((b, True) for b in BRIGHT.values())]
 )
-def test_shapes_that_are_not_black_are_said(bsdf, said):
+def test_bright_shapes_cause_a_warning(bsdf, said):
     target = shape_of(PRINCIPLED)
     notes = unsupported(make_scene([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
     assert [each.startswith("Light reflected by 'wall' falls") for each in notes] == [True] * said
 
 
-def test_several_shapes_that_reflect_are_one_sentence():
+def test_bright_shapes_share_one_warning():
     target = shape_of(PRINCIPLED)
     others = [shape_of({"type": "diffuse"}, f"wall{k}", center=[3 + k, 0, 0]) for k in range(7)]
     (sentence,) = unsupported(make_scene([target, *others[:2]]), target)
@@ -756,7 +756,7 @@ def test_two_candidate_shapes_need_a_choice(tmp_path):
         load_capture(path, shape="third")
 
 
-def test_a_shape_that_is_no_mesh_is_named(tmp_path):
+def test_shape_that_is_not_a_mesh_is_named(tmp_path):
     path = write_scene(tmp_path, extra='<shape type="sphere" id="round"/>')
     with pytest.raises(SceneError, match="'round'.*not a triangle mesh"):
         load_capture(path, shape="round")
@@ -819,7 +819,7 @@ def test_spp_and_views_must_be_positive(tmp_path):
             render_capture(path, **words)
 
 
-def test_somebody_elses_photographs_are_not_overwritten(scene):
+def test_photographs_of_others_are_not_overwritten(scene):
     folder = scene.parent / "images"
     with pytest.raises(OutputError, match="view_0000.exr was not written by svu render"):
         render_capture(scene, spp=1, folder=folder)

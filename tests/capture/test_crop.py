@@ -135,7 +135,7 @@ def test_a_pixel_is_the_mean_of_its_block(kind, request, large):
 
 
 @pytest.mark.parametrize("kind", ["shot", "integers"])
-def test_photographs_in_a_file_say_the_same_to_the_bit(kind, request, monkeypatch, tmp_path):
+def test_mapped_photographs_give_equal_bits(kind, request, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     folder = request.getfixturevalue(kind)
     estimates = []
@@ -148,7 +148,7 @@ def test_photographs_in_a_file_say_the_same_to_the_bit(kind, request, monkeypatc
     assert views.number == 8
 
 
-def test_a_disk_that_is_full_is_said_to_be(shot, monkeypatch, tmp_path):
+def test_full_disk_is_reported(shot, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
 
     def full(*_):

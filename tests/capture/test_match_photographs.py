@@ -86,7 +86,7 @@ def test_a_missing_light_is_no_photograph(nerf, capsys):
     (".", ["IMG_1.exr"], "no image there has such a name: put the photographs into a separate "
      "folder and give it with --images"),  # where textures may lie, too
 ])  # fmt: skip
-def test_a_folder_without_photographs_says_what_it_holds(tmp_path, capsys, place, files, instead):
+def test_error_names_content_of_folder_without_photographs(tmp_path, capsys, place, files, instead):
     path, raw = write_scene(tmp_path, sensors=sensor_xml(SENSORS)), tmp_path / place
     raw.mkdir(exist_ok=True)
     for name in files:
@@ -97,7 +97,7 @@ def test_a_folder_without_photographs_says_what_it_holds(tmp_path, capsys, place
     )
 
 
-def test_names_tell_which_photographs_are_missing(tmp_path):
+def test_missing_photographs_of_any_name_are_refused(tmp_path):
     path, folder = write_scene(tmp_path, sensors=sensor_xml(SENSORS)), tmp_path / "mine"
     folder.mkdir()
     for number in range(SENSORS - 1):
@@ -112,7 +112,7 @@ def test_names_tell_which_photographs_are_missing(tmp_path):
     assert str(caught.value) == f"{lack}{names}."
 
 
-def test_mitsubas_reason_is_told_once(tmp_path):
+def test_reason_of_mitsuba_is_reported_once(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(
         '<scene version="3.0.0">\n<default name="light" value="window"/>\n'
@@ -178,7 +178,7 @@ def test_version_and_several_values(capsys):
 
 
 @pytest.mark.slow
-def test_a_line_says_what_an_object_is(tmp_path):
+def test_repr_describes_the_object(tmp_path):
     """A notebook shows the last value of each cell."""
     path = write_scene(tmp_path)
     capture = svu.render_capture(path, spp=4, folder=tmp_path / "shot")
@@ -209,7 +209,7 @@ def test_a_line_says_what_an_object_is(tmp_path):
 @pytest.mark.parametrize(
     "prior", ["uniform", [[1, 2], [3]], {"roughness": 1}, object(), 1j * np.ones(8), [None] * 8]
 )
-def test_a_prior_that_is_no_numbers_is_a_sentence(prior):
+def test_invalid_prior_is_refused(prior):
     kind = type(prior).__name__
     with pytest.raises(OptionError) as error:
         log_prior(prior, (8, 8, 8), "estimate()")
@@ -218,7 +218,7 @@ def test_a_prior_that_is_no_numbers_is_a_sentence(prior):
     )
 
 
-def test_what_is_no_capture_estimate_or_candidate_is_a_sentence(vase):
+def test_arguments_of_wrong_type_are_refused(vase):
     with pytest.raises(
         SvuError, match=r"check\(\): capture must be a Capture, got a str; read one with"
     ):

@@ -62,7 +62,7 @@ def test_points_are_where_mitsuba_shows_them(vase: SimpleNamespace) -> None:
         np.testing.assert_allclose(pixels[shown], np.array(sample.uv).T[shown], atol=2e-3)
 
 
-def test_what_is_behind_a_camera_is_told_by_its_depth(vase: SimpleNamespace) -> None:
+def test_points_behind_a_camera_have_negative_depth(vase: SimpleNamespace) -> None:
     place = sensor(4.0)
     pixels, depth = projected(place, np.array([[0, 0.2, 9.0], [0, 0.2, 4.0], [0, 0.2, 1.0]]))
     assert np.isfinite(pixels).all()

@@ -94,7 +94,7 @@ def capture_of(scene, sensors, seed=91, **changes):
 
 
 @pytest.mark.parametrize("name", ["vase", "knot"])
-def test_silhouettes_are_those_of_single_views(name):
+def test_silhouettes_equal_those_of_single_views(name):
     scene = load_scene(scenes.FOLDER / name / f"{name}.xml")
     target = scene.shapes()[0]
     sensors = [*sphere_sensors(target, 5, (130, 101)), *odd_sensors(target)]
@@ -146,7 +146,7 @@ def test_a_camera_that_looks_away_has_no_pixels(tmp_path):
 # --- colour ---------------------------------------------------------------------------------
 
 
-def test_pixels_that_are_judged_later_are_those_of_whole_films():
+def test_lazy_silhouettes_equal_those_of_whole_films():
     scene = load_scene(scenes.path("vase"))
     target = next(shape for shape in scene.shapes() if shape.is_mesh())
     sensors = sphere_sensors(target, 6, (96, 80))
@@ -221,7 +221,7 @@ def test_reordered_photographs_are_found_and_shared_ones_copied():
     assert PixelBuffer.of([]).pixels.size == 0
 
 
-def test_one_photograph_for_two_cameras_is_judged_twice(tmp_path):
+def test_photograph_of_two_cameras_has_two_silhouettes(tmp_path):
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
     sensors = sphere_sensors(scene.shapes()[0], 2, (32, 32))
     buffer = PixelBuffer.allocate([(32, 32)])

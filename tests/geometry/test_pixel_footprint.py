@@ -118,7 +118,7 @@ def test_ramps_are_read_at_the_centre(tmp_path, resolution):
     assert np.array(flat.contrast).max() < 1e-6
 
 
-def test_unusable_pixels_are_left_out(tmp_path, noise):
+def test_unusable_pixels_are_ignored(tmp_path, noise):
     """Masked or NaN, inside of large texels: the mean is that of the others."""
     holes = np.zeros((FILM, FILM), bool)
     holes[::4, ::4] = True
@@ -132,7 +132,7 @@ def test_unusable_pixels_are_left_out(tmp_path, noise):
     assert np.abs(np.array(sample.radiance)[:, seen] - 0.5).max() < 1e-5
 
 
-def test_what_lies_beyond_the_film_is_left_out(tmp_path):
+def test_pixels_beyond_the_film_are_ignored(tmp_path):
     """A border of 10 around 1: texels that reach over the edge must not be made of border."""
     image = np.ones((FILM, FILM, 3))
     image[:2], image[-2:], image[:, :2], image[:, -2:] = 10, 10, 10, 10

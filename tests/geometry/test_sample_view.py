@@ -93,7 +93,7 @@ def test_projection_is_that_of_the_sensor(tmp_path):
     np.testing.assert_allclose(seen.radiance.y.numpy()[valid], exact.uv.y.numpy()[valid], atol=2e-3)
 
 
-def test_what_is_hidden_is_not_seen(tmp_path):
+def test_occluded_texels_are_not_visible(tmp_path):
     """A wall between camera and ball hides half of it; positions would differ by the gap."""
     wall = (
         '<shape type="rectangle" id="wall"><transform name="to_world">'

@@ -106,7 +106,7 @@ def test_impossible_resolutions_are_refused(resolution):
 
 
 @pytest.mark.parametrize("resolution", ["a", 64.0, (1, 2, 3), (32.5, 16), None])
-def test_resolutions_that_are_no_whole_numbers_are_refused(resolution):
+def test_fractional_resolutions_are_refused(resolution):
     with pytest.raises(OptionError, match="whole number"):
         texels(make_mesh("ball", ball()), resolution)
 

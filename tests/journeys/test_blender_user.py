@@ -30,7 +30,7 @@ def test_a_capture_needs_no_light_to_look_at_its_poses(shots):
 
 
 @pytest.mark.slow
-def test_textures_are_looked_at_beside_those_painted_in_blender(shots):
+def test_textures_are_compared_with_those_of_blender(shots):
     """And a folder that holds no textures is said to be what it is."""
     done("entropy capture --resolution 64 -o out/entropy", shots)
     done("recover capture --resolution 64 -o out/textures --no-pictures", shots)

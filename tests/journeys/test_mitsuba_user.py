@@ -9,7 +9,7 @@ from support.journey import done, stopped
 
 
 @pytest.mark.slow
-def test_a_render_that_was_stopped_goes_on(desk):
+def test_stopped_render_continues(desk):
     around = "-D light=window -D resolution=224 --views 8"
     line = f"render scenes/vase/vase.xml {around} --spp 24 -o long"
     said = stopped(line, desk, ".long.svu-draft/view_0001.exr")

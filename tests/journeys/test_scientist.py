@@ -14,7 +14,7 @@ FOUND = re.compile(
 
 
 @pytest.mark.slow
-def test_the_last_lines_say_what_was_found(desk):
+def test_last_lines_summarize_the_result(desk):
     """Where people look: not only where it was written."""
     said = done("entropy capture --resolution 32 -o out/found", desk)
     assert said.out[-2] == "Wrote out/found"

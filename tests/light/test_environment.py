@@ -314,7 +314,7 @@ def test_impossible_numbers_of_cells_are_refused(coarse, fine):
 
 
 @pytest.mark.parametrize("size", [(256, 128), (200, 150), (200, 60)])
-def test_what_is_averaged_of_a_large_map_is_its_light(size, monkeypatch):
+def test_averaging_a_large_map_keeps_its_light(size, monkeypatch):
     """On 2048 columns and 1025 rows at most, here on 130 and 65."""
     columns, rows = size
     rng = np.random.default_rng(5)

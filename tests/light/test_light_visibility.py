@@ -268,7 +268,7 @@ def surroundings():
 
 @pytest.mark.parametrize("occluded", [True, False])
 @pytest.mark.parametrize(("coarse", "fine"), [(128, 1024), (64, 512), (64, 256), (100, 100)])
-def test_bits_are_those_of_one_ray_after_the_other(coarse, fine, occluded):
+def test_bits_equal_those_of_single_rays(coarse, fine, occluded):
     scene, surface = surroundings()
     cells = build_light_tree(environment(scenery, rotation(4)), coarse, fine)
     visibility = trace_light_visibility(scene, surface, cells, occluded=occluded)
@@ -319,7 +319,7 @@ def test_diffuse_moments_are_sums_over_visible_cells(turned, channels):
 # --- mirrors --------------------------------------------------------------------------------
 
 
-def test_mirror_bits_are_those_of_one_ray_after_the_other(tmp_path):
+def test_mirror_bits_equal_those_of_single_rays(tmp_path):
     """Of every sample; below the horizon nothing is free, nor where a view sees nothing."""
     capture = noise_capture(walled_ball(tmp_path))
     observed = observe(capture, svu.texels(capture.mesh, 16))

@@ -83,7 +83,7 @@ def test_a_field_that_is_missing_is_named(capture, key):
         load_capture(capture)
 
 
-def test_other_keys_are_left_to_whoever_wrote_them(capture):
+def test_unknown_keys_are_ignored(capture):
     edited(capture, {"files": {"a": 1}, "id": "x", "written": None, SENSOR + "comment": "window"})
     assert load_capture(capture).count == 2
 
@@ -117,7 +117,7 @@ def test_the_most_sensors_that_are_rendered_can_be_read(capture):
         require_views(MAX_VIEWS + 1, "--views")
 
 
-def test_a_file_that_no_capture_fills_is_not_read(capture):
+def test_too_large_capture_json_is_not_read(capture):
     path = capture / "capture.json"
     with path.open("r+b") as stream:
         stream.truncate(2**27)

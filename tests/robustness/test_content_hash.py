@@ -117,7 +117,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_what_changes_in_the_scene_is_told_by_its_part(capture, scene, change):
+def test_scene_changes_affect_the_digest_of_their_part(capture, scene, change):
     old, new, part = CHANGES[change]
     text = scene.read_text()
     assert old in text
@@ -132,7 +132,7 @@ def differing(first, second):
     return {name for name in a if a[name] != b[name]}
 
 
-def test_what_changes_in_the_photographs_is_told_by_its_part(capture):
+def test_photograph_changes_affect_the_digest_of_their_part(capture):
     images = [image.copy() for image in capture.images]
     images[1][3, 5, 2] *= 1 + 1e-6
     assert differing(capture, replace(capture, images=tuple(images))) == {"photographs"}
@@ -144,7 +144,7 @@ def test_what_changes_in_the_photographs_is_told_by_its_part(capture):
     assert not differing(unused, replace(unused, images=(capture.images[0], images[1])))
 
 
-def test_files_of_another_mesh_or_texture_are_told(capture, tmp_path):
+def test_another_mesh_or_texture_changes_the_digest(capture, tmp_path):
     scene = write(tmp_path / "other")
     write_exr(scene.parent / "texture.exr", {"RGB": np.full((8, 16, 3), 0.5, np.float32)})
     assert differing(capture, load_capture(scene)) == {"shapes"}
@@ -175,7 +175,7 @@ def test_keys_copy_no_photographs_and_skip_missing_views(capture):
     assert peak_memory(lambda: capture_key(large)) < images[0].nbytes
 
 
-def test_what_has_no_digest_is_refused():
+def test_object_without_digest_is_refused():
     with pytest.raises(TypeError, match="object has no digest"):
         Key().add([{"a": object()}])
 

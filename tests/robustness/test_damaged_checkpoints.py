@@ -67,7 +67,7 @@ def test_a_packed_file_is_refused_before_it_is_unpacked(path):
 
 
 @pytest.mark.parametrize("shape", [b"(2**9,)}", b"(-16,),}", b"(10**9)}", b"(9**99,}", b"(8,), }"])
-def test_an_array_that_promises_what_there_is_not_is_refused(path, shape):
+def test_array_longer_than_its_file_is_refused(path, shape):
     liar(path, shape)
     with pytest.raises(OutputError, match="checkpoint is damaged"):
         load(path)
@@ -100,7 +100,7 @@ def test_what_is_written_is_read_again(tmp_path):
         assert DIGEST in plain.files
 
 
-def test_an_array_that_was_exchanged_is_told(path):
+def test_replaced_array_is_detected(path):
     with np.load(path) as archive:
         arrays = dict(archive)
     arrays["step"] = np.array(2)
@@ -136,7 +136,7 @@ FORGED = {
 
 
 @pytest.mark.parametrize("case", FORGED)
-def test_every_field_is_looked_at_even_if_the_digest_fits(path, case):
+def test_every_field_is_checked_even_if_the_digest_matches(path, case):
     change, words = FORGED[case]
     arrays = read_arrays(path) | change
     write_arrays(path, {name: value for name, value in arrays.items() if value is not None})

@@ -85,7 +85,7 @@ DAMAGED = {
 }  # fmt: skip
 
 
-def test_damaged_meshes_of_a_scene_are_refused_in_one_sentence(tmp_path):
+def test_damaged_meshes_of_a_scene_are_refused(tmp_path):
     """In a process of its own, which a damaged mesh ended."""
     paths = []
     for name, (data, _) in DAMAGED.items():
@@ -185,7 +185,7 @@ def test_xml_that_another_parser_would_refuse_is_refused(tmp_path, words):
         load_scene(path)
 
 
-def test_what_is_included_by_a_parameter_is_looked_through(tmp_path):
+def test_includes_named_by_a_parameter_are_checked(tmp_path):
     deep = '<bsdf type="twosided">' * 600 + "</bsdf>" * 600
     (tmp_path / "more.xml").write_text(f'<scene version="3.0.0">{deep}</scene>')
     words = '<default name="f" value="less"/><include filename="$f.xml"/>'
@@ -253,7 +253,7 @@ def test_uvs_that_were_kept_are_taken_again(tmp_path, caplog):
     assert not caplog.records
 
 
-def test_normals_of_a_scene_that_are_no_numbers_are_refused(tmp_path):
+def test_invalid_normals_of_a_scene_are_refused(tmp_path):
     normals = ball().normals
     normals[7] = np.nan
     with pytest.raises(SceneError, match="has normals that are NaN or infinite; export its mesh"):

@@ -55,7 +55,7 @@ def report(request, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[s
         yield json.loads((folder / "report.json").read_text())
 
 
-def test_damaged_files_are_read_or_refused_in_one_sentence(report):
+def test_damaged_files_are_read_or_refused(report):
     """In little memory, and without a trace; some are read and some refused, of every format."""
     assert not report["failures"], "\n".join(report["failures"][:20])
     assert sum(sum(count.values()) for count in report["counts"].values()) >= FEW
@@ -136,7 +136,7 @@ def test_textures_outside_the_folder_of_a_mesh_are_refused(tmp_path, name):
         read_textured_mesh(path)
 
 
-def test_textures_that_are_no_file_are_told(tmp_path):
+def test_textures_that_are_not_files_cause_a_warning(tmp_path):
     fuzz_formats.write_mesh(tmp_path, "mesh.gltf", painted=True)
     (tmp_path / "texture.png").unlink()
     os.mkfifo(tmp_path / "texture.png")  # reading it would wait for ever

@@ -85,7 +85,7 @@ def notes_of(scene) -> list[str]:
 
 
 @pytest.mark.parametrize("given, said", [(None, 0), (REC_709, 0), (DISPLAY_P3, 1)])
-def test_foreign_chromaticities_are_said(given, said, scene):
+def test_foreign_chromaticities_cause_a_warning(given, said, scene):
     path = write_channels(scene.parent / "view_0000.exr", "RGB", given)
     notes = notes_of(scene)
     assert len(notes) == said
@@ -123,7 +123,7 @@ def test_16_bits_are_decoded_as_16_and_called_so(scene):
 
 
 @pytest.mark.parametrize("bits", SATURATED)
-def test_what_counts_as_clipped_goes_by_the_bits(bits, tmp_path):
+def test_clipping_threshold_depends_on_bits(bits, tmp_path):
     most = 2**bits - 1
     values = np.full((*SIZE, 3), most // 2)
     values[0] = round(0.985 * most)
@@ -160,7 +160,7 @@ def test_a_palette_is_looked_up(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_a_photograph_that_exif_turns_is_said(suffix, scene):
+def test_exif_rotation_causes_a_warning(suffix, scene):
     image = Image.fromarray((colors() * 100).astype(np.uint8))
     tags = image.getexif()
     tags[0x0112] = 6
@@ -181,7 +181,7 @@ def envmap(path):
     return mi.load_dict({"type": "envmap", "filename": str(path)})
 
 
-def test_a_few_negative_pixels_of_light_are_0_and_said(tmp_path):
+def test_few_negative_pixels_of_light_become_0_with_warning(tmp_path):
     write_exr(tmp_path / "sky.exr", {"RGB": dented(-0.25, 3)})
     with pytest.warns(SvuWarning, match=r"\(.*sky.exr\): 3 negative pixels were set to 0\.$"):
         light = read_environment(envmap(tmp_path / "sky.exr"))
@@ -199,7 +199,7 @@ def test_much_negative_light_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_light_that_is_no_number_names_its_file(value, tmp_path):
+def test_error_of_invalid_light_names_its_file(value, tmp_path):
     write_channels(tmp_path / "sky.exr", "RGB", pixels=dented(value, 2))
     with pytest.raises(SceneError, match="sky.exr.* has NaN or infinite radiance; repair its map"):
         read_environment(envmap(tmp_path / "sky.exr"))

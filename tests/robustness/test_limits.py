@@ -58,7 +58,7 @@ def test_absurd_options_are_refused_at_once(words, says, shot, tmp_path, capsys)
     assert not (tmp_path / "out" / "view_0000.exr").exists()
 
 
-def test_texels_are_held_against_the_memory(monkeypatch, shot, tmp_path, capsys):
+def test_texels_are_compared_with_the_memory(monkeypatch, shot, tmp_path, capsys):
     free(monkeypatch, 4 * 10**9)
     line = fails(capsys, "entropy", shot, "--resolution", 8192, "-o", tmp_path / "out")
     assert "8192 x 8192 texels take at least 17.2 GB of memory, but only 4 GB are free; use" in line
@@ -86,7 +86,7 @@ def huge(tmp_path, side: int, count: int = 3):
     return write_scene(tmp_path, sensors=sensor_xml(count, side, side))
 
 
-def test_films_that_no_kernel_takes_are_not_rendered(tmp_path):
+def test_films_above_kernel_limits_are_not_rendered(tmp_path):
     with pytest.raises(SceneError, match="a film of 60000 x 60000 pixels is too large to render"):
         render_capture(huge(tmp_path, 60_000), 1)
 
@@ -115,7 +115,7 @@ def test_photographs_that_do_not_fit_into_memory_are_not_read(monkeypatch, tmp_p
         read_photographs(pictures, [Window(0, 0, 30, 20)] * 3, [1.0] * 3)
 
 
-def test_a_wrong_film_is_told_before_memory_is_taken(tmp_path):
+def test_wrong_film_is_refused_before_allocation(tmp_path):
     write_exr(tmp_path / "view_0000.exr", {"RGB": np.ones((20, 30, 3))})
     with pytest.raises(CaptureError, match="has 30 x 20 pixels but its sensor's film has 60000 x"):
         open_photographs([tmp_path / "view_0000.exr"], [(60_000, 60_000)])
@@ -193,7 +193,7 @@ def test_tiles_and_parts_are_read(tmp_path):
         assert {key: float(channels[key].mean()) for key in "RGB"} == {"R": 0, "G": 1, "B": 2}
 
 
-def test_all_parts_are_held_against_the_memory(tmp_path, monkeypatch):
+def test_all_parts_are_compared_with_the_memory(tmp_path, monkeypatch):
     """The binding reads every part, whichever is asked for."""
     large = {"Z": np.zeros((200, 200), np.float32)}
     window = (np.zeros(2, np.int32), np.full(2, 199, np.int32))

@@ -85,14 +85,14 @@ def test_photographs_leave_memory_for_texels_by_default(monkeypatch, shot):
     assert svu.load_capture(shot).buffer.file is None
 
 
-def test_what_cannot_be_made_small_enough_says_so(monkeypatch):
+def test_error_states_if_no_size_would_fit(monkeypatch):
     machine(monkeypatch, 0.3e9)
     assert refused(needed("check", SIXTY)) == (
         "capture: needs 33 GB of memory, 0.3 GB available; use a machine with more memory."
     )
 
 
-def test_address_space_is_asked_for_too(monkeypatch):
+def test_address_space_is_checked_too(monkeypatch):
     machine(monkeypatch, 23e9, 2e9)
     said = refused(needed("entropy", [(512, 512)] * 60, (512, 512)))
     assert re.fullmatch(
@@ -102,7 +102,7 @@ def test_address_space_is_asked_for_too(monkeypatch):
     ), said
 
 
-def test_nothing_is_refused_where_nobody_says_what_there_is(monkeypatch):
+def test_unknown_free_memory_refuses_nothing(monkeypatch):
     monkeypatch.setattr(memory, "free_memory", lambda: None)
     monkeypatch.setattr(memory, "address_space", lambda: None)
     needed("entropy", SIXTY * 1000, (4096, 4096)).require()
@@ -110,7 +110,7 @@ def test_nothing_is_refused_where_nobody_says_what_there_is(monkeypatch):
     assert needed("check", []).sentence() == "Needs up to 0.37 GB of memory"
 
 
-def test_a_process_that_cannot_even_start_is_told(monkeypatch):
+def test_too_little_memory_to_start_is_reported(monkeypatch):
     machine(monkeypatch, 0.1e9)
     with pytest.raises(SvuEnvironmentError, match=r"^needs 0.25 GB of memory to start, 0.1 GB av"):
         memory.require_start()
@@ -271,7 +271,7 @@ OTHERS = {"render": "vase.xml", "import": "", "export": "recovered"}  # what is 
 
 
 @pytest.mark.parametrize("command", OTHERS)
-def test_what_has_no_photographs_to_read_refuses_too(command, tmp_path, capsys, monkeypatch):
+def test_commands_without_photographs_refuse_too(command, tmp_path, capsys, monkeypatch):
     words = prepared(command, tmp_path, 24)
     capsys.readouterr()
     monkeypatch.setattr(memory, "free_memory", lambda: 0)
@@ -282,7 +282,7 @@ def test_what_has_no_photographs_to_read_refuses_too(command, tmp_path, capsys, 
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
 
-def test_each_command_says_what_would_need_less_of_it(monkeypatch):
+def test_each_command_names_a_remedy(monkeypatch):
     machine(monkeypatch, 1e9)
     films = [(2000, 1000)] * 20
     assert refused(needed("render", films, model="")).endswith(
@@ -335,7 +335,7 @@ def test_texels_that_no_chart_covers_take_next_to_nothing():
     assert 0.25 <= (quarter.bytes - fixed) / (full.bytes - fixed) < 0.3
 
 
-def test_what_charts_cover_is_read_from_the_mesh(tmp_path):
+def test_chart_coverage_is_read_from_the_mesh(tmp_path):
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], float)
     faces = np.array([[0, 1, 2], [1, 3, 2]])
     for side, part in ((0.5, 0.25), (1.0, 1.0)):

@@ -122,7 +122,7 @@ def test_a_file_that_is_missing_is_named(made, result, tmp_path, capsys):
     assert "has no metallic.exr, which svu recover wrote; run it again" in line
 
 
-def test_a_capture_that_was_moved_without_its_scene_says_so(made, tmp_path, capsys):
+def test_error_names_missing_scene_of_moved_capture(made, tmp_path, capsys):
     shutil.copytree(made / "a" / "shot", tmp_path / "far" / "away")
     line = fails(capsys, "entropy", tmp_path / "far" / "away", "-o", tmp_path / "out")
     assert "capture.json: its scene" in line and "does not exist; copy it there" in line
@@ -153,7 +153,7 @@ def test_capture_replaced_while_read_is_refused(made, monkeypatch):
             loading.load_capture(shot)
 
 
-def test_textures_made_by_hand_are_anybody_s(result, tmp_path):
+def test_textures_without_run_id_are_accepted(result, tmp_path):
     for name, channels in (("base_color", "RGB"), ("roughness", "Y"), ("metallic", "Y")):
         shape = (16, 16, 3) if channels == "RGB" else (16, 16)
         write_exr(result / f"{name}.exr", {channels: np.full(shape, 0.5)})

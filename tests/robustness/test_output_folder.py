@@ -86,7 +86,7 @@ def test_a_file_that_is_edited_during_a_run_is_kept(tmp_path, out):
 
 
 @pytest.mark.parametrize("exchange", [True, False])
-def test_what_svu_keeps_in_a_folder_outlives_its_result(out, monkeypatch, exchange):
+def test_light_and_uvs_in_a_folder_survive_its_result(out, monkeypatch, exchange):
     if not exchange:
         monkeypatch.setattr("svu_mi.core.io.folder_exchange._exchange", lambda *_: False)
     write(out, "o", ("view",), "render")
@@ -99,7 +99,7 @@ def test_what_svu_keeps_in_a_folder_outlives_its_result(out, monkeypatch, exchan
     }  # fmt: skip
 
 
-def test_what_killed_runs_have_left_is_cleared(tmp_path, out):
+def test_files_of_killed_runs_are_cleared(tmp_path, out):
     write(out, "o", ("a",))
     (tmp_path / f".out{DRAFT}" / "light").mkdir(parents=True)  # a kill after the exchange
     (tmp_path / f".out{DRAFT}" / "half").write_text("x")
@@ -124,7 +124,7 @@ def test_only_temporary_files_of_dead_processes_are_cleared(tmp_path):
         assert left <= set(names(tmp_path)) <= left | {".pipe.svu-tmp"}
 
 
-def test_the_record_of_a_stranger_frees_nothing(out):
+def test_foreign_record_allows_no_deletion(out):
     """A folder with a record of its own making, as of ours, keeps its files."""
     out.mkdir()
     (out / "view").write_text("mine")
@@ -140,7 +140,7 @@ OUTSIDE = ["../a", "/a", "a/../../b", "", ".", "a\n", "a\\b", "c:a", None, 1]
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
-def test_names_that_leave_the_folder_are_none(name):
+def test_names_outside_the_folder_are_refused(name):
     assert not is_inside(name)
     assert is_inside("assets/a.exr")
 

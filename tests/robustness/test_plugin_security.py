@@ -140,7 +140,7 @@ def test_libraries_elsewhere_are_not_reached_by_tricks(tmp_path, library, loaded
     assert loaded.exists()  # it does lie where Mitsuba looks
 
 
-def test_libraries_of_people_one_trusts_are_loaded(tmp_path, library, loaded, capsys):
+def test_libraries_are_loaded_if_trusted(tmp_path, library, loaded, capsys):
     path = scene_of(tmp_path / "scene", '<bsdf type="mine"/>')
     plant(library, path.parent / "plugins" / "mine.so")
     assert main(["render", str(path), "-o", str(tmp_path / "out"), "--spp", "1"]) == 2

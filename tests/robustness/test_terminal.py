@@ -53,7 +53,7 @@ UNREAD = ("| true", ">/dev/full 2>/dev/full", ">&- 2>&- <&-")
 @pytest.mark.parametrize(
     "redirection", [UNREAD[0], pytest.param(UNREAD[2], marks=pytest.mark.slow)]
 )
-def test_work_is_done_though_nobody_reads(scene, tmp_path, redirection):
+def test_work_is_done_with_closed_stdout(scene, tmp_path, redirection):
     done = svu(redirection, *rendering(scene, tmp_path / "out"))
     assert (done.returncode, done.stderr) == (0, b"")
     assert (tmp_path / "out" / "view_0000.exr").stat().st_size > 100
@@ -62,7 +62,7 @@ def test_work_is_done_though_nobody_reads(scene, tmp_path, redirection):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("redirection", ("| head -n 1", *UNREAD))
-def test_help_that_nobody_reads_is_no_error(redirection):
+def test_help_with_closed_stdout_succeeds(redirection):
     done = svu(redirection, "entropy", "--help")
     assert (done.returncode, done.stderr) == (0, b"")
     assert not done.stdout.count(b"\n") or redirection.startswith("| head")
@@ -71,7 +71,7 @@ def test_help_that_nobody_reads_is_no_error(redirection):
 @pytest.mark.parametrize(
     "redirection", ["2>&-", pytest.param("2>&1 | true", marks=pytest.mark.slow)]
 )
-def test_a_mistake_that_nobody_reads_is_status_2(tmp_path, redirection):
+def test_mistake_with_closed_stderr_is_status_2(tmp_path, redirection):
     done = svu(redirection, "entropy", tmp_path / "nowhere.xml", "-o", tmp_path / "out")
     assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"")
 
@@ -159,7 +159,7 @@ def test_an_ascii_stream_spells_out_what_it_can():
 
 
 @pytest.mark.parametrize("utf8", ["0", "1"])
-def test_arguments_that_are_no_text_are_one_sentence(tmp_path, utf8):
+def test_arguments_that_are_not_text_are_refused(tmp_path, utf8):
     words = [b"-m", b"svu_mi", b"entropy", b"x.xml", b"-o", b"out_\xff"]
     done = subprocess.run(
         [sys.executable.encode(), *words], capture_output=True, cwd=tmp_path, timeout=SECONDS,
@@ -267,7 +267,7 @@ REFUSALS = {
 
 
 @pytest.mark.parametrize(("error", "sentence"), REFUSALS.items(), ids=map(repr, REFUSALS))
-def test_what_the_system_refuses_is_one_sentence(monkeypatch, capsys, error, sentence):
+def test_system_errors_are_one_sentence(monkeypatch, capsys, error, sentence):
     def refuse(*_):
         raise error
 
