@@ -32,9 +32,8 @@ SERIOUS = ("wrong", "unclear")  # verdicts printed in capitals
 class CheckCapture(BaseCommand):
     """Check that photographs match the mesh, the poses and the light.
 
-    Tests the usual mistakes: camera and mesh axes, inverted poses, orientation of the environment
-    map, flipped texture V, exposure gains; and prints the command that corrects them. Masks and a
-    light are optional. Writes check.html and check.json.
+    Tests camera and mesh axes, inverted poses, orientation of the environment map, texture V and
+    exposure gains, and prints the command that corrects them. Writes check.html and check.json.
     """
 
     first = "scene output images shape define missing gains strict overwrite"

@@ -104,7 +104,7 @@ def check_packages(versions: dict[str, str]) -> HealthCheck:
 
 
 def check_renders(usable: list[str], llvm: _llvm.LlvmStatus) -> list[HealthCheck]:
-    """Render with each usable supported variant; fail if there is none."""
+    """Render with each usable supported variant; fail if there are no variants."""
     why = llvm.problem or f"this Mitsuba lacks {', '.join(VARIANTS)}"
     checks = [check_render(name) for name in VARIANTS if name in usable]
     return checks or [HealthCheck("render", False, "no variant can run", why)]
@@ -151,9 +151,6 @@ def _run_child(name: str, function: str, *arguments: str, remedy: str) -> Health
         ended = {each.value: each.name for each in signal.Signals}.get(number, f"signal {number}")
         words = f"{ended} terminated the process: {words}"
     return HealthCheck(name, False, words, remedy)
-
-
-# --- in the child processes ---------------------------------------------------------------
 
 
 def collect_facts() -> None:
@@ -213,9 +210,6 @@ def render_test(variant: str) -> None:
     if not np.allclose(image, 1, atol=1e-3):
         raise RuntimeError(f"the test picture should be 1, but is {image.min()} to {image.max()}")
     print(f"a test picture has mean {image.mean():.4f} (expected 1)")
-
-
-# --- printing -----------------------------------------------------------------------------
 
 
 def show(facts: Facts, checks: list[HealthCheck], console: Console) -> None:

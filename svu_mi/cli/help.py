@@ -6,11 +6,12 @@ import dataclasses
 import functools
 import inspect
 import operator
+import re
 import shutil
 import textwrap
 import typing
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import docstring_parser
 import tyro
@@ -22,7 +23,7 @@ from tyro.constructors import (
 )
 
 REGISTRY = ConstructorRegistry()
-INDENT, WIDEST = 24, 100  # columns
+INDENT, NARROW, WIDEST = 24, 56, 100  # columns
 NO_CONFIG: Any = tyro.conf.arg()
 FIRST, OTHERS = "options", "advanced"
 # Titles of further groups in order, with names of options or of fields that contain options.
@@ -68,37 +69,29 @@ def overview(groups: Mapping[str, Mapping[str, Any]], description: str) -> str:
     for title, commands in groups.items():
         lines = [_entry(f"  {name}", _summary(commands[name])[0], 11) for name in commands]
         paragraphs.append("\n".join([f"{title}:", *lines]))
-    end = "svu COMMAND --help lists the options of a command; svu --version prints the version."
-    return "\n\n".join([*paragraphs, _wrap(end)])
+    paragraphs.append(_wrap("Options of a command: svu COMMAND --help; version: svu --version"))
+    return "\n\n".join(paragraphs)
 
 
 def command_help(name: str, command: Any) -> str:
     """Return the text of ``svu NAME --help``: the first options, then the others in groups."""
-    first, positional = command.first.split(), []
-    groups: dict[str, dict[str, str]] = {title: {} for title in (FIRST, *GROUPS)}
+    usage, first = ["usage: svu", name], command.first.split()
+    groups: dict[str, dict[str, str]] = {FIRST: dict.fromkeys(first, "")}
+    groups |= {title: {} for title in GROUPS}
     with REGISTRY:
-        for option in _options(command):
-            titles = (TITLES[word] for word in (option.name, *option.path) if word in TITLES)
-            title = FIRST if option.name in first else next(titles, OTHERS)
-            groups[title][option.name] = _entry(f"  {option.flags}", option.text, INDENT)
-            positional += [] if option.flags.startswith("-") else [option.flags]
-    groups[FIRST] = {option: groups[FIRST][option] for option in first}
-    usage = " ".join(["usage: svu", name, *positional, "[OPTIONS]"])
-    listed = ["\n".join([f"{title}:", *lines.values()]) for title, lines in groups.items() if lines]
-    return "\n\n".join([_wrap(usage), *map(_wrap, _summary(command)), *listed])
+        for option, title, flags, text in _options(command):
+            group = groups[FIRST if option in first else TITLES.get(option, title)]
+            group[option] = _entry(f"  {flags}", text, INDENT)
+            usage += [] if flags.startswith("-") else [flags]
+    listed = ["\n".join([f"{title}:", *group.values()]) for title, group in groups.items() if group]
+    usage = [_wrap(" ".join([*usage, "[OPTIONS]"])), *map(_wrap, _summary(command))]
+    return "\n\n".join(usage + listed)
 
 
-class _Option(NamedTuple):
-    """Option of a command; ``path`` contains the names of its groups, innermost first."""
-
-    name: str
-    path: tuple[str, ...]
-    flags: str
-    text: str
-
-
-def _options(source: Callable[..., Any], path: tuple[str, ...] = ()) -> Iterator[_Option]:
-    """Yield the options of a class of options, or of a constructor."""
+def _options(
+    source: Callable[..., Any], title: str = OTHERS
+) -> Iterator[tuple[str, str, str, str]]:
+    """Yield name, title of the group, flags and text of each option of a class or constructor."""
     hints, texts = typing.get_type_hints(source, include_extras=True), _texts(source)
     for field, parameter in inspect.signature(source).parameters.items():
         extras: tuple[Any, ...] = getattr(hints[field], "__metadata__", ())
@@ -106,19 +99,18 @@ def _options(source: Callable[..., Any], path: tuple[str, ...] = ()) -> Iterator
         config = next((each for each in extras if hasattr(each, "metavar")), NO_CONFIG)
         constructor = config.constructor_factory and config.constructor_factory()
         if constructor or dataclasses.is_dataclass(kind):
-            yield from _options(constructor or kind, (field, *path))
+            yield from _options(constructor or kind, TITLES.get(field, title))
             continue
         name, default = config.name or field.replace("_", "-"), parameter.default
-        text = " ".join((config.help or texts[field]).split()).removesuffix(".")
-        text += _default(default)
         flags = ", ".join([*(config.aliases or ()), f"--{name}"])
         if tyro.conf.Positional in extras:
             flags = config.metavar
         elif kind is bool:
             flags += f", --no-{name}" if default else ""
         else:
-            flags += f" {config.metavar or _metavar(kind)}"
-        yield _Option(name, path, flags, text)
+            spec: Any = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(kind, set()))
+            flags += f" {config.metavar or spec.metavar}"
+        yield name, title, flags, f"{(config.help or texts[field]).rstrip('.')}{_default(default)}."
 
 
 def _texts(source: Any) -> dict[str, str]:
@@ -131,25 +123,14 @@ def _texts(source: Any) -> dict[str, str]:
     return texts
 
 
-def _metavar(kind: Any) -> str:
-    """Return what tyro calls values of a type, such as INT."""
-    spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(kind, set()))
-    return getattr(spec, "metavar", "VALUE")
-
-
 def _default(value: Any) -> str:
-    """Return the end of a text; a text contains its default itself where this one is empty."""
+    """Return the default as text; empty if the text of the option contains it."""
     if value is inspect.Parameter.empty:
-        return " (required)."
+        return " (required)"
     if value is False or value in (None, "", ()):
-        return "."
-    return f" (default: {'on' if value is True else _words(value)})."
-
-
-def _words(value: Any) -> str:
-    if isinstance(value, tuple):
-        return " ".join(map(_words, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
+        return ""
+    words = re.sub(r"[(),']+", "", str(value))  # a tuple as it is given on the command line
+    return f" (default: {'on' if value is True else words})"
 
 
 def _summary(command: Any) -> list[str]:
@@ -161,17 +142,14 @@ def _entry(head: str, text: str, indent: int) -> str:
     """Return a name and its text in two columns, or below each other if the name is long."""
     if len(head) + 2 <= indent:
         return _wrap(text, head.ljust(indent), indent)
-    if len(head) > _width():
+    if len(head) > NARROW:
         head = head.replace(",", ", ")
     return f"{_wrap(head.strip(), '  ', 6)}\n{_wrap(text, ' ' * indent, indent)}"
 
 
 def _wrap(text: str, start: str = "", indent: int = 0) -> str:
+    width = min(shutil.get_terminal_size().columns, WIDEST)
     return textwrap.fill(
-        " ".join(text.split()), _width(), initial_indent=start, subsequent_indent=" " * indent,
+        " ".join(text.split()), width, initial_indent=start, subsequent_indent=" " * indent,
         break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip
-
-
-def _width() -> int:
-    return min(shutil.get_terminal_size().columns, WIDEST)

@@ -72,8 +72,7 @@ class Import(BaseCommand):
 
     Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, poses_bounds.npy (LLFF),
     cameras_sphere.npz (IDR, NeuS), Stanford-ORB and Objects with Lighting. Writes scene.xml with
-    the mesh and the light, linear EXR photographs with masks, and capture.json. Check the result
-    with svu check.
+    mesh and light, linear EXR photographs with masks, and capture.json. Next: svu check.
     """
 
     uses_matplotlib = False

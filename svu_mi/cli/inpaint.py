@@ -36,10 +36,9 @@ Weights = Annotated[Path | None, arg(metavar="FOLDER")]
 class Inpaint(CaptureCommand, ResultCommand):
     """Fill unseen texels of recovered textures.
 
-    Predicts them from similar texels: on the same part, at the same height, or at a symmetric
-    position. Each similarity is weighted by cross-validation on seen texels. With --model, a
-    diffusion model generates them. Writes textures, recovered.xml, uncertainty.exr, filled.exr (1
-    at filled texels), filled.png and run.json.
+    Predicts them from similar texels (same part, height or symmetric position; weighted by
+    cross-validation on seen texels), or by a diffusion model. Writes textures, recovered.xml,
+    uncertainty.exr, filled.exr (1 at filled texels), filled.png and run.json.
     """
 
     command = "inpaint"

@@ -44,13 +44,8 @@ class CaptureCommand(BaseCommand):
     ) -> tuple[Capture, Texels]:  # fmt: skip
         """Read or render the photographs, and lay out texels; the light is optional.
 
-        Args:
-            progress: stages and memory are shown there.
-            need: memory of the command as a function of sizes.
-            size: number of texels, (width, height).
-            again: read photographs that an earlier run has rendered.
-            missing: replacement of the option ``missing``.
-            surroundings: keep pixels outside the object.
+        ``need`` is the memory as a function of sizes, ``again`` reads the photographs rendered by
+        an earlier run, and ``surroundings`` keeps pixels outside the object.
         """
         from svu_mi.capture.crop import Detail
         from svu_mi.capture.match_photographs import has_photographs
@@ -180,7 +175,7 @@ def read_capture(
 def photograph_memory(progress: Progress, label: str, need: NeedFunc, sizes: Sizes) -> float:
     """Check and print the needed memory; return the bytes available for photographs.
 
-    The result is 0 if the rest of the command needs all memory and --memory is not given.
+    Without --memory, the result is 0 if the rest of the command needs all memory.
     """
     required = need(sizes)
     if not (required.fits or sizes.asked):

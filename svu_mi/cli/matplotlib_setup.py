@@ -14,8 +14,7 @@ BACKEND, SETTINGS = "MPLBACKEND", "matplotlibrc"  # environment variable and fil
 def import_matplotlib() -> None:
     """Import matplotlib with its default settings, unless it is imported already.
 
-    On import it first reads settings from the working directory. Such a file, for instance in a
-    folder of photographs, could change or break pictures, start LaTeX, or import a module.
+    Settings in the working directory could break pictures, start LaTeX, or import a module.
     """
     if "matplotlib" in sys.modules:
         return

@@ -33,9 +33,8 @@ From = Annotated[Path | None, arg(name="start", metavar="FOLDER")]
 class Recover(CaptureCommand, ResultCommand):
     """Recover base colour, roughness and metallic textures.
 
-    Writes the textures as EXR, recovered.xml (a Mitsuba scene with them), coverage.exr,
-    entropy.exr, uncertainty.exr (standard deviations and 90 % intervals), recovery.png, relit.png,
-    losses.csv and run.json; with --draws, posterior samples of the textures.
+    Writes EXR textures, recovered.xml (a Mitsuba scene with them), coverage.exr, entropy.exr,
+    uncertainty.exr (standard deviations, 90 % intervals), pictures, losses.csv and run.json.
     """
 
     command, keep = "recover", CHECKPOINT

@@ -20,10 +20,7 @@ from svu_mi.core.validation import require_spp, require_views
 
 @dataclass(frozen=True, kw_only=True)
 class Render(BaseCommand):
-    """Render the sensors of a Mitsuba scene to a capture folder.
-
-    Unlike the mitsuba program, it supports the plugins of svu_mi.
-    """
+    """Render the sensors of a Mitsuba scene to a capture folder."""
 
     uses_matplotlib = False
     first = "scene output views resolution spp define shape seed resume overwrite"

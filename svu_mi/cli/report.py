@@ -29,9 +29,8 @@ Page = Annotated[Path, arg(aliases=["-o"], metavar="FILE.html", help="Page to wr
 class Report(EstimateCommand):
     """Write the results as one HTML page with all images included.
 
-    Contains photographs, entropy on a turntable, maps, probabilities, residuals per view,
-    settings, times and versions; readable offline. Textures of --recovered are compared with the
-    photographs.
+    Contains photographs, entropy on a turntable, maps, probabilities, residuals per view, settings,
+    times and versions; with --recovered, also textures compared with the photographs.
     """
 
     first = "scene output recovered resolution light images title overwrite"

@@ -20,10 +20,7 @@ PLAIN = str.maketrans({"±": "+-", "·": "-", "•": "*", "×": "x", "\u2009": "
 
 
 class ForgivingStream:
-    """Stream that ignores failed writes, such as those to a closed pipe or a full disk.
-
-    Characters outside the stream's encoding are replaced or escaped.
-    """
+    """Stream that ignores failed writes, and escapes characters outside its encoding."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -84,10 +81,7 @@ def forgiving_streams() -> Iterator[None]:
 
 
 def _open_standard_files() -> None:
-    """Open closed standard descriptors (``svu >&-``).
-
-    Otherwise the next opened file gets the descriptor, and receives output of C++ libraries.
-    """
+    """Open closed standard descriptors (``svu >&-``), or another file would get C++ output."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)

@@ -31,9 +31,8 @@ Steps = Annotated[tuple[StepName, ...], arg(metavar="{entropy,recover,report,exp
 class Batch(BaseCommand):
     """Process many captures, with an overview page.
 
-    Each capture gets a folder with entropy, recovered, report.html and asset. The page lists
-    failed captures with their errors; the others continue. Run the same command again to continue
-    after an interruption, and to update changed captures. Exit status 1 if a capture failed.
+    Each capture gets a folder with entropy, recovered, report.html and asset. The same command
+    continues an interrupted batch, and updates changed captures. Exit status 1 if one failed.
     """
 
     uses_matplotlib: ClassVar[bool] = False

@@ -117,10 +117,7 @@ class BatchRunner:
                 commands.end()
 
     def run_on_cluster(self, address: str, items: Sequence[BatchItem]) -> Iterator[Outcome]:
-        """Process captures on the workers of a Dask scheduler, which share the file system.
-
-        If a worker dies, another worker repeats its current command.
-        """
+        """Process captures on Dask workers, which share the file system; replace dead ones."""
         with dask_client(address) as client:
             from distributed import KilledWorker, as_completed
 
